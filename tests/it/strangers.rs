@@ -103,7 +103,7 @@ fn an_object_on_black_is_learned_or_said_to_be_lost() {
     };
     let said = demand(&mut train(&["train.steps=260", "field.rgb_limit=0"]), 6);
     assert_says(&said, &["training collapsed", "all rays had one colour, and the photos had not"]);
-    let said = demand(&mut train(&["train.steps=120", "field.rgb_limit=0", "train.collapse_steps=0"]), 6);
+    let said = demand(&mut train(&["train.steps=160", "field.rgb_limit=0", "train.collapse_steps=0"]), 6);
     assert_says(&said, &["nothing was learned", "no better than one colour", "field.rgb_limit = 8"]);
     demand(&mut train(&["train.steps=250"]), 0);
     let mean = &json(&out.join("metrics.json"))["mean"];

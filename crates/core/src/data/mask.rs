@@ -57,8 +57,8 @@ impl MaskFile {
         MaskFile { path, inverted: false }
     }
 
-    /// Finds a photo's mask in a folder of the scene: `NAME.png` of `NAME.jpg`, or `NAME.jpg.png` as COLMAP has it, in the
-    /// photo's own sub-folder, or in the folder itself if no other photo `has_name`.
+    /// Finds a photo's mask in a folder of the scene: `NAME.png`, `NAME_mask.png` or `mask_NAME.png` of `NAME.jpg`, or
+    /// `NAME.jpg.png` as COLMAP has it, in the photo's own sub-folder, or in the folder itself if no other photo `has_name`.
     fn in_folder(dir: &Path, folder: &str, photo: &Path, has_name: impl Fn(&str) -> usize) -> Option<MaskFile> {
         let (stem, name) = (photo.file_stem()?.to_string_lossy(), photo.file_name()?.to_string_lossy());
         let within = photo.strip_prefix(dir).ok().and_then(Path::parent).unwrap_or(Path::new(""));
@@ -67,9 +67,9 @@ impl MaskFile {
         let bare = (has_name(&stem) == 1).then(PathBuf::new);
         let places = [Some(within.to_path_buf()), Some(below), bare];
         let endings = || images::ENDINGS.iter().flat_map(|ending| [ending.to_string(), ending.to_ascii_uppercase()]);
+        let bases = [name.to_string(), stem.to_string(), format!("{stem}_mask"), format!("mask_{stem}")];
         let file = |place: PathBuf| {
-            let names =
-                [&name, &stem].into_iter().flat_map(|base| endings().map(move |ending| format!("{base}.{ending}")));
+            let names = bases.iter().flat_map(|base| endings().map(move |ending| format!("{base}.{ending}")));
             names.map(|name| dir.join(folder).join(&place).join(name)).find(|path| path.is_file())
         };
         places

@@ -2,18 +2,24 @@
 
 use super::pose::{self, Vec3};
 use super::{Camera, Rig, Scene};
+use crate::settings::DataKind;
 
 /// Fewest training views of which nothing is said.
 const FEW_VIEWS: usize = 3;
 /// Distance under which cameras stand in one place, as a fraction of the scene's largest depth.
 const ONE_PLACE: f64 = 1e-6;
+/// Degrees between a viewing direction and their mean from which on cameras stand around something.
+const ALL_AROUND: f64 = 60.0;
+/// Formats for which `data.axes` counts.
+const READ_WITH_AXES: [DataKind; 2] = [DataKind::Transforms, DataKind::Blender];
 /// Difference of the focal lengths across and down, as a fraction, from which on it is said.
 const UNEQUAL_FOCAL: f64 = 0.25;
 
 /// Returns the remarks on a scene's cameras.
 pub(super) fn of(scene: &Scene) -> Vec<String> {
     let cameras: Vec<Camera> = scene.train.iter().chain(&scene.test).map(|view| view.camera).collect();
-    [few(scene), one_place(scene), looks_away(&cameras), unequal_focal(scene)].into_iter().flatten().collect()
+    let away = looks_away(&cameras).filter(|_| READ_WITH_AXES.iter().any(|kind| kind.name() == scene.kind));
+    [few(scene), one_place(scene), away, unequal_focal(scene)].into_iter().flatten().collect()
 }
 
 fn few(scene: &Scene) -> Option<String> {
@@ -38,11 +44,13 @@ fn one_place(scene: &Scene) -> Option<String> {
     None
 }
 
-/// Cameras whose common point lies behind them.
+/// Cameras all around whose common point lies behind them. Of cameras that face one way the axes may well meet behind.
 fn looks_away(cameras: &[Camera]) -> Option<String> {
     let flipped: Vec<Camera> =
         cameras.iter().map(|camera| Camera { pose: pose::flipped(&camera.pose), ..*camera }).collect();
-    let away = Rig::of(cameras).subject.is_none() && Rig::of(&flipped).subject.is_some();
+    let rig = Rig::of(cameras);
+    let around = rig.spread.is_none_or(|degrees| degrees > ALL_AROUND);
+    let away = around && rig.subject.is_none() && Rig::of(&flipped).subject.is_some();
     away.then(|| {
         "the cameras look away from their common point: unless the capture looks outwards, its matrices have OpenCV's axes (x \
          right, y down, z ahead), which data.axes=opencv reads"
