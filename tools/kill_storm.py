@@ -2,7 +2,8 @@
 """Kills trainings and sweeps at random moments and compares their files with those of undisturbed ones, byte for byte.
 
     cargo build --release
-    tools/kill_storm.py                       200 kills of trainings, 200 of sweeps, signals, a full disk, 100 collects
+    tools/kill_storm.py                       200 kills of trainings, 200 of sweeps, 200 of other commands, signals, a full disk,
+                                              100 collects, 60 rounds of four containers
     tools/kill_storm.py --train 500 --seed 7  other numbers
     tools/kill_storm.py --only sweep,runners  some parts
     tools/kill_storm.py --short               under a minute, as the gate runs it
@@ -12,8 +13,8 @@ the same names and bytes as an undisturbed one, hidden names included. Not compa
 files, the process number in run.lock. Differing files are kept and named. The exit code is 0 if nothing differs, else 1.
 
 Half of the kills come at a random time. If strace is available, the other half come at a random call that changes the file
-system (write, rename, fsync, unlink, ...). The disk that fills up is a tmpfs; mounting it needs root. Skipped parts are
-printed. Needs Python 3.9 without packages.
+system (write, rename, fsync, unlink, ...). The disk that fills up is a tmpfs; mounting it needs root, and so does a
+container (unshare). Skipped parts are printed. Needs Python 3.9 without packages.
 """
 
 import argparse
@@ -146,6 +147,43 @@ class Storm:
 
     def sweep(self, out):
         return ["sweep", "run", self.definition, "--out", out, "--quiet", "--threads", "2"]
+
+    def other_commands(self, base, sweep):
+        """Returns the commands that write one thing: name -> function of a folder, which gives the command for its state."""
+        self.end(self.start(["export", base, self.folder / "weights.safetensors"]), {0})
+        self.end(self.start(["data", "export-builtin", self.folder / "pictures", "--width", "16"]), {0})
+        settings = [w for s in SET if not s.startswith("train.steps") for w in ("--set", s)]
+        nothing = ["settings", "train.steps"]
+
+        def made(folder):
+            folder.mkdir(exist_ok=True)
+            return folder
+
+        def imported(folder):
+            run = made(folder) / "run"
+            # A name stands for a run that is whole.
+            return nothing if run.exists() else ["import", self.folder / "weights.safetensors", "--out", run, *settings]
+
+        def trained_from(folder):
+            run = made(folder) / "run"
+            if any(run.glob("checkpoints/step*")):
+                return ["resume", "--quiet", run]
+            again = ["--overwrite"] if run.exists() else []
+            return ["train", "--quiet", "--from", base, "--out", run, "--set", "train.steps=60", *again]
+
+        def scored(folder):
+            copy = made(folder) / "sweep"
+            if not copy.exists():
+                shutil.copytree(sweep, copy, symlinks=True)
+            return ["score", self.folder / "pictures/test", "--into", copy, "--row", "Other"]
+
+        return {
+            "import": imported,
+            "from": trained_from,
+            "score": scored,
+            "export": lambda folder: ["export", base, made(folder) / "weights.safetensors"],
+            "report": lambda folder: ["report", base, "--out", made(folder) / "report.html"],
+        }
 
     # Checks.
 
@@ -286,6 +324,30 @@ class Storm:
             self.same("runners", straight, out)
         return done
 
+    def commands(self, base, sweep, wanted):
+        """Kills commands that write one thing each."""
+        commands = self.other_commands(base, sweep)
+        each = -(-wanted // len(commands))
+        return sum(self.kills(name, command, self.undisturbed(f"{name}s/straight", command), each)
+                   for name, command in commands.items())
+
+    def containers(self, undisturbed, rounds):
+        """Runs four workers of one sweep at once, each with the process numbers of a container of its own."""
+        straight, _, _ = undisturbed
+        alone = ["unshare", "--pid", "--fork", "--mount-proc"]
+        if subprocess.run([*alone, "true"], capture_output=True).returncode != 0:
+            print("kill_storm: SKIPPED: containers (unshare needs root)")
+            return 0
+        for number in range(rounds):
+            out = straight.parent / f"containers-{number}"
+            words = [*alone, str(self.arguments.program), *map(str, self.sweep(out))]
+            workers = [subprocess.Popen(words, env=self.environment, cwd=self.folder, start_new_session=True,
+                                        stdout=subprocess.DEVNULL, stderr=subprocess.PIPE) for _ in range(4)]
+            for worker in workers:
+                self.end(worker, {0})
+            self.same("containers", straight, out)
+        return rounds
+
     def collects(self, straight, count):
         """Collects one finished sweep many times at once."""
         # The tables get the folder's name.
@@ -315,6 +377,9 @@ class Storm:
         self.part("disk", "{} times stopped by a full disk",
                   lambda: self.full_disk("nerf", self.training, plain, a.disks)
                   + self.full_disk("sweep", self.sweep, sweep, a.disks))
+        self.part("commands", "{} kills of import, --from, score, ...",
+                  lambda: self.commands(plain[0], sweep[0], a.commands))
+        self.part("containers", "{} rounds of four containers", lambda: self.containers(sweep, a.containers))
         self.part("collects", "{} collects at once", lambda: self.collects(sweep[0], a.collects))
         print(f"\n{'part':10} {'what':42} {'folders':>8} {'wrong':>6} {'seconds':>8}")
         for name, what, lives, wrong, took in self.rows:
@@ -333,7 +398,8 @@ def main():
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--only", type=lambda text: text.split(","), help="parts, separated by commas")
     parser.add_argument("--short", action="store_true")
-    numbers = {"train": (200, 10), "sweep": (200, 5), "runners": (60, 3), "signals": (5, 0), "disks": (10, 1), "collects": (100, 20)}
+    numbers = {"train": (200, 10), "sweep": (200, 5), "runners": (60, 3), "signals": (5, 0), "disks": (10, 1), "collects": (100, 20),
+               "commands": (200, 0), "containers": (60, 0)}
     for name, (default, _) in numbers.items():
         parser.add_argument(f"--{name}", type=int, help=f"[default: {default}]")
     arguments = parser.parse_args()
