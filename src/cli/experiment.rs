@@ -48,6 +48,10 @@ const DATA_ROOT: &str = "AUGNERF_DATA";
 /// [`Error::Data`]: no such folder, or several in `AUGNERF_DATA`.
 pub fn scene_folder(flag: &str, named: &Path, console: &Console) -> Result<PathBuf> {
     let here = std::path::absolute(named).map_err(|e| Error::unreadable(named, &e))?;
+    if let Some(folder) = data::scene_of_file(&here) {
+        console.say(&format!("scene: {}", folder.display()));
+        return Ok(folder);
+    }
     if here.symlink_metadata().is_ok() {
         return Ok(here);
     }

@@ -9,8 +9,8 @@ use crate::base::{Error, Result};
 use crate::data::Camera;
 use crate::draw::write_png8;
 use crate::run::{
-    BUILTIN, MeshFormat, MeshOptions, MeshPicture, MeshReport, MeshUnits, Trained, Viewpoint, columns, mesh_picture,
-    named_mesh, reference_mesh,
+    BUILTIN, Coverage, MeshFormat, MeshOptions, MeshPicture, MeshReport, MeshUnits, Trained, Viewpoint, columns,
+    mesh_picture, named_mesh, reference_mesh,
 };
 use crate::runtime::Runtime;
 use crate::settings::MESH_SIDES;
@@ -212,6 +212,7 @@ impl MeshArguments {
         let (folder, files) = pictures_folder(self.out.as_deref(), trained.run.mesh())?;
         let report = trained.draw_mesh_into(files, options, console)?;
         console.say(&describe(&report));
+        report.coverage.iter().for_each(|coverage| console.say(&covers(coverage)));
         let picture = options.picture.as_ref().map(|picture| picture.file.display().to_string());
         picture.iter().for_each(|picture| console.say(&format!("picture: {picture}")));
         let (run, named) = (self.run.display().to_string(), folder.display().to_string());
@@ -282,6 +283,15 @@ fn describe(report: &MeshReport) -> String {
         report.components_dropped,
         report.density.largest
     )
+}
+
+/// Says what the surface shows, and how it shows more.
+fn covers(Coverage { view, covered, better_threshold }: &Coverage) -> String {
+    let covered = format!("the surface covers {:.0} % of the solid pixels of view {view}", 100.0 * covered);
+    match better_threshold {
+        Some(better) => format!("{covered}; --threshold {better:.2} covers nine of ten"),
+        None => covered,
+    }
 }
 
 #[derive(Args)]

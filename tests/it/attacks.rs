@@ -106,6 +106,17 @@ fn pipes_in_a_run_are_not_waited_for() {
     }
 }
 
+/// Settings that a crash of the machine emptied are not all defaults.
+#[test]
+fn an_emptied_configuration_is_an_error() {
+    let dir = TempDir::new().unwrap();
+    let run = trained(dir.path());
+    fs::write(run.join("config.toml"), "\n").unwrap();
+    for command in ["resume", "eval", "render"] {
+        refuse(&[command, run.to_str().unwrap()], 5, &["config.toml is empty"]);
+    }
+}
+
 /// 65 kB that unpack to 64 MiB of colour profile.
 #[test]
 fn a_colour_profile_takes_no_more_memory_than_a_picture() {

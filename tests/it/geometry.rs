@@ -67,6 +67,20 @@ fn a_run_is_drawn_compared_and_drawn_again_alike() {
 
     lies_in_the_field(&text(&mesh.join("mesh.obj")), &values);
 
+    // A denser surface covers less, and a better threshold is named.
+    let covered = |report: &serde_json::Value| report["coverage"]["covered"].as_f64().unwrap();
+    let threshold = (0.95 * largest).to_string();
+    let dense = dir.path().join("dense").display().to_string();
+    succeed(&["mesh", &run, "--quiet", "--resolution", "48", "--threshold", &threshold, "--out", &dense]);
+    let dense = json(&Path::new(&dense).join("mesh.json"));
+    assert!(
+        covered(&dense) < covered(&report) && covered(&report) <= 1.0,
+        "{} {}",
+        report["coverage"],
+        dense["coverage"]
+    );
+    assert!(dense["coverage"]["better_threshold"].as_f64().unwrap() < 0.95 * largest);
+
     // Both files hold one mesh, at 0 from itself.
     let (ply, obj) = (mesh.join("mesh.ply"), mesh.join("mesh.obj"));
     let [ply, obj] = [ply, obj].map(|file| file.display().to_string());

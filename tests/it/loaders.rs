@@ -52,7 +52,7 @@ fn nearest_to_average(poses: &[Pose]) -> f64 {
 
 fn compare_llff(part: &str, poses: &Poses, path: &[Pose]) {
     let reference = Reference::load("loaders");
-    let hwf = [poses.height / 8.0, poses.width / 8.0, poses.focal / 8.0];
+    let hwf = [poses.height / 8.0, poses.width / 8.0, poses.focal[0] / 8.0];
     let bounds: Vec<f64> = poses.bounds.iter().flatten().copied().collect();
     let name = |what: &str| format!("llff.{part}.{what}");
     assert_close(&name("poses"), &with_hwf(&poses.poses, hwf), &reference.values(&name("poses")), POSES);

@@ -2,8 +2,8 @@
 
 use std::path::Path;
 
-use crate::common::files::json;
-use crate::common::program::{demand, refuse};
+use crate::common::files::{entries, files, json};
+use crate::common::program::{demand, printed, refuse};
 use crate::common::{assert_says, program};
 
 /// The folder of a capture.
@@ -12,10 +12,22 @@ fn capture(name: &str) -> String {
     folder.to_str().unwrap().to_string()
 }
 
+/// Copies a folder into another.
+fn copy(from: &Path, to: &Path) {
+    for (path, content) in files(from, &[]) {
+        let path = to.join(path);
+        std::fs::create_dir_all(path.parent().unwrap()).unwrap();
+        std::fs::write(path, content).unwrap();
+    }
+}
+
 /// What `data check` says of it, with further settings.
 fn check(name: &str, settings: &[&str]) -> String {
-    let folder = capture(name);
-    let mut arguments = vec!["data", "check", &folder, "--set", "data.downscale=1"];
+    check_folder(Path::new(&capture(name)), settings)
+}
+
+fn check_folder(folder: &Path, settings: &[&str]) -> String {
+    let mut arguments = vec!["data", "check", folder.to_str().unwrap(), "--set", "data.downscale=1"];
     settings.iter().for_each(|setting| arguments.extend(["--set", setting]));
     let out = program::succeed(&arguments);
     format!("{}{}", String::from_utf8_lossy(&out.stdout), String::from_utf8_lossy(&out.stderr))
@@ -70,6 +82,50 @@ fn photos_that_lie_elsewhere_are_found() {
         // On file systems that ignore letter case they are where they are named.
         assert!(said.contains(&words) || name == "letter_case", "{name}: {said}");
     }
+}
+
+/// Names that mean one file: `Küche` in one piece in the file of poses, with the accent apart on the disk, and the like.
+#[test]
+fn names_in_another_letter_case_or_unicode_form_are_found() {
+    let dir = tempfile::tempdir().unwrap();
+    copy(Path::new(&capture("colmap_only1")), dir.path());
+    let images = dir.path().join("images");
+    let poses = dir.path().join("sparse/1/images.txt");
+    let text = std::fs::read_to_string(&poses).unwrap();
+    std::fs::write(&poses, text.replace("0001.jpg", "K\u{fc}che.jpg").replace("0002.jpg", "zwei.jpg")).unwrap();
+    std::fs::rename(images.join("0001.jpg"), images.join("Ku\u{308}che.jpg")).unwrap();
+    std::fs::rename(images.join("0002.jpg"), images.join("Zwei.JPG")).unwrap();
+    let said = check_folder(dir.path(), &[]);
+    let counted = said.split_once("the names of ").map(|(_, rest)| &rest[..1]);
+    // File systems that ignore letter case or forms find some by themselves.
+    assert!(cfg!(not(target_os = "linux")) || counted == Some("2"), "{said}");
+    assert!(!said.contains("are left out"), "{said}");
+
+    let dir = tempfile::tempdir().unwrap();
+    copy(Path::new(&capture("pose_null")), dir.path());
+    let poses = dir.path().join("transforms.json");
+    let text = std::fs::read_to_string(&poses).unwrap();
+    let first = entries(&dir.path().join("images")).remove(0);
+    let name = first.file_name().unwrap().to_str().unwrap();
+    std::fs::rename(&first, first.with_file_name("Ku\u{308}che.jpg")).unwrap();
+    std::fs::write(&poses, text.replace(name, "K\u{fc}che.jpg")).unwrap();
+    let said = check_folder(dir.path(), &[]);
+    assert!(!said.contains("are not there and are left out"), "{said}");
+}
+
+#[test]
+fn a_scene_s_own_file_stands_for_its_folder_and_a_near_miss_is_named() {
+    is_refused("near_miss_name", &["transform_train.json is probably a scene's transforms_train.json; rename it"]);
+    let file = format!("{}/transforms.json", capture("pose_null"));
+    assert_says(&printed(&["data", "check", &file, "--set", "data.downscale=1"]), &["scene  pose_null"]);
+    let frame = format!("{}/images/0001.jpg", capture("pose_null"));
+    refuse(&["data", "check", &frame], 3, &["is a file, but a scene is a folder"]);
+    let dir = tempfile::tempdir().unwrap();
+    let poses = r#"{"camera_angle_x": 0.7, "frames": [{"file_path": "images/photo_l.png",
+        "transform_matrix": [[1,0,0,0],[0,1,0,0],[0,0,1,4],[0,0,0,1]]}]}"#;
+    std::fs::write(dir.path().join("transforms.json"), poses).unwrap();
+    std::fs::copy(&frame, dir.path().join("photo_1.jpg")).unwrap();
+    refuse(&["data", "check", dir.path().to_str().unwrap()], 3, &["the nearest name there is photo_1.jpg"]);
 }
 
 #[test]

@@ -31,8 +31,8 @@ pub struct Reader {
     pub format: Format,
     /// Sound files.
     pub seeds: Vec<Vec<u8>>,
-    /// What is missing from sound files that are too small to be whole.
-    pub lacks: Option<&'static str>,
+    /// What is said of files that are not whole: too small, or broken on purpose.
+    pub lacks: &'static [&'static str],
     /// Reads a file of these bytes.
     pub read: Box<Read>,
 }
@@ -43,7 +43,7 @@ pub fn reader(
     seeds: Vec<Vec<u8>>,
     read: impl Fn(&[u8]) -> Result<()> + 'static,
 ) -> Reader {
-    Reader { name, format, seeds, lacks: None, read: Box::new(read) }
+    Reader { name, format, seeds, lacks: &[], read: Box::new(read) }
 }
 
 /// All readers, their files in folders below `folder`.
@@ -59,7 +59,13 @@ pub fn all(folder: &Path) -> Vec<Reader> {
         weights(&below("safetensors"), "weights, safetensors", "safetensors", Format::Safetensors, seeds::network()),
         meshes(below("ply").join("a.ply"), "mesh, ply", Format::Ply, ply_seeds()),
         meshes(below("obj").join("a.obj"), "mesh, obj", Format::Text, vec![seeds::OBJ.into()]),
-        llff(below("llff")),
+        llff(below("llff"), "scene, poses_bounds.npy", "poses_bounds.npy", seeds::poses(3)),
+        llff(below("nex poses"), "scene, poses of NeX", "poses_bounds.npy", seeds::nex_poses(3)),
+        llff(below("nex lens"), "scene, hwf_cxcy.npy", "hwf_cxcy.npy", seeds::nex_lens()),
+        registered(below("registered")),
+        second_model(below("second model")),
+        folder_masks(below("folder masks")),
+        unknown(below("unknown")),
         transforms(below("transforms")),
         colmap(below("colmap cameras"), "scene, colmap cameras.bin", "cameras.bin"),
         colmap(below("colmap images"), "scene, colmap images.bin", "images.bin"),
@@ -82,8 +88,13 @@ pub fn all(folder: &Path) -> Vec<Reader> {
         sweeps(below("sweep").join("sweep.toml")),
         cameras(below("path").join("path.json"), "cameras, json", Format::Text, seeds::CAMERAS.map(Vec::from).to_vec()),
         cameras(below("poses").join("poses.npy"), "cameras, npy", Format::Npy, vec![seeds::camera_poses()]),
-        foreign(below("tar").join("a.tar"), "import, torch", Format::Archive, seeds::checkpoint_tar()),
-        foreign(below("own").join("a.safetensors"), "import, safetensors", Format::Safetensors, seeds::exported()),
+        foreign(below("tar").join("a.tar"), "import, torch", Format::Archive, seeds::checkpoint_tars()),
+        foreign(
+            below("own").join("a.safetensors"),
+            "import, safetensors",
+            Format::Safetensors,
+            vec![seeds::exported()],
+        ),
         dataparser(below("dataparser")),
     ];
     all.extend(runs(&below("run")));
@@ -104,7 +115,7 @@ fn weights(dir: &Path, name: &'static str, ending: &str, format: Format, seed: V
         write(&file, bytes);
         Lpips::load(&dir, Backbone::Squeeze, &Device::Cpu).map(drop)
     });
-    Reader { lacks: Some("lacks the tensor 3.squeeze.weight"), ..reader }
+    Reader { lacks: &["lacks the tensor 3.squeeze.weight"], ..reader }
 }
 
 fn ply_seeds() -> Vec<Vec<u8>> {
@@ -143,15 +154,16 @@ fn cameras(file: PathBuf, name: &'static str, format: Format, seeds: Vec<Vec<u8>
 }
 
 /// Weights of other programs and of this one, as far as to the settings that they ask for.
-fn foreign(file: PathBuf, name: &'static str, format: Format, seed: Vec<u8>) -> Reader {
-    reader(name, format, vec![seed], move |bytes| {
+fn foreign(file: PathBuf, name: &'static str, format: Format, seeds: Vec<Vec<u8>>) -> Reader {
+    let reader = reader(name, format, seeds, move |bytes| {
         write(&file, bytes);
         let foreign = Foreign::open(&file)?;
         if let Networks::Own { config } = foreign.networks() {
             Config::from_toml(config, "its configuration")?;
         }
         foreign.settings().map(drop)
-    })
+    });
+    Reader { lacks: &["cannot be read", "here both have the same layers"], ..reader }
 }
 
 /// The way to nerfstudio's units, beside a capture with a way of its own.
@@ -182,11 +194,13 @@ fn write_pictures(dir: &Path, count: usize) {
     (0..count).for_each(|i| seeds::picture(16, 12).save(dir.join(format!("{i}.png"))).unwrap());
 }
 
-/// Poses of every other file are put on a sphere.
-fn llff(dir: PathBuf) -> Reader {
+/// A file of an LLFF scene beside sound ones. Poses of every other file are put on a sphere.
+fn llff(dir: PathBuf, name: &'static str, file: &'static str, seed: Vec<u8>) -> Reader {
     write_pictures(&dir.join("images"), 3);
-    reader("scene, poses_bounds.npy", Format::Npy, vec![seeds::poses(3)], move |bytes| {
-        write(&dir.join("poses_bounds.npy"), bytes);
+    write(&dir.join("poses_bounds.npy"), &seeds::nex_poses(3));
+    write(&dir.join("hwf_cxcy.npy"), &seeds::nex_lens());
+    reader(name, Format::Npy, vec![seed], move |bytes| {
+        write(&dir.join(file), bytes);
         let spherify = bytes.iter().fold(0, |sum, byte| sum ^ byte) & 1 == 1;
         load(DataConfig { spherify, ndc: !spherify, ..config_of(&dir) }).or_else(|error| match error {
             // Cameras side by side fit none.
@@ -196,9 +210,43 @@ fn llff(dir: PathBuf) -> Reader {
     })
 }
 
+/// The list of the photos that have poses, where there are more.
+fn registered(dir: PathBuf) -> Reader {
+    write_pictures(&dir.join("images"), 4);
+    write(&dir.join("poses_bounds.npy"), &seeds::poses(3));
+    reader("scene, view_imgs.txt", Format::Text, vec![b"0.png\n1.png\n3.png\n".to_vec()], move |bytes| {
+        write(&dir.join("view_imgs.txt"), bytes);
+        load(config_of(&dir))
+    })
+}
+
+/// A file that is no scene's own, but may be one under another name.
+fn unknown(dir: PathBuf) -> Reader {
+    let seeds = vec![seeds::transforms("\"camera_angle_x\": 0.7")];
+    let reader = reader("no scene, JSON", Format::Text, seeds, move |bytes| {
+        write(&dir.join("cams.json"), bytes);
+        load(config_of(&dir))
+    });
+    Reader { lacks: &["rename it to transforms.json"], ..reader }
+}
+
+/// Masks in a folder, and instant-ngp's beside the photos.
+fn folder_masks(dir: PathBuf) -> Reader {
+    write_pictures(&dir.join("views"), 4);
+    fs::create_dir_all(dir.join("masks")).unwrap();
+    write(&dir.join("transforms.json"), &seeds::transforms("\"camera_angle_x\": 0.7"));
+    reader("scene, masks in folders", Format::Png, vec![seeds::depth_map()], move |bytes| {
+        write(&dir.join("masks/1.png"), bytes);
+        write(&dir.join("views/dynamic_mask_2.png"), bytes);
+        let masks = if bytes.len() % 2 == 0 { "masks" } else { "beside" };
+        load(DataConfig { masks: masks.into(), ..config_of(&dir) })
+    })
+}
+
 fn transforms(dir: PathBuf) -> Reader {
     write_pictures(&dir.join("views"), 4);
     let keys = [
+        "\"camera_angle_x\": 0.7,\n  \"orthographic\": false,\n  \"masks\": null",
         "\"camera_angle_x\": 0.7",
         "\"camera_model\": \"OPENCV\",\n  \"fl_x\": 30.5,\n  \"fl_y\": 30,\n  \"cx\": 16,\n  \"cy\": 12,\n  \"w\": 32,\n  \
          \"h\": 24,\n  \"k1\": 0.05,\n  \"k2\": -0.01,\n  \"p1\": 0.001,\n  \"aabb_scale\": 4",
@@ -223,6 +271,22 @@ fn colmap(dir: PathBuf, name: &'static str, file: &'static str) -> Reader {
     let format = if is_text { Format::Text } else { Format::Bytes };
     reader(name, format, vec![sound], move |bytes| {
         write(&model.join(file), bytes);
+        load(config_of(&dir))
+    })
+}
+
+/// A second model beside a sound one, which is read if it has more photos.
+fn second_model(dir: PathBuf) -> Reader {
+    write_pictures(&dir.join("images"), 4);
+    let models = ["sparse/0", "sparse/1"].map(|name| dir.join(name));
+    for model in &models {
+        fs::create_dir_all(model).unwrap();
+        crate::colmap::fuzz_model().write(model, false);
+    }
+    let file = models[1].join("images.bin");
+    let sound = fs::read(&file).unwrap();
+    reader("scene, second colmap model", Format::Bytes, vec![sound], move |bytes| {
+        write(&file, bytes);
         load(config_of(&dir))
     })
 }

@@ -215,7 +215,7 @@ fn run_lock(folder: &Path) -> Reader {
         write(&dir.join("run.lock"), bytes);
         RunDir::take(&dir).map(drop)
     });
-    Reader { lacks: Some("is in use by process 4711"), ..reader }
+    Reader { lacks: &["is in use by process 4711"], ..reader }
 }
 
 /// The checksums of a run's only checkpoint.

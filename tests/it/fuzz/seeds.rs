@@ -151,6 +151,20 @@ pub fn poses(views: usize) -> Vec<u8> {
     super::formats::npy((views, 17), &(0..views).flat_map(row).collect::<Vec<f64>>())
 }
 
+/// The same as NeX writes them, without the lens.
+pub fn nex_poses(views: usize) -> Vec<u8> {
+    let row = |view: usize| {
+        let (sin, cos) = (view as f64 * 0.02).sin_cos();
+        [0.0, cos, sin, view as f64 * 0.1, -1.0, 0.0, 0.0, 0.0, 0.0, -sin, cos, 0.0, 1.0, 5.0]
+    };
+    super::formats::npy((views, 14), &(0..views).flat_map(row).collect::<Vec<f64>>())
+}
+
+/// NeX's lens of these images.
+pub fn nex_lens() -> Vec<u8> {
+    super::formats::npy((6, 1), &[12.0, 16.0, 14.0, 14.5, 8.5, 5.5])
+}
+
 /// `transforms.json` of four views with these keys beside the frames.
 pub fn transforms(keys: &str) -> Vec<u8> {
     let frame = |i: usize| {
@@ -311,7 +325,12 @@ pub fn camera_poses() -> Vec<u8> {
     bytes
 }
 
-/// A checkpoint of nerf-pytorch.
-pub fn checkpoint_tar() -> Vec<u8> {
-    include_bytes!("../../fixtures/nerf_pytorch.tar").to_vec()
+/// Checkpoints of nerf-pytorch, sound and broken.
+pub fn checkpoint_tars() -> Vec<Vec<u8>> {
+    vec![
+        include_bytes!("../../fixtures/nerf_pytorch.tar").to_vec(),
+        include_bytes!("../../fixtures/hostile/short_storage.tar").to_vec(),
+        include_bytes!("../../fixtures/hostile/missing_storage.tar").to_vec(),
+        include_bytes!("../../fixtures/hostile/coarse_5_fine_6_layers.tar").to_vec(),
+    ]
 }

@@ -26,8 +26,10 @@ pub fn write_atomic(path: &Path, bytes: &[u8]) -> Result<()> {
 }
 
 /// Writes to a file that the user named. A symbolic link is followed. A device or pipe, which cannot be replaced, is
-/// written to directly.
+/// written to directly. What killed processes left of files of this name is deleted first.
 pub fn write_named(path: &Path, bytes: &[u8]) -> Result<()> {
+    // A leftover that cannot be deleted does no harm.
+    let _ = name_of(path).and_then(|name| clean_where(folder_of(path), |entry| entry == name));
     try_write_named(path, bytes).map_err(|error| Error::unwritable(path, &error))
 }
 
@@ -248,6 +250,16 @@ mod tests {
         write_atomic(&path, b"two").unwrap();
         assert_eq!(fs::read(&path).unwrap(), b"two");
         assert_eq!(names(dir.path()), ["a.json"]);
+    }
+
+    #[test]
+    fn a_named_file_takes_its_own_leftovers_away() {
+        let dir = tempfile::tempdir().unwrap();
+        for name in ["a.json", "b.json"] {
+            fs::write(dir.path().join(format!("{TEMPORARY}7-0-{name}")), "half").unwrap();
+        }
+        write_named(&dir.path().join("a.json"), b"{}").unwrap();
+        assert_eq!(names(dir.path()), [".augnerf-tmp-7-0-b.json", "a.json"]);
     }
 
     #[test]

@@ -10,6 +10,7 @@ use std::path::{Path, PathBuf};
 use image::metadata::Orientation;
 use image::{DynamicImage, ImageDecoder, ImageFormat, ImageReader, Limits};
 use rayon::prelude::*;
+use unicode_normalization::UnicodeNormalization;
 
 use super::resample;
 use crate::base::input::{open_regular, read_bytes};
@@ -106,6 +107,9 @@ const NO_PHOTOS: [&str; 4] = ["mask", "depth", "normal", "alpha"];
 /// Largest number of unused photos that are named.
 const UNUSED_NAMED: usize = 5;
 
+/// Least likeness (0 to 1) of a name that is suggested.
+const NEAR: f64 = 0.6;
+
 /// Folders below a scene's that are searched.
 const DEEPEST: usize = 3;
 /// Most files that are searched.
@@ -167,22 +171,49 @@ pub(super) fn note_unused<'a>(scene: &Path, used: impl Iterator<Item = &'a PathB
 /// folder itself under the end of the name, unless the name begins with a split's. Letter case and an image's ending do
 /// not count. Masks and maps of depth are no photos.
 pub(super) fn place_of<'a>(name: &str, below: &'a [PathBuf]) -> Option<&'a Path> {
-    let plain = |path: &Path| path.to_string_lossy().replace('\\', "/").to_lowercase();
-    let without_ending = |text: String| match Path::new(&text) {
-        path if is_image(path) => path.with_extension("").to_string_lossy().into_owned(),
-        _ => text,
-    };
-    let wanted = without_ending(name.trim_start_matches('/').to_lowercase());
+    let wanted = without_ending(name_key(Path::new(name.trim_start_matches('/'))));
     let is_of_split = ["train/", "test/", "val/"].iter().any(|split| wanted.contains(split));
     let last = wanted.rsplit('/').next().filter(|_| !is_of_split);
     let is_photo = |path: &str| !NO_PHOTOS.iter().any(|part| path.contains(part));
-    let only = |fits: &dyn Fn(&str) -> bool| {
-        let mut fitting = below.iter().filter(|path| is_photo(&plain(path)) && fits(&without_ending(plain(path))));
-        fitting.next().filter(|_| fitting.next().is_none()).map(PathBuf::as_path)
-    };
+    let only = |fits: &dyn Fn(&str) -> bool| only(below, |path| is_photo(path) && fits(&without_ending(path.into())));
     only(&|path| path == wanted)
         .or_else(|| only(&|path| path.strip_suffix(&wanted).is_some_and(|front| front.ends_with('/'))))
         .or_else(|| only(&|path| Some(path) == last))
+}
+
+/// Returns the only one of the images `below` a folder that has a name, apart from its letter case, its Unicode form and an
+/// image's ending.
+pub(super) fn under_same_name<'a>(name: &str, below: &'a [PathBuf]) -> Option<&'a Path> {
+    let wanted = without_ending(name_key(Path::new(name)));
+    only(below, |path| without_ending(path.into()) == wanted)
+}
+
+/// Returns the image `below` a folder whose name is nearest to a name, if one is near.
+pub(super) fn nearest<'a>(name: &str, below: &'a [PathBuf]) -> Option<&'a Path> {
+    let key = |path: &Path| name_key(Path::new(path.file_name().unwrap_or_default()));
+    let wanted = key(Path::new(name));
+    let likeness = |path: &Path| strsim::normalized_damerau_levenshtein(&key(path), &wanted);
+    let nearest = below.iter().max_by(|a, b| likeness(a).total_cmp(&likeness(b)))?;
+    (likeness(nearest) >= NEAR).then_some(nearest)
+}
+
+/// Returns the only path whose [`name_key`] fits.
+fn only(below: &[PathBuf], fits: impl Fn(&str) -> bool) -> Option<&Path> {
+    let mut fitting = below.iter().filter(|path| fits(&name_key(path)));
+    fitting.next().filter(|_| fitting.next().is_none()).map(PathBuf::as_path)
+}
+
+/// Returns a path as names are compared: neither letter case nor the Unicode form (macOS takes letters and accents apart)
+/// make a difference, nor which slash.
+pub(super) fn name_key(path: &Path) -> String {
+    path.to_string_lossy().replace('\\', "/").nfc().collect::<String>().to_lowercase()
+}
+
+fn without_ending(text: String) -> String {
+    match Path::new(&text) {
+        path if is_image(path) => path.with_extension("").to_string_lossy().into_owned(),
+        _ => text,
+    }
 }
 
 /// Returns width and height from a file's header.

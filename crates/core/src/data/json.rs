@@ -44,6 +44,11 @@ pub(super) fn read(file: &Path) -> Result<Value> {
     Ok(value)
 }
 
+/// Returns whether a JSON file lists frames, as a scene's poses do.
+pub(super) fn lists_frames(file: &Path) -> bool {
+    read(file).is_ok_and(|value| value["frames"].as_array().is_some_and(|frames| !frames.is_empty()))
+}
+
 const BYTE_ORDER_MARK: &[u8] = b"\xef\xbb\xbf";
 /// What Python's and JavaScript's writers write for numbers that are not finite.
 const NO_NUMBERS: [&[u8]; 3] = [b"-Infinity", b"Infinity", b"NaN"];

@@ -5,6 +5,8 @@
 
 use std::sync::LazyLock;
 
+use strsim::levenshtein;
+
 pub use super::rules::{Effect, Rule, numbers, output, path, work};
 pub(super) use super::types::choice;
 pub use super::types::{Range, Settable};
@@ -216,7 +218,7 @@ pub(super) fn meant(name: &str) -> String {
 
 /// Returns the same for a word that need not be a name: `None` if no setting is near.
 pub(super) fn nearly(word: &str) -> Option<String> {
-    let near = |path: &&'static str| distance(path, word).min(distance(last_part(path), word)) <= word.len() / 3;
+    let near = |path: &&'static str| levenshtein(path, word).min(levenshtein(last_part(path), word)) <= word.len() / 3;
     let near: Vec<&str> = candidates(word).into_iter().filter(near).collect();
     (!near.is_empty()).then(|| in_words(&near))
 }
@@ -230,11 +232,11 @@ const TYPOS: usize = 2;
 
 fn candidates(name: &str) -> Vec<&'static str> {
     let known = || REGISTRY.settings.iter().map(|setting| setting.path.as_str());
-    let nearest = |among: &[&'static str]| among.iter().copied().min_by_key(|path| distance(path, name));
+    let nearest = |among: &[&'static str]| among.iter().copied().min_by_key(|path| levenshtein(path, name));
     let called: Vec<&str> = known().filter(|path| last_part(path) == last_part(name)).collect();
     let section = |path: &str| path.rsplit_once('.').map(|(section, _)| section.to_string());
     let beside = known().filter(|path| name.contains('.') && section(path) == section(name));
-    let beside: Vec<&str> = beside.filter(|path| distance(last_part(path), last_part(name)) <= TYPOS).collect();
+    let beside: Vec<&str> = beside.filter(|path| levenshtein(last_part(path), last_part(name)) <= TYPOS).collect();
     if let Some(nearest) = nearest(&beside) {
         return vec![nearest];
     }
@@ -244,7 +246,7 @@ fn candidates(name: &str) -> Vec<&'static str> {
         (true, true) => nearest(&known().collect::<Vec<_>>()).into_iter().collect(),
         (false, false) => settings_called(name),
         (false, true) => {
-            let away = |path: &&str| distance(last_part(path), name);
+            let away = |path: &&str| levenshtein(last_part(path), name);
             let least = known().map(|path| away(&path)).min();
             shallowest(known().filter(|path| Some(away(path)) == least))
         }
@@ -261,20 +263,6 @@ fn shallowest(paths: impl Iterator<Item = &'static str>) -> Vec<&'static str> {
     let paths: Vec<&str> = paths.collect();
     let least = paths.iter().map(|path| depth(path)).min();
     paths.into_iter().filter(|path| Some(depth(path)) == least).take(MOST_MEANT).collect()
-}
-
-fn distance(a: &str, b: &str) -> usize {
-    let b: Vec<char> = b.chars().collect();
-    let mut row: Vec<usize> = (0..=b.len()).collect();
-    for (i, ca) in a.chars().enumerate() {
-        let mut diagonal = std::mem::replace(&mut row[0], i + 1);
-        for (j, cb) in b.iter().enumerate() {
-            let substituted = diagonal + usize::from(ca != *cb);
-            diagonal = row[j + 1];
-            row[j + 1] = substituted.min(diagonal + 1).min(row[j] + 1);
-        }
-    }
-    row[b.len()]
 }
 
 #[cfg(test)]

@@ -149,6 +149,13 @@ impl RunDir {
         let path = self.config();
         let text = read_text(&path, TEXT_BYTES)
             .map_err(|e| Error::Checkpoint(format!("cannot read {}: {e}", path.display())))?;
+        // An empty file would be all defaults.
+        if text.trim().is_empty() {
+            return Err(Error::Checkpoint(format!(
+                "{} is empty, though a run's settings were in it: take it from a copy, or train the run again",
+                path.display()
+            )));
+        }
         let mut config = Config::from_toml(&text, &path.display().to_string())?;
         if config.data.kind == DataKind::Transforms {
             // The files' own split was settled when the run started; earlier versions had none.

@@ -17,6 +17,7 @@ use crate::space::{
     self, DensityRange, Drawing, FinishedMesh, Lattice, LevelSet, Mesh, Normals, Reference, finish_mesh, level_set,
 };
 
+use super::coverage::Coverage;
 use super::mesh_picture::{MeshPicture, mesh_picture};
 use super::scene_file::WorldMatrix;
 use super::{
@@ -166,6 +167,8 @@ pub struct MeshReport {
     pub cap: bool,
     /// Distribution of densities over the cells' midpoints.
     pub density: DensityRange,
+    /// What the surface shows of a view; empty without a solid pixel.
+    pub coverage: Option<Coverage>,
     /// Number of vertices.
     pub vertices: usize,
     /// Number of triangles.
@@ -236,7 +239,9 @@ impl Trained {
             format.write(&files.path().join(format.file()), &finished.mesh)?;
         }
         let dropped = if options.largest { components.len() - 1 } else { 0 };
-        let report = MeshReport::new(self, &drawing, range, &finished, options, [components.len(), dropped]);
+        let coverage = Coverage::of(&*density, &self.scene, &drawing.lattice, drawing.threshold)?;
+        let counts = [components.len(), dropped];
+        let report = MeshReport { coverage, ..MeshReport::new(self, &drawing, range, &finished, options, counts) };
         write_json(&files.path().join("mesh.json"), &report)?;
         files.commit()?;
         Ok(report)
@@ -284,6 +289,7 @@ impl MeshReport {
             variance: config.field.encoding.queries_gaussians().then(|| drawing.lattice.cell_variance()),
             cap: drawing.cap,
             density,
+            coverage: None,
             vertices: mesh.vertices.len(),
             faces: mesh.triangles.len(),
             closed: open_edges == 0,

@@ -8,6 +8,7 @@
 mod balance;
 mod columns;
 mod corruption;
+mod coverage;
 mod depth_errors;
 mod evaluate;
 mod exchange;
@@ -34,6 +35,7 @@ mod trained;
 pub use balance::{BalancedWeight, balance};
 pub use columns::columns;
 pub use corruption::write_corrupted;
+pub use coverage::Coverage;
 pub use depth_errors::DepthErrors;
 pub use evaluate::{EVALUATING, RenderedView, Viewer};
 pub use exchange::{Foreign, Networks, export};

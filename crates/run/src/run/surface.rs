@@ -28,7 +28,6 @@ pub fn most_memory_mib() -> f64 {
 /// Returns the default box of a scene's surface, in the field's units. Under NDC it is all of NDC. For NeRF-Synthetic
 /// and the built-in scene it contains the objects with a margin. For other captures it is the box that most cameras
 /// look at, or else the box of the training rays.
-/// at, and where they look at nothing in common the box that the training rays run through.
 pub fn surface_box(scene: &Scene) -> [[f64; 3]; 2] {
     let cube = |half: f64| [[-half; 3], [half; 3]];
     match scene.format().and_then(|format| format.kind.object_half()) {

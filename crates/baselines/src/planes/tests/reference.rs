@@ -75,7 +75,7 @@ fn poses_of_a_file_are_the_authors() {
     let file = dir.path().join(POSES_FILE);
     std::fs::write(&file, [npy::header("<f8", &[7, 17]), bytes].concat()).unwrap();
     let found = Poses::read(&file).unwrap();
-    assert_eq!((found.height, found.width, found.focal), (HEIGHT as f64, WIDTH as f64, 7.25));
+    assert_eq!((found.height, found.width, found.focal), (HEIGHT as f64, WIDTH as f64, [7.25; 2]));
     let read: Vec<f64> = found.poses.into_iter().flatten().flatten().collect();
     assert_eq!(read, [of("llff.c2w"), of("llff.goal_c2w")].concat());
 }

@@ -13,6 +13,7 @@ use super::picture::Picture;
 use super::stage::Stage;
 use super::views::{ANGLE_X, Split, around};
 use super::{MAX_WIDTH, blender_stage};
+use crate::base::files::AtomicDir;
 use crate::base::{Error, Result};
 use crate::data::{Camera, npy};
 use crate::settings::PixelOrigin;
@@ -35,7 +36,7 @@ pub struct Exported {
     pub triangles: usize,
 }
 
-/// Writes the built-in scene into the new or empty folder `dir`, with images of `width` pixels per side.
+/// Writes the built-in scene into the new or empty folder `dir`, which appears as a whole, with images of `width` pixels per side.
 ///
 /// `transforms_{train,val,test}.json` and RGBA PNGs are as in NeRF-synthetic. A pixel's ray passes through its integer
 /// coordinates (`data.pixel_origin = corner`). `depth/` has the z-depth of each test view: `r_0.npy` (32-bit floats
@@ -47,7 +48,18 @@ pub fn export(dir: &Path, width: usize) -> Result<Exported> {
             "the export's width = {width} is out of range: it must be 4 to {MAX_WIDTH}"
         )));
     }
-    claim(dir)?;
+    let folder = AtomicDir::vacant(dir)?;
+    let exported = fill(folder.path(), width)?;
+    folder.commit()?;
+    Ok(exported)
+}
+
+/// Fills a new folder.
+fn fill(dir: &Path, width: usize) -> Result<Exported> {
+    for sub in ["train", "val", "test", "depth"] {
+        let sub = dir.join(sub);
+        fs::create_dir(&sub).map_err(|e| Error::unwritable(&sub, &e))?;
+    }
     let stage = blender_stage();
     let mut pictures = 0;
     for split in [Split::Train, Split::Val, Split::Test] {
@@ -60,23 +72,6 @@ pub fn export(dir: &Path, width: usize) -> Result<Exported> {
     mesh.write_ply(&mut ply).expect("writing into memory does not fail");
     write(&dir.join("mesh.ply"), &ply)?;
     Ok(Exported { pictures, depths, vertices: mesh.vertices.len(), triangles: mesh.triangles.len() })
-}
-
-/// Makes the folder and its subfolders, unless it is not empty.
-fn claim(dir: &Path) -> Result<()> {
-    fs::create_dir_all(dir).map_err(|e| Error::unwritable(dir, &e))?;
-    let mut entries = fs::read_dir(dir).map_err(|e| Error::unwritable(dir, &e))?;
-    if entries.next().is_some() {
-        return Err(Error::Output(format!(
-            "{} already holds files: name a new or an empty folder for the exported scene",
-            dir.display()
-        )));
-    }
-    for sub in ["train", "val", "test", "depth"] {
-        let sub = dir.join(sub);
-        fs::create_dir(&sub).map_err(|e| Error::unwritable(&sub, &e))?;
-    }
-    Ok(())
 }
 
 /// Writes images, depths and the JSON file of one split, and returns the number of images.

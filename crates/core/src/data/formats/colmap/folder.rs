@@ -25,6 +25,8 @@ pub(super) struct Source {
     pub(super) factor: usize,
     /// Folders that were not used, for people.
     pub(super) passed: Vec<String>,
+    /// Number of photos whose names differ from the model's in letter case or Unicode form.
+    pub(super) renamed: usize,
 }
 
 impl Source {
@@ -50,8 +52,9 @@ pub(super) fn find(dir: &Path, photographs: &[Photograph], size: Size) -> Result
     let mut best: Option<Source> = None;
     let mut passed = Vec::new();
     for (factor, folder) in &folders {
-        let files = photographs.iter().map(|photograph| file(folder, &photograph.name)).collect();
-        let source = Source { files, factor: *factor, passed: Vec::new() };
+        let mut files: Vec<_> = photographs.iter().map(|photograph| file(folder, &photograph.name)).collect();
+        let renamed = find_renamed(folder, photographs, &mut files);
+        let source = Source { files, factor: *factor, passed: Vec::new(), renamed };
         let (found, all) = (source.found(), photographs.len());
         if let Size::Width(width) = size
             && widest(&source.files)?.is_some_and(|widest| widest < width)
@@ -96,6 +99,21 @@ fn none(dir: &Path, folders: &[(usize, PathBuf)], photographs: &[Photograph], si
         photographs.len(),
         photographs.first().map_or("", |photograph| photograph.name.as_str())
     ))
+}
+
+/// Fills in the files of photos whose names differ from the model's in letter case or Unicode form, and counts them.
+fn find_renamed(folder: &Path, photographs: &[Photograph], files: &mut [Option<PathBuf>]) -> usize {
+    if files.iter().all(Option::is_some) {
+        return 0;
+    }
+    let there = images::below(folder);
+    let missing = photographs.iter().zip(files).filter(|(_, file)| file.is_none());
+    let mut renamed = 0;
+    for (photograph, file) in missing {
+        *file = images::under_same_name(&photograph.name, &there).map(|found| folder.join(found));
+        renamed += usize::from(file.is_some());
+    }
+    renamed
 }
 
 /// Returns a photo's file: with its name, or with another extension, as smaller copies may have.

@@ -69,6 +69,13 @@ pub fn load(config: &DataConfig, events: &dyn Listener) -> Result<Scene> {
     let model = read::model(dir, &config.colmap_model, events)?;
     let source = folder::find(dir, &model.photographs, Size::of(config))?;
     let missing = check_missing(dir, &model, &source, events)?;
+    if source.renamed > 0 {
+        events.on(Event::Note(&format!(
+            "{}: the names of {} photos differ from those of the COLMAP model in letter case or Unicode form",
+            dir.display(),
+            source.renamed
+        )));
+    }
     images::note_unused(dir, source.files.iter().flatten(), "are not in the COLMAP model", events);
     let mut poses: Vec<Pose> = model.photographs.iter().map(|photograph| photograph.pose).collect();
     let world = match config.recentre {

@@ -92,7 +92,7 @@ fn by_width(dir: &Path, width: usize, poses: usize, listed: Option<&BTreeSet<Str
 /// Returns the photos that have poses, if a folder has more than these and all of them.
 fn with_poses(paths: Vec<PathBuf>, poses: usize, listed: Option<&BTreeSet<String>>) -> Vec<PathBuf> {
     let Some(listed) = listed.filter(|_| paths.len() > poses) else { return paths };
-    let stem = |name: &Path| name.file_stem().map(|stem| stem.to_string_lossy().into_owned());
+    let stem = |name: &Path| name.file_stem().map(|stem| images::name_key(Path::new(stem)));
     let stems: BTreeSet<String> = listed.iter().filter_map(|name| stem(Path::new(name))).collect();
     let chosen: Vec<PathBuf> =
         paths.iter().filter(|path| stem(path).is_some_and(|stem| stems.contains(&stem))).cloned().collect();

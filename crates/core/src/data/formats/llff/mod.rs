@@ -48,7 +48,7 @@ pub fn load(config: &DataConfig, events: &dyn Listener) -> Result<Scene> {
     check_size(&source, &mut poses, config, &file, events)?;
     let name_file = |e: Error| Error::Data(format!("{}: {e}", file.display()));
     let path = normalize(&mut poses, config).map_err(name_file)?;
-    let camera = camera_at(source.target, focal(&poses, config, source.target));
+    let camera = camera_at(source.target, &poses, config);
     let cameras: Vec<Camera> = poses.poses.iter().map(|&pose| Camera { pose, ..camera }).collect();
     let names = images::names(&source.paths);
     if config.ndc {
@@ -107,17 +107,17 @@ fn normalize(poses: &mut Poses, config: &DataConfig) -> Result<Vec<Pose>> {
     if goes_around { Ok(path::around(&poses.poses)) } else { poses.spiral() }
 }
 
-/// Returns the focal length at the working resolution: the file's over the factor, as in nerf-pytorch.
-fn focal(poses: &Poses, config: &DataConfig, target: (usize, usize)) -> f64 {
-    match Size::of(config) {
-        Size::Factor(factor) => poses.focal / factor as f64,
-        Size::Width(_) => poses.focal * target.0 as f64 / poses.width,
-    }
-}
-
-fn camera_at((width, height): (usize, usize), focal: f64) -> Camera {
-    let centre = [width as f64 / 2.0, height as f64 / 2.0];
-    Camera { width, height, focal: [focal; 2], centre, pose: [[0.0; 4]; 3] }
+/// Returns the camera at the working resolution, without its pose. Its focal length is the file's over the factor, as in
+/// nerf-pytorch. Its principal point keeps its place in the picture.
+fn camera_at((width, height): (usize, usize), poses: &Poses, config: &DataConfig) -> Camera {
+    let focal = poses.focal.map(|focal| match Size::of(config) {
+        Size::Factor(factor) => focal / factor as f64,
+        Size::Width(_) => focal * width as f64 / poses.width,
+    });
+    let [x, y] = poses.centre;
+    // Twice the fraction of a side, which is exactly 1 for the middle.
+    let centre = [2.0 * x / poses.width * (width as f64 / 2.0), 2.0 * y / poses.height * (height as f64 / 2.0)];
+    Camera { width, height, focal, centre, pose: [[0.0; 4]; 3] }
 }
 
 fn check_count(source: &Source, poses: usize, file: &Path) -> Result<()> {
@@ -184,8 +184,7 @@ fn check_size(
             source.stored.1
         )));
         // What the file would say of these images.
-        let scale = found[0] / expected[0];
-        (poses.width, poses.height, poses.focal) = (poses.width * scale, poses.height * scale, poses.focal * scale);
+        poses.scale_images(found[0] / expected[0]);
         return Ok(());
     }
     if same_shape([poses.height, poses.width]) {

@@ -9,6 +9,10 @@ use crate::data::{LARGEST, SMALLEST, WorldToScene, brief, npy};
 
 /// Numbers per row: a 3x5 matrix `[down | right | back | origin | (height, width, focal)]` and two bounds.
 const COLUMNS: usize = 17;
+/// The same of NeX, whose matrices have no last column: height, width and focal length stand in [`NEX_LENS`].
+const NEX_COLUMNS: usize = 14;
+/// NeX's file of `height, width, focal`, of `height, width, focal, x, y` (the principal point), or with two focal lengths.
+const NEX_LENS: &str = "hwf_cxcy.npy";
 
 /// The cameras of an LLFF capture.
 #[derive(Clone, Debug, PartialEq)]
@@ -21,8 +25,10 @@ pub struct Poses {
     pub width: f64,
     /// Rows of these images.
     pub height: f64,
-    /// Focal length of these images in pixels.
-    pub focal: f64,
+    /// Focal lengths of these images across and down, in pixels.
+    pub focal: [f64; 2],
+    /// Principal point of these images in pixels: the middle, except in NeX's scenes.
+    pub centre: [f64; 2],
     /// From the file's units to the poses' current units.
     pub world: WorldToScene,
 }
@@ -32,27 +38,63 @@ impl Poses {
     pub fn read(file: &Path) -> Result<Poses> {
         let table = npy::read_table(file)?;
         let fail = |what: String| Err(Error::Data(format!("{}: {what}", file.display())));
+        if table.columns == NEX_COLUMNS && table.rows > 0 {
+            return Poses::read_nex(file, &table);
+        }
         if table.columns != COLUMNS || table.rows == 0 {
             return fail(format!(
                 "the array is {} x {}, but LLFF's is N x {COLUMNS}: a 3x5 matrix and two bounds per view",
                 table.rows, table.columns
             ));
         }
-        for (view, row) in table.values.chunks_exact(COLUMNS).enumerate() {
-            if let Err(what) = check_row(row, &table.values[..COLUMNS]) {
-                return fail(format!("view {view} (counted from 0) {what}"));
-            }
-        }
-        let rows = table.values.chunks_exact(COLUMNS);
+        check_rows(file, &table.values)?;
         let [height, width, focal] = intrinsics(&table.values);
-        Ok(Poses {
+        Ok(Poses::of_rows(
+            &table.values,
+            Lens { width, height, focal: [focal; 2], centre: [width / 2.0, height / 2.0] },
+        ))
+    }
+
+    /// Reads NeX's rows, whose lens is a file of its own.
+    fn read_nex(file: &Path, table: &npy::Table) -> Result<Poses> {
+        let lens = file.with_file_name(NEX_LENS);
+        if !lens.is_file() {
+            return Err(Error::Data(format!(
+                "{}: the array is {} x {NEX_COLUMNS}, as in NeX's scenes, but {NEX_LENS}, which has their focal length, is not \
+                 beside it; LLFF's is N x {COLUMNS}",
+                file.display(),
+                table.rows
+            )));
+        }
+        let lens = Lens::read_nex(&lens)?;
+        let row = |row: &[f64]| {
+            let line = |i: usize| [&row[4 * i..4 * i + 4], &[[lens.height, lens.width, lens.focal[0]][i]]].concat();
+            [line(0), line(1), line(2), row[12..].to_vec()].concat()
+        };
+        let rows: Vec<f64> = table.values.chunks_exact(NEX_COLUMNS).flat_map(row).collect();
+        check_rows(file, &rows)?;
+        Ok(Poses::of_rows(&rows, lens))
+    }
+
+    fn of_rows(rows: &[f64], Lens { width, height, focal, centre }: Lens) -> Poses {
+        let rows = rows.chunks_exact(COLUMNS);
+        Poses {
             poses: rows.clone().map(pose_of).collect(),
             bounds: rows.map(|row| [row[15], row[16]]).collect(),
             width,
             height,
             focal,
+            centre,
             world: WorldToScene::default(),
-        })
+        }
+    }
+
+    /// Takes the images for which the lens is given as `factor` times as large.
+    pub(super) fn scale_images(&mut self, factor: f64) {
+        self.width *= factor;
+        self.height *= factor;
+        self.focal = self.focal.map(|focal| focal * factor);
+        self.centre = self.centre.map(|centre| centre * factor);
     }
 
     /// Scales origins and bounds so that the nearest bound becomes 1 / `bound_factor` (0: no scaling).
@@ -132,6 +174,49 @@ impl Poses {
     }
 }
 
+/// The lens of all images of a capture.
+struct Lens {
+    width: f64,
+    height: f64,
+    focal: [f64; 2],
+    centre: [f64; 2],
+}
+
+impl Lens {
+    fn read_nex(file: &Path) -> Result<Lens> {
+        let values = npy::read_array(file)?.values;
+        let lens = match values[..] {
+            [height, width, focal] => Lens { width, height, focal: [focal; 2], centre: [width / 2.0, height / 2.0] },
+            [height, width, focal, x, y] => Lens { width, height, focal: [focal; 2], centre: [x, y] },
+            [height, width, across, down, x, y] => Lens { width, height, focal: [across, down], centre: [x, y] },
+            _ => {
+                return Err(Error::Data(format!(
+                    "{} has {} numbers, but 3 (height, width, focal length), 5 (and the principal point) or 6 (two focal lengths) \
+                     are needed",
+                    file.display(),
+                    values.len()
+                )));
+            }
+        };
+        if let Some(wrong) = values.iter().find(|value| !(SMALLEST..=LARGEST).contains(*value)) {
+            return Err(Error::Data(format!(
+                "{} has {}: every number must be from {SMALLEST:e} to {LARGEST:e}",
+                file.display(),
+                brief(*wrong)
+            )));
+        }
+        Ok(lens)
+    }
+}
+
+fn check_rows(file: &Path, rows: &[f64]) -> Result<()> {
+    for (view, row) in rows.chunks_exact(COLUMNS).enumerate() {
+        check_row(row, &rows[..COLUMNS])
+            .map_err(|what| Error::Data(format!("{}: view {view} (counted from 0) {what}", file.display())))?;
+    }
+    Ok(())
+}
+
 /// Returns height, width and focal length of a row.
 fn intrinsics(row: &[f64]) -> [f64; 3] {
     [row[4], row[9], row[14]]
@@ -196,8 +281,38 @@ mod tests {
             poses,
             width: 8.0,
             height: 6.0,
-            focal: 7.0,
+            focal: [7.0; 2],
+            centre: [4.0, 3.0],
             world: WorldToScene::default(),
+        }
+    }
+
+    /// The same capture as LLFF and as NeX write it.
+    #[test]
+    fn nex_rows_are_read_with_their_lens() {
+        let dir = tempfile::tempdir().unwrap();
+        let array = |name: &str, shape: &[usize], values: &[f64]| {
+            let mut bytes = npy::header("<f8", shape);
+            bytes.extend(values.iter().flat_map(|value| value.to_le_bytes()));
+            let file = dir.path().join(name);
+            std::fs::write(&file, bytes).unwrap();
+            file
+        };
+        let (pose, bounds) = ([0.0, 1.0, 0.0, 5.0, -1.0, 0.0, 0.0, 6.0, 0.0, 0.0, 1.0, 7.0], [2.0, 9.0]);
+        let nex = array("poses_bounds.npy", &[1, 14], &[&pose[..], &bounds].concat());
+        let said = Poses::read(&nex).unwrap_err().to_string();
+        assert!(said.contains("hwf_cxcy.npy") && said.contains("1 x 14"), "{said}");
+        array("hwf_cxcy.npy", &[6, 1], &[30.0, 40.0, 50.0, 51.0, 19.0, 16.0]);
+        let read = Poses::read(&nex).unwrap();
+        let with = |row: usize, last: f64| [&pose[4 * row..4 * row + 4], &[last]].concat();
+        let rows = [with(0, 30.0), with(1, 40.0), with(2, 50.0), bounds.to_vec()].concat();
+        let llff = Poses::read(&array("llff.npy", &[1, 17], &rows)).unwrap();
+        assert_eq!((llff.focal, llff.centre), ([50.0; 2], [20.0, 15.0]));
+        assert_eq!(read, Poses { focal: [50.0, 51.0], centre: [19.0, 16.0], ..llff });
+        for (shape, lens, words) in [([2], &[1.0, 2.0][..], "has 2 numbers"), ([3], &[1.0, 2.0, f64::NAN], "NaN")] {
+            array("hwf_cxcy.npy", &shape, lens);
+            let said = Poses::read(&nex).unwrap_err().to_string();
+            assert!(said.contains(words), "{said}");
         }
     }
 

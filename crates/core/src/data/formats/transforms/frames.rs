@@ -126,8 +126,9 @@ fn entries<'a>(document: Object<'a>, axes: Axes, note: &dyn Fn(&str)) -> Result<
             without_pose.join(", ")
         ));
     }
-    find_elsewhere(document, &mut entries, note);
     let lacks = |entry: &&Entry| entry.picture.path.is_none();
+    let there = if entries.iter().any(|entry| lacks(&entry)) { images::below(document.folder()) } else { Vec::new() };
+    find_elsewhere(document, &there, &mut entries, note);
     let first = entries.iter().find(lacks).map(|entry| entry.object);
     let mut missing: Vec<String> = entries.iter().filter(lacks).map(|entry| entry.picture.written.clone()).collect();
     let (count, all) = (missing.len(), entries.len());
@@ -137,10 +138,12 @@ fn entries<'a>(document: Object<'a>, axes: Axes, note: &dyn Fn(&str)) -> Result<
     match first {
         Some(object) if 2 * count > all => {
             let more = if count > NAMES { format!(" and {} more", count - NAMES) } else { String::new() };
+            let near = images::nearest(&missing[0], &there);
+            let near = near.map(|near| format!("; the nearest name there is {}", near.display())).unwrap_or_default();
             missing.truncate(NAMES);
             Err(object.error(&format!(
                 "\"file_path\" names no image (PNG, JPEG or WebP, also with the ending added), and so it is with {count} of {all} \
-                 frames: at least half of the photographs must be there; missing are {}{more}",
+                 frames: at least half of the photographs must be there; missing are {}{more}{near}",
                 missing.join(", ")
             )))
         }
@@ -152,18 +155,16 @@ fn entries<'a>(document: Object<'a>, axes: Axes, note: &dyn Fn(&str)) -> Result<
     }
 }
 
-/// Looks for photos that are not where they are named: in another place below the document's folder that ends in the
-/// name, or without the name's folders, letter case apart. A place counts if it is the only one. If most photos are where
-/// they are named, the others are missing.
-fn find_elsewhere(document: Object, entries: &mut [Entry], note: &dyn Fn(&str)) {
-    if 2 * entries.iter().filter(|entry| entry.picture.path.is_some()).count() >= entries.len() {
-        return;
-    }
+/// Looks for photos that are not where they are named: under the same name in another letter case or Unicode form, in
+/// another place below the document's folder that ends in the name, or without the name's folders. A place counts if it is
+/// the only one. If most photos are where they are named, the others are in no other folder.
+fn find_elsewhere(document: Object, there: &[PathBuf], entries: &mut [Entry], note: &dyn Fn(&str)) {
+    let most_are_there = 2 * entries.iter().filter(|entry| entry.picture.path.is_some()).count() >= entries.len();
     let folder = document.folder();
-    let there = images::below(folder);
     let mut moved = Vec::new();
     for Entry { picture, .. } in entries.iter_mut().filter(|entry| entry.picture.path.is_none()) {
-        let Some(found) = images::place_of(&picture.written, &there) else { continue };
+        let elsewhere = || images::place_of(&picture.written, there).filter(|_| !most_are_there);
+        let Some(found) = images::under_same_name(&picture.written, there).or_else(elsewhere) else { continue };
         let path = folder.join(found);
         moved.push(format!("{} is {}", picture.written, found.display()));
         (picture.place, picture.path) = (path.clone(), Some(path));

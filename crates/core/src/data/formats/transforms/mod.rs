@@ -57,7 +57,7 @@ pub fn load(config: &DataConfig, events: &dyn Listener) -> Result<Scene> {
     let (mut frames, names) = frames::found(listed);
     frames::find_masks(frames.iter_mut(), config, events)?;
     let used = frames.iter().map(|frame| &frame.path);
-    images::note_unused(Path::new(&config.dir), used, "are not in transforms.json", events);
+    images::note_unused(Path::new(&config.dir), used, "have no pose in transforms.json", events);
     let targets = frames::working_sizes(&frames.iter().collect::<Vec<_>>(), config)?;
     let cameras: Vec<Camera> = frames.iter().zip(targets).map(|(frame, size)| frame.camera(size, by_ratio)).collect();
     let (views, clear) = frames::views(&frames, &names, &cameras, background(config), "reading images", events)?;

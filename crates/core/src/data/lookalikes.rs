@@ -1,0 +1,284 @@
+//! What a folder or file looks like that is no scene, and how it becomes one.
+
+use std::ffi::OsStr;
+use std::path::{Path, PathBuf};
+
+use super::formats::{FORMATS, Format};
+use super::images;
+use super::json;
+use crate::base::{Error, Result};
+
+/// Files by which a folder is recognized as a scene.
+const MARKERS: [&str; 3] = ["poses_bounds.npy", "transforms_train.json", "transforms.json"];
+/// Largest number of letters by which a mistaken name differs from a right one.
+const TYPING_ERRORS: usize = 2;
+const VIDEOS: [&str; 7] = ["mp4", "mov", "avi", "mkv", "webm", "m4v", "insv"];
+const ARCHIVES: [&str; 7] = ["zip", "tar", "gz", "tgz", "7z", "rar", "xz"];
+
+/// A layout of another program that is not read: entries that are all there, its name, and what to do. `SCENE` stands for
+/// a folder of your choice, `HERE` for the one that was found.
+struct Layout {
+    entries: &'static [&'static str],
+    name: &'static str,
+    advice: &'static str,
+}
+
+const LAYOUTS: [Layout; 11] = [
+    Layout {
+        entries: &["keyframes"],
+        name: "a raw capture of Polycam",
+        advice: "convert it with `ns-process-data polycam --data HERE --output-dir SCENE`, then check SCENE",
+    },
+    Layout {
+        entries: &["EXR_RGBD"],
+        name: "a raw capture of Record3D",
+        advice: "convert it with `ns-process-data record3d --data HERE --output-dir SCENE`, then check SCENE",
+    },
+    Layout {
+        entries: &["rgbd", "metadata"],
+        name: "a raw capture of Record3D",
+        advice: "export it there as `EXR + RGB sequence`, convert that with `ns-process-data record3d --data FOLDER --output-dir \
+                 SCENE`, then check SCENE",
+    },
+    Layout {
+        entries: &["cameras.npz"],
+        name: "a scene in the layout of DTU (IDR, NeuS)",
+        advice: "write its cameras into a transforms.json: decompose the first three rows of world_mat_N into intrinsics and pose; \
+                 .npz files are not read",
+    },
+    Layout {
+        entries: &["cameras_sphere.npz"],
+        name: "a scene in the layout of NeuS",
+        advice: "write its cameras into a transforms.json: decompose the first three rows of world_mat_N into intrinsics and pose; \
+                 .npz files are not read",
+    },
+    Layout {
+        entries: &["pose", "intrinsics.txt"],
+        name: "a scene in the layout of NSVF",
+        advice: "write its matrices (camera to world, OpenCV's axes) and its focal length into a transforms.json, and read that with \
+                 data.axes=opencv",
+    },
+    Layout {
+        entries: &["cameras.json", "point_cloud"],
+        name: "the output of 3D Gaussian splatting, not its scene",
+        advice: "name the folder that it was trained on (source_path in its cfg_args)",
+    },
+    Layout {
+        entries: &["cameras.json"],
+        name: "a list of cameras in a format that is not read (cameras.json)",
+        advice: "write the cameras into a transforms.json, or name the COLMAP folder that they are from",
+    },
+    Layout {
+        entries: &["cameras.xml"],
+        name: "an export of Metashape",
+        advice: "convert it with `ns-process-data metashape --data images --xml cameras.xml --output-dir SCENE`, then check SCENE",
+    },
+    Layout {
+        entries: &["cameras.sfm"],
+        name: "a project of Meshroom",
+        advice: "export its cameras for COLMAP or nerfstudio, and check that folder",
+    },
+    Layout {
+        entries: &["database.db"],
+        name: "a COLMAP project without a model",
+        advice: "run `colmap mapper --database_path HERE/database.db --image_path HERE/images --output_path HERE/sparse`, then check \
+                 HERE",
+    },
+];
+
+/// Returns the folder of a scene's own file, such as `transforms.json`. `None` for other files.
+pub fn scene_of_file(file: &Path) -> Option<PathBuf> {
+    let is_marker = file.is_file() && file.file_name().is_some_and(|name| MARKERS.iter().any(|marker| name == *marker));
+    is_marker.then(|| file.parent().map(Path::to_path_buf)).flatten()
+}
+
+/// Checks that a scene's path is a folder.
+///
+/// # Errors
+/// It is missing, or a file; a video or an archive is answered with what makes a scene of it.
+pub(super) fn check_folder(path: &Path) -> Result<()> {
+    let found = std::fs::metadata(path).map_err(|e| Error::unreadable(path, &e))?;
+    if found.is_dir() {
+        return Ok(());
+    }
+    let file = path.display();
+    let advice = if has_ending(path, &VIDEOS) {
+        format!("it looks like a video; {}", of_video(path))
+    } else if has_ending(path, &ARCHIVES) {
+        "it looks like an archive; unpack it, and name the folder that it holds".into()
+    } else {
+        "name the folder".into()
+    };
+    Err(Error::Data(format!("{file} is a file, but a scene is a folder; {advice}")))
+}
+
+/// Returns the error for a folder that no format detects: what it looks like, and what to do.
+pub(super) fn unknown(dir: &Path) -> Error {
+    let entries = entries(dir);
+    let known = misnamed(dir, &entries)
+        .or_else(|| layout(dir))
+        .or_else(|| photos(dir, &entries))
+        .or_else(|| {
+            one_of(dir, &entries, &VIDEOS).map(|video| format!("{} is a video; {}", video.display(), of_video(&video)))
+        })
+        .or_else(|| {
+            one_of(dir, &entries, &ARCHIVES).map(|archive| {
+                format!("{} is an archive; unpack it, and check the folder that it holds", archive.display())
+            })
+        });
+    if let Some(words) = known {
+        return Error::Data(words);
+    }
+    let is_scene = |name: &&String| Format::of_folder(&dir.join(name)).is_some();
+    let scenes: Vec<&str> = entries.iter().filter(is_scene).map(String::as_str).collect();
+    let hint = match scenes.len() {
+        0 => String::new(),
+        _ => format!("; scenes lie one level deeper: {}", scenes.join(", ")),
+    };
+    let markers: Vec<&str> = FORMATS.iter().filter_map(|format| format.marker).collect();
+    let (last, first) = markers.split_last().expect("some formats are folders");
+    Error::Data(format!("{} is no scene: it has none of {} and {last}{hint}", dir.display(), first.join(", ")))
+}
+
+/// Returns the names of a folder's entries that can be seen, in order.
+fn entries(dir: &Path) -> Vec<String> {
+    let entries = std::fs::read_dir(dir).into_iter().flatten().flatten();
+    let names = entries.map(|entry| entry.file_name().to_string_lossy().into_owned());
+    let mut names: Vec<String> = names.filter(|name| !name.starts_with('.')).collect();
+    names.sort();
+    names
+}
+
+/// A file with nearly the name of a scene's own, or with the content of one.
+fn misnamed(dir: &Path, entries: &[String]) -> Option<String> {
+    let files = || entries.iter().filter(|name| dir.join(name).is_file());
+    let nearly = |name: &str| {
+        let distance = |marker: &str| strsim::osa_distance(&name.to_lowercase(), marker);
+        MARKERS.into_iter().min_by_key(|marker| distance(marker)).filter(|marker| distance(marker) <= TYPING_ERRORS)
+    };
+    let (name, marker) = files().find_map(|name| Some((name, nearly(name)?))).or_else(|| {
+        let lists_frames = |name: &&String| name.ends_with(".json") && json::lists_frames(&dir.join(name));
+        files().find(lists_frames).map(|name| (name, MARKERS[2]))
+    })?;
+    Some(format!("{} is probably a scene's {marker}; rename it to {marker}", dir.join(name).display()))
+}
+
+/// A layout of another program.
+fn layout(dir: &Path) -> Option<String> {
+    let layout = LAYOUTS.iter().find(|layout| layout.entries.iter().all(|entry| dir.join(entry).exists()))?;
+    let here = dir.display().to_string();
+    Some(format!("{here} looks like {}; {}", layout.name, layout.advice.replace("HERE", &here)))
+}
+
+/// Photos without cameras, in the folder or in one below.
+fn photos(dir: &Path, entries: &[String]) -> Option<String> {
+    let count = |folder: &Path| images::list(folder).map_or(0, |files| files.len());
+    if let here @ 1.. = count(dir) {
+        return Some(without_cameras(dir, here, Path::new("SCENE")));
+    }
+    let below = |name: &&str| dir.join(name).is_dir() && count(&dir.join(name)) > 0;
+    let folder = ["images"].into_iter().chain(entries.iter().map(String::as_str)).find(below)?;
+    let is_scene = |name: &String| Format::of_folder(&dir.join(name)).is_some();
+    if entries.iter().any(is_scene) {
+        return None;
+    }
+    let scene = if folder == "images" { dir } else { Path::new("SCENE") };
+    Some(without_cameras(&dir.join(folder), count(&dir.join(folder)), scene))
+}
+
+/// Returns the words for photos whose cameras are unknown, with the commands that find them for the folder `scene`.
+fn without_cameras(photos: &Path, count: usize, scene: &Path) -> String {
+    let (shown, scene) = (photos.display(), scene.display());
+    format!(
+        "{shown}: {count} photos without cameras; put them into {scene}/images and find the cameras with `colmap \
+         automatic_reconstructor --workspace_path {scene} --image_path {scene}/images`, or run `ns-process-data images --data \
+         {shown} --output-dir {scene}`, then check {scene}"
+    )
+}
+
+fn of_video(video: &Path) -> String {
+    format!(
+        "make a scene of its frames with `ns-process-data video --data {} --output-dir SCENE`, then check SCENE",
+        video.display()
+    )
+}
+
+fn one_of(dir: &Path, entries: &[String], endings: &[&str]) -> Option<PathBuf> {
+    entries.iter().map(|name| dir.join(name)).find(|path| path.is_file() && has_ending(path, endings))
+}
+
+fn has_ending(path: &Path, endings: &[&str]) -> bool {
+    let ending = path.extension().and_then(OsStr::to_str).map(str::to_lowercase);
+    ending.is_some_and(|ending| endings.contains(&&*ending))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// What is said of a folder with these entries; those that end in `/` are folders.
+    fn said(entries: &[(&str, &str)]) -> String {
+        let dir = tempfile::tempdir().unwrap();
+        for (entry, content) in entries {
+            let path = dir.path().join(entry);
+            if entry.ends_with('/') {
+                std::fs::create_dir_all(path).unwrap();
+            } else {
+                std::fs::create_dir_all(path.parent().unwrap()).unwrap();
+                std::fs::write(path, content).unwrap();
+            }
+        }
+        unknown(dir.path()).to_string().replace(&*dir.path().to_string_lossy(), "DIR")
+    }
+
+    #[test]
+    fn a_folder_that_is_no_scene_is_answered_with_what_it_looks_like() {
+        for (entries, words) in [
+            (&[("notes.txt", "")][..], "DIR is no scene"),
+            (
+                &[("transform_train.json", "{}")],
+                "DIR/transform_train.json is probably a scene's transforms_train.json; rename",
+            ),
+            (&[("Poses_bounds.npy", "")], "rename it to poses_bounds.npy"),
+            (
+                &[("cams.json", "{\"frames\": [{\"file_path\": \"a\"}]}")],
+                "DIR/cams.json is probably a scene's transforms.json",
+            ),
+            (
+                &[("other.json", "{}"), ("clip.MOV", "")],
+                "DIR/clip.MOV is a video; make a scene of its frames with `ns-process-data",
+            ),
+            (&[("lego.zip", "")], "DIR/lego.zip is an archive; unpack it"),
+            (&[("keyframes/images/1.jpg", "")], "`ns-process-data polycam --data DIR --output-dir SCENE`"),
+            (&[("EXR_RGBD/rgb/1.jpg", "")], "raw capture of Record3D"),
+            (&[("cameras.npz", ""), ("image/1.png", "")], "the layout of DTU"),
+            (&[("pose/1.txt", ""), ("intrinsics.txt", ""), ("rgb/1.png", "")], "data.axes=opencv"),
+            (&[("cameras.json", "[]"), ("point_cloud/", "")], "name the folder that it was trained on"),
+            (&[("database.db", ""), ("images/1.jpg", "")], "`colmap mapper --database_path DIR/database.db"),
+            (&[("a.JPG", ""), ("notes.txt", "")], "DIR: 1 photos without cameras; put them into SCENE/images"),
+            (&[("images/a.JPG", "")], "colmap automatic_reconstructor --workspace_path DIR --image_path DIR/images`"),
+            (&[("input/a.JPG", "")], "DIR/input: 1 photos without cameras"),
+            (&[("lego/transforms.json", ""), ("thumbs/a.png", "")], "scenes lie one level deeper: lego"),
+        ] {
+            let said = said(entries);
+            assert!(said.contains(words), "{said}");
+        }
+    }
+
+    #[test]
+    fn a_file_is_answered_with_its_folder_or_what_makes_one() {
+        let dir = tempfile::tempdir().unwrap();
+        for (name, words) in [("clip.mp4", "looks like a video"), ("a.tar", "unpack it"), ("a.txt", "name the folder")]
+        {
+            let file = dir.path().join(name);
+            std::fs::write(&file, "").unwrap();
+            let said = check_folder(&file).unwrap_err().to_string();
+            assert!(said.contains(words), "{said}");
+            assert_eq!(scene_of_file(&file), None);
+        }
+        let file = dir.path().join("transforms.json");
+        std::fs::write(&file, "").unwrap();
+        assert_eq!(scene_of_file(&file).as_deref(), Some(dir.path()));
+        assert!(check_folder(dir.path()).is_ok());
+    }
+}
