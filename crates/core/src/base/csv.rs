@@ -4,10 +4,10 @@ use std::borrow::Cow;
 
 /// First characters that make a spreadsheet read a cell as a formula.
 const FORMULA: [char; 6] = ['=', '+', '-', '@', '\t', '\r'];
-/// Of these, those with which names begin, too. Such a cell is a formula only with one of [`CALLS`].
+/// Of these, those with which names begin, too. Such a cell may be a name unless it [`calls`] something.
 const SIGNS: [char; 2] = ['+', '-'];
-/// Letters without which a formula calls nothing.
-const CALLS: [char; 4] = ['(', '|', '!', '='];
+/// Letters with which a formula reaches beyond its cell.
+const REACHES: [char; 3] = ['|', '!', '='];
 /// Prefix that makes spreadsheets leave such a text alone.
 const TEXT: char = '\'';
 
@@ -15,11 +15,20 @@ const TEXT: char = '\'';
 /// `'=cmd|...`; numbers, and names such as `+ TV Reg.`, stay as they are. [`plain_cell`] removes the apostrophe.
 pub fn safe_cell(cell: &str) -> Cow<'_, str> {
     let bare = cell.trim_start_matches(TEXT);
-    let is_name = bare == cell && bare.starts_with(SIGNS) && !bare.contains(CALLS);
+    let is_name = bare == cell && bare.starts_with(SIGNS) && !calls(bare);
     match bare.starts_with(FORMULA) && !is_name && cell.parse::<f64>().is_err() {
         true => format!("{TEXT}{cell}").into(),
         false => cell.into(),
     }
+}
+
+/// Returns whether a text could call something as a formula: it reaches for other places, or has a function's name before a
+/// parenthesis. `(Pre-)` alone calls nothing.
+fn calls(text: &str) -> bool {
+    let mut parts = text.split('(');
+    let last = parts.next_back();
+    let is_function = |before: &str| before.trim_end().ends_with(|c: char| c.is_alphanumeric() || ['_', '.', ')'].contains(&c));
+    text.contains(REACHES) || last.is_some() && parts.any(is_function)
 }
 
 /// Returns the text that was given to [`safe_cell`].
@@ -104,14 +113,17 @@ mod tests {
             "'+ TV Reg.",
             "'-a",
             "+1=2",
+            "+ Feature & (Pre-) Output Aug.",
+            "+HYPERLINK (\"http://a\")",
         ];
         let safe = cells.map(|cell| safe_cell(cell).into_owned());
         assert_eq!(safe[..7], ["'=1+1", "+ TV Reg.", "-2", "-0.5e-3", "'@SUM(A1)", "'\tx", "-a"]);
         assert_eq!(safe[14..16], ["'+cmd|' /C calc'!A0", "'-SUM(A1)"]);
+        assert_eq!(safe[19..], ["+ Feature & (Pre-) Output Aug.", "'+HYPERLINK (\"http://a\")"]);
         for (cell, safe) in cells.iter().zip(&safe) {
             assert_eq!(plain_cell(safe), *cell);
             let is_formula = safe.starts_with(FORMULA) && safe.parse::<f64>().is_err();
-            assert!(!is_formula || safe.starts_with(SIGNS) && !safe.contains(CALLS), "{safe}");
+            assert!(!is_formula || safe.starts_with(SIGNS) && !calls(safe), "{safe}");
         }
         assert_eq!(csv_text([vec!["+ l1".into(), "-1.5".into()]]), "+ l1,-1.5\n");
     }
