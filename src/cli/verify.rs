@@ -10,7 +10,7 @@ use crate::base::{Error, Result};
 use crate::run::load_lpips;
 use crate::runtime::Runtime;
 use crate::sweep::Trainings;
-use crate::sweep::verify::{CHECKS, Finding, Findings, Outcome, Verifier};
+use crate::sweep::verify::{CHECKS, Finding, Findings, Outcome, SceneHashes, Verifier};
 
 use super::answer::Answer;
 use super::progress::{Console, print};
@@ -49,6 +49,9 @@ pub struct VerifyArguments {
     /// With --retrain: accept another revision than that of the points
     #[arg(long, requires = "retrain")]
     any_revision: bool,
+    /// Do not read scenes, whose hashes are then not compared
+    #[arg(long)]
+    no_scenes: bool,
     /// Folder of the scenes
     #[arg(long, env = "AUGNERF_DATA", value_name = "DIR", help_heading = "Experiment")]
     data_root: Option<PathBuf>,
@@ -89,6 +92,7 @@ impl VerifyArguments {
             data_root: self.data_root.as_deref(),
             trainings: &trainings,
             runtime,
+            scenes: (!self.no_scenes).then(SceneHashes::default),
             update: self.update,
             all: self.all,
             retrain: self.retrain,

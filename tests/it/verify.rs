@@ -11,10 +11,10 @@ use tempfile::TempDir;
 
 const ROOT: &str = env!("CARGO_MANIFEST_DIR");
 
-/// Verifies in a folder, without anything of this machine, and returns everything said.
+/// Verifies in a folder, without anything of this machine and without scenes, and returns everything said.
 #[track_caller]
 pub fn verify(dir: &Path, arguments: &[&str], code: i32) -> String {
-    let mut command = augnerf(&[&["verify"], arguments].concat());
+    let mut command = augnerf(&[&["verify", "--no-scenes"], arguments].concat());
     program::demand(command.current_dir(dir).env_remove("AUGNERF_DATA").env_remove("AUGNERF_LPIPS_WEIGHTS"), code)
 }
 

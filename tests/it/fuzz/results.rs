@@ -8,7 +8,7 @@ use augnerf::base::{Error, Result};
 use augnerf::report::tables::Table;
 use augnerf::run::{DepthErrors, RunDir};
 use augnerf::settings::Method;
-use augnerf::sweep::verify::{Archive, Outcome, Verifier};
+use augnerf::sweep::verify::{Archive, Outcome, SceneHashes, Verifier};
 use augnerf::sweep::{
     Collector, Definition, Point, PointFolder, PointResult, PublishedCosts, Results, StepCosts, SweepFolder,
     SweepOutputs, Trainings, expand,
@@ -44,6 +44,7 @@ fn verify(results: &Path) -> Result<()> {
         data_root: None,
         trainings: &trainings,
         runtime: runtime(),
+        scenes: Some(SceneHashes::default()),
         update: false,
         all: false,
         retrain: 0,

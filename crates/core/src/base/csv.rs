@@ -27,7 +27,8 @@ pub fn safe_cell(cell: &str) -> Cow<'_, str> {
 fn calls(text: &str) -> bool {
     let mut parts = text.split('(');
     let last = parts.next_back();
-    let is_function = |before: &str| before.trim_end().ends_with(|c: char| c.is_alphanumeric() || ['_', '.', ')'].contains(&c));
+    let is_function =
+        |before: &str| before.trim_end().ends_with(|c: char| c.is_alphanumeric() || ['_', '.', ')'].contains(&c));
     text.contains(REACHES) || last.is_some() && parts.any(is_function)
 }
 

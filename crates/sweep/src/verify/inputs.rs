@@ -1,5 +1,8 @@
 //! Whether the scenes and LPIPS weights of this machine are those that points were trained on and measured with.
 
+use std::cell::RefCell;
+use std::collections::HashMap;
+
 use super::Verifier;
 use super::archive::Archive;
 use super::files::Collected;
@@ -10,6 +13,22 @@ use crate::metrics::Lpips;
 use crate::points::Point;
 use crate::run::locate_scene;
 use crate::settings::{CorruptionConfig, DataConfig};
+
+/// Hashes of scenes that were read, by their settings: many sweeps are of one scene.
+#[derive(Debug, Default)]
+pub struct SceneHashes(RefCell<HashMap<String, String>>);
+
+impl SceneHashes {
+    fn of(&self, config: &DataConfig, events: &dyn Listener) -> Result<String> {
+        let key = toml::to_string(config).expect("settings are plain data");
+        if let Some(known) = self.0.borrow().get(&key) {
+            return Ok(known.clone());
+        }
+        let hash = data::load(config, 0, events)?.hash();
+        self.0.borrow_mut().insert(key, hash.clone());
+        Ok(hash)
+    }
+}
 
 /// Compares hashes of the scenes and of the weights.
 pub fn check(verifier: &Verifier, sweep: &Collected, findings: &mut Findings) -> Result<()> {
@@ -23,14 +42,14 @@ pub fn check(verifier: &Verifier, sweep: &Collected, findings: &mut Findings) ->
         if seen.contains(&key) {
             continue;
         }
-        scene(point, hash, trainings.events, findings)?;
+        scene(point, hash, verifier, findings)?;
         seen.push(key);
     }
     weights(archive, &trainings.lpips, findings);
     Ok(())
 }
 
-fn scene(point: &Point, hash: &str, events: &dyn Listener, findings: &mut Findings) -> Result<()> {
+fn scene(point: &Point, hash: &str, verifier: &Verifier, findings: &mut Findings) -> Result<()> {
     let name = &point.scene;
     if hash.is_empty() {
         findings.not_checked(format!("scene {name}: points.csv has no hash of it (an earlier revision)"));
@@ -40,10 +59,14 @@ fn scene(point: &Point, hash: &str, events: &dyn Listener, findings: &mut Findin
         findings.not_checked(format!("scene {name}: it is not below --data-root (AUGNERF_DATA)"));
         return Ok(());
     }
+    let Some(hashes) = &verifier.scenes else {
+        findings.not_checked(format!("scene {name}: --no-scenes"));
+        return Ok(());
+    };
     let mut config = locate_scene(point.config.clone())?.data.clone();
     config.corruption = CorruptionConfig::default();
-    let found = match data::load(&config, 0, events) {
-        Ok(scene) => scene.hash(),
+    let found = match hashes.of(&config, verifier.trainings.events) {
+        Ok(found) => found,
         // Such as views kept for choices, which a scene was given beside what was published.
         Err(error) => {
             findings.not_checked(format!("scene {name}: {error}"));

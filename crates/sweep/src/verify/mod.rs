@@ -26,6 +26,7 @@ mod tree;
 pub use archive::Archive;
 pub use checks::{CHECKS, Check};
 pub use findings::{Finding, Findings, Outcome};
+pub use inputs::SceneHashes;
 
 use checks::Run;
 use files::Collected;
@@ -41,6 +42,8 @@ pub struct Verifier<'a> {
     pub trainings: &'a Trainings<'a>,
     /// Where points are trained again.
     pub runtime: &'a Runtime,
+    /// Hashes of scenes that were read; `None` where none is to be read.
+    pub scenes: Option<SceneHashes>,
     /// Write tables and figures that differ anew.
     pub update: bool,
     /// Write with them those that are not kept.
