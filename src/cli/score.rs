@@ -11,7 +11,7 @@ use crate::base::files::write_named;
 use crate::base::{Error, Result, version};
 use crate::data::Scene;
 use crate::data::images::is_image;
-use crate::metrics::{METRICS, Metric, PSNR, Scope};
+use crate::metrics::{METRICS, Metric, PSNR, Scope, no_better_than_one_colour};
 use crate::run::{
     Matching, Picture, RunDir, Score, Truth, both_pictures, load_lpips, load_scene, load_scene_of, pictures, score,
 };
@@ -239,6 +239,7 @@ impl ScoreArguments {
         if predictions.iter().any(|picture| is_jpeg(&picture)) {
             console.say("some images are JPEG: the numbers include the loss by compression");
         }
+        no_better_than_one_colour(&scored.mean).iter().for_each(|remark| console.say(remark));
         if let Some(view) = scored.views.iter().find(|view| view.metrics.get(&PSNR).is_none()) {
             console.say(&format!(
                 "view {}: equal to its ground truth, so its PSNR is infinite and the mean is empty",

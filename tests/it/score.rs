@@ -81,7 +81,8 @@ fn a_run_s_own_pictures_score_what_it_measured() {
     let (renders, metrics) = (run.join("renders"), json(&run.join("metrics.json")));
     let [renders, of] = [&renders, &run].map(|path| path.to_str().unwrap());
     let own = scored(dir, &[renders, of, "--out", "views.csv"]);
-    for key in ["psnr", "ssim"] {
+    for key in ["psnr", "ssim", "floor_psnr"] {
+        assert!(own[key].is_f64());
         assert_eq!(own[key], metrics["mean"][key], "{key}");
     }
     assert!(own["psnr_float"].is_null() && own["psnr_of_mean"].is_null(), "{own}");
@@ -98,6 +99,7 @@ fn a_run_s_own_pictures_score_what_it_measured() {
     let folders = scored(dir, &[renders, renders]);
     let scene = scored(dir, &[renders, "--data", "builtin", "--set", "data.width=16"]);
     assert_eq!((&folders["psnr"], &scene["psnr"]), (&own["psnr"], &own["psnr"]));
+    assert_eq!((&folders["floor_psnr"], &scene["floor_psnr"]), (&Value::Null, &own["floor_psnr"]), "no training views");
     assert_eq!(folders["predictions_sha256"], own["predictions_sha256"]);
     assert_eq!(scene["truth_sha256"], own["truth_sha256"]);
     // Whole names that are equal, whatever ends them.
@@ -113,6 +115,11 @@ fn a_run_s_own_pictures_score_what_it_measured() {
     assert_ne!(ordered["predictions_sha256"], Value::Null);
     let said = demand(dir, &["score", "other", "other", "--match", "order"], 0);
     assert_says(&said, &["infinite", "\"psnr\":null", "\"ssim\":1.0"]);
+    // Black pictures.
+    for path in entries(&other) {
+        image::RgbImage::new(16, 16).save(path).unwrap();
+    }
+    assert_says(&demand(dir, &["score", "other", of, "--match", "order"], 0), &["no better than one colour"]);
 }
 
 #[test]

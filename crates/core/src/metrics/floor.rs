@@ -2,8 +2,9 @@
 
 use rayon::prelude::*;
 
-use super::{FLOOR_PSNR, ViewMetrics, masked, psnr_from_mse, quantise};
+use super::{FLOOR_PSNR, MeanMetrics, Metric, PSNR, ViewMetrics, masked, psnr_from_mse, quantise};
 use crate::base::{Image, Result};
+use crate::data::View;
 
 /// Channels of a colour.
 const RGB: usize = 3;
@@ -18,7 +19,21 @@ const MANY_COLOURS: f32 = 0.02;
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Floor([f32; RGB]);
 
+/// Says that mean metrics are no better than one colour's, if that is so.
+pub fn no_better_than_one_colour(mean: &MeanMetrics) -> Option<String> {
+    let [psnr, floor] = [&PSNR, &FLOOR_PSNR].map(|metric: &Metric| mean.get(metric));
+    let (psnr, floor) = psnr.zip(floor).filter(|(psnr, floor)| psnr <= floor)?;
+    Some(format!(
+        "no better than one colour: PSNR is {psnr:.2} dB, and the best single colour of the training views has {floor:.2} dB"
+    ))
+}
+
 impl Floor {
+    /// Returns that of a scene's views.
+    pub fn of_views(views: &[View]) -> Option<Floor> {
+        Floor::of(views.iter().map(|view| (&*view.image, view.mask.as_deref())))
+    }
+
     /// Returns that of views, each an RGB image with the pixels that count. `None` if none counts.
     pub fn of<'a>(views: impl IntoIterator<Item = (&'a Image, Option<&'a [bool]>)>) -> Option<Floor> {
         let views: Vec<_> = views.into_iter().collect();

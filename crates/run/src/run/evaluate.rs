@@ -228,8 +228,7 @@ impl Viewer<'_> {
 
     /// Returns the best single colour of the training views.
     fn floor(&self) -> Option<Floor> {
-        let views = self.scene.train.iter().map(|view| (&*view.image, view.mask.as_deref()));
-        self.runtime.install(|| Floor::of(views))
+        self.runtime.install(|| Floor::of_views(&self.scene.train))
     }
 
     fn measure(

@@ -10,7 +10,7 @@ use crate::base::csv::csv_of_named;
 use crate::base::files::{write_atomic, write_json};
 use crate::base::{Error, Result};
 use crate::methods::SiteSummary;
-use crate::metrics::{CHAMFER, F_SCORE, FLOOR_PSNR, MeanMetrics, Metric, PSNR, Scope, ViewMetrics};
+use crate::metrics::{CHAMFER, F_SCORE, MeanMetrics, Scope, ViewMetrics, no_better_than_one_colour};
 use crate::space::Chamfer;
 
 /// Steps before which a picture of one colour says nothing.
@@ -53,12 +53,7 @@ impl Report {
 
     /// Says it if the views are no better than the best single colour of the training views.
     pub fn no_better_than_one_colour(&self) -> Option<String> {
-        let [psnr, floor] = [&PSNR, &FLOOR_PSNR].map(|metric: &Metric| self.mean.get(metric));
-        let (psnr, floor) = psnr.zip(floor).filter(|(psnr, floor)| psnr <= floor)?;
-        Some(format!(
-            "no better than one colour: PSNR is {psnr:.2} dB, and the best single colour of the training views has \
-             {floor:.2} dB"
-        ))
+        no_better_than_one_colour(&self.mean)
     }
 
     /// Returns an error if every rendered view is of a single colour, and the photos are not.

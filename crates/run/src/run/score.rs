@@ -8,7 +8,7 @@ use sha2::{Digest, Sha256};
 use crate::base::input::read_bytes;
 use crate::base::{Error, Event, Image, Listener, Result};
 use crate::data::{Scene, View, images, resample};
-use crate::metrics::{Lpips, MSE, MeanMetrics, PSNR_FLOAT, ViewMetrics, measure_unmasked};
+use crate::metrics::{Floor, Lpips, MSE, MeanMetrics, PSNR_FLOAT, ViewMetrics, measure_unmasked};
 use crate::settings::Resolved;
 
 use super::protocol::{PROTOCOL, Protocol, sides};
@@ -199,9 +199,13 @@ pub fn score(
     let targets = truth.targets();
     let pairs = matched(predictions, targets, matching)?;
     events.on(Event::Started { what: "scoring", parts: pairs.len() as u64 });
+    let floor = match truth {
+        Truth::Scene(_, scene) => Floor::of_views(&scene.train),
+        Truth::Pictures(_) => None,
+    };
     let mut views = Vec::new();
     for (picture, target) in &pairs {
-        views.push(view(picture, target, background, lpips)?);
+        views.push(view(picture, target, background, floor.as_ref(), lpips)?);
         events.on(Event::Advanced);
     }
     events.on(Event::Finished);
@@ -263,7 +267,13 @@ fn matched<'a>(
     Ok(targets.into_iter().map(|target| (find(&target), target)).collect())
 }
 
-fn view(picture: &Picture, target: &Target, background: Option<[f32; 3]>, lpips: &[Lpips]) -> Result<ScoredView> {
+fn view(
+    picture: &Picture,
+    target: &Target,
+    background: Option<[f32; 3]>,
+    floor: Option<&Floor>,
+    lpips: &[Lpips],
+) -> Result<ScoredView> {
     let (image, prediction_sha256) = read(&picture.path, background)?;
     let (truth, path, truth_sha256) = match target {
         Target::File(file) => {
@@ -287,6 +297,7 @@ fn view(picture: &Picture, target: &Target, background: Option<[f32; 3]>, lpips:
     // The values before rounding are unknown.
     metrics.values.set(&PSNR_FLOAT, None);
     metrics.values.set(&MSE, None);
+    floor.map_or(Ok(()), |floor| floor.measure(&mut metrics, &truth, target.mask()))?;
     Ok(ScoredView { metrics, prediction: picture.path.clone(), truth: path, prediction_sha256, truth_sha256 })
 }
 
