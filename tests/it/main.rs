@@ -56,6 +56,7 @@ mod sweep_views;
 mod training;
 mod typeset;
 mod verify;
+mod verify_changes;
 mod views;
 #[cfg(feature = "baselines")]
 mod volumes;

@@ -8,6 +8,7 @@ use crate::base::files::{clean_temporaries, remove, wait_and_hold, write_atomic}
 use crate::base::{Error, Result};
 
 use super::definition::Definition;
+use super::folder::DEFINITION;
 use super::outputs::SweepOutputs;
 use super::points::Point;
 use super::provenance::{Provenance, sha256};
@@ -18,9 +19,10 @@ use crate::report::statistics::mean;
 use crate::report::tables::{AttackLine, Table};
 use crate::report::{RowSpec, Status, TableSpec};
 
-/// The page's file in a results folder. `augnerf verify` does not compare it: it shows the content of the other files,
-/// and images of the runs.
+/// The page's file in a results folder. It shows the content of the other files, and images of the runs.
 pub const PAGE: &str = "report.html";
+/// Clock times of the points.
+pub(super) const TIMING: &str = "timing.csv";
 
 /// The inputs of tables and figures, and options.
 pub struct Collector<'a> {
@@ -95,10 +97,15 @@ impl Collector<'_> {
         let spec = self.spec();
         let table = self.inputs(&spec).write(results, &mut files);
         for (name, bytes) in &files {
-            if EXPORTERS.iter().any(|exporter| exporter.owns(name) && !exporter.repeats()) {
+            // The page shows images of the runs.
+            if name == PAGE || EXPORTERS.iter().any(|exporter| exporter.owns(name) && !exporter.repeats()) {
                 provenance.pinned.insert(name.clone(), sha256(bytes));
             }
+            if name == TIMING {
+                provenance.inputs.insert(name.clone(), sha256(bytes));
+            }
         }
+        provenance.inputs.insert(DEFINITION.into(), sha256(self.definition.to_toml().as_bytes()));
         provenance.write(&results.path)?;
         results.put(&files)?;
         table

@@ -156,6 +156,11 @@ fn is_false(value: &bool) -> bool {
     !*value
 }
 
+/// Names of what the command line changes beside settings.
+const PRESET: &str = "preset";
+const SCENES: &str = "scenes";
+const SEEDS: &str = "seeds";
+
 /// Changes to a definition from the command line.
 #[derive(Clone, Debug, Default)]
 pub struct Overrides {
@@ -195,13 +200,16 @@ impl Definition {
     /// Applies the changes of the command line.
     pub fn apply(&mut self, overrides: Overrides) -> Result<()> {
         if let Some(preset) = overrides.preset.filter(|preset| *preset != self.preset) {
-            self.changed.insert("preset".into(), preset.as_str().into());
+            self.changed.insert(PRESET.into(), preset.as_str().into());
             self.preset = preset;
         }
-        if let Some(scenes) = overrides.scenes {
+        if let Some(scenes) = overrides.scenes.filter(|scenes| *scenes != self.scenes) {
+            self.changed.insert(SCENES.into(), scenes.clone().into());
             self.scenes = scenes;
         }
-        if let Some(seeds) = overrides.seeds {
+        if let Some(seeds) = overrides.seeds.filter(|seeds| *seeds != self.seeds) {
+            let values = seeds.iter().map(|seed| i64::try_from(*seed).unwrap_or(i64::MAX));
+            self.changed.insert(SEEDS.into(), values.collect::<Vec<_>>().into());
             self.seeds = seeds;
         }
         for (path, value) in overrides.set {
@@ -215,12 +223,28 @@ impl Definition {
         self.check().map_err(Error::Config)
     }
 
+    /// Applies the changes of the command line that another definition was made with.
+    pub(super) fn repeat_changes(&mut self, other: &Definition) -> Result<()> {
+        let of = |name: &str| other.changed.contains_key(name);
+        let set = other.changed.iter().filter(|(name, _)| ![PRESET, SCENES, SEEDS].contains(&name.as_str()));
+        self.apply(Overrides {
+            preset: of(PRESET).then(|| other.preset.clone()),
+            scenes: of(SCENES).then(|| other.scenes.clone()),
+            seeds: of(SEEDS).then(|| other.seeds.clone()),
+            set: set.map(|(name, value)| (name.split('.').map(String::from).collect(), value.clone())).collect(),
+        })?;
+        self.changed.clone_from(&other.changed);
+        Ok(())
+    }
+
     /// Returns the title with the command line's changes: `Ablation, 3,000 steps (with train.steps = 20)`.
     pub(super) fn full_title(&self) -> String {
-        if self.changed.is_empty() {
+        // Tables show their scenes and seeds.
+        let changed = self.changed.iter().filter(|(name, _)| ![SCENES, SEEDS].contains(&name.as_str()));
+        let changed: Vec<String> = changed.map(|(name, value)| format!("{name} = {value}")).collect();
+        if changed.is_empty() {
             return self.title.clone();
         }
-        let changed: Vec<String> = self.changed.iter().map(|(name, value)| format!("{name} = {value}")).collect();
         format!("{} (with {})", self.title, changed.join(", "))
     }
 

@@ -9,7 +9,13 @@ const NAMED: usize = 6;
 
 /// Names what differs: `title`, `row 'NeRF': set.train.steps`. Rows and axes are matched by their names.
 pub(super) fn differences(before: &Definition, after: &Definition) -> String {
-    let tables = [before, after].map(|definition| Table::try_from(definition).expect("plain data"));
+    let table = |definition| {
+        let mut table = Table::try_from(definition).expect("plain data");
+        // What the command line changed stands in the values.
+        table.remove("changed");
+        table
+    };
+    let tables = [before, after].map(table);
     let mut found = Vec::new();
     let [before, after] = &tables;
     compare("", before, after, &mut found);

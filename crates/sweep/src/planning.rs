@@ -29,6 +29,10 @@ pub fn begin(
     // A wrong definition must leave no folder.
     let planned = lay_out(definition, data_root)?;
     let tried = apply_budgets(&planned, &Unmeasured)?;
+    // Before scenes are loaded.
+    if !extend {
+        check_unchanged(folder, definition, data_root)?;
+    }
     if folder.compare(definition)? != Change::None {
         check(&tried)?;
     }
@@ -114,6 +118,10 @@ fn reworded(
     planned: &[PlannedRun],
     points: &[Point],
 ) -> Option<Vec<Point>> {
+    let without_changes = |definition: &Definition| Definition { changed: BTreeMap::new(), ..definition.clone() };
+    if without_changes(before) == without_changes(definition) {
+        return Some(points.to_vec());
+    }
     let without_settings = |definition: &Definition| {
         let mut bare = definition.clone();
         bare.set.clear();

@@ -31,6 +31,9 @@ pub struct Provenance {
     /// Settings whose default has changed since, with the old default.
     #[serde(default, skip_serializing_if = "Table::is_empty")]
     pub defaults_then: Table,
+    /// Files that tables are made of and nothing makes again, with the SHA-256 that they had when they were collected.
+    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+    pub inputs: BTreeMap<String, String>,
     /// Files that cannot be made again from what is kept, with the SHA-256 of their content.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     pub pinned: BTreeMap<String, String>,
@@ -107,7 +110,7 @@ impl Provenance {
         check_name("the sweep's name", &self.name)?;
         let is_plain = |name: &str| Path::new(name).file_name().is_some_and(|plain| plain == name);
         let archived = self.archived.iter().flat_map(|archived| archived.files.keys());
-        match self.pinned.keys().chain(archived).find(|name| !is_plain(name)) {
+        match self.pinned.keys().chain(self.inputs.keys()).chain(archived).find(|name| !is_plain(name)) {
             Some(name) => Err(format!("{name:?} is not the name of a file in this folder")),
             None => Ok(()),
         }

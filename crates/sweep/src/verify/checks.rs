@@ -5,7 +5,7 @@ use std::path::Path;
 use super::across::{self, Comparison};
 use super::files::Collected;
 use super::findings::Findings;
-use super::{Verifier, columns, derived, files, gaps, ids, inputs, retrain, runs};
+use super::{Verifier, columns, derived, files, gaps, ids, inputs, retrain, runs, source};
 use crate::base::Result;
 
 /// One check.
@@ -34,13 +34,15 @@ pub(super) enum Run {
 
 /// The check of what belongs to no one folder.
 pub(super) const PAGES: &str = "pages";
+/// The check of files that people made.
+pub(super) const SUMS: &str = "sums";
 
 /// All checks, in the order in which they run.
-pub const CHECKS: [Check; 11] = [
+pub const CHECKS: [Check; 13] = [
     Check {
         name: "files",
-        what: "tables and figures are byte for byte what points.csv, timing.csv and scalars.csv.gz make; files that \
-               provenance.toml lists under [pinned] or [archived] have their SHA-256",
+        what: "tables, figures and report.html are byte for byte what points.csv, timing.csv and scalars.csv.gz make; files that \
+               provenance.toml lists under [pinned], [inputs] or [archived] have their SHA-256",
         left_out: "figures that are not there, and files under [archived] that are not there",
         run: Run::Sweep(files::check),
     },
@@ -51,6 +53,12 @@ pub const CHECKS: [Check; 11] = [
         run: Run::Sweep(ids::check),
     },
     Check {
+        name: "source",
+        what: "the sweep file below sweeps/ that has the folder's name is its sweep.toml, with the changes of the command line",
+        left_out: "differences that a [[missing]] of provenance.toml names",
+        run: Run::Sweep(source::check),
+    },
+    Check {
         name: "columns",
         what: "columns of points.csv are what configurations, provenance.toml and logs say",
         left_out: "columns that need a scene's files, and inactive_levels of points without logs",
@@ -58,7 +66,8 @@ pub const CHECKS: [Check; 11] = [
     },
     Check {
         name: "derived",
-        what: "gaps, averages and PSNR of points.csv are what their parts make",
+        what: "gaps, averages and PSNR of points.csv are what their parts make, and rays per second of timing.csv what its \
+               seconds make",
         left_out: "SSIM, LPIPS and depth, which need the images",
         run: Run::Sweep(derived::check),
     },
@@ -94,15 +103,21 @@ pub const CHECKS: [Check; 11] = [
     },
     Check {
         name: "quotes",
-        what: "numbers that quotes.toml traces stand on their page once, and are those of their cells",
-        left_out: "numbers that it does not trace",
+        what: "numbers and verdicts that quotes.toml traces stand on their page once, and are those of their cells",
+        left_out: "numbers and verdicts that it does not trace",
         run: Run::Quotes,
     },
     Check {
         name: PAGES,
-        what: "every folder below can be checked, quotes name one folder each, and each page has as many untraced numbers \
-               with decimals as [untraced] of quotes.toml says",
+        what: "every folder below can be checked, quotes name one folder each, and each page has the untraced numbers with \
+               decimals and verdicts that [untraced] of quotes.toml lists",
         left_out: "what the untraced numbers say",
+        run: Run::Pages,
+    },
+    Check {
+        name: SUMS,
+        what: "files that SHA256SUMS of the folder of all results lists, such as plans and photographs, have their SHA-256",
+        left_out: "images beside pages that it does not list",
         run: Run::Pages,
     },
 ];

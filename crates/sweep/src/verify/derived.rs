@@ -1,4 +1,4 @@
-//! Whether cells of `points.csv` that are made of others are what these make.
+//! Whether cells of `points.csv` and `timing.csv` that are made of others are what these make.
 
 use super::Verifier;
 use super::files::Collected;
@@ -12,7 +12,8 @@ const ROUNDING: f64 = 1e-9;
 /// Root mean square of the error that rounding two images to 8 bits makes in colours from 0 to 1, doubled.
 const EIGHT_BIT: f64 = 2.0 * 2.0 / (255.0 * 3.464);
 
-/// Checks gaps against their parts, averages against their three metrics, and PSNR against that of the unrounded image.
+/// Checks gaps against their parts, averages against their three metrics, PSNR against that of the unrounded image, and speed
+/// against seconds.
 pub fn check(_: &Verifier, sweep: &Collected, findings: &mut Findings) -> Result<()> {
     let (mut wrong, mut count) = (Vec::new(), 0);
     let done = sweep.archive.outputs.records.iter().filter(|record| record.status == Status::Done);
@@ -40,7 +41,30 @@ pub fn check(_: &Verifier, sweep: &Collected, findings: &mut Findings) -> Result
         }
     }
     findings.of(format!("{count} cells of points.csv are what others make"), wrong);
+    speed(sweep, findings);
     Ok(())
+}
+
+/// Rays per second are the steps' rays over their seconds.
+fn speed(sweep: &Collected, findings: &mut Findings) {
+    let (mut wrong, mut count) = (Vec::new(), 0);
+    for (id, clocks) in &sweep.archive.outputs.timing {
+        let Some(point) = sweep.archive.points.iter().find(|point| point.id == *id) else { continue };
+        let of = |name: &str| clocks.iter().find(|(known, _)| known == name).and_then(|(_, value)| *value);
+        let Some((seconds, speed)) = of("seconds_training").zip(of("rays_per_second")) else { continue };
+        count += 1;
+        let rays = point.config.train.steps as f64 * point.config.rays_per_step() as f64;
+        if (rays / seconds - speed).abs() > ROUNDING * speed {
+            let point = point.label();
+            wrong.push(format!(
+                "timing.csv: rays_per_second of {point} is {speed}, but its {rays} rays in {seconds} s are {} a second",
+                rays / seconds
+            ));
+        }
+    }
+    if count > 0 {
+        findings.of(format!("{count} speeds of timing.csv are what its seconds make"), wrong);
+    }
 }
 
 /// Compares a cell, if it and its parts are there, with what the parts make.

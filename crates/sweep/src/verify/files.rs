@@ -9,7 +9,7 @@ use super::findings::Findings;
 use super::tree::names_in;
 use crate::base::files::write_atomic;
 use crate::base::{Error, Result};
-use crate::collect::PAGE;
+use crate::collect::{PAGE, TIMING};
 use crate::folder::{DEFINITION, PLAN, STEP_SECONDS};
 use crate::outputs::{SCALARS, optional};
 use crate::provenance::{Archived, PROVENANCE, sha256};
@@ -18,7 +18,7 @@ use crate::report::tables::Table;
 use crate::scored::SCORED;
 
 /// What tables and figures are made of: read, never made.
-const KEPT: [&str; 7] = [DEFINITION, PLAN, STEP_SECONDS, SCALARS, SCORED, PROVENANCE, "timing.csv"];
+const KEPT: [&str; 7] = [DEFINITION, PLAN, STEP_SECONDS, SCALARS, SCORED, PROVENANCE, TIMING];
 
 /// Whether a file of a results' folder is one that tables and figures are made of.
 pub fn is_kept(name: &str) -> bool {
@@ -72,14 +72,74 @@ pub fn check(verifier: &Verifier, sweep: &Collected, findings: &mut Findings) ->
     let archived = archive.provenance.archived.as_ref();
     // A sweep without any clock has had none since it was collected.
     let may_lack =
-        |name: &str| is_figure(name) || name == "timing.csv" || archived.is_some_and(|a| a.files.contains_key(name));
+        |name: &str| is_figure(name) || name == TIMING || archived.is_some_and(|a| a.files.contains_key(name));
+    let held = inputs(archive, findings)?;
     let compared = Compared::new(verifier, &archive.path, made.iter(), may_lack, findings)?;
-    compared.report(&format!("from {} points", archive.done().count()), findings);
+    match archive.done().count() {
+        0 if compared.wrong.is_empty() => {
+            findings.not_checked("tables and figures: no point is done, so that they show no results");
+        }
+        done => compared.report(&format!("from {done} points"), findings),
+    }
     not_kept(&compared.absent, archived, &archive.path, findings);
     pins(sweep, findings)?;
+    if verifier.update {
+        repin(archive, &held)?;
+    }
+    page(sweep, verifier.update, findings)?;
     others(sweep, verifier.update, findings)?;
     for missing in &archive.provenance.missing {
         findings.not_checked(format!("{}: {}", missing.what, missing.why));
+    }
+    Ok(())
+}
+
+/// Holds what tables are made of to its hash. Returns the names of the files that have theirs.
+fn inputs<'a>(archive: &'a Archive, findings: &mut Findings) -> Result<Vec<&'a str>> {
+    let hashes = &archive.provenance.inputs;
+    let mut held = Vec::new();
+    for (name, hash) in hashes {
+        match optional(&archive.path.join(name))?.map(|bytes| sha256(&bytes)) {
+            None => findings.wrong(format!("{name}: it is not there, {PROVENANCE} has its hash")),
+            Some(found) if found != *hash => findings.wrong(format!(
+                "{name}: its SHA-256 is {found}, {PROVENANCE} has {hash} under [inputs]; restore it, or collect the sweep again"
+            )),
+            Some(_) => held.push(name.as_str()),
+        }
+    }
+    if !hashes.contains_key(DEFINITION) {
+        findings.not_checked(format!("{DEFINITION}: {PROVENANCE} has no hash of it under [inputs]"));
+    }
+    Ok(held)
+}
+
+/// Writes the hashes of files that had theirs and were written anew.
+fn repin(archive: &Archive, held: &[&str]) -> Result<()> {
+    let mut provenance = archive.provenance.clone();
+    for name in held {
+        let bytes = optional(&archive.path.join(name))?.unwrap_or_default();
+        provenance.inputs.insert(name.to_string(), sha256(&bytes));
+    }
+    if provenance == archive.provenance { Ok(()) } else { provenance.write(&archive.path) }
+}
+
+/// The page, where there is one: what `augnerf report` makes of these results, or the one that was collected with images of runs.
+fn page(sweep: &Collected, update: bool, findings: &mut Findings) -> Result<()> {
+    let archive = &sweep.archive;
+    let path = archive.path.join(PAGE);
+    let Some(found) = optional(&path)?.filter(|_| !archive.provenance.pinned.contains_key(PAGE)) else { return Ok(()) };
+    let (_, made) = archive.page()?;
+    if found == made.as_bytes() {
+        findings.holds(format!("{PAGE}: it is what `augnerf report` makes of these results"));
+    } else if update {
+        write_atomic(&path, made.as_bytes())?;
+        findings.holds(format!("{PAGE}: written anew"));
+    } else {
+        findings.wrong(format!(
+            "{PAGE}: it is not what `augnerf report` makes of these results, and {PROVENANCE} has no hash of it under [pinned]; \
+             `augnerf report {}` writes it again",
+            archive.path.display()
+        ));
     }
     Ok(())
 }
@@ -212,15 +272,14 @@ fn others(sweep: &Collected, update: bool, findings: &mut Findings) -> Result<()
     let archived = archive.provenance.archived.iter().flat_map(|archived| archived.files.keys());
     let listed: Vec<&String> = archive.provenance.pinned.keys().chain(archived).collect();
     for name in names_in(&archive.path)? {
-        let accounted = made.contains_key(&name) || listed.contains(&&name) || KEPT.contains(&name.as_str());
+        let accounted =
+            made.contains_key(&name) || listed.contains(&&name) || KEPT.contains(&name.as_str()) || name == PAGE;
         if accounted {
             continue;
         }
         let without_png = name.ends_with(".png") && made.contains_key(&name.replace(".png", ".svg"));
         if without_png {
             findings.not_checked(format!("{name}: this program is built without PNG figures"));
-        } else if name == PAGE {
-            findings.not_checked(format!("{name}: it shows these files, with pictures that lie with the runs"));
         } else if !EXPORTERS.iter().any(|exporter| exporter.owns(&name)) {
             findings.not_checked(format!("{name}: nothing here makes it, and {PROVENANCE} does not name it"));
         } else if update {

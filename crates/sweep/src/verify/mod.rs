@@ -21,6 +21,8 @@ mod numbers;
 mod quotes;
 mod retrain;
 mod runs;
+mod source;
+mod sums;
 mod tree;
 
 pub use archive::Archive;
@@ -87,7 +89,10 @@ impl Verifier<'_> {
         }
         let root = root_of(path)?.map_or_else(|| std::path::absolute(path), Ok);
         let root = root.map_err(|e| Error::unreadable(path, &e))?;
-        Quotes::read(&root)?.check_pages(&root, &tree, &Tree::below(&root)?, &mut findings);
+        let all = Tree::below(&root)?;
+        Quotes::read(&root)?.check_pages(&root, &tree, &all, &mut findings);
+        findings.begin(checks::SUMS);
+        sums::check(&root, &tree, &all, &mut findings)?;
         show(path, &findings)
     }
 

@@ -2,7 +2,8 @@
 //!
 //! ```text
 //! EXPRESSION = ["-"] TERM [("/" | "-") TERM]
-//! TERM       = COLUMN["@"SEED] ["of" ROW] ["on" SCENE]
+//! TERM       = COLUMN["@"SEED{"+"SEED}] ["of" ROW] ["on" SCENE]
+//! CONDITION  = TERM ("is" | "is not") TEXT | EXPRESSION ("<" | ">") NUMBER
 //! ```
 
 use std::path::Path;
@@ -19,7 +20,7 @@ pub struct Cells {
     pub name: String,
     /// `table.csv` with the columns of `attack.csv`, or `summary.csv` of single runs: a line a row.
     rows: Vec<Row>,
-    /// `points.csv`: a line a point.
+    /// `points.csv` with the columns of `timing.csv`: a line a point.
     points: Vec<Row>,
 }
 
@@ -46,8 +47,10 @@ impl Cells {
     /// Of tables by their names.
     pub(super) fn of_tables(folder: &Path, text: impl Fn(&str) -> Result<Vec<u8>>) -> Result<Cells> {
         let rows = |name: &str| csv_rows(&folder.join(name), &text(name)?);
-        let table = joined(rows("table.csv")?, &rows("attack.csv")?);
-        Ok(Cells { name: name(folder), rows: table, points: rows("points.csv")? })
+        let table =
+            joined(rows("table.csv")?, &rows("attack.csv")?, |a, b| (&a.label, &a.scene) == (&b.label, &b.scene));
+        let points = joined(rows("points.csv")?, &rows("timing.csv")?, |a, b| a.cell("id") == b.cell("id"));
+        Ok(Cells { name: name(folder), rows: table, points })
     }
 
     /// Of a folder of single runs: its summary, or their means.
@@ -83,9 +86,58 @@ impl Cells {
         Ok(value.map(|value| if negative { -value } else { value }))
     }
 
+    /// Whether a condition holds, and if not, what the cell is.
+    pub fn holds(&self, condition: &str) -> std::result::Result<(), String> {
+        let operators = [" is not ", " is ", " < ", " > "];
+        let found = operators.into_iter().find_map(|op| Some((op, condition.rsplit_once(op)?)));
+        let Some((operator, (left, right))) = found else {
+            return Err(format!(
+                "'{condition}' is no condition; write COLUMN of ROW is TEXT, is not TEXT, < NUMBER or > NUMBER"
+            ));
+        };
+        let (holds, cell) = if operator.contains("is") {
+            let cell = self.text(left)?;
+            ((cell == right) == (operator == " is "), cell.to_string())
+        } else {
+            let bound: f64 = right.parse().map_err(|_| format!("'{right}' is no number"))?;
+            let value = self.value(left, None)?.ok_or_else(|| format!("{} has no {left}", self.name))?;
+            (if operator == " < " { value < bound } else { value > bound }, value.to_string())
+        };
+        if holds { Ok(()) } else { Err(format!("{left} is '{cell}' in {}, not{operator}{right}", self.name)) }
+    }
+
+    /// The text of a cell, which may be empty.
+    fn text(&self, term: &str) -> std::result::Result<&str, String> {
+        let (column, place) = term.trim().split_once(" of ").unwrap_or((term.trim(), ""));
+        let (column, seed) = column.split_once('@').unwrap_or((column, ""));
+        let (line, _) = self.line(place, seed)?;
+        line.cell(column).ok_or_else(|| format!("{} has no column '{column}'", self.name))
+    }
+
+    /// The mean over the seeds that it names.
     fn term(&self, term: &str, row: Option<&str>) -> std::result::Result<Option<f64>, String> {
         let (column, place) = term.trim().split_once(" of ").unwrap_or((term.trim(), row.unwrap_or_default()));
-        let (column, seed) = column.split_once('@').unwrap_or((column, ""));
+        let (column, seeds) = column.split_once('@').unwrap_or((column, ""));
+        let (mut sum, mut count) = (0.0, 0);
+        for seed in seeds.split('+') {
+            let Some(value) = self.number(column, place, seed)? else { return Ok(None) };
+            sum += value;
+            count += 1;
+        }
+        Ok(Some(sum / f64::from(count)))
+    }
+
+    fn number(&self, column: &str, place: &str, seed: &str) -> std::result::Result<Option<f64>, String> {
+        let (line, what) = self.line(place, seed)?;
+        let cell = line.cell(column).ok_or_else(|| format!("{} has no column '{column}'", self.name))?;
+        if cell.is_empty() {
+            return Ok(None);
+        }
+        cell.parse().map(Some).map_err(|_| format!("{column} of {what} in {} is '{cell}', no number", self.name))
+    }
+
+    /// The one line of a row, or with a seed of a point, and what it is called.
+    fn line(&self, place: &str, seed: &str) -> std::result::Result<(&Row, String), String> {
         let lines = if seed.is_empty() { &self.rows } else { &self.points };
         // A row's own name may have the word: "NeRF on a hash grid".
         let is_row = lines.iter().any(|line| line.label == place);
@@ -99,11 +151,7 @@ impl Cells {
         if found.next().is_some() {
             return Err(format!("{} has several rows {what}: name the scene (`on SCENE`)", self.name));
         }
-        let cell = line.cell(column).ok_or_else(|| format!("{} has no column '{column}'", self.name))?;
-        if cell.is_empty() {
-            return Ok(None);
-        }
-        cell.parse().map(Some).map_err(|_| format!("{column} of {what} in {} is '{cell}', no number", self.name))
+        Ok((line, what))
     }
 }
 
@@ -112,10 +160,10 @@ fn name(folder: &Path) -> String {
 }
 
 /// Rows with the columns of a further table, empty where that has no such row.
-fn joined(mut rows: Vec<Row>, further: &[Row]) -> Vec<Row> {
+fn joined(mut rows: Vec<Row>, further: &[Row], is_same: impl Fn(&Row, &Row) -> bool) -> Vec<Row> {
     let columns = further.first().map_or(&[][..], |row| &row.cells);
     for row in &mut rows {
-        let same = further.iter().find(|other| (&other.label, &other.scene) == (&row.label, &row.scene));
+        let same = further.iter().find(|other| is_same(row, other));
         for (column, _) in columns {
             if row.cell(column).is_none() {
                 let cell = same.and_then(|other| other.cell(column)).unwrap_or_default().to_string();
@@ -148,8 +196,33 @@ fn csv_rows(path: &Path, bytes: &[u8]) -> Result<Vec<Row>> {
 /// Of the smallest number, all digits.
 const MOST_DECIMALS: usize = 1074;
 
-/// Whether a number as it is quoted is this one, to the digits that are quoted: `-0.10`, `+1.95`, `8,657`, `4.1e5`, `-9 %`.
+/// Numbers in words. A fraction is quoted for the value that it is nearest to.
+const IN_WORDS: [(&str, f64); 16] = [
+    ("a tenth", 0.1),
+    ("a fifth", 0.2),
+    ("a quarter", 0.25),
+    ("a third", 1.0 / 3.0),
+    ("half", 0.5),
+    ("two thirds", 2.0 / 3.0),
+    ("three quarters", 0.75),
+    ("one", 1.0),
+    ("two", 2.0),
+    ("twice", 2.0),
+    ("three", 3.0),
+    ("four", 4.0),
+    ("five", 5.0),
+    ("six", 6.0),
+    ("seven", 7.0),
+    ("eight", 8.0),
+];
+
+/// Whether a number as it is quoted is this one, to the digits that are quoted: `-0.10`, `+1.95`, `8,657`, `4.1e5`, `-9 %`, or in
+/// words: `a third`, `seven`.
 pub fn is_quoted_as(value: f64, quoted: &str) -> std::result::Result<bool, String> {
+    if let Some((_, meant)) = IN_WORDS.iter().find(|(word, _)| *word == quoted) {
+        let distance = |number: f64| (number / value).ln().abs();
+        return Ok(value > 0.0 && IN_WORDS.iter().all(|(_, other)| distance(*meant) <= distance(*other)));
+    }
     let (text, value) = match quoted.strip_suffix('%') {
         Some(text) => (text.trim_end(), value * 100.0),
         None => (quoted, value),
@@ -188,13 +261,41 @@ mod tests {
     }
 
     #[test]
+    fn seconds_and_verdicts_are_cells_too() {
+        let of = |name: &str| match name {
+            "table.csv" => "row,scene,psnr_verdict,psnr_p\nNeRF,fern,,\nTV,fern,higher,0.006\n",
+            "points.csv" => "id,row,scene,seed\na,NeRF,fern,1\nb,NeRF,fern,2\nc,TV,fern,1\nd,TV,fern,2\n",
+            "timing.csv" => "id,point,seconds_training\na,,10\nb,,20\nc,,30\nd,,60\n",
+            _ => "",
+        };
+        let cells = Cells::of_tables(Path::new("x"), |name| Ok(of(name).into())).unwrap();
+        assert_eq!(cells.value("seconds_training@1+2 of TV / seconds_training@1+2 of NeRF", None), Ok(Some(3.0)));
+        assert_eq!(cells.value("seconds_training@2 of NeRF", None), Ok(Some(20.0)));
+        for holds in ["psnr_verdict of TV is higher", "psnr_verdict of NeRF is not higher", "psnr_p of TV < 0.05"] {
+            assert_eq!(cells.holds(holds), Ok(()), "{holds}");
+        }
+        for (wrong, why) in [
+            ("psnr_verdict of NeRF is higher", "is '' in x, not is higher"),
+            ("psnr_p of TV > 0.05", "is '0.006' in x, not > 0.05"),
+            ("psnr_p of NeRF > 0.05", "x has no psnr_p of NeRF"),
+            ("psnr_verdict of Aug is higher", "no row 'Aug'"),
+            ("psnr_verdict of TV", "is no condition"),
+        ] {
+            let said = cells.holds(wrong).unwrap_err();
+            assert!(said.contains(why), "{wrong}: {said}");
+        }
+    }
+
+    #[test]
     fn numbers_are_compared_to_the_digits_that_are_quoted() {
         let is = |value, quoted| is_quoted_as(value, quoted).unwrap();
         assert!(is(0.1264, "0.13") && is(0.1264, "+0.13") && !is(0.1264, "0.12") && !is(0.1264, "-0.13"));
         assert!(is(-0.003, "-0.00") && is(-0.003, "0.00") && is(8657.0, "8,657") && !is(8657.4, "8,658"));
         assert!(is(413_275.0, "4.13e5") && !is(413_275.0, "4.14e5"));
         assert!(is(-0.0904, "-9 %") && !is(-0.0904, "-9.1 %"));
-        assert!(is_quoted_as(1.0, "one").is_err());
+        assert!(is(0.326, "a third") && is(0.3, "a third") && !is(0.163, "a third") && !is(0.65, "a third"));
+        assert!(is(7.34, "seven") && !is(3.67, "seven") && is(2.1, "twice") && !is(-2.0, "twice"));
+        assert!(is_quoted_as(1.0, "many").is_err());
         assert!(is_quoted_as(0.1, &format!("0.{}", "1".repeat(100_000))).unwrap_err().contains("100000 decimals"));
     }
 }

@@ -1,14 +1,22 @@
 //! Numbers that pages quote: `quotes.toml` says which cells they are, and the pages are held to it.
 //!
 //! ```toml
-//! [untraced]                         # numbers with decimals on a page that no quote is about
-//! "results/study/README.md" = 12
+//! verdicts = ["helps", "ruled out"]  # words that say what a table says
+//!
+//! [untraced]                         # numbers with decimals and verdicts on a page that no quote is about
+//! "results/study/README.md" = ["0.53", "1.37", "helps"]
 //!
 //! [[quote]]                          # the numbers of a text that stands on the page once
 //! page = "results/paper/ablation.md"
 //! text = "neither Aug-NeRF, +0.03 dB [-0.02, +0.09]"
 //! folder = "tab4_fern"
 //! cells = ["+0.03 = psnr_difference of Aug-NeRF", "-0.02 = psnr_low of Aug-NeRF", "+0.09 = psnr_high of Aug-NeRF"]
+//!
+//! [[quote]]                          # a verdict in words
+//! page = "results/study/README.md"
+//! text = "Worst-case augmentation helps on fern."
+//! folder = "study_primary"
+//! words = ["helps = verdict of study_fern_few is higher"]
 //!
 //! [[quote]]                          # the table that has this text in its head, or below it
 //! page = "results/paper/ablation.md"
@@ -41,11 +49,23 @@ type Checked<T> = std::result::Result<T, String>;
 #[derive(Default, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct Quotes {
-    /// How many numbers with decimals no quote is about, by page.
-    untraced: BTreeMap<String, usize>,
+    /// Numbers with decimals and verdicts that no quote is about, by page.
+    untraced: BTreeMap<String, Untraced>,
+    /// Words that say what a table says.
+    verdicts: Vec<String>,
     quote: Vec<Quote>,
     #[serde(skip)]
     is_there: bool,
+}
+
+/// What no quote is about.
+#[derive(Deserialize)]
+#[serde(untagged)]
+enum Untraced {
+    /// How many numbers with decimals.
+    Count(usize),
+    /// Each number with decimals and each verdict.
+    Listed(Vec<String>),
 }
 
 /// Numbers of one place of a page.
@@ -61,6 +81,9 @@ struct Quote {
     /// Numbers of the text, each with its cell.
     #[serde(default)]
     cells: Vec<String>,
+    /// Words of the text, each with the condition under which they are true.
+    #[serde(default)]
+    words: Vec<String>,
     /// What the columns of a table show of the row that the first one names.
     #[serde(default)]
     columns: String,
@@ -140,16 +163,58 @@ impl Quotes {
         for comment in &page.comments {
             findings.wrong(format!("{name}, line {comment}: {QUOTES} traces numbers; comments no longer do"));
         }
-        let found = page.untraced(self.quote.iter().filter(|quote| quote.page == *name));
-        let said = if self.is_there { self.untraced.get(name).copied().unwrap_or(0) } else { found };
-        if found != said {
-            findings.wrong(format!(
-                "{name}: no quote is about {found} of its numbers with decimals, [untraced] of {QUOTES} says {said}. Add a \
-                 [[quote]] for each that a results folder has, and set the count to what is left"
-            ));
-        } else if found > 0 {
-            findings.not_checked(format!("{name}: {found} numbers with decimals that no quote is about"));
+        let quotes = self.quote.iter().filter(|quote| quote.page == *name);
+        let found = page.untraced(quotes, &self.verdicts);
+        match self.untraced.get(name) {
+            Some(Untraced::Listed(listed)) => of_list(page, &found, listed, findings),
+            count => {
+                let found = found.iter().filter(|(_, word)| word.contains('.')).count();
+                let said = match count {
+                    Some(Untraced::Count(count)) => *count,
+                    _ if self.is_there => 0,
+                    _ => found,
+                };
+                of_count(name, found, said, findings);
+            }
         }
+    }
+}
+
+/// Compares what no quote is about with a list of it.
+fn of_list(page: &Page, found: &[(usize, String)], listed: &[String], findings: &mut Findings) {
+    let name = &page.name;
+    let (mut rest, mut wrong) = (listed.to_vec(), Vec::new());
+    for (at, word) in found {
+        match rest.iter().position(|listed| listed == word) {
+            Some(index) => drop(rest.remove(index)),
+            None => wrong.push(format!(
+                "{name}, line {}: no quote is about '{word}', and [untraced] of {QUOTES} does not list it. Add a [[quote]] if a \
+                 results folder has it; otherwise list it",
+                page.line_of(*at) + 1
+            )),
+        }
+    }
+    wrong.extend(rest.iter().map(|word| {
+        format!("{name}: [untraced] of {QUOTES} lists '{word}', which does not stand there, or not without a quote")
+    }));
+    match (wrong.is_empty(), found.len()) {
+        (false, _) => findings.of("", wrong),
+        (true, 0) => {}
+        (true, count) => {
+            findings.not_checked(format!("{name}: {count} numbers with decimals and verdicts that no quote is about"));
+        }
+    }
+}
+
+/// Compares how many numbers no quote is about with what is said of it.
+fn of_count(name: &str, found: usize, said: usize, findings: &mut Findings) {
+    if found != said {
+        findings.wrong(format!(
+            "{name}: no quote is about {found} of its numbers with decimals, [untraced] of {QUOTES} says {said}. Add a \
+             [[quote]] for each that a results folder has, and list what is left"
+        ));
+    } else if found > 0 {
+        findings.not_checked(format!("{name}: {found} numbers with decimals that no quote is about"));
     }
 }
 
@@ -160,16 +225,17 @@ impl Quote {
             Ok(at) => at,
             Err(reason) => return (0, vec![format!("{}: {reason}", page.name)]),
         };
-        let (mut count, mut wrong) = (self.cells.len(), Vec::new());
+        let (mut count, mut wrong) = (self.cells.len() + self.words.len(), Vec::new());
         wrong.extend(self.cells.iter().filter_map(|claim| check_claim(claim, &self.text, cells).err()));
+        wrong.extend(self.words.iter().filter_map(|claim| check_words(claim, &self.text, cells).err()));
         if !self.columns.is_empty() {
             let lines: Vec<Vec<String>> =
                 page.lines[page.table(at.end - 1)].iter().skip(2).map(|l| cells_of(l)).collect();
             let (numbers, reasons) = check_table(&cells_of(&self.columns), &lines, cells);
             count += numbers;
             wrong.extend(reasons);
-        } else if self.cells.is_empty() {
-            wrong.push(format!("'{}' has neither cells nor columns in {QUOTES}", start_of(&self.text)));
+        } else if count == 0 {
+            wrong.push(format!("'{}' has neither cells, words nor columns in {QUOTES}", start_of(&self.text)));
         }
         let line = page.line_of(at.start) + 1;
         (count, wrong.into_iter().map(|reason| format!("{}, line {line}: {reason}", page.name)).collect())
@@ -253,8 +319,8 @@ impl Page {
         first..(first..self.lines.len()).find(|line| !is_table(line)).unwrap_or(self.lines.len())
     }
 
-    /// Numbers with decimals that no quote is about, outside of code.
-    fn untraced<'a>(&self, quotes: impl Iterator<Item = &'a Quote>) -> usize {
+    /// Numbers with decimals and verdicts that no quote is about, outside of code, each with its place in the page.
+    fn untraced<'a>(&self, quotes: impl Iterator<Item = &'a Quote>, verdicts: &[String]) -> Vec<(usize, String)> {
         let mut prose = self.prose.clone();
         for quote in quotes {
             let Ok(span) = self.find(&quote.text) else { continue };
@@ -263,15 +329,55 @@ impl Page {
                 let end = |line: usize| self.starts.get(line).copied().unwrap_or(self.flat.len());
                 blank(&mut prose, end(table.start)..end(table.end));
             }
-            for number in quote.cells.iter().filter_map(|claim| claim.split_once(" = ")).map(|(number, _)| number) {
+            let named = |claims: &'a [String]| claims.iter().filter_map(|claim| Some(claim.split_once(" = ")?.0));
+            for number in named(&quote.cells) {
                 for at in places_of(&self.flat[span.clone()], number).map(|at| span.start + at) {
                     blank(&mut prose, at..at + number.len());
                 }
             }
+            for words in named(&quote.words) {
+                for at in words_in(&self.flat[span.clone()], words).map(|at| span.start + at) {
+                    blank(&mut prose, at..at + words.len());
+                }
+            }
         }
-        let numbers = prose.split(|c: char| !(c.is_ascii_digit() || c == '.')).map(|word| word.trim_matches('.'));
-        numbers.filter(|word| word.split_once('.').is_some_and(|(_, rest)| !rest.contains('.'))).count()
+        let mut found = numbers_in(&prose);
+        let lower = prose.to_ascii_lowercase();
+        for verdict in verdicts {
+            found.extend(words_in(&lower, verdict).map(|at| (at, verdict.clone())));
+        }
+        found.sort();
+        found
     }
+}
+
+/// Numbers with decimals and their signs, each with its place.
+fn numbers_in(text: &str) -> Vec<(usize, String)> {
+    let mut found = Vec::new();
+    let is_part = |c: char| c.is_ascii_digit() || c == '.';
+    let mut rest = 0;
+    while let Some(start) = text[rest..].find(is_part).map(|at| rest + at) {
+        let end = text[start..].find(|c| !is_part(c)).map_or(text.len(), |at| start + at);
+        rest = end;
+        let word = text[start..end].trim_matches('.');
+        if word.split_once('.').is_none_or(|(_, decimals)| decimals.contains('.')) {
+            continue;
+        }
+        let mut before = text[..start].chars().rev();
+        let sign = before.next().filter(|sign| ['+', '-'].contains(sign) && text[start..].starts_with(word));
+        let is_sign = before.next().is_none_or(|c| !c.is_alphanumeric());
+        let sign = sign.filter(|_| is_sign).map_or(String::new(), String::from);
+        found.push((start, sign + word));
+    }
+    found
+}
+
+/// Where words stand in a text, not as a part of other words.
+fn words_in<'a>(text: &'a str, words: &'a str) -> impl Iterator<Item = usize> + 'a {
+    text.match_indices(words).map(|(at, _)| at).filter(move |&at| {
+        let (before, after) = (text[..at].chars().next_back(), text[at + words.len()..].chars().next());
+        !words.is_empty() && ![before, after].into_iter().flatten().any(char::is_alphanumeric)
+    })
 }
 
 /// How a page is called: by its path from the folder above that of all results.
@@ -404,6 +510,16 @@ fn check_claim(claim: &str, block: &str, cells: &Cells) -> Checked<()> {
     }
 }
 
+/// A claim names words of the text and when they are true.
+fn check_words(claim: &str, block: &str, cells: &Cells) -> Checked<()> {
+    let (words, condition) =
+        claim.split_once(" = ").ok_or_else(|| format!("'{claim}' is not `WORDS = COLUMN of ROW is TEXT`"))?;
+    if words_in(block, words).next().is_none() {
+        return Err(format!("'{words}' does not stand in the text"));
+    }
+    cells.holds(condition).map_err(|reason| format!("'{words}' is said, and {reason}"))
+}
+
 /// Whether a number stands in a text, not as a part of another.
 fn has_number(text: &str, number: &str) -> bool {
     places_of(text, number).next().is_some()
@@ -451,7 +567,7 @@ fern,+ l1 Reg.,,18.7473,0.1548,-0.2262,-0.5160,0.0635
             count += numbers;
             wrong.extend(reasons);
         }
-        (count, wrong, page.untraced(quotes.quote.iter()))
+        (count, wrong, page.untraced(quotes.quote.iter(), &quotes.verdicts).len())
     }
 
     /// A quote of the text, with one more line.
@@ -530,7 +646,7 @@ fern,+ l1 Reg.,,18.7473,0.1548,-0.2262,-0.5160,0.0635
             assert!(count == 0 && wrong.iter().any(|text| text.contains(reason)), "{text}: {wrong:?}");
         }
         let neither = check("It is 0.138.", &quote("It is 0.138", ""));
-        assert!(neither.1[0].contains("neither cells nor columns"), "{neither:?}");
+        assert!(neither.1[0].contains("neither cells, words nor columns"), "{neither:?}");
     }
 
     /// Of what the attack did, rows that were not attacked have nothing.
@@ -554,6 +670,46 @@ fern,+ l1 Reg.,,18.7473,0.1548,-0.2262,-0.5160,0.0635
         assert_eq!(claim("0.75 = shift.xyz of + l1 Reg."), "");
         assert!(claim("0.75 = last.shift.xyz of + l1 Reg.").contains("x has no last.shift.xyz"));
         assert!(claim("0.75 = shift.t of + l1 Reg.").contains("no column 'shift.t'"));
+    }
+
+    /// A verdict is held to its table, and one that loses its quote is missed.
+    #[test]
+    fn verdicts_are_held_to_their_tables() {
+        let page = "TV helps, l1 is inconclusive; nothing helps more.\n";
+        let of = |claim: &str| {
+            let quote = quote("TV helps, l1 is inconclusive", &format!("words = [{claim:?}]"));
+            check(page, &format!("verdicts = [\"helps\", \"inconclusive\"]\n{quote}"))
+        };
+        assert_eq!(of("inconclusive = psnr_low of + l1 Reg. < 0"), (1, vec![], 2));
+        for (claim, reason) in [
+            (
+                "inconclusive = psnr_low of + l1 Reg. > 0",
+                "'inconclusive' is said, and psnr_low of + l1 Reg. is '-0.516'",
+            ),
+            ("no gain = psnr_low of + l1 Reg. < 0", "'no gain' does not stand in the text"),
+            ("help = psnr_low of + l1 Reg. < 0", "'help' does not stand in the text"),
+            ("helps", "is not `WORDS ="),
+        ] {
+            let (_, wrong, _) = of(claim);
+            assert!(wrong.iter().any(|text| text.contains(reason)), "{claim}: {wrong:?}");
+        }
+    }
+
+    #[test]
+    fn what_no_quote_is_about_is_listed_one_by_one() {
+        let page = Page::parse("page.md", "It is +0.53 to 1.37,\nid a-2.5, and helps.\n");
+        let found = page.untraced(std::iter::empty(), &["helps".into()]);
+        let words: Vec<&str> = found.iter().map(|(_, word)| word.as_str()).collect();
+        assert_eq!(words, ["+0.53", "1.37", "2.5", "helps"]);
+        let said = |listed: &[&str]| {
+            let mut findings = Findings::default();
+            of_list(&page, &found, &listed.iter().map(ToString::to_string).collect::<Vec<_>>(), &mut findings);
+            findings.lines.into_iter().map(|line| line.text).collect::<Vec<_>>().join("; ")
+        };
+        assert!(said(&["+0.53", "1.37", "2.5", "helps"]).contains("4 numbers with decimals and verdicts"));
+        let changed = said(&["+0.53", "1.38", "2.5", "helps"]);
+        assert!(changed.contains("page.md, line 1: no quote is about '1.37'") && changed.contains("lists '1.38'"));
+        assert!(said(&["+0.53", "1.37", "2.5"]).contains("line 2: no quote is about 'helps'"));
     }
 
     #[test]

@@ -67,6 +67,11 @@ impl Tree {
         Ok(())
     }
 
+    /// Whether a folder holds results of its own.
+    pub fn is_leaf(&self, folder: &Path) -> bool {
+        self.leaves.iter().any(|(leaf, kind)| leaf == folder && *kind != Kind::Pages)
+    }
+
     /// Folders that numbers may come from, of this name.
     pub fn named(&self, name: &str) -> Vec<&Path> {
         let sources = self.leaves.iter().filter(|(_, kind)| matches!(kind, Kind::Sweep | Kind::Runs | Kind::Across));
