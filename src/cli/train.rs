@@ -27,7 +27,7 @@ use super::{Compute, LpipsWeights, Sources};
 const PAPER_STEPS: u64 = 100_000;
 
 /// Seconds from which on a question is asked.
-const LONG: f64 = 3600.0;
+pub(super) const LONG: f64 = 3600.0;
 
 pub const RESUME_EXAMPLES: &str = "Examples:
   augnerf resume runs/fern-nerf-*

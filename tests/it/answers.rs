@@ -303,7 +303,7 @@ fn completions_and_manual_pages_come_from_the_definition() {
     let ask = |line: &str| {
         let program = format!(
             "source {}; COMP_WORDS=({line}); COMP_CWORD=$((${{#COMP_WORDS[@]}} - 1)); \
-             _augnerf augnerf \"${{COMP_WORDS[COMP_CWORD]}}\"; echo \"${{COMPREPLY[*]}}\"",
+             _augnerf augnerf \"${{COMP_WORDS[COMP_CWORD]}}\" \"${{COMP_WORDS[COMP_CWORD-1]}}\"; echo \"${{COMPREPLY[*]}}\"",
             script.display()
         );
         let output = Command::new("bash").args(["-c", &program]).output();
@@ -312,6 +312,16 @@ fn completions_and_manual_pages_come_from_the_definition() {
     if let Some(answer) = ask("augnerf tr") {
         assert_eq!(answer.trim(), "train");
         assert_eq!(ask("augnerf train --print").unwrap().trim(), "--print-config");
+        for (line, values) in [
+            ("train --preset fa", "fast"),
+            ("train --set train.eval_s", "train.eval_stride="),
+            ("train --method aug-m", "aug-mip-nerf"),
+            ("train --device cuda-", "cuda-tf32"),
+            ("sweep best x --metric psnr_f", "psnr_float"),
+            ("sweep new --from tab4_f", "tab4_fern"),
+        ] {
+            assert_eq!(ask(&format!("augnerf {line}")).unwrap().trim(), values, "{line}");
+        }
     }
     let pages = dir.path().join("man/man1");
     let said = printed(&["man", pages.to_str().unwrap()]);
@@ -319,6 +329,7 @@ fn completions_and_manual_pages_come_from_the_definition() {
     assert!(said.contains(&format!("{count} pages")) && count > 25, "{said}");
     let page = text(&pages.join("augnerf-sweep-run.1"));
     let example = "\\&augnerf sweep run sweeps/paper/tab1_llff.toml \\-\\-retry\\-failed";
+    assert!(page.contains("[\\-\\-jobs <N>]") && page.contains("[\\-\\-fail\\-fast]"), "{page}");
     for part in [".TH", ".SH EXAMPLES\n.nf\n", example, "\n.fi\n", "fail\\-fast"] {
         assert!(page.contains(part), "{part}: {page}");
     }

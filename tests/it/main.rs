@@ -53,6 +53,7 @@ mod sweep_plots;
 mod sweep_run;
 mod sweep_tables;
 mod sweep_views;
+mod sweep_words;
 mod training;
 mod typeset;
 mod verify;

@@ -372,7 +372,7 @@ fn a_comparison_across_sweeps_is_made_again() {
     };
     assert_says(
         &across("results/both", "Nerf", 2),
-        &["sweep 'geometry_chair' has no row 'Nerf'", "its rows are NeRF, "],
+        &["sweep 'geometry_chair' has no row 'Nerf'", "its rows are 'NeRF', "],
     );
     assert_says(&across("results/both", "Aug-NeRF,NeRF + second clean pass", 2), &["has no row"]);
     assert_says(&across("results", "Aug-NeRF", 4), &["results holds other folders"]);

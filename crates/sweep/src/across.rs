@@ -12,7 +12,7 @@ use crate::report::plots::across_figure;
 
 use super::folder::DEFINITION;
 use super::view::{Origin, Selection, Source, VIEW, View};
-use super::words::check_name;
+use super::words::{check_name, quoted};
 
 /// What a folder of such comparisons has instead of a sweep's definition.
 pub const ACROSS: &str = "across.toml";
@@ -134,5 +134,5 @@ fn has_row(source: &Source, name: &str) -> Result<()> {
     if rows.contains(&name) {
         return Ok(());
     }
-    Err(Error::Config(format!("sweep '{}' has no row '{name}'; its rows are {}", source.name, rows.join(", "))))
+    Err(Error::Config(format!("sweep '{}' has no row '{name}'; its rows are {}", source.name, quoted(&rows))))
 }

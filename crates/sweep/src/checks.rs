@@ -8,6 +8,7 @@ use toml::{Table, Value};
 
 use super::definition::{Combine, Definition, Row, scene_name};
 use super::extends::MOST_POINTS;
+use super::words::quoted;
 use crate::metrics::Metric;
 use crate::settings::Method;
 
@@ -104,7 +105,7 @@ impl Definition {
         let set: HashSet<&str> = names.iter().copied().collect();
         let known = |what: &str, name: &str| match set.contains(name) {
             true => Ok(()),
-            false => Err(format!("{what} = '{name}' is not a row; the rows are {}", names.join(", "))),
+            false => Err(format!("{what} = '{name}' is not a row; the rows are {}", quoted(&names))),
         };
         if let Some(baseline) = &self.baseline {
             known("baseline", baseline)?;

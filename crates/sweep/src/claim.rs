@@ -10,7 +10,7 @@ use std::time::{Duration, Instant};
 
 use serde::{Deserialize, Serialize};
 
-use crate::base::files::{read_json, write_json};
+use crate::base::files::{check_own, read_json, write_json};
 use crate::base::{Error, Result};
 use crate::runtime::host_name;
 
@@ -149,7 +149,9 @@ impl Claim {
     /// # Errors
     /// A folder that cannot be written, or with [`Sharing::Locks`] a file system without locks.
     pub fn take(folder: &Path, sharing: Sharing) -> Result<Option<Claim>> {
+        check_own(folder, true)?;
         let path = folder.join(LOCK);
+        check_own(&path, false)?;
         let lock = File::options().create(true).truncate(false).write(true).open(&path);
         let lock = lock.map_err(|e| Error::unwritable(&path, &e))?;
         let Some(is_locked) = accept(try_hold(&lock), sharing, folder)? else { return Ok(None) };

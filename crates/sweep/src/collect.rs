@@ -4,11 +4,11 @@ use std::fs::File;
 use std::path::{Path, PathBuf};
 
 use crate::augment::Site;
-use crate::base::files::{clean_temporaries, remove, wait_and_hold, write_atomic};
+use crate::base::files::{check_own, clean_temporaries, remove, wait_and_hold, write_atomic};
 use crate::base::{Error, Result};
 
 use super::definition::Definition;
-use super::folder::DEFINITION;
+use super::folder::{DEFINITION, SweepFolder};
 use super::outputs::SweepOutputs;
 use super::points::Point;
 use super::provenance::{Provenance, sha256};
@@ -50,6 +50,11 @@ pub struct Results {
 impl Results {
     /// Creates the folder, waits for its lock, and deletes the remains of killed processes.
     pub fn take(path: &Path) -> Result<Results> {
+        // In a sweep's folder, which may be somebody else's, it is not a place that the user named.
+        let is_of_sweep = path.parent().is_some_and(|parent| SweepFolder::new(parent).is_begun());
+        if is_of_sweep {
+            check_own(path, true)?;
+        }
         std::fs::create_dir_all(path).map_err(|e| Error::unwritable(path, &e))?;
         let held = wait_and_hold(path);
         if held.is_some() {

@@ -223,6 +223,11 @@ impl Definition {
         self.check().map_err(Error::Config)
     }
 
+    /// Returns whether the command line named another preset than the file.
+    pub fn is_preset_changed(&self) -> bool {
+        self.changed.contains_key(PRESET)
+    }
+
     /// Applies the changes of the command line that another definition was made with.
     pub(super) fn repeat_changes(&mut self, other: &Definition) -> Result<()> {
         let of = |name: &str| other.changed.contains_key(name);

@@ -20,7 +20,7 @@ use std::{fmt, fs};
 use serde::de::{self, SeqAccess, Visitor};
 use serde::{Deserialize, Deserializer, Serialize};
 
-use crate::base::files::{clean_temporaries, read_large_json, write_atomic, write_json};
+use crate::base::files::{check_own, clean_temporaries, read_large_json, write_atomic, write_json};
 use crate::base::input::{TEXT_BYTES, read_text};
 use crate::base::{Error, Result};
 use crate::settings::registry::Section;
@@ -29,6 +29,7 @@ use super::definition::{Definition, scene_name};
 use super::extends::MOST_POINTS;
 use super::point_folder::PointFolder;
 use super::points::Point;
+use super::slurm;
 use super::varied::Varied;
 use crate::report::{AxisValue, Record, Status};
 
@@ -140,6 +141,7 @@ impl SweepFolder {
     /// Creates the folder and locks it until the returned file is dropped.
     pub fn lock(&self) -> Result<fs::File> {
         let points = self.path.join(POINTS);
+        self.check_entries()?;
         fs::create_dir_all(&points).map_err(|e| Error::unwritable(&points, &e))?;
         let path = self.path.join(BEGIN_LOCK);
         let file = fs::File::options().create(true).truncate(false).write(true).open(&path);
@@ -149,6 +151,14 @@ impl SweepFolder {
             clean_temporaries(&self.path)?;
         }
         Ok(file)
+    }
+
+    /// Checks that the folder's own entries are no links that would lead writes elsewhere.
+    pub(super) fn check_entries(&self) -> Result<()> {
+        let own =
+            |names: &[&str], is_folder| names.iter().try_for_each(|name| check_own(&self.path.join(name), is_folder));
+        own(&[BEGIN_LOCK, PLAN, DEFINITION, STEP_SECONDS], false)?;
+        own(&[POINTS, slurm::FOLDER], true)
     }
 
     /// Writes the folder's points, then its definition.
@@ -180,6 +190,11 @@ impl SweepFolder {
             .map_err(|found| Error::Checkpoint(format!("cannot use {}: {found}; {DELETE_PLAN}", path.display())))?;
         points.iter_mut().for_each(|point| point.locate(data_root.or(then.as_deref())));
         Ok(Some(points))
+    }
+
+    /// Returns the folder of the points' folders.
+    pub(super) fn points_path(&self) -> PathBuf {
+        self.path.join(POINTS)
     }
 
     /// Returns the folder of a point.

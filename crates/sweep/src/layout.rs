@@ -191,7 +191,19 @@ impl Builder<'_> {
             _ => assign("data.dir", Value::String(self.folder.to_string_lossy().into_owned())),
         }
         assign("seed", Value::Integer(self.seed as i64));
-        build(Some(preset), None, &assignments).map_err(|error| in_row(row, axes, error))
+        build(Some(preset), None, &assignments).map_err(|error| in_row(row, axes, self.with_tip(error)))
+    }
+
+    /// Adds the sweep for small networks to an error in the layer, where the command line named the preset.
+    fn with_tip(&self, error: Error) -> Error {
+        let text = error.to_string();
+        if !(self.definition.is_preset_changed() && text.contains("perturb.injection_layer")) {
+            return error;
+        }
+        Error::Config(format!(
+            "{text}; preset {} has fewer layers than this sweep is for, `augnerf sweep run fig_embedded` is for small networks",
+            self.definition.preset
+        ))
     }
 }
 

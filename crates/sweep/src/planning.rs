@@ -2,15 +2,17 @@
 
 use std::collections::{BTreeMap, HashSet};
 use std::path::Path;
+use std::time::{Duration, Instant};
 
 use crate::base::{Error, Result};
 use crate::settings::Config;
 
-use super::budget::StepCosts;
+use super::budget::{StepCosts, evaluations_per_step};
 use super::definition::Definition;
 use super::differences::differences;
 use super::folder::{Change, SweepFolder};
 use super::layout::{PlannedRun, lay_out};
+use super::pace::Pace;
 use super::points::{Point, apply_budgets};
 use super::step_seconds::{KeptCosts, Unknown};
 use super::training::{Cost, Trainings};
@@ -78,32 +80,79 @@ pub struct CostGroup<'a> {
     pub points: &'a [&'a Point],
     /// Cost of their shape on this machine.
     pub cost: Cost,
+    /// The cost was measured; otherwise it follows from a measured one by the evaluations of the networks.
+    pub measured: bool,
     /// Seconds of one point.
     pub seconds: f64,
 }
 
-/// Measures the cost of points on this machine, each shape once. `each` receives a group as soon as its cost is known.
+/// Measures the cost of points on this machine, each shape once. `each` receives a group as soon as its cost is known. When
+/// the first shape is measured and `limit` is over, the costs of the others are estimated.
 pub fn plan_costs(
     points: &[&Point],
     trainings: &Trainings,
+    limit: Duration,
     mut each: impl FnMut(CostGroup) -> Result<()>,
 ) -> Result<()> {
+    let begun = Instant::now();
     let mut groups: BTreeMap<(String, u64), Vec<&Point>> = BTreeMap::new();
     for point in points {
         groups.entry((point.config.step_shape(), point.config.train.steps)).or_default().push(point);
     }
-    let mut known: Option<(&str, Cost)> = None;
+    let mut known: Option<(&str, &Config, Cost)> = None;
+    let mut estimated: Option<&str> = None;
     // Groups of one shape are adjacent.
     for ((shape, steps), points) in &groups {
+        let config = &points[0].config;
         let cost = match known {
-            Some((same, cost)) if same == shape => cost,
-            _ => trainings.cost(&points[0].config)?,
+            Some((same, _, cost)) if same == shape => cost,
+            Some((_, other, cost)) if estimated == Some(shape) || begun.elapsed() > limit => {
+                estimated = Some(shape);
+                cost.scaled(evaluations_per_step(config) / evaluations_per_step(other))
+            }
+            _ => trainings.cost(config)?,
         };
-        known = Some((shape, cost));
-        each(CostGroup { points, cost, seconds: cost.seconds(*steps) })?;
+        let measured = estimated != Some(shape);
+        if measured {
+            known = Some((shape, config, cost));
+        }
+        each(CostGroup { points, cost, measured, seconds: cost.seconds(*steps) })?;
     }
     Ok(())
 }
+
+/// What points take on this machine, one after the other.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Estimate {
+    /// Seconds of all points.
+    pub seconds: f64,
+    /// Seconds of the longest point.
+    pub longest: f64,
+}
+
+impl Estimate {
+    /// Estimates points from those of the folder that are done, otherwise from steps that it times for a few seconds.
+    pub fn of(folder: &SweepFolder, all: &[Point], left: &[&Point], trainings: &Trainings) -> Result<Estimate> {
+        let mut estimate = Estimate::default();
+        let mut add = |seconds: f64| {
+            estimate.seconds += seconds;
+            estimate.longest = estimate.longest.max(seconds);
+        };
+        let pace = Pace::of(folder, &all.iter().collect::<Vec<_>>());
+        let paced: Option<Vec<f64>> = left.iter().map(|point| pace.seconds_of(std::iter::once(*point))).collect();
+        match paced {
+            Some(paced) => paced.into_iter().for_each(add),
+            None => plan_costs(left, trainings, AT_START, |group| {
+                group.points.iter().for_each(|_| add(group.seconds));
+                Ok(())
+            })?,
+        }
+        Ok(estimate)
+    }
+}
+
+/// Time for an estimate at the start of a sweep. The first shape is measured whatever it takes.
+const AT_START: Duration = Duration::from_secs(2);
 
 /// Returns whether a missing scene has arrived, so that budgets that depend on it are known.
 fn budgets_can_be_applied(points: &[Point]) -> bool {

@@ -5,7 +5,9 @@ use std::path::{Path, PathBuf};
 
 use serde::{Deserialize, Serialize};
 
-use crate::base::files::{clean_temporaries, discard, is_temporary, read_json, remove, write_atomic, write_json};
+use crate::base::files::{
+    check_own, clean_temporaries, discard, is_temporary, read_json, remove, write_atomic, write_json,
+};
 use crate::base::input::{TEXT_BYTES, read_text};
 use crate::base::{Class, Error, Result};
 use crate::metrics::{Metric, Scope};
@@ -108,6 +110,7 @@ impl PointFolder {
 
     /// Makes the folder with the point's configuration, which is never changed afterwards.
     pub fn begin(&self, point: &Point) -> Result<()> {
+        self.check_entries()?;
         fs::create_dir_all(&self.path).map_err(|e| Error::unwritable(&self.path, &e))?;
         let config = self.path.join("config.toml");
         if config.exists() {
@@ -126,6 +129,12 @@ impl PointFolder {
         }
         point.config.validate().map_err(|error| error.within(&format!("point {}", point.id)))?;
         write_atomic(&config, format!("# {}\n{}", point.label(), point.config.to_toml()).as_bytes())
+    }
+
+    /// Checks that the folder and its run are folders, not links that would lead writes elsewhere.
+    fn check_entries(&self) -> Result<()> {
+        check_own(&self.path, true)?;
+        check_own(&self.run(), true)
     }
 
     /// The result, if the point is done.
@@ -193,6 +202,7 @@ impl PointFolder {
     /// that was what failed, from the start.
     pub fn clear_failure(&self) -> Result<()> {
         let Some(failure) = self.failure()? else { return Ok(()) };
+        self.check_entries()?;
         self.forget_stops()?;
         let run = self.run();
         if failure.class() == Some(Class::Checkpoint) {

@@ -64,6 +64,7 @@ shipped![
     "baselines" "baselines_presets_chair",
     "baselines" "mip_chair",
     "baselines" "mip_fern",
+    "baselines" "regularizers_chair",
     "checks" "few_views_chair",
     "checks" "geometry",
     "checks" "geometry_chair",
@@ -97,6 +98,14 @@ pub fn write_new(file: &Path, from: Option<&str>) -> Result<Vec<PathBuf>> {
     }
     files.iter().try_for_each(|(path, text)| write_atomic(path, text.as_bytes()))?;
     Ok(files.into_iter().map(|(path, _)| path).collect())
+}
+
+/// Returns the text of a sweep file: the template, or the shipped file `from`.
+///
+/// # Errors
+/// No such sweep is shipped.
+pub fn template(from: Option<&str>) -> Result<&'static str> {
+    from.map_or(Ok(TEMPLATE), asked)
 }
 
 /// Name and text of the shipped sweep of this name.

@@ -42,6 +42,8 @@ const ESTIMATE: f64 = 0.0;
 const TURNS: usize = 25;
 /// Least steps a training.
 const LEAST_STEPS: usize = 4;
+/// Seconds after which an estimate needs no further step, however few there are.
+const ENOUGH: f64 = 2.0;
 
 /// The state that the trainings of a sweep share.
 pub struct Trainings<'a> {
@@ -152,6 +154,16 @@ pub struct Cost {
 }
 
 impl Cost {
+    /// Returns the cost of a point whose steps and views take `ratio` times as long.
+    pub(super) fn scaled(self, ratio: f64) -> Cost {
+        let ratio = if ratio.is_finite() && ratio > 0.0 { ratio } else { 1.0 };
+        Cost {
+            seconds_per_step: ratio * self.seconds_per_step,
+            seconds_evaluation: ratio * self.seconds_evaluation,
+            peak_memory_mib: self.peak_memory_mib,
+        }
+    }
+
     /// Returns the seconds of a point with `steps` steps.
     pub fn seconds(&self, steps: u64) -> f64 {
         self.seconds_per_step * steps as f64 + self.seconds_evaluation
@@ -223,7 +235,10 @@ impl StepCosts for Trainings<'_> {
             return Ok(());
         }
         let minutes = (CALIBRATION * configs.len() as f64 / 60.0).ceil();
-        let what = format!("timing steps of {} trainings for budgets in seconds; at most {minutes} min", configs.len());
+        let what = format!(
+            "timing steps of {} trainings for budgets in seconds: about {minutes} min, longer if {LEAST_STEPS} steps of each are",
+            configs.len()
+        );
         self.events.on(Event::Note(&what));
         let timed = self.time_steps(configs, CALIBRATION)?;
         let measured = timed.iter().map(|steps| mean_without_hiccups(steps));
@@ -242,6 +257,28 @@ impl StepCosts for Trainings<'_> {
     }
 }
 
+/// Costs from a few steps of each training: for estimates, which need no budget to the step.
+pub struct Brief<'a>(pub &'a Trainings<'a>);
+
+impl StepCosts for Brief<'_> {
+    fn seconds_per_step(&self, config: &Config) -> Result<f64> {
+        let known = || self.0.seconds.lock().unwrap_or_else(PoisonError::into_inner).get(&config.step_shape()).copied();
+        if known().is_none() {
+            self.prepare(&[config])?;
+        }
+        Ok(known().expect("just measured"))
+    }
+
+    fn prepare(&self, configs: &[&Config]) -> Result<()> {
+        for config in configs {
+            let seconds = median(&self.0.time_steps(&[config], ESTIMATE)?[0]);
+            let mut known = self.0.seconds.lock().unwrap_or_else(PoisonError::into_inner);
+            known.insert(config.step_shape(), seconds);
+        }
+        Ok(())
+    }
+}
+
 /// Times steps of trainings in turn, so that a busy minute affects all of them. Ends when each training has taken
 /// `least` seconds or all of its steps. A turn is a fraction of these seconds, or one step if that takes longer.
 /// `step` returns the seconds of a step. Returns those of each training's steps.
@@ -252,7 +289,8 @@ fn time_in_turns(steps: &[usize], mut step: impl FnMut(usize) -> Result<f64>, le
         let mut any = false;
         for (index, own) in seconds.iter_mut().enumerate() {
             let mut turn = 0.0;
-            while own.len() < LEAST_STEPS || (own.len() < steps[index] && left[index] > 0.0) {
+            let too_few = |own: &[f64]| own.len() < LEAST_STEPS && (least > 0.0 || own.iter().sum::<f64>() < ENOUGH);
+            while too_few(own) || (own.len() < steps[index] && left[index] > 0.0) {
                 any = true;
                 let taken = step(index)?;
                 own.push(taken);

@@ -22,6 +22,7 @@ use super::outputs::SweepOutputs;
 use super::points::Point;
 use super::provenance::sha256;
 use super::scored::with_scored;
+use super::words::quoted;
 
 /// File that a view's folder has in place of a sweep's definition.
 pub const VIEW: &str = "view.toml";
@@ -235,9 +236,14 @@ impl View {
         Ok(())
     }
 
+    /// Iterates over the names of the rows that are shown.
+    pub fn rows(&self) -> impl Iterator<Item = &str> {
+        self.spec.rows.iter().map(|row| row.name.as_str())
+    }
+
     fn choose_baseline(&mut self, baseline: Option<&str>) -> Result<()> {
         let names: Vec<String> = self.spec.rows.iter().map(|row| row.name.clone()).collect();
-        let listed = || names.join(", ");
+        let listed = || quoted(&names);
         match baseline {
             Some(NO_BASELINE) => self.spec.rows.iter_mut().for_each(|row| row.baseline = None),
             Some(name) => {
@@ -410,7 +416,7 @@ pub fn split_names(flag: &str, texts: &[String], known: &[&str]) -> Result<Vec<S
                 return Err(Error::Config(format!(
                     "{flag}: '{}' is not a row; the rows are {}",
                     parts[from].trim(),
-                    known.join(", ")
+                    quoted(known)
                 )));
             };
             if names.contains(&joined(to)) {
@@ -448,7 +454,7 @@ mod tests {
         let split = |text: &str| split_names("--rows", &[text.to_string()], &known);
         assert_eq!(split("Aug-NeRF,NeRF").unwrap(), ["Aug-NeRF", "NeRF"]);
         assert_eq!(split("NeRF, equal steps, NeRF").unwrap(), ["NeRF, equal steps", "NeRF"]);
-        assert!(split("NeRF,Nerf").unwrap_err().to_string().contains("'Nerf' is not a row; the rows are NeRF, "));
+        assert!(split("NeRF,Nerf").unwrap_err().to_string().contains("'Nerf' is not a row; the rows are 'NeRF', "));
         assert!(split("NeRF,NeRF").unwrap_err().to_string().contains("twice"));
     }
 }

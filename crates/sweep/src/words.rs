@@ -17,6 +17,11 @@ pub fn check_name(what: &str, name: &str) -> Checked {
     }
 }
 
+/// Lists names in quotes, since a name may have a comma.
+pub(super) fn quoted(names: &[impl AsRef<str>]) -> String {
+    names.iter().map(|name| format!("'{}'", name.as_ref())).collect::<Vec<_>>().join(", ")
+}
+
 impl Definition {
     /// Checks that tables and figures can print all names of the definition.
     pub(super) fn check_words(&self) -> Checked {

@@ -12,7 +12,7 @@ use crate::report::tables::{Table, table_terminal};
 use crate::sweep::{Selection, View, check_name};
 
 use super::opened::Opened;
-use super::{How, RESULTS, RUNS, check_done, collect, name_of, table_json, terminal_width};
+use super::{How, PointState, RESULTS, RUNS, check_done, collect, name_of, table_json, terminal_width};
 
 pub const EXAMPLES: &str = "Examples:
   augnerf sweep collect runs/tab4_fern  # tables and figures, in results/
@@ -68,13 +68,17 @@ impl CollectArguments {
             check_name("the sweep's name", name).map_err(Error::Config)?;
             sweep.name.clone_from(name);
         }
-        let states = sweep.states()?;
-        let (table, results) = match selection.is_all() && self.merge.is_empty() {
+        let (table, results, states) = match selection.is_all() && self.merge.is_empty() {
             true => {
                 sweep.check_runs()?;
                 let results = self.results(&sweep.name)?;
                 let how = How { force: self.force, with_timing: self.with_timing };
-                (collect((&sweep.folder, &sweep.definition, &sweep.points), &sweep.name, &results, how)?, results)
+                let states = sweep.states()?;
+                (
+                    collect((&sweep.folder, &sweep.definition, &sweep.points), &sweep.name, &results, how)?,
+                    results,
+                    states,
+                )
             }
             false => self.view(sweep, selection)?,
         };
@@ -100,7 +104,8 @@ impl CollectArguments {
         }))
     }
 
-    fn view(&self, first: Opened, selection: Selection) -> Result<(Table, PathBuf)> {
+    /// Writes the chosen rows, and returns how the points of these rows stand.
+    fn view(&self, first: Opened, selection: Selection) -> Result<(Table, PathBuf, Vec<PointState>)> {
         let Some(results) = self.results.clone() else {
             return Err(Error::Config(
                 "--baseline, --rows, --metrics and --merge need a folder of their own; name it with --out".into(),
@@ -110,6 +115,12 @@ impl CollectArguments {
         let sweeps: Vec<Opened> = std::iter::once(first).chain(others).collect();
         let sources = sweeps.iter().map(Opened::source).collect::<Result<Vec<_>>>()?;
         let view = View::new(&name_of(&results)?, &sources, selection)?;
-        Ok((view.write(&results, self.force, self.with_timing)?, results))
+        let shown: Vec<&str> = view.rows().collect();
+        let is_shown = |state: &PointState| state.rows.iter().any(|row| shown.contains(&row.as_str()));
+        let mut states = Vec::new();
+        for sweep in &sweeps {
+            states.extend(sweep.states()?.into_iter().filter(is_shown));
+        }
+        Ok((view.write(&results, self.force, self.with_timing)?, results, states))
     }
 }

@@ -1,7 +1,9 @@
 //! `augnerf sweep`: flags and steps that its commands share; each command has a file.
 
 use std::io::IsTerminal;
+use std::ops::RangeInclusive;
 use std::path::{Path, PathBuf};
+use std::str::FromStr;
 
 use clap::{Args, Subcommand};
 use serde_json::json;
@@ -15,12 +17,13 @@ use crate::run::load_lpips;
 use crate::runtime::Runtime;
 use crate::settings::parse_assignment;
 use crate::sweep::{
-    AXIS, Change, Collector, Definition, Overrides, Point, PublishedCosts, Results, SETTING, StepCosts, SweepFolder,
-    SweepOutputs, Trainings, begin, check_name, expand,
+    AXIS, Change, Collector, Definition, Estimate, Overrides, Point, PublishedCosts, Results, SETTING, StepCosts,
+    SweepFolder, SweepOutputs, Trainings, begin, check_name, expand,
 };
 
 use super::LpipsWeights;
 use super::progress::{Console, duration, report};
+use super::train::LONG;
 
 mod across;
 mod begin;
@@ -31,6 +34,7 @@ mod new;
 mod opened;
 mod plan;
 mod power;
+mod prune;
 mod run;
 mod run_point;
 mod status;
@@ -76,6 +80,9 @@ pub enum SweepCommand {
     /// Estimate how many seeds a difference takes, without showing means
     #[command(after_help = power::EXAMPLES)]
     Power(power::PowerArguments),
+    /// Delete points that the sweep no longer asks for
+    #[command(after_help = prune::EXAMPLES)]
+    Prune(prune::PruneArguments),
     /// Write a sweep file with comments, to change and run
     #[command(after_help = new::EXAMPLES)]
     New(new::NewArguments),
@@ -95,6 +102,7 @@ impl SweepCommand {
             SweepCommand::Best(arguments) => arguments.run(),
             SweepCommand::Across(arguments) => arguments.run(),
             SweepCommand::Power(arguments) => arguments.run(),
+            SweepCommand::Prune(arguments) => arguments.run(),
             SweepCommand::New(arguments) => arguments.run(),
         }
     }
@@ -126,12 +134,36 @@ struct Changes {
     /// Scenes: folders in the data root, builtin or builtin-forward [default: the file's]
     #[arg(long, value_delimiter = ',', value_name = "SCENE,...")]
     scenes: Option<Vec<String>>,
-    /// Seeds [default: the file's]
+    /// Seeds and ranges of them: 0,1 or 0-9 [default: the file's]
     #[arg(long, value_delimiter = ',', value_name = "N,...")]
-    seeds: Option<Vec<u64>>,
+    seeds: Option<Vec<Seeds>>,
     /// A setting for all points, which rows and axes override: --set train.steps=1000
     #[arg(long, value_name = "FIELD=VALUE")]
     set: Vec<String>,
+}
+
+/// A seed, or a range of seeds with both ends: `0-9`.
+#[derive(Clone, Debug, PartialEq)]
+struct Seeds(RangeInclusive<u64>);
+
+/// Most seeds of a range, as many as a sweep has points.
+const MOST_SEEDS: u64 = 10_000;
+
+impl FromStr for Seeds {
+    type Err = String;
+
+    fn from_str(text: &str) -> std::result::Result<Seeds, String> {
+        let wrong = || format!("'{text}' is no seed; give whole numbers such as 3, or ranges such as 0-9");
+        let number = |text: &str| text.trim().parse::<u64>().map_err(|_| wrong());
+        let (first, last) = text.split_once('-').unwrap_or((text, text));
+        let (first, last) = (number(first)?, number(last)?);
+        if last < first || last - first >= MOST_SEEDS {
+            return Err(format!(
+                "'{text}' is no range; it begins with the smaller number and has at most {MOST_SEEDS} seeds"
+            ));
+        }
+        Ok(Seeds(first..=last))
+    }
 }
 
 impl Location {
@@ -167,7 +199,7 @@ impl Changes {
         definition.apply(Overrides {
             preset: self.preset.clone(),
             scenes: self.scenes.clone(),
-            seeds: self.seeds.clone(),
+            seeds: self.seeds.as_ref().map(|seeds| seeds.iter().flat_map(|seeds| seeds.0.clone()).collect()),
             set,
         })?;
         Ok(definition)
@@ -318,6 +350,8 @@ fn link_by_name(folder: &SweepFolder, points: &[Point]) {
 /// How a point stands.
 struct PointState {
     label: String,
+    /// Rows that show it.
+    rows: Vec<String>,
     status: Status,
     /// Why it failed or has no data.
     reason: String,
@@ -327,9 +361,44 @@ struct PointState {
 fn states_of(folder: &SweepFolder, points: &[Point]) -> Result<Vec<PointState>> {
     let of_point = |point: &Point| {
         let state = folder.point(&point.id).state(point)?;
-        Ok(PointState { label: point.label(), status: state.status, reason: state.reason })
+        let rows = point.places.iter().map(|place| place.row.clone()).collect();
+        Ok(PointState { label: point.label(), rows, status: state.status, reason: state.reason })
     };
     points.iter().map(of_point).collect()
+}
+
+/// Prints how long the points that are left take here, and warns of the paper's own settings.
+fn say_how_long(
+    (folder, points): (&SweepFolder, &[Point]),
+    (definition, trainings): (&Definition, &Trainings),
+    at_once: u16,
+    console: &Console,
+) -> Result<()> {
+    let open = |point: &&Point| point.no_data.is_none() && !folder.point(&point.id).ended();
+    let left: Vec<&Point> = points.iter().filter(open).collect();
+    if left.is_empty() {
+        return Ok(());
+    }
+    let estimate = Estimate::of(folder, points, &left, trainings)?;
+    how_long((left.len(), points.len()), estimate, definition, at_once).iter().for_each(|line| console.say(line));
+    Ok(())
+}
+
+/// Returns the lines that [`say_how_long`] prints for `left` of `all` points.
+fn how_long((left, all): (usize, usize), estimate: Estimate, definition: &Definition, at_once: u16) -> Vec<String> {
+    let at_once = if at_once > 1 { format!("; {at_once} at once share the machine") } else { String::new() };
+    let seconds = duration(estimate.seconds);
+    let mut lines =
+        vec![format!("{left} of {all} points are left: about {seconds} here, one after the other{at_once}")];
+    let is_paper = ["paper-", "released-"].iter().any(|start| definition.preset.starts_with(start));
+    if estimate.longest > LONG && is_paper && !definition.is_preset_changed() {
+        lines.push(format!(
+            "warning: no --preset is named, so these are the paper's own settings: about {} a point here; --preset fast takes \
+             minutes",
+            duration(estimate.longest)
+        ));
+    }
+    lines
 }
 
 /// Checks that all points of a sweep are done.
@@ -395,4 +464,41 @@ fn collect(
     let outputs = &SweepOutputs::of_folder(folder, definition, points)?;
     let How { force, with_timing } = how;
     Collector { outputs, definition, points, name, force, with_timing }.write(&results)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn seeds_are_numbers_and_ranges() {
+        let read = |text: &str| text.parse::<Seeds>().map(|seeds| seeds.0.collect::<Vec<_>>());
+        assert_eq!(read("3"), Ok(vec![3]));
+        assert_eq!(read("0-3"), Ok(vec![0, 1, 2, 3]));
+        for wrong in ["", "a", "-1", "3-1", "0-10000", "1-2-3", "0..3"] {
+            assert!(read(wrong).unwrap_err().starts_with(&format!("'{wrong}' is no ")), "{wrong}");
+        }
+    }
+
+    #[test]
+    fn the_paper_s_own_settings_are_warned_of() {
+        let definition = |preset: &str| {
+            let text = format!(
+                "title = \"t\"\npreset = \"{preset}\"\nscenes = [\"builtin\"]\nseeds = [0]\n[[row]]\nname = \"N\"\n"
+            );
+            Definition::parse(&text, "t.toml").unwrap()
+        };
+        let said = |preset: &str, longest| {
+            let estimate = Estimate { seconds: 2.0 * longest, longest };
+            how_long((2, 3), estimate, &definition(preset), 2).join("; ")
+        };
+        let long = said("paper-llff", 2.0 * LONG);
+        assert!(long.contains("2 of 3 points are left: about 4.0 h here") && long.contains("2 at once"), "{long}");
+        assert!(long.contains("the paper's own settings: about 120 min a point here; --preset fast"), "{long}");
+        assert!(!said("paper-llff", 60.0).contains("warning") && !said("fast", 2.0 * LONG).contains("warning"));
+        let mut named = definition("fast");
+        named.apply(Overrides { preset: Some("paper-llff".into()), ..Overrides::default() }).unwrap();
+        let estimate = Estimate { seconds: 9999.0, longest: 9999.0 };
+        assert_eq!(how_long((1, 1), estimate, &named, 1).len(), 1);
+    }
 }

@@ -8,7 +8,8 @@ use serde_json::json;
 use crate::base::Result;
 use crate::cli::answer::Answer;
 use crate::cli::progress::{print, print_shown};
-use crate::sweep::write_new;
+use crate::sweep::slurm::quoted;
+use crate::sweep::{template, write_new};
 
 pub const EXAMPLES: &str = "Examples:
   augnerf sweep new                             # sweep.toml, with every key explained
@@ -17,7 +18,7 @@ pub const EXAMPLES: &str = "Examples:
 
 #[derive(Args)]
 pub struct NewArguments {
-    /// File to write
+    /// File to write, or - for standard output
     #[arg(default_value = "sweep.toml")]
     file: PathBuf,
     /// Copy this shipped sweep: smoke, tab4_fern, epsilon, ... [default: a commented example]
@@ -29,11 +30,14 @@ pub struct NewArguments {
 
 impl NewArguments {
     pub fn run(self) -> Result<()> {
+        if self.file.as_os_str() == "-" {
+            return print(template(self.from.as_deref())?.trim_end());
+        }
         let written = write_new(&self.file, self.from.as_deref())?;
         let written: Vec<String> = written.iter().map(|path| path.display().to_string()).collect();
         self.answer.give(&json!({ "files": written }), || {
             written.iter().try_for_each(|path| print_shown(path))?;
-            let file = self.file.display();
+            let file = quoted(&self.file.display().to_string());
             print("")?;
             print_shown(&format!("next: augnerf sweep plan {file}\n      augnerf sweep run {file}"))
         })

@@ -63,6 +63,7 @@ impl Opened {
     pub fn states(&self) -> Result<Vec<PointState>> {
         let of_record = |record: &Record| PointState {
             label: record.point_label(),
+            rows: vec![record.row.clone()],
             status: record.status,
             reason: record.reason.clone(),
         };

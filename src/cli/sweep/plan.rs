@@ -1,5 +1,7 @@
 //! `augnerf sweep plan`.
 
+use std::time::{Duration, Instant};
+
 use clap::Args;
 use serde::Serialize;
 
@@ -8,7 +10,7 @@ use crate::cli::Compute;
 use crate::cli::answer::Answer;
 use crate::cli::progress::{Console, print, print_shown};
 use crate::runtime::Runtime;
-use crate::sweep::{Point, Trainings, plan_costs};
+use crate::sweep::{Brief, Point, Trainings, plan_costs};
 
 use super::{Changes, Location, duration, planned_points};
 
@@ -46,6 +48,7 @@ struct Planned {
 struct Group {
     points: usize,
     label: String,
+    measured: bool,
     seconds_per_step: f64,
     seconds: f64,
     peak_memory_mib: Option<f64>,
@@ -54,15 +57,19 @@ struct Group {
 impl Group {
     fn words(&self) -> String {
         format!(
-            "{:4} x {:44} {:8.3} s/step  {:9} per point  {}",
+            "{:4} x {:44} {:8.3} s/step  {:9} per point  {}{}",
             self.points,
             self.label,
             self.seconds_per_step,
             duration(self.seconds),
-            mebibytes(self.peak_memory_mib)
+            mebibytes(self.peak_memory_mib),
+            if self.measured { "" } else { "  estimated" }
         )
     }
 }
+
+/// Time for measurements; the costs of what is left are estimated.
+const LIMIT: Duration = Duration::from_secs(60);
 
 impl PlanArguments {
     pub fn run(self) -> Result<()> {
@@ -70,10 +77,13 @@ impl PlanArguments {
     }
 
     fn plan(&self, runtime: &Runtime, console: &Console) -> Result<()> {
+        let begun = Instant::now();
         let definition = self.changes.definition(&self.location)?;
         let folder = self.location.folder()?;
         let trainings = Trainings::new(runtime.clone(), (Vec::new(), String::new()), false, console);
-        let points = planned_points(&self.location, &definition, (&trainings, &trainings), console)?;
+        let brief = Brief(&trainings);
+        console.say(&format!("measuring for {} s at most, longer if the first steps are", LIMIT.as_secs()));
+        let points = planned_points(&self.location, &definition, (&trainings, &brief), console)?;
         let say = |words: &str| if self.answer.json { Ok(()) } else { print(words) };
         say(&format!("{} points", points.len()))?;
         let left: Vec<&Point> =
@@ -81,10 +91,11 @@ impl PlanArguments {
         let no_data = points.iter().filter(|point| point.no_data.is_some()).count();
         let ended = points.len() - no_data - left.len();
         let mut planned = Planned { points: points.len(), no_data, ended, ..Planned::default() };
-        plan_costs(&left, &trainings, |group| {
+        plan_costs(&left, &trainings, LIMIT.saturating_sub(begun.elapsed()), |group| {
             let group = Group {
                 points: group.points.len(),
                 label: group.points[0].label(),
+                measured: group.measured,
                 seconds_per_step: group.cost.seconds_per_step,
                 seconds: group.seconds,
                 peak_memory_mib: group.cost.peak_memory_mib,
@@ -132,7 +143,15 @@ impl Planned {
              rendering, not LPIPS and smoothness",
             duration(self.seconds),
             mebibytes(self.peak_memory_mib)
-        ))
+        ))?;
+        let estimated: usize = self.groups.iter().filter(|group| !group.measured).map(|group| group.points).sum();
+        match estimated {
+            0 => Ok(()),
+            _ => print(&format!(
+                "{estimated} points are estimated from the others by the evaluations of their networks: measuring stops after {} s",
+                LIMIT.as_secs()
+            )),
+        }
     }
 }
 

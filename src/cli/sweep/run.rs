@@ -1,10 +1,12 @@
 //! `augnerf sweep run`.
 
+use std::process::Command;
+
 use clap::Args;
 
-use crate::base::Result;
+use crate::base::{Error, Result};
 use crate::cli::answer::Answer;
-use crate::cli::progress::{Console, print};
+use crate::cli::progress::{Console, print, report};
 use crate::cli::signals::catch_signals;
 use crate::cli::{Compute, LpipsWeights};
 use crate::draw::SVG_ALONE;
@@ -13,14 +15,15 @@ use crate::runtime::Runtime;
 use crate::sweep::{Options, Runner, Sharing};
 
 use super::{
-    Changes, How, Location, MaxDeaths, begin_folder, check_done, collect, states_of, table_json, terminal_width,
-    trainings,
+    Changes, How, Location, MaxDeaths, begin_folder, check_done, collect, say_how_long, states_of, table_json,
+    terminal_width, trainings,
 };
 
 pub const EXAMPLES: &str = "Examples:
   augnerf sweep run sweeps/checks/smoke.toml                    # the built-in scene, three minutes
   AUGNERF_DATA=~/data augnerf sweep run sweeps/paper/tab1_llff.toml --jobs 2
   augnerf sweep run sweeps/paper/tab1_llff.toml --retry-failed  # again, with the failed points
+  augnerf sweep run smoke --then 'echo $AUGNERF_EXIT_CODE > ended'  # a command at the end
 
 The same command resumes a stopped sweep. Several commands on one folder share its points.
 Exit codes: 0 done, 7 points failed, 8 scenes are missing, 9 rows are not comparable (see --force), 11 points are not \
@@ -54,6 +57,9 @@ pub struct RunArguments {
     /// Accept a changed sweep file; keep the old points on disk
     #[arg(long)]
     extend: bool,
+    /// At the end, run this command in a shell, with the exit code in AUGNERF_EXIT_CODE
+    #[arg(long, value_name = "CMD")]
+    then: Option<String>,
     #[command(flatten)]
     max_deaths: MaxDeaths,
     /// Measure missing metrics of finished points, such as LPIPS
@@ -72,7 +78,11 @@ pub struct RunArguments {
 
 impl RunArguments {
     pub fn run(self) -> Result<()> {
-        self.compute.run(|runtime, _| self.run_points(runtime))
+        let ran = self.compute.run(|runtime, _| self.run_points(runtime));
+        match &self.then {
+            Some(command) => then(command, ran),
+            None => ran,
+        }
     }
 
     fn run_points(&self, runtime: &Runtime) -> Result<()> {
@@ -91,6 +101,9 @@ impl RunArguments {
             remeasure: if self.remeasure { measured } else { Vec::new() },
             sharing: Sharing::Locks,
         };
+        if !quiet && !self.answer.json {
+            say_how_long((&folder, &points), (&definition, &trainings), self.jobs, &console)?;
+        }
         let stop = catch_signals()?;
         let runner = Runner {
             folder: &folder,
@@ -117,5 +130,33 @@ impl RunArguments {
         // An error of points comes before an error of the table.
         check_done(&states_of(&folder, &points)?)?;
         table.map(|_| ())
+    }
+}
+
+/// The exit code for the command of `--then`.
+const EXIT_CODE: &str = "AUGNERF_EXIT_CODE";
+
+/// Runs a command after the sweep, and returns how the sweep ended. The command prints to standard error, so that a script
+/// reads the sweep's answer alone.
+///
+/// # Errors
+/// That of the sweep; [`Error::Output`] if the sweep is done and the command is not.
+fn then(command: &str, ran: Result<()>) -> Result<()> {
+    let code = ran.as_ref().map_or_else(|error| error.exit_code(), |()| 0);
+    let (shell, flag) = if cfg!(windows) { ("cmd", "/C") } else { ("sh", "-c") };
+    let mut shell = Command::new(shell);
+    let ended = shell.args([flag, command]).env(EXIT_CODE, code.to_string()).stdout(std::io::stderr()).status();
+    let failed = match ended {
+        Ok(status) if status.success() => None,
+        Ok(status) => Some(format!("--then: '{command}' ended with {status}")),
+        Err(error) => Some(format!("--then: cannot run '{command}': {error}")),
+    };
+    match (ran, failed) {
+        (Err(error), failed) => {
+            failed.iter().for_each(|failed| report(failed));
+            Err(error)
+        }
+        (Ok(()), Some(failed)) => Err(Error::Output(failed)),
+        (Ok(()), None) => Ok(()),
     }
 }

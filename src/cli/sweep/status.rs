@@ -33,7 +33,7 @@ pub struct StatusArguments {
     #[arg(long, env = "AUGNERF_DATA", value_name = "DIR")]
     data_root: Option<PathBuf>,
     /// Show the points again every N seconds until all have ended
-    #[arg(long, value_name = "SECONDS", value_parser = clap::value_parser!(u16).range(1..), conflicts_with = "json")]
+    #[arg(long, value_name = "SECONDS", value_parser = clap::value_parser!(u16).range(1..))]
     watch: Option<u16>,
     #[command(flatten)]
     answer: Answer,
@@ -83,13 +83,15 @@ impl StatusArguments {
         }
         let Opened { folder, points, .. } = opened;
         if self.answer.json {
-            self.answer.give_silently(&statuses(&folder, &points)?)?;
-            return check_done(&states_of(&folder, &points)?);
+            return self.as_json(&folder, &points);
         }
         let terminal = console::Term::stdout();
         let mut shown = 0;
         loop {
-            let (lines, left) = states(&folder, &points)?;
+            let (mut lines, left) = states(&folder, &points)?;
+            if self.watch.is_some() {
+                lines.insert(0, utc_now());
+            }
             // On a terminal the new table replaces the old one.
             terminal
                 .clear_last_lines(shown)
@@ -100,6 +102,18 @@ impl StatusArguments {
                 _ => return check_done(&states_of(&folder, &points)?),
             }
             shown = if terminal.is_term() { screen_lines(&lines, terminal.size()) } else { 0 };
+        }
+    }
+
+    /// Prints the points as an object in one line, with `--watch` again and again until all have ended.
+    fn as_json(&self, folder: &SweepFolder, points: &[Point]) -> Result<()> {
+        loop {
+            self.answer.give_silently(&statuses(folder, points)?)?;
+            let is_open = |point: &Point| point.no_data.is_none() && !folder.point(&point.id).ended();
+            match self.watch.filter(|_| points.iter().any(is_open)) {
+                Some(seconds) => std::thread::sleep(std::time::Duration::from_secs(seconds.into())),
+                None => return check_done(&states_of(folder, points)?),
+            }
         }
     }
 
@@ -123,6 +137,31 @@ impl StatusArguments {
         print_shown(&format!("{}: results, {}", opened.folder.path().display(), counts.join(", ")))?;
         check_done(&opened.states()?)
     }
+}
+
+/// The date and time now, as `2026-11-26 19:45:03 UTC`.
+fn utc_now() -> String {
+    let now = std::time::SystemTime::now().duration_since(std::time::UNIX_EPOCH).map_or(0, |since| since.as_secs());
+    utc(now)
+}
+
+/// A time in seconds since 1970, as `2026-11-26 19:45:03 UTC`.
+fn utc(seconds: u64) -> String {
+    let (mut days, of_day) = (seconds / 86_400, seconds % 86_400);
+    let is_leap = |year: u64| year.is_multiple_of(4) && (!year.is_multiple_of(100) || year.is_multiple_of(400));
+    let mut year = 1970;
+    while days >= 365 + u64::from(is_leap(year)) {
+        days -= 365 + u64::from(is_leap(year));
+        year += 1;
+    }
+    let mut month = 0;
+    let lengths = [31, 28 + u64::from(is_leap(year)), 31, 30, 31, 30, 31, 31, 30, 31, 30, 31];
+    while days >= lengths[month] {
+        days -= lengths[month];
+        month += 1;
+    }
+    let (hour, minute, second) = (of_day / 3600, of_day / 60 % 60, of_day % 60);
+    format!("{year}-{:02}-{:02} {hour:02}:{minute:02}:{second:02} UTC", month + 1, days + 1)
 }
 
 /// Counts the points in each state.
@@ -193,7 +232,7 @@ fn states(folder: &SweepFolder, points: &[Point]) -> Result<(Vec<String>, usize)
             (Status::Done, _) => {
                 state.result.metric(PSNR.key).map_or(String::new(), |psnr| format!("PSNR {psnr:.2} dB"))
             }
-            _ => state.reason.clone(),
+            _ => shortened(&state.reason),
         };
         let task = queue.iter().find_map(|queue| queue.task(index)).filter(|_| state.status != Status::Done);
         let task = task.map(ToString::to_string);
@@ -202,6 +241,7 @@ fn states(folder: &SweepFolder, points: &[Point]) -> Result<(Vec<String>, usize)
             [Some(what).filter(|what| !what.is_empty()), task].into_iter().flatten().collect::<Vec<_>>().join("; ");
         lines.push(format!("{:8} {} {}  {what}", state.status.name(), point.id, point.label()));
     }
+    lines.extend(by_row(folder, points)?);
     let counts: Vec<String> = counts.iter().map(|(status, count)| format!("{count} {status}")).collect();
     lines.extend(of_queue(&slurm, &queue, adrift)?);
     let open = |point: &&Point| point.no_data.is_none() && !folder.point(&point.id).ended();
@@ -220,6 +260,39 @@ fn states(folder: &SweepFolder, points: &[Point]) -> Result<(Vec<String>, usize)
     Ok((lines, left.len()))
 }
 
+/// Longest reason in a line, in letters; `--json` has the whole.
+const LONGEST_REASON: usize = 80;
+
+fn shortened(reason: &str) -> String {
+    match reason.chars().count() > LONGEST_REASON {
+        true => reason.chars().take(LONGEST_REASON - 1).chain(['…']).collect(),
+        false => reason.into(),
+    }
+}
+
+/// Returns a line for each of several rows: how many of its points are done, and how many failed.
+fn by_row(folder: &SweepFolder, points: &[Point]) -> Result<Vec<String>> {
+    let mut rows: Vec<(&str, [usize; 3])> = Vec::new();
+    for point in points {
+        let status = folder.point(&point.id).state(point)?.status;
+        for place in &point.places {
+            let index = rows.iter().position(|(row, _)| *row == place.row).unwrap_or(rows.len());
+            if index == rows.len() {
+                rows.push((&place.row, [0; 3]));
+            }
+            let [all, done, failed] = &mut rows[index].1;
+            *all += 1;
+            *done += usize::from(status == Status::Done);
+            *failed += usize::from(status == Status::Failed);
+        }
+    }
+    let line = |(row, [all, done, failed]): &(&str, [usize; 3])| {
+        let failed = if *failed > 0 { format!(", {failed} failed") } else { String::new() };
+        format!("row {row}: {done} of {all} done{failed}")
+    };
+    Ok(if rows.len() > 1 { rows.iter().map(line).collect() } else { Vec::new() })
+}
+
 /// Returns further lines about the queue, which lacks `adrift` waiting points. If the queue cannot be read, only that is
 /// reported.
 fn of_queue(slurm: &Slurm, queue: &Result<Queue>, adrift: usize) -> Result<Vec<String>> {
@@ -232,4 +305,24 @@ fn of_queue(slurm: &Slurm, queue: &Result<Queue>, adrift: usize) -> Result<Vec<S
         lines.push(format!("{adrift} waiting points are not in the queue; resume them with `augnerf sweep submit`"));
     }
     Ok(lines)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_time_is_told_in_utc() {
+        assert_eq!(utc(0), "1970-01-01 00:00:00 UTC");
+        assert_eq!(utc(951_782_399), "2000-02-28 23:59:59 UTC");
+        assert_eq!(utc(951_782_400), "2000-02-29 00:00:00 UTC");
+        assert_eq!(utc(1_795_722_303), "2026-11-26 19:45:03 UTC");
+    }
+
+    #[test]
+    fn a_long_reason_is_cut() {
+        assert_eq!(shortened("short"), "short");
+        let long = shortened(&"ä".repeat(200));
+        assert!(long.chars().count() == LONGEST_REASON && long.ends_with('…'), "{long}");
+    }
 }

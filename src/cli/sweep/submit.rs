@@ -14,7 +14,7 @@ use crate::settings::Config;
 use crate::sweep::slurm::{Chosen, Request, Script, Slurm, Submitted, array};
 use crate::sweep::{Point, StepCosts, SweepFolder, Trainings, check_unchanged};
 
-use super::{Changes, Location, MaxDeaths, begin_folder, planned_points, trainings};
+use super::{Changes, Location, MaxDeaths, begin_folder, planned_points, say_how_long, trainings};
 
 pub const EXAMPLES: &str = "Examples:
   augnerf sweep submit sweeps/checks/smoke.toml --dry-run  # prints the scripts
@@ -115,6 +115,9 @@ impl SubmitArguments {
             check_numbers(&folder, &points)?;
         }
         let (folder, points) = begin_folder(&self.location, &definition, self.extend, costs, &console)?;
+        if !self.quiet && !self.answer.json {
+            say_how_long((&folder, &points), (&definition, &trainings), 1, &console)?;
+        }
         self.submit(&script, &folder, &points, &console)
     }
 

@@ -5,7 +5,7 @@ use std::path::Path;
 use toml::{Table, Value};
 
 use super::identity::value_at;
-use super::registry::{REGISTRY, meant};
+use super::registry::{REGISTRY, Setting, meant};
 use super::site::forget_passes;
 use super::{Config, DataConfig, Method};
 use crate::base::input::{TEXT_BYTES, read_named};
@@ -108,7 +108,8 @@ const SIZES: [&str; 4] = ["paper", "small", "cpu", "smoke"];
 /// More parts than the name of any setting has.
 const DEEPEST: usize = 8;
 
-/// Splits `a.b=v` into its path and its value. A value that is not TOML (a bare word) becomes a string.
+/// Splits `a.b=v` into its path and its value. Text is taken as it is typed, and a number without a fraction as a whole
+/// number where the setting is one. Any other value that is not TOML (a bare word) becomes a string.
 pub fn parse_assignment(text: &str) -> Result<(Vec<String>, Value)> {
     let Some((key, value)) = text.split_once('=') else {
         return Err(Error::Config(format!("--set {text}: write it as section.field=value, such as train.steps=2000")));
@@ -117,9 +118,29 @@ pub fn parse_assignment(text: &str) -> Result<(Vec<String>, Value)> {
     if path.iter().any(String::is_empty) {
         return Err(Error::Config(format!("--set {text}: '{key}' is not a setting; write it as section.field=value")));
     }
-    let value = value.trim();
-    let parsed = toml::from_str::<Table>(&format!("v = {value}")).ok().and_then(|mut table| table.remove("v"));
-    Ok((path, parsed.unwrap_or_else(|| Value::String(value.to_string()))))
+    let value = typed(value.trim(), REGISTRY.get(&path.join(".")));
+    Ok((path, value))
+}
+
+/// Largest whole number that a float holds exactly, with all below.
+const MOST_EXACT: f64 = 9_007_199_254_740_992.0;
+
+/// Returns what was typed as a value of the setting's type.
+fn typed(text: &str, setting: Option<&Setting>) -> Value {
+    let is = |kind: &str| setting.is_some_and(|setting| setting.kind == kind);
+    let parsed = toml::from_str::<Table>(&format!("v = {text}")).ok().and_then(|mut table| table.remove("v"));
+    // `.5`, which TOML does not have.
+    let begins = text.trim_start_matches(['+', '-']).starts_with(|c: char| c.is_ascii_digit() || c == '.');
+    let number = || text.parse::<f64>().ok().filter(|number| begins && number.is_finite()).map(Value::Float);
+    match parsed.or_else(number) {
+        Some(Value::String(text)) => Value::String(text),
+        Some(_) if is("text") => Value::String(text.into()),
+        Some(Value::Float(whole)) if is("whole number") && whole.fract() == 0.0 && whole.abs() <= MOST_EXACT => {
+            Value::Integer(whole as i64)
+        }
+        Some(value) => value,
+        None => Value::String(text.into()),
+    }
 }
 
 /// Layers preset, the named method's settings, file and assignments over the defaults, and checks the result.
@@ -201,6 +222,7 @@ fn assign(table: &mut Table, path: &[String], value: Value) -> Result<()> {
     }
     let mut layer = Table::new();
     let (last, parents) = path.split_last().expect("an assignment has a key");
+    let shown = value.as_str().map_or_else(|| value.to_string(), String::from);
     layer.insert(last.clone(), value);
     for parent in parents.iter().rev() {
         let inner = std::mem::take(&mut layer);
@@ -209,9 +231,24 @@ fn assign(table: &mut Table, path: &[String], value: Value) -> Result<()> {
     check_keys(&layer, &origin)?;
     // Checked alone first, so that the message can name the assignment.
     toml::from_str::<Config>(&toml::to_string(&layer).expect("plain data"))
-        .map_err(|e| Error::Config(format!("{origin}: {}", e.message())))?;
+        .map_err(|e| Error::Config(format!("{origin}: {}", refusal(&path.join("."), &shown, e.message()))))?;
     lay_over(table, layer);
     Ok(())
+}
+
+/// Says that a value has the wrong type, and what is allowed; otherwise what the check of the setting says.
+fn refusal(path: &str, value: &str, message: &str) -> String {
+    let of_type = ["invalid type", "unknown variant", "invalid value"].iter().any(|start| message.starts_with(start));
+    let Some(setting) = REGISTRY.get(path).filter(|_| of_type) else { return message.into() };
+    let kind = match setting.kind.as_str() {
+        kind @ ("whole number" | "number" | "number, or reach") => format!("a {kind}"),
+        kind @ ("text" | "true or false") => kind.into(),
+        kind if kind.starts_with('[') => kind.into(),
+        kind if kind.starts_with("list of: ") => format!("{}, nor a list of them", &kind["list of: ".len()..]),
+        choices => format!("one of {choices}"),
+    };
+    let value: String = value.chars().take(80).collect();
+    format!("'{value}' is not {kind}")
 }
 
 /// Returns an error for unknown keys, with the nearest known one. serde's own message lists fields but not the path.
@@ -260,6 +297,32 @@ mod tests {
         assert!(wrong.contains("train.steps"), "{wrong}");
         let choice = set(&["method=nerv"]).unwrap_err().to_string();
         assert!(choice.contains("aug-nerf"), "{choice}");
+    }
+
+    /// People type values as they would anywhere.
+    #[test]
+    fn values_are_read_as_they_are_meant() {
+        let config = set(&["data.name=360", "train.steps=1e4", "regularizer.weight=.5", "train.rays=+6.4e1"]).unwrap();
+        assert_eq!((config.data.name.as_str(), config.train.steps, config.train.rays), ("360", 10_000, 64));
+        assert_eq!(config.regularizer.weight, [0.5]);
+        for name in ["2024-01-01", "true", "[a]", "1_000", "'quoted'"] {
+            let config = set(&[&format!("data.name={name}")]).unwrap();
+            assert_eq!(config.data.name, name.trim_matches('\''));
+        }
+        for (wrong, words) in [
+            ("train.steps=many", "--set train.steps: 'many' is not a whole number"),
+            ("train.steps=1.5", "'1.5' is not a whole number"),
+            ("train.steps=-3", "'-3' is not a whole number"),
+            ("field.width=heavy", "'heavy' is not a whole number"),
+            ("data.near=close", "'close' is not a number"),
+            ("sampling.jitter=yes", "'yes' is not true or false"),
+            ("method=nerv", "'nerv' is not one of nerf, aug-nerf, "),
+            ("TRAIN.STEPS=5", "did you mean 'train.steps'?"),
+            ("Data.Dir=x", "did you mean 'data.dir'?"),
+        ] {
+            let message = set(&[wrong]).unwrap_err().to_string();
+            assert!(message.contains(words), "{wrong}: {message}");
+        }
     }
 
     /// What a draft leaves open is a setting all the same.

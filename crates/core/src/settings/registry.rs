@@ -232,6 +232,9 @@ const TYPOS: usize = 2;
 
 fn candidates(name: &str) -> Vec<&'static str> {
     let known = || REGISTRY.settings.iter().map(|setting| setting.path.as_str());
+    if let Some(same) = known().find(|path| path.eq_ignore_ascii_case(name)) {
+        return vec![same];
+    }
     let nearest = |among: &[&'static str]| among.iter().copied().min_by_key(|path| levenshtein(path, name));
     let called: Vec<&str> = known().filter(|path| last_part(path) == last_part(name)).collect();
     let section = |path: &str| path.rsplit_once('.').map(|(section, _)| section.to_string());

@@ -89,9 +89,9 @@ impl PublishedKey {
             return Ok(());
         }
         Err(format!(
-            "the paper's {} has no method `{}` under condition `{}`; set ours = true if the paper lacks the row, or give \
-             its name in the paper with published",
-            self.table, self.method, self.condition
+            "the paper has no row '{}' in {} under condition {}: add `ours = true`, or name its row there with \
+             `published`",
+            self.method, self.table, self.condition
         ))
     }
 

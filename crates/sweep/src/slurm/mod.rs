@@ -28,7 +28,7 @@ use super::points::Point;
 use commands::{sbatch, scancel};
 use jobs::Jobs;
 
-const FOLDER: &str = "slurm";
+pub(super) const FOLDER: &str = "slurm";
 
 /// The points to submit, by their numbers in `points.json`, and counts of the others.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]

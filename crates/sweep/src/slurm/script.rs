@@ -163,6 +163,7 @@ impl Script<'_> {
         let mut directives = vec![
             format!("--job-name={}-tables", self.name),
             self.log("%j"),
+            "--open-mode=append".into(),
             "--requeue".into(),
             "--ntasks=1".into(),
             "--time=30".into(),

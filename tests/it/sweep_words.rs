@@ -1,0 +1,217 @@
+//! What commands of sweeps say and how they end: estimates, exit codes, ranges of seeds, pruning, folders of somebody else.
+
+use std::fs;
+use std::path::Path;
+use std::time::Duration;
+
+use tempfile::TempDir;
+
+use crate::common::assert_says;
+use crate::common::files::entries;
+use crate::common::program::{augnerf, demand};
+use augnerf::runtime::Runtime;
+use augnerf::sweep::{Definition, Point, Trainings, expand, plan_costs};
+
+const TINY: &str = r#"
+title = "tiny"
+preset = "smoke"
+scenes = ["builtin"]
+seeds = [0]
+metrics = ["psnr"]
+set = { "data.width" = 16, "field.width" = 16, "sampling.coarse" = 8, "sampling.fine" = 8, "train.rays" = 32, "train.steps" = 2, "eval.pictures" = 1 }
+row = [{ name = "NeRF" }, { name = "TV, weak", set = { "regularizer.kind" = "tv", "regularizer.weight" = 1e-9 } }]
+"#;
+
+/// A folder with `sweeps/tiny.toml`.
+fn workplace() -> TempDir {
+    let dir = TempDir::new().unwrap();
+    fs::create_dir(dir.path().join("sweeps")).unwrap();
+    fs::write(dir.path().join("sweeps/tiny.toml"), TINY).unwrap();
+    dir
+}
+
+/// Runs a command there and returns everything said.
+#[track_caller]
+fn run(dir: &Path, arguments: &[&str], code: i32) -> String {
+    let mut command = augnerf(arguments);
+    demand(command.current_dir(dir).env_remove("AUGNERF_DATA").env_remove("AUGNERF_LPIPS_WEIGHTS"), code)
+}
+
+/// Standard output of a command that succeeds.
+fn printed(dir: &Path, arguments: &[&str]) -> String {
+    let output = augnerf(arguments).current_dir(dir).output().unwrap();
+    String::from_utf8(output.stdout).unwrap()
+}
+
+#[test]
+fn results_of_nothing_do_not_hold() {
+    let dir = workplace();
+    run(dir.path(), &["sweep", "begin", "sweeps/tiny.toml", "--seeds", "0-2,7"], 0);
+    run(dir.path(), &["sweep", "collect", "runs/tiny"], 11);
+    let said = run(dir.path(), &["verify", "results/tiny"], 10);
+    assert_says(&said, &["0 of 8 places are done", "no point is done, so that they show no results"]);
+    assert!(!said.contains("holds        files"), "{said}");
+    // The command line's seeds are no difference to the file.
+    assert_says(&said, &["sweeps/tiny.toml is the definition of these results"]);
+    assert_says(&run(dir.path(), &["sweep", "begin", "sweeps/tiny.toml", "--seeds", "3-1"], 2), &["'3-1' is no range"]);
+}
+
+/// A reworded title is refused at once, and says that it costs nothing.
+#[test]
+fn a_changed_definition_is_refused_before_scenes_are_loaded() {
+    let dir = workplace();
+    run(dir.path(), &["sweep", "begin", "sweeps/tiny.toml"], 0);
+    let file = dir.path().join("sweeps/tiny.toml");
+    fs::write(&file, TINY.replace("title = \"tiny\"", "title = \"small\"")).unwrap();
+    let said = run(dir.path(), &["sweep", "run", "sweeps/tiny.toml"], 2);
+    assert_says(&said, &["differs in title ('tiny' is now 'small')", "--extend costs no training"]);
+    fs::write(&file, TINY.replace("\"train.rays\" = 32", "\"train.rays\" = 100000")).unwrap();
+    assert_says(&run(dir.path(), &["sweep", "run", "sweeps/tiny.toml"], 2), &["differs in set.train.rays"]);
+    assert_says(&run(dir.path(), &["sweep", "run", "sweeps/tiny.toml", "--extend"], 2), &["train.rays"]);
+}
+
+#[test]
+fn a_sweep_says_how_long_it_takes_and_how_it_ended() {
+    let dir = workplace();
+    let root = dir.path();
+    run(root, &["sweep", "begin", "sweeps/tiny.toml"], 0);
+    run(root, &["sweep", "run-point", "runs/tiny", "--index", "0"], 0);
+    // Chosen rows are judged alone.
+    run(root, &["sweep", "collect", "runs/tiny", "--rows", "NeRF", "--out", "nerf"], 0);
+    run(root, &["sweep", "collect", "runs/tiny", "--rows", "NeRF,TV, weak", "--out", "both"], 11);
+    let said = run(root, &["sweep", "collect", "runs/tiny", "--rows", "TV", "--out", "both"], 2);
+    assert_says(&said, &["the rows are 'NeRF', 'TV, weak'"]);
+    let ended = root.join("ended");
+    let then = "echo code $AUGNERF_EXIT_CODE; echo code $AUGNERF_EXIT_CODE > ended";
+    let said = run(root, &["sweep", "run", "sweeps/tiny.toml", "--then", then], 0);
+    assert_says(&said, &["1 of 2 points are left: about ", "here, one after the other"]);
+    assert_eq!(fs::read_to_string(&ended).unwrap(), "code 0\n");
+    // The command's words are not part of the answer.
+    let answer = printed(root, &["sweep", "run", "sweeps/tiny.toml", "--json", "--then", then]);
+    assert!(answer.starts_with('{') && !answer.contains("code 0"), "{answer}");
+    assert_says(&run(root, &["sweep", "run", "sweeps/tiny.toml", "--then", "exit 3"], 4), &["--then: 'exit 3' ended"]);
+    fs::remove_file(entries(&root.join("runs/tiny/points"))[0].join("result.json")).unwrap();
+    fs::write(entries(&root.join("runs/tiny/points"))[0].join("failed.json"), r#"{"reason":"no","exit_code":5}"#)
+        .unwrap();
+    run(root, &["sweep", "run", "sweeps/tiny.toml", "--then", then], 7);
+    assert_eq!(fs::read_to_string(&ended).unwrap(), "code 7\n");
+    // Frames have a time, objects are one a line, and the code is that of the state.
+    let said = run(root, &["sweep", "status", "runs/tiny", "--watch", "1"], 7);
+    assert_says(&said, &[" UTC\n", "row NeRF: ", " of 1 done", "row TV, weak: ", ", 1 failed"]);
+    let frames = printed(root, &["sweep", "status", "runs/tiny", "--watch", "1", "--json"]);
+    assert!(frames.lines().all(|line| line.starts_with("{\"folder\":")) && frames.lines().count() == 1, "{frames}");
+}
+
+#[test]
+fn points_that_nobody_asks_for_are_pruned() {
+    let dir = workplace();
+    let root = dir.path();
+    run(root, &["sweep", "run", "sweeps/tiny.toml", "--seeds", "0-1", "--quiet"], 0);
+    let points = root.join("runs/tiny/points");
+    run(root, &["sweep", "run", "sweeps/tiny.toml", "--quiet", "--extend"], 0);
+    assert_eq!(entries(&points).len(), 4);
+    let listed = run(root, &["sweep", "prune", "tiny", "--dry-run"], 0);
+    assert_says(&listed, &["NeRF · builtin · seed 1", "TV, weak · builtin · seed 1", "runs/tiny: 2 points that its"]);
+    let mut unasked = augnerf(&["sweep", "prune", "tiny"]);
+    assert_says(&demand(unasked.current_dir(root).stdin(std::process::Stdio::null()), 2), &["say so with --yes"]);
+    let gone = listed.lines().next().unwrap().split_whitespace().nth(1).unwrap().to_string();
+    let held = fs::File::create(points.join(&gone).join("claim.lock")).unwrap();
+    held.lock().unwrap();
+    assert_says(
+        &run(root, &["sweep", "prune", "tiny", "--yes"], 4),
+        &["another worker works on it", "nothing is deleted"],
+    );
+    drop(held);
+    assert_eq!(entries(&points).len(), 4);
+    assert_says(&run(root, &["sweep", "prune", "tiny", "--yes"], 0), &["deleted: 2 points"]);
+    assert_eq!(entries(&points).len(), 2);
+    assert_says(&run(root, &["sweep", "prune", "tiny", "--yes"], 0), &["every point is one that"]);
+    run(root, &["sweep", "status", "runs/tiny"], 0);
+}
+
+/// A sweep's folder of somebody else leads no write out of it.
+#[cfg(unix)]
+#[test]
+fn links_in_a_sweep_lead_no_write_out_of_it() {
+    use std::os::unix::fs::symlink;
+    let dir = workplace();
+    let root = dir.path();
+    run(root, &["sweep", "run", "sweeps/tiny.toml", "--out", "own", "--quiet"], 0);
+    let victim = root.join("victim");
+    fs::create_dir(&victim).unwrap();
+    fs::write(victim.join("table.csv"), "keep").unwrap();
+    let (points, own) = (root.join("own/points"), root.join("own"));
+    let point = entries(&points).remove(0);
+    let again = ["sweep", "run", "sweeps/tiny.toml", "--out", "own", "--quiet", "--retry-failed"];
+    for (place, commands) in [
+        (point.clone(), &[&again[..]][..]),
+        (point.join("run"), &[&again[..]]),
+        (points.clone(), &[&again[..]]),
+        (own.join("results"), &[&again[..], &["sweep", "collect", "own"]]),
+    ] {
+        let aside = root.join("aside");
+        fs::rename(&place, &aside).unwrap();
+        if place == point.join("run") {
+            fs::rename(point.join("result.json"), root.join("result.json")).unwrap();
+        }
+        symlink(&victim, &place).unwrap();
+        for command in commands {
+            assert_says(&run(root, command, 4), &["is a symbolic link"]);
+        }
+        fs::remove_file(&place).unwrap();
+        fs::rename(&aside, &place).unwrap();
+        if place == point.join("run") {
+            fs::rename(root.join("result.json"), point.join("result.json")).unwrap();
+        }
+        assert_eq!(entries(&victim), [victim.join("table.csv")]);
+        assert_eq!(fs::read_to_string(victim.join("table.csv")).unwrap(), "keep");
+    }
+    run(root, &again, 0);
+}
+
+#[test]
+fn mistakes_in_sweep_files_are_answered_with_what_to_do() {
+    let dir = workplace();
+    let root = dir.path();
+    let mine = "extends = \"tab4_ablation.toml\"\n[[row]]\nname = \"My jitter\"\n";
+    run(root, &["sweep", "new", "tab4_ablation.toml", "--from", "tab4_ablation"], 0);
+    fs::write(root.join("mine.toml"), mine).unwrap();
+    let said = run(root, &["sweep", "plan", "mine.toml"], 2);
+    assert_says(&said, &["the paper has no row 'My jitter' in tab4", "add `ours = true`"]);
+    let small = ["sweep", "plan", "fig_strength_location", "--scenes", "builtin", "--preset", "smoke"];
+    assert_says(&run(root, &small, 2), &["it must be 1 to 4", "fig_embedded` is for small networks"]);
+    // Names with spaces are quoted in commands, and - is standard output.
+    assert_says(&run(root, &["sweep", "new", "my sweep.toml"], 0), &["augnerf sweep run 'my sweep.toml'"]);
+    assert!(Definition::parse(&printed(root, &["sweep", "new", "-"]), "-").is_ok());
+    assert!(printed(root, &["sweep", "new", "-", "--from", "regularizers_chair"]).contains("+ distortion Reg."));
+    assert!(!root.join("-").exists());
+}
+
+/// When time is over, costs follow from the first shape's.
+#[test]
+fn a_plan_stops_by_the_clock() {
+    let definition = Definition::parse(TINY, "tiny.toml").unwrap();
+    struct Free;
+    impl augnerf::sweep::StepCosts for Free {
+        fn seconds_per_step(&self, _: &augnerf::settings::Config) -> augnerf::base::Result<f64> {
+            Ok(1.0)
+        }
+    }
+    let points = expand(&definition, None, &Free).unwrap();
+    let trainings = Trainings::new(Runtime::new("cpu", Some(1)).unwrap(), (Vec::new(), String::new()), false, &());
+    let costs = |limit: Duration| {
+        let mut found = Vec::new();
+        let points: Vec<&Point> = points.iter().collect();
+        let each = |group: augnerf::sweep::CostGroup| {
+            found.push((group.measured, group.cost.seconds_per_step));
+            Ok(())
+        };
+        plan_costs(&points, &trainings, limit, each).unwrap();
+        found
+    };
+    let measured = |costs: &[(bool, f64)]| costs.iter().map(|cost| cost.0).collect::<Vec<_>>();
+    assert_eq!(measured(&costs(Duration::MAX)), [true, true]);
+    let stopped = costs(Duration::ZERO);
+    assert_eq!(measured(&stopped), [true, false]);
+    assert!(stopped.iter().all(|cost| cost.1 > 0.0) && stopped[0].1 != stopped[1].1, "{stopped:?}");
+}
