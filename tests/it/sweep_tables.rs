@@ -241,7 +241,7 @@ fn what_cannot_be_placed_is_refused() {
     unknown.rows[1].baseline = Some("MipNeRF".into());
     assert!(refusal(&unknown, &[]).contains("`MipNeRF`"));
     unknown.rows[1] = row("Aug-NeRF", None, "Aug-NeRv");
-    assert!(refusal(&unknown, &[]).contains("`Aug-NeRv`"));
+    assert!(refusal(&unknown, &[]).contains("'Aug-NeRv'"));
 }
 
 #[test]

@@ -106,9 +106,6 @@ impl Collector<'_> {
             if name == PAGE || EXPORTERS.iter().any(|exporter| exporter.owns(name) && !exporter.repeats()) {
                 provenance.pinned.insert(name.clone(), sha256(bytes));
             }
-            if name == TIMING {
-                provenance.inputs.insert(name.clone(), sha256(bytes));
-            }
         }
         provenance.inputs.insert(DEFINITION.into(), sha256(self.definition.to_toml().as_bytes()));
         provenance.write(&results.path)?;

@@ -23,9 +23,8 @@ pub const EXAMPLES: &str = "Examples:
   augnerf sweep run sweeps/checks/smoke.toml                    # the built-in scene, three minutes
   AUGNERF_DATA=~/data augnerf sweep run sweeps/paper/tab1_llff.toml --jobs 2
   augnerf sweep run sweeps/paper/tab1_llff.toml --retry-failed  # again, with the failed points
-  augnerf sweep run smoke --then 'echo $AUGNERF_EXIT_CODE > ended'  # a command at the end
 
-The same command resumes a stopped sweep. Several commands on one folder share its points.
+--then 'echo $AUGNERF_EXIT_CODE > ended' runs a command at the end. The same command resumes a stopped sweep. Several commands on one folder share its points.
 Exit codes: 0 done, 7 points failed, 8 scenes are missing, 9 rows are not comparable (see --force), 11 points are not \
 done yet (another worker has them), 130 or 143 stopped (run it \
 again), 2 the sweep file is wrong.";

@@ -115,12 +115,16 @@ fn inputs<'a>(archive: &'a Archive, findings: &mut Findings) -> Result<Vec<&'a s
 
 /// Writes the hashes of files that had theirs and were written anew.
 fn repin(archive: &Archive, held: &[&str]) -> Result<()> {
-    let mut provenance = archive.provenance.clone();
+    let path = archive.path.join(PROVENANCE);
+    let bytes = optional(&path)?.unwrap_or_default();
+    let before = String::from_utf8_lossy(&bytes);
+    let mut text = before.to_string();
     for name in held {
         let bytes = optional(&archive.path.join(name))?.unwrap_or_default();
-        provenance.inputs.insert(name.to_string(), sha256(&bytes));
+        // In place, so that comments stay.
+        text = text.replace(&archive.provenance.inputs[*name], &sha256(&bytes));
     }
-    if provenance == archive.provenance { Ok(()) } else { provenance.write(&archive.path) }
+    if text == before { Ok(()) } else { write_atomic(&path, text.as_bytes()) }
 }
 
 /// The page, where there is one: what `augnerf report` makes of these results, or the one that was collected with images of runs.
