@@ -49,33 +49,51 @@ pub struct Runs {
 /// The result for each run, and the runs' folders, which stay locked.
 pub type Gathered<T> = (Vec<(RunView, T)>, Vec<RunDir>);
 
+/// A run folder.
+pub struct NamedRun {
+    /// The folder.
+    pub path: PathBuf,
+    /// The run's name.
+    pub label: String,
+    /// Place of its row in the sweep.
+    row: Option<usize>,
+}
+
 /// Run folders with the runs' names.
-pub type Named = Vec<(PathBuf, String)>;
+pub type Named = Vec<NamedRun>;
 
 impl Runs {
     /// Returns the named runs, or rows of a sweep with their names.
     pub fn named(&self) -> Result<Named> {
-        let (paths, mut given) = match self.runs.iter().find(|path| SweepFolder::new(path).is_begun()) {
-            Some(sweep) if self.runs.len() == 1 => self.rows_of(&SweepFolder::new(sweep))?.into_iter().unzip(),
+        let mut named: Named = match self.runs.iter().find(|path| SweepFolder::new(path).is_begun()) {
+            Some(sweep) if self.runs.len() == 1 => self.rows_of(&SweepFolder::new(sweep))?,
             Some(sweep) => {
                 return Err(Error::Config(format!(
                     "{}: a sweep; name it alone with --rows and --seed, or name runs only",
                     sweep.display()
                 )));
             }
-            None => (self.runs.clone(), Vec::new()),
+            None => Vec::new(),
         };
-        if given.is_empty() && (!self.rows.is_empty() || self.seed.is_some() || self.scene.is_some()) {
+        if named.is_empty() && (!self.rows.is_empty() || self.seed.is_some() || self.scene.is_some()) {
             return Err(Error::Config(format!(
                 "{}: not a sweep, so --rows, --seed and --scene do not apply; name a sweep's folder, such as runs/NAME",
                 self.runs[0].display()
             )));
         }
-        if !self.labels.is_empty() {
-            given.clone_from(&self.labels);
+        let given: Vec<String> = match self.labels.as_slice() {
+            [] => named.iter().map(|run| run.label.clone()).collect(),
+            labels => labels.to_vec(),
+        };
+        if named.is_empty() {
+            let unnamed = |path: &PathBuf| NamedRun { path: path.clone(), label: String::new(), row: None };
+            named = self.runs.iter().map(unnamed).collect();
         }
-        let labels = labels(&paths, &given)?;
-        Ok(paths.into_iter().zip(labels).collect())
+        let paths: Vec<PathBuf> = named.iter().map(|run| run.path.clone()).collect();
+        for (run, label) in named.iter_mut().zip(labels(&paths, &given)?) {
+            run.label = label;
+        }
+        Ok(named)
     }
 
     /// Returns the runs of a sweep's rows at one seed.
@@ -90,17 +108,18 @@ impl Runs {
         let scene = self.scene_of(&points)?;
         let mut known = Vec::new();
         for point in points.iter().filter(|point| point.scene == scene && point.config.seed == seed) {
-            known.extend(point.places.iter().map(|place| (label(&place.row, &place.axes), point)));
+            let row = |name: &str| definition.row.iter().position(|row| row.name == name);
+            known.extend(point.places.iter().map(|place| (label(&place.row, &place.axes), row(&place.row), point)));
         }
-        let all: Vec<&str> = known.iter().map(|(label, _)| label.as_str()).collect();
+        let all: Vec<&str> = known.iter().map(|(label, ..)| label.as_str()).collect();
         let chosen = split_names("--rows", &self.rows, &all)?;
         let mut named: Named = Vec::new();
-        for (label, point) in &known {
+        for (label, row, point) in &known {
             let (run, done) = (sweep.point(&point.id).run(), sweep.point(&point.id).result()?.is_some());
             // Rows that share a point are drawn once.
-            let twice = named.iter().any(|(known, _)| *known == run);
+            let twice = named.iter().any(|known| known.path == run);
             if chosen.is_empty() && done && !twice {
-                named.push((run, label.clone()));
+                named.push(NamedRun { path: run, label: label.clone(), row: *row });
             } else if chosen.contains(label) && !done {
                 let status = sweep.point(&point.id).state(point)?.status.name();
                 return Err(Error::Config(format!(
@@ -111,8 +130,8 @@ impl Runs {
             }
         }
         for name in &chosen {
-            let (_, point) = known.iter().find(|(label, _)| label == name).expect("split");
-            named.push((sweep.point(&point.id).run(), name.clone()));
+            let (_, row, point) = known.iter().find(|(label, ..)| label == name).expect("split");
+            named.push(NamedRun { path: sweep.point(&point.id).run(), label: name.clone(), row: *row });
         }
         if named.is_empty() {
             return Err(Error::Config(format!(
@@ -145,22 +164,23 @@ impl Runs {
     /// Passes each run to `make`, one at a time, after checking that it shows the same view as the first.
     pub fn gather<T>(
         &self,
-        runs: &[(PathBuf, String)],
+        runs: &[NamedRun],
         runtime: &Runtime,
         console: &Console,
         make: impl Fn(&Viewer, &RunView) -> Result<T>,
     ) -> Result<Gathered<T>> {
         let (mut gathered, mut folders) = (Vec::<(RunView, T)>::new(), Vec::new());
         // Folders without a trained run are errors before the first rendering.
-        for (run, _) in runs {
-            let run = RunDir::open(run)?;
+        for NamedRun { path, .. } in runs {
+            let run = RunDir::open(path)?;
             run.read_config()?;
             checkpoint::latest(&run.checkpoints())?;
         }
-        for (run, label) in runs {
-            let trained = Trained::open(run, self.data.as_deref(), runtime, console)?;
+        for NamedRun { path, label, row } in runs {
+            let trained = Trained::open(path, self.data.as_deref(), runtime, console)?;
             let (viewer, state) = (trained.viewer(), &trained.state);
-            let shown = RunView::new(label.clone(), &viewer, state, &self.view)?;
+            let mut shown = RunView::new(label.clone(), &viewer, state, &self.view)?;
+            shown.row = *row;
             gathered.first().map_or(Ok(()), |(first, _)| shown.check_alike(first))?;
             console.say(&format!("{}: view {} at step {}", shown.label, shown.view.name, state.step));
             let made = make(&viewer, &shown)?;
@@ -204,13 +224,7 @@ impl CompareArguments {
         self.compute.run(|runtime, console| self.compare(&runs, zoom, runtime, console))
     }
 
-    fn compare(
-        &self,
-        runs: &[(PathBuf, String)],
-        zoom: Option<Window>,
-        runtime: &Runtime,
-        console: &Console,
-    ) -> Result<()> {
+    fn compare(&self, runs: &[NamedRun], zoom: Option<Window>, runtime: &Runtime, console: &Console) -> Result<()> {
         let box_width = self.box_width.map(|width| width as usize);
         let render = |viewer: &Viewer, run: &RunView| {
             check_box(zoom, box_width, &run.view.image)?;

@@ -13,7 +13,7 @@ use crate::run::{RunDir, Viewer};
 use crate::runtime::Runtime;
 
 use super::answer::Answer;
-use super::compare::{Runs, pictures_folder};
+use super::compare::{NamedRun, Runs, pictures_folder};
 use super::progress::Console;
 use super::{Compute, numbers};
 
@@ -53,7 +53,7 @@ impl ProfileArguments {
 
     fn profile(
         &self,
-        runs: &[(PathBuf, String)],
+        runs: &[NamedRun],
         named: Option<(usize, usize)>,
         runtime: &Runtime,
         console: &Console,
@@ -68,8 +68,8 @@ impl ProfileArguments {
             Profile::measure(viewer, run, pixel, patch)
         };
         // Before anything is rendered.
-        for (run, label) in runs {
-            check_profiled(label, &RunDir::open(run)?.read_config()?)?;
+        for NamedRun { path, label, .. } in runs {
+            check_profiled(label, &RunDir::open(path)?.read_config()?)?;
         }
         let (runs, folders) = self.runs.gather(runs, runtime, console, measure)?;
         runs.iter().try_for_each(|(run, _)| run.check_same_interval(&runs[0].0))?;

@@ -1,7 +1,7 @@
 //! The page of a sweep or of runs: whole, escaped, the same twice.
 
 use augnerf::base::Image;
-use augnerf::report::page::{Page, ShownScene, ViewOfRow, ViewOfScene};
+use augnerf::report::page::{Film, Page, ShownScene, ViewOfRow, ViewOfScene};
 use augnerf::report::tables::{AttackLine, Table};
 use augnerf::report::{Record, RowSpec, Status, TableSpec};
 
@@ -84,7 +84,10 @@ pub fn page() -> String {
     assert_eq!((sites.len(), sites[0].site, sites[0].whole[0]), (1, "xyz", Some(2e-3)));
     let link = |id: &str| Some(format!("./../points/{id}/run/"));
     let views = vec![ShownScene::new(&view, 1).unwrap()];
-    Page { table: &table, records: &records, files: &files, views, attacks, timing: &[], link: &link }.html().unwrap()
+    let films = vec![Film::new("TV", 0, "rgb.gif", b"GIF89a")];
+    Page { table: &table, records: &records, files: &files, views, films, attacks, timing: &[], link: &link }
+        .html()
+        .unwrap()
 }
 
 /// The texts of an attribute.
@@ -98,9 +101,9 @@ fn the_page_fetches_nothing_and_runs_nothing_but_its_own_script() {
     assert_eq!(page, self::page(), "the same bytes twice");
     let sources = [attributes(&page, "src"), attributes(&page, "href")].concat();
     assert!(sources.len() > 15, "{sources:?}");
-    assert!(
-        sources.iter().all(|address| ["data:image/jpeg;base64,", "#", "./"].iter().any(|s| address.starts_with(s)))
-    );
+    assert!(sources.iter().all(|address| {
+        ["data:image/jpeg;base64,", "data:image/gif;base64,", "#", "./"].iter().any(|s| address.starts_with(s))
+    }));
     assert!(!sources.iter().any(|address| address.contains("http")), "{sources:?}");
     assert_eq!(page.matches("<script").count(), 1, "names are escaped");
     assert!(!page.contains("\" onload=\"x") && !page.contains("<b>bold"));
@@ -109,7 +112,7 @@ fn the_page_fetches_nothing_and_runs_nothing_but_its_own_script() {
     assert_eq!(page.matches("<b>").count(), 2, "{page}");
     assert_says(
         &page,
-        &["lpips_vgg: empty, no LPIPS weights", "9 done", "not distinguishable", "+0.50 [+0.48, +0.52]"],
+        &["lpips_vgg: empty, no LPIPS weights", "9 done", "▲ better", "no difference is shown", "+0.50 [+0.48, +0.52]"],
     );
 }
 

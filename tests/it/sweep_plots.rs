@@ -4,10 +4,11 @@ use augnerf::augment::Site;
 use augnerf::base::rng::{Random, Stream};
 use augnerf::report::exporters::{Collected, EXPORTERS};
 use augnerf::report::plots::{
-    Curve, Figure, Shifts, axes_figure, curves_figure, heatmap_figures, rows_figure, seconds_figure, shifts_figure,
+    Curve, Figure, Shifts, Style, Width, axes_figure, curves_figure, heatmap_figures, rows_figure, seconds_figure,
+    shifts_figure,
 };
 use augnerf::report::tables::Table;
-use augnerf::report::{AxisValue, Record, RowSpec, Status, TableSpec};
+use augnerf::report::{AxisParts, AxisValue, Record, RowSpec, Status, TableSpec};
 
 const ROWS: [&str; 14] = [
     "NeRF",
@@ -37,12 +38,38 @@ fn spec(rows: &[&str]) -> TableSpec {
         title: "Ablation of the three levels (paper, table 4)".into(),
         metrics: vec!["psnr".into()],
         rows: rows.iter().enumerate().map(row).collect(),
-        must_match: vec![],
-        by_seed: vec![],
-        equivalence: vec![],
-        varied: false,
-        notes: vec![],
+        ..TableSpec::default()
     }
+}
+
+/// The figures of a spec for a page.
+fn page(spec: &TableSpec) -> Style<'_> {
+    Style { spec, width: Width::Page }
+}
+
+/// The value of an attribute of an element's line.
+fn attribute<'a>(line: &'a str, name: &str) -> &'a str {
+    line.split(&format!(" {name}=\"")).nth(1).and_then(|rest| rest.split('"').next()).unwrap_or_default()
+}
+
+fn number(line: &str, name: &str) -> f64 {
+    attribute(line, name).parse().unwrap_or_else(|_| panic!("{name} of {line}"))
+}
+
+/// The texts of a figure, each with its element.
+fn texts(svg: &str) -> Vec<(&str, &str)> {
+    svg.split("<text ")
+        .skip(1)
+        .map(|rest| rest.split_once('>').unwrap())
+        .map(|(element, rest)| (element, rest.split("</text>").next().unwrap().trim()))
+        .collect()
+}
+
+/// Where the text stands; it must be there once.
+fn place(svg: &str, text: &str) -> (f64, f64) {
+    let found: Vec<&str> = texts(svg).into_iter().filter(|(_, own)| *own == text).map(|(element, _)| element).collect();
+    assert_eq!(found.len(), 1, "{text}");
+    (number(&format!(" {}", found[0]), "x"), number(&format!(" {}", found[0]), "y"))
 }
 
 fn record(row: &str, axes: Vec<AxisValue>, seed: u64, psnr: Option<f64>) -> Record {
@@ -88,9 +115,24 @@ fn keep(name: &str, figure: &Figure) {
         }
     }
     assert_eq!(figure.png.is_some(), cfg!(feature = "png-figures"));
+    let width = if figure.svg.contains(" width=\"17cm\"") { 895.0 } else { 437.0 };
+    assert!(figure.svg.contains(&format!(" width=\"{}\"", if width > 500.0 { "17cm" } else { "8.3cm" })));
     if let Some(png) = &figure.png {
         let picture = image::load_from_memory(png).unwrap();
-        assert!(picture.width() > 800 && picture.height() > 300, "{} x {}", picture.width(), picture.height());
+        assert_eq!(f64::from(picture.width()), 2.0 * width);
+    }
+    // All letters have 7 pt, and all words stand within the figure.
+    for (element, text) in texts(&figure.svg) {
+        let element = format!(" {element}");
+        assert_eq!(attribute(&element, "font-size"), "13", "{text}");
+        let length = if text.is_empty() { 0.0 } else { number(&element, "textLength") };
+        let left = number(&element, "x")
+            - match attribute(&element, "text-anchor") {
+                "start" => 0.0,
+                "middle" => length / 2.0,
+                _ => length,
+            };
+        assert!(left >= -0.1 && left + length <= width + 0.1, "{name}: {text} from {left} to {}", left + length);
     }
 }
 
@@ -127,18 +169,19 @@ fn figure_records() -> Vec<Record> {
 #[test]
 fn the_paper_s_figure() {
     let (spec, records) = (spec(&["NeRF", "Aug-NeRF"]), figure_records());
-    let figure = axes_figure(&spec, &records, "fern", "psnr").unwrap().unwrap();
+    let figure = axes_figure(page(&spec), &records, "fern", "psnr").unwrap().unwrap();
     keep("axes", &figure);
-    assert_eq!(figure, axes_figure(&spec, &records, "fern", "psnr").unwrap().unwrap());
-    for words in ["input coordinates: steps", "features: injection layer", "1e-5", "PSNR (dB)", "Dashed: NeRF"] {
+    assert_eq!(figure, axes_figure(page(&spec), &records, "fern", "psnr").unwrap().unwrap());
+    for words in ["input coordinates", "features", "injection layer", "10⁻⁵", "PSNR (dB)", "Dashed: NeRF"] {
         assert!(figure.svg.contains(words), "{words}");
     }
     // Panels of coordinates and output show nothing; those of features do.
-    assert_eq!(figure.svg.matches("3 seeds: no pair passes").count(), 4);
+    assert_eq!(figure.svg.matches("no difference shown; detectable").count(), 4);
     assert_eq!(figure.svg.matches("differ, p ").count(), 3);
-    assert!(figure.svg.contains("output steps = 3 (Aug-NeRF)"), "the missing value is named");
-    assert!(axes_figure(&spec, &records, "orchids", "psnr").unwrap().is_none());
-    assert!(axes_figure(&spec, &records, "fern", "ssim").unwrap().is_none());
+    let caption: Vec<&str> = texts(&figure.svg).into_iter().map(|(_, text)| text).collect();
+    assert!(caption.join(" ").contains("waiting: output steps = 3 (Aug-NeRF)"), "the missing value is named");
+    assert!(axes_figure(page(&spec), &records, "orchids", "psnr").unwrap().is_none());
+    assert!(axes_figure(page(&spec), &records, "fern", "ssim").unwrap().is_none());
 }
 
 #[test]
@@ -154,20 +197,20 @@ fn a_table_as_points() {
         }
     }
     let table = Table::new(&spec, &records, false).unwrap();
-    let figure = rows_figure(&table, &records, "fern", "psnr").unwrap().unwrap();
+    let figure = rows_figure(page(&spec), &table, &records, "fern", "psnr").unwrap().unwrap();
     keep("rows", &figure);
-    assert_eq!(figure, rows_figure(&table, &records, "fern", "psnr").unwrap().unwrap());
+    assert_eq!(figure, rows_figure(page(&spec), &table, &records, "fern", "psnr").unwrap().unwrap());
     for words in [
         "Feature &amp; (Pre-) Output",
-        "no data",
+        "waiting",
         "one seed: no interval",
-        "not distinguishable",
-        "higher",
+        "better",
         "Aug-NeRF †",
+        "no difference is shown",
     ] {
         assert!(figure.svg.contains(words), "{words}");
     }
-    assert!(rows_figure(&table, &records, "orchids", "psnr").unwrap().is_none());
+    assert!(rows_figure(page(&spec), &table, &records, "orchids", "psnr").unwrap().is_none());
 }
 
 /// A row with axes of its own is a line for each of its values; it takes no other row's place.
@@ -194,7 +237,7 @@ fn rows_with_axes_of_their_own_stand_beside_plain_ones() {
     let has_rows = |names: Vec<String>| names.iter().any(|name| name == "rows_fern_psnr.svg");
     assert!(has_rows(names(&spec)));
     assert!(!has_rows(names(&TableSpec { varied: true, ..spec.clone() })));
-    let figure = rows_figure(&table, &records, "fern", "psnr").unwrap().unwrap();
+    let figure = rows_figure(page(&spec), &table, &records, "fern", "psnr").unwrap().unwrap();
     assert!(
         figure.svg.contains(">\nNeRF\n<") && figure.svg.contains("lambda = 0.1") && figure.svg.contains("lambda = 0.5")
     );
@@ -209,16 +252,23 @@ fn training_curves() {
             .collect(),
         ..Curve::default()
     };
+    let spec = spec(&ROWS[..10]);
     let curves: Vec<Curve> = ROWS[..10].iter().enumerate().map(|(i, row)| curve(row, 18.0 + 0.3 * i as f64)).collect();
-    let figure = curves_figure("Ablation: training on fern", "PSNR of the step's rays (dB)", &curves).unwrap().unwrap();
+    let figure = curves_figure(page(&spec), "fern", &curves).unwrap().unwrap();
     keep("curves", &figure);
-    assert!(figure.svg.contains("moving averages") && figure.svg.contains("stroke-dasharray"));
-    assert!(curves_figure("t", "u", &[]).unwrap().is_none());
-    assert!(
-        curves_figure("t", "u", &[Curve { label: "empty".into(), seeds: vec![vec![]], ..Curve::default() }])
-            .unwrap()
-            .is_none()
-    );
+    // The baseline and the four that end highest, named at the ends of their lines, in both panels.
+    for (row, times) in [("NeRF", 1), ("Aug-NeRF", 2), ("+ Feature Aug.", 2), ("+ l1 Reg.", 0)] {
+        assert_eq!(texts(&figure.svg).iter().filter(|(_, text)| *text == row).count(), times, "{row}");
+    }
+    let said: String = texts(&figure.svg).into_iter().map(|(_, text)| format!("{text} ")).collect();
+    for words in ["moving averages", "Of 10 rows: the baseline and the 4 with the highest", "(dB), difference to NeRF"]
+    {
+        assert!(said.contains(words), "{words}: {said}");
+    }
+    let empty = Curve { label: "empty".into(), seeds: vec![vec![]], ..Curve::default() };
+    for curves in [vec![], vec![empty]] {
+        assert!(curves_figure(page(&spec), "fern", &curves).unwrap().is_none());
+    }
 }
 
 /// Each row along its own seconds; rows whose seconds are not known are left out.
@@ -231,7 +281,8 @@ fn training_curves_against_seconds() {
         ..Curve::default()
     };
     let curves = [curve("fast", Some(0.01)), curve("slow", Some(0.04)), curve("unknown", None)];
-    let svg = seconds_figure("t", "u", &curves).unwrap().unwrap().svg;
+    let spec = spec(&["fast", "slow", "unknown"]);
+    let svg = seconds_figure(page(&spec), "fern", &curves).unwrap().unwrap().svg;
     assert!(svg.contains("seconds of training") && svg.contains("slow") && !svg.contains("unknown"));
     // 2000 steps of the slow one are 80 seconds, which the axis ends at, and of the fast one a quarter of that.
     let ends: Vec<f64> = svg
@@ -242,24 +293,24 @@ fn training_curves_against_seconds() {
             points.split(' ').next_back().unwrap().split(',').next().unwrap().parse().unwrap()
         })
         .collect();
-    assert_eq!(ends, [76.0 + 560.0 / 4.0, 76.0 + 560.0]);
-    assert!(seconds_figure("t", "u", &curves[2..]).unwrap().is_none());
-    assert!(curves_figure("t", "u", &curves).unwrap().unwrap().svg.contains("unknown"));
+    let (left, width) = (62.0, 895.0 - 62.0 - 190.0 - 20.0);
+    assert_eq!(ends, [left + (width / 4.0 * 10.0_f64).round() / 10.0, left + width]);
+    assert!(seconds_figure(page(&spec), "fern", &curves[2..]).unwrap().is_none());
+    assert!(curves_figure(page(&spec), "fern", &curves).unwrap().unwrap().svg.contains("unknown"));
 }
 
 /// Where views were evaluated during training, a second panel has held-out and training views of each row.
 #[test]
 fn training_curves_show_seen_and_unseen_views() {
     let evaluated = |level: f64| vec![(1..=4).map(|i| (500.0 * i as f64, level + i as f64)).collect::<Vec<_>>(); 2];
+    let spec = spec(&["NeRF"]);
     let rays = Curve { label: "NeRF".into(), seeds: evaluated(17.0), ..Curve::default() };
     let both = Curve { held_out: evaluated(18.0), seen: evaluated(20.0), ..rays.clone() };
-    let [without, with] = [rays, both].map(|curve| curves_figure("t", "u", &[curve]).unwrap().unwrap().svg);
-    let words = |svg: &str, word: &str| svg.matches(&format!(">\n{word}\n<")).count();
+    let [without, with] = [rays, both].map(|curve| curves_figure(page(&spec), "fern", &[curve]).unwrap().unwrap().svg);
     for (svg, times) in [(&without, 0), (&with, 1)] {
-        assert_eq!((words(svg, "held-out views"), words(svg, "training views")), (times, times));
-        assert_eq!(svg.matches("<circle").count(), 4 * times, "a dot an evaluation");
+        assert_eq!(svg.matches("PSNR of whole views (dB): held-out, and training (dashed)").count(), times);
+        assert_eq!(svg.matches("stroke-dasharray").count(), times, "training views are dashed");
     }
-    assert!(with.contains("PSNR of whole views (dB)"));
 }
 
 /// A panel a site that any row has, on one scale from a power of ten to another, with the bound of inactive sites.
@@ -275,17 +326,18 @@ fn shifts_of_the_attack() {
         Shifts { label: label.into(), sites: sites.collect() }
     };
     let all = [row("Aug-NeRF", 1.0), row("Uniform draws, paper's geometry", 0.1)];
-    let figure = shifts_figure("Ablation: shift of colours by the attack on fern", &all).unwrap().unwrap();
+    let spec = spec(&["NeRF", "Aug-NeRF", "Uniform draws, paper's geometry", "flat", "half"]);
+    let figure = shifts_figure(page(&spec), "fern", &all).unwrap().unwrap();
     keep("attack", &figure);
     let says = |svg: &str, word: &str| svg.contains(&format!(">\n{word}\n<"));
-    for word in ["t", "density", "Aug-NeRF", "1e-5", "0.001", "10", "1/2: inactive below"] {
+    for word in ["t", "density", "Aug-NeRF", "10⁻⁵", "10⁻³", "10", "1/2: inactive below"] {
         assert!(says(&figure.svg, word), "{word}");
     }
     assert!(!figure.svg.contains("Shifts of 0"));
     // A shift is drawn at its logarithm: 5 is at 0.699 of the decade, as the bound of 0.5 is in that below.
     let flat = |value: f64| {
         let sites = vec![(Site::Feature, vec![vec![(1.0, value), (2.0, value)]])];
-        shifts_figure("t", &[Shifts { label: "flat".into(), sites }]).unwrap()
+        shifts_figure(page(&spec), "fern", &[Shifts { label: "flat".into(), sites }]).unwrap()
     };
     let svg = flat(5.0).unwrap().svg;
     let height = |width: &str| -> f64 {
@@ -293,33 +345,38 @@ fn shifts_of_the_attack() {
         let points = line.split("points=\"").nth(1).unwrap().split(' ').next().unwrap();
         points.split(',').nth(1).unwrap().trim_end_matches('"').parse().unwrap()
     };
-    // Two decades of 95 pixels each.
-    assert!((height("1.2") - height("1.8") - 95.0).abs() < 0.11, "{} {}", height("1.2"), height("1.8"));
-    assert!(says(&svg, "feature") && !says(&svg, "rgb") && says(&svg, "0.1") && says(&svg, "10"));
+    // Two decades of 80 pixels each.
+    assert!((height("1.2") - height("1.8") - 80.0).abs() < 0.11, "{} {}", height("1.2"), height("1.8"));
+    assert!(says(&svg, "feature") && !says(&svg, "rgb") && says(&svg, "10⁻¹") && says(&svg, "10"));
     // What moves no colour has nothing to draw.
-    assert!(flat(0.0).is_none() && shifts_figure("t", &[]).unwrap().is_none());
+    assert!(flat(0.0).is_none() && shifts_figure(page(&spec), "fern", &[]).unwrap().is_none());
     let half = vec![(Site::Feature, vec![vec![(1.0, 0.0), (2.0, 1.0), (3.0, 2.0)]])];
-    let svg = shifts_figure("t", &[Shifts { label: "half".into(), sites: half }]).unwrap().unwrap().svg;
+    let svg = shifts_figure(page(&spec), "fern", &[Shifts { label: "half".into(), sites: half }]).unwrap().unwrap().svg;
     assert!(svg.contains("Shifts of 0 have no place on this scale."));
 }
 
 #[test]
 fn odd_input_draws_or_says_that_there_is_nothing() {
     let two = spec(&["NeRF", "Aug-NeRF"]);
-    assert!(axes_figure(&two, &[], "fern", "psnr").unwrap().is_none());
+    assert!(axes_figure(page(&two), &[], "fern", "psnr").unwrap().is_none());
     let word = |value: &str, seed, psnr| record("Aug-NeRF", vec![axis_value("kind", "", value)], seed, psnr);
     let one = [word("worst-case", 0, Some(20.0))];
-    let figure = axes_figure(&two, &one, "fern", "psnr").unwrap().unwrap();
+    let figure = axes_figure(page(&two), &one, "fern", "psnr").unwrap().unwrap();
     assert!(figure.svg.contains("one seed: no spread known") && figure.svg.contains("worst-case"));
     let equal: Vec<Record> = (0..6).map(|i| word(["a", "b"][i as usize % 2], i / 2, Some(20.0))).collect();
-    assert!(axes_figure(&two, &equal, "fern", "psnr").unwrap().unwrap().svg.contains("3 seeds: no pair passes"));
+    assert!(axes_figure(page(&two), &equal, "fern", "psnr").unwrap().unwrap().svg.contains("no difference shown"));
     let broken = [word("a", 0, Some(f64::NAN)), word("b", 0, None)];
-    assert!(axes_figure(&two, &broken, "fern", "psnr").unwrap().is_none());
+    assert!(axes_figure(page(&two), &broken, "fern", "psnr").unwrap().is_none());
     let plain = [record("NeRF", vec![], 0, Some(20.0)), record("Aug-NeRF", vec![], 0, None)];
     let table = Table::new(&two, &plain, false).unwrap();
-    assert!(rows_figure(&table, &plain, "fern", "psnr").unwrap().unwrap().svg.contains("no data"));
-    let flat = Curve { label: "flat".into(), seeds: vec![vec![(1.0, 20.0)]], ..Curve::default() };
-    assert!(curves_figure("t", "u", &[flat]).unwrap().is_some());
+    assert!(rows_figure(page(&two), &table, &plain, "fern", "psnr").unwrap().unwrap().svg.contains("waiting"));
+    // A single log point is a dot.
+    let single = Curve { label: "NeRF".into(), seeds: vec![vec![(1.0, 20.0)]], ..Curve::default() };
+    let svg = curves_figure(page(&two), "fern", &[single]).unwrap().unwrap().svg;
+    assert_eq!(svg.matches("<circle").count(), 1, "{svg}");
+    let sites = vec![(Site::Feature, vec![vec![(1.0, 3.0)]])];
+    let shifts = [Shifts { label: "Aug-NeRF".into(), sites }];
+    assert_eq!(shifts_figure(page(&two), "fern", &shifts).unwrap().unwrap().svg.matches("<circle").count(), 1);
 }
 
 /// Two axes varied together: the first is drawn along, each value of the second is a line.
@@ -338,10 +395,11 @@ fn a_product_of_two_axes_is_drawn_too() {
     };
     let mut records: Vec<Record> = (0..3).map(|seed| record("NeRF", vec![], seed, Some(19.1))).collect();
     records.extend((0..16).flat_map(|i| values(i / 4, i % 4)));
-    let figure = axes_figure(&spec(&["NeRF", "Aug-NeRF"]), &records, "fern", "psnr").unwrap().expect("a figure");
+    let figure = axes_figure(page(&spec(&["NeRF", "Aug-NeRF"])), &records, "fern", "psnr").unwrap().expect("a figure");
     keep("product", &figure);
+    let said: String = texts(&figure.svg).into_iter().map(|(_, text)| format!("{text} ")).collect();
     for value in ["1e-3", "1e-2", "1e-1", "1"] {
-        assert!(figure.svg.contains(&format!("features epsilon = {value}: 3 seeds")), "{value}");
+        assert!(said.contains(&format!("features epsilon = {value}: 3 seeds")), "{value}");
     }
     // The same as a heatmap: a cell for each of the 16 places, one of which is not measured.
     records.iter_mut().filter(|record| record.axes.len() == 2).last().unwrap().status = Status::Waiting;
@@ -349,21 +407,30 @@ fn a_product_of_two_axes_is_drawn_too() {
     records[last - 2..=last].iter_mut().for_each(|record| record.status = Status::Waiting);
     let spec = spec(&["NeRF", "Aug-NeRF"]);
     let table = Table::new(&spec, &records, false).unwrap();
-    let maps = heatmap_figures(&table, &records, "fern", "psnr").unwrap();
+    let maps = heatmap_figures(page(&spec), &table, &records, "fern", "psnr").unwrap();
     let [map] = maps.as_slice() else { panic!("{} heatmaps", maps.len()) };
     keep("heatmap", map);
     let differ =
         table.lines.iter().filter_map(|line| line.cells[0].comparison?.verdict()).filter(|v| v.is_difference());
-    // A frame is a line, and what differs has one; the grey one is of the cell without data.
-    assert_eq!(map.svg.matches("<polyline").count(), 1 + differ.count());
-    assert_eq!((map.svg.matches("no data").count(), map.svg.matches("± 0.").count()), (1, 15));
-    for words in ["features: epsilon", "features: steps", "1e-3", "PSNR (dB) on fern, Aug-NeRF"] {
+    // A frame is a line on white, and what differs has one; the grey one is of the cell without data.
+    let (better, worse) =
+        (map.svg.matches("stroke=\"rgb(0,114,178)\"").count(), map.svg.matches("stroke=\"rgb(213,94,0)\"").count());
+    assert_eq!(
+        (map.svg.matches("<polyline").count(), better + worse),
+        (1 + 2 * differ.clone().count(), differ.count())
+    );
+    assert!(better > 0);
+    assert_eq!((map.svg.matches("waiting").count(), map.svg.matches("± 0.").count()), (1, 15));
+    for words in ["features: epsilon", "features: steps", "0.001", "PSNR (dB) on fern, Aug-NeRF"] {
         assert!(map.svg.contains(words), "{words}");
     }
-    assert!(heatmap_figures(&table, &records, "fern", "ssim").unwrap().is_empty());
+    assert!(heatmap_figures(page(&spec), &table, &records, "fern", "ssim").unwrap().is_empty());
     let single = figure_records();
     let table = Table::new(&spec, &single, false).unwrap();
-    assert!(heatmap_figures(&table, &single, "fern", "psnr").unwrap().is_empty(), "one axis at a time has none");
+    assert!(
+        heatmap_figures(page(&spec), &table, &single, "fern", "psnr").unwrap().is_empty(),
+        "one axis at a time has none"
+    );
     let (table, records) = (&table, &single[..]);
     let collected = collected(&spec, records, table);
     let files = EXPORTERS.iter().flat_map(|exporter| exporter.export(&collected).unwrap());
@@ -386,9 +453,9 @@ fn the_smallest_and_largest_numbers_and_odd_letters_are_drawn() {
             records.extend([a, b].into_iter().zip(0..).map(|(x, seed)| record(odd[1], at("1"), seed, Some(x))));
             records.extend([1.0, b].into_iter().zip(0..).map(|(x, seed)| record(odd[1], at("2"), seed, Some(x))));
             let table = Table::new(&spec, &records, false).unwrap();
-            rows_figure(&table, &records, "fern", "psnr").unwrap();
-            axes_figure(&spec, &records, "fern", "psnr").unwrap();
-            heatmap_figures(&table, &records, "fern", "psnr").unwrap();
+            rows_figure(page(&spec), &table, &records, "fern", "psnr").unwrap();
+            axes_figure(page(&spec), &records, "fern", "psnr").unwrap();
+            heatmap_figures(page(&spec), &table, &records, "fern", "psnr").unwrap();
             let seeds = vec![vec![(0.0, a), (1.0, b)], vec![(0.0, b), (a, b)]];
             let curve = Curve {
                 label: odd[1].into(),
@@ -402,5 +469,193 @@ fn the_smallest_and_largest_numbers_and_odd_letters_are_drawn() {
             shifts_figure("t\u{0}", &[Shifts { label: odd[1].into(), sites }]).unwrap();
             seconds_figure("t\u{0}", "u", &[curve]).unwrap();
         }
+    }
+}
+
+/// Numbers stand at their value, whatever their order and spelling in the file; 0 stands apart; words keep their order.
+#[test]
+fn values_of_an_axis_stand_where_they_belong() {
+    let spec = spec(&["NeRF", "Aug-NeRF"]);
+    let figure = |values: &[&str], axis: &str, width| {
+        let of = |value: &&str| {
+            (0..3)
+                .map(|seed| record("Aug-NeRF", vec![axis_value(axis, "", value)], seed, Some(20.0 + noise(seed, 3))))
+                .collect::<Vec<_>>()
+        };
+        let records: Vec<Record> = values.iter().flat_map(of).collect();
+        axes_figure(Style { spec: &spec, width }, &records, "fern", "psnr").unwrap().unwrap().svg
+    };
+    for width in Width::ALL {
+        let svg = figure(&["1e-3", "1e-2", "0.0001", "1e-5"], "step size", width);
+        let x = |text: &str| place(&svg, text).0;
+        let gaps = [x("10⁻⁴") - x("10⁻⁵"), x("10⁻³") - x("10⁻⁴"), x("10⁻²") - x("10⁻³")];
+        assert!(gaps.iter().all(|gap| *gap > 20.0 && (gap - gaps[0]).abs() < 0.3), "{gaps:?}");
+        assert!(!svg.contains("1e-") && !svg.contains("0.0001"));
+        assert!(texts(&svg).iter().any(|(_, text)| *text == "step size"), "the axis is named");
+        let joined = |svg: &str| {
+            let line =
+                svg.lines().find(|line| line.contains("stroke-width=\"2\"")).map(|line| attribute(line, "points"));
+            line.map_or(0, |points| points.split(' ').count())
+        };
+        assert_eq!(joined(&svg), 4);
+        let svg = figure(&["3", "0", "10", "1"], "steps", width);
+        let x = |text: &str| place(&svg, text).0;
+        assert!(x("0") < x("1") && x("1") < x("3") && x("3") < x("10"));
+        assert_eq!(joined(&svg), 3, "0 is not joined");
+        let svg = figure(&["worst", "random"], "kind", width);
+        assert!(place(&svg, "worst").0 < place(&svg, "random").0);
+        assert_eq!(joined(&svg), 0, "words are not joined");
+    }
+}
+
+/// Settings that vary together have a line each, which is named.
+#[test]
+fn lines_of_an_axis_are_named_by_the_setting() {
+    let names = ["t", "xyz", "view"].map(String::from).to_vec();
+    let parts = vec![AxisParts { axis: "epsilon".into(), panel: "input".into(), names }];
+    let spec = TableSpec { parts, ..spec(&["Aug-NeRF"]) };
+    let values = ["0.0625 / 0.25 / 0.25", "0.25 / 1.0 / 1.0", "0.5 / 4.0 / 4.0"];
+    let records: Vec<Record> = values
+        .iter()
+        .map(|value| record("Aug-NeRF", vec![axis_value("epsilon", "input", value)], 0, Some(20.0)))
+        .collect();
+    let svg = axes_figure(page(&spec), &records, "fern", "psnr").unwrap().unwrap().svg;
+    let lines = ["t", "xyz", "view"].map(|name| place(&svg, name).1);
+    assert!(lines.is_sorted(), "{lines:?}");
+    assert_eq!(place(&svg, "0.0625").1, lines[0]);
+    assert_eq!(texts(&svg).iter().filter(|(_, text)| *text == "4").count(), 2, "4.0 is spelled 4");
+    assert!(!svg.contains(" / "));
+}
+
+/// Long titles and names wrap; changed settings are in the caption.
+#[test]
+fn no_figure_grows_with_its_words() {
+    let long = "a name of many words that says everything about a row, its method, its settings and its seeds, and more than anybody wants to know";
+    let mut spec = spec(&["NeRF", long, "unbrokenwordthatislongerthanacolumnofafigurecouldeverbe"]);
+    spec.changed = "data.width = 24, train.steps = 20".into();
+    spec.title = format!("{long} (with {})", spec.changed);
+    let rows: Vec<String> = spec.rows.iter().map(|row| row.name.clone()).collect();
+    let plain: Vec<Record> = rows
+        .iter()
+        .flat_map(|row| (0..3).map(|seed| record(row, vec![], seed, Some(20.0 + noise(seed, row.len() as u64)))))
+        .collect();
+    let table = Table::new(&spec, &plain, false).unwrap();
+    let varied: Vec<Record> = (0..12)
+        .map(|i| {
+            record(
+                long,
+                vec![axis_value(long, long, &format!("value {}", i % 4)), axis_value("b", "", &(i / 4).to_string())],
+                0,
+                Some(20.0),
+            )
+        })
+        .collect();
+    let heat = Table::new(&spec, &varied, false).unwrap();
+    let log = |seed: u64| (1..9).map(|i| (f64::from(i) * 100.0, 20.0 + noise(seed, i as u64))).collect::<Vec<_>>();
+    let curve = |label: &String| Curve {
+        label: label.clone(),
+        seeds: vec![log(0), log(1)],
+        held_out: vec![log(2)],
+        ..Curve::default()
+    };
+    let curves: Vec<Curve> = rows.iter().map(curve).collect();
+    let shift =
+        |label: &String| Shifts { label: label.clone(), sites: Site::ALL.map(|site| (site, vec![log(3)])).to_vec() };
+    let shifts: Vec<Shifts> = rows.iter().map(shift).collect();
+    for width in Width::ALL {
+        let style = Style { spec: &spec, width };
+        let figures = [
+            rows_figure(style, &table, &plain, "fern", "psnr").unwrap().unwrap(),
+            axes_figure(style, &varied, "fern", "psnr").unwrap().unwrap(),
+            heatmap_figures(style, &heat, &varied, "fern", "psnr").unwrap().remove(0),
+            curves_figure(style, "fern", &curves).unwrap().unwrap(),
+            shifts_figure(style, "fern", &shifts).unwrap().unwrap(),
+        ];
+        for (index, figure) in figures.iter().enumerate() {
+            keep(&format!("long_{index}{}", width.suffix()), figure);
+            assert!(figure.svg.contains(if width == Width::Page { " width=\"17cm\"" } else { " width=\"8.3cm\"" }));
+            let said: String = texts(&figure.svg).into_iter().map(|(_, text)| format!("{text} ")).collect();
+            assert!(said.contains("All rows: data.width = 24, train.steps = 20."), "{said}");
+            assert_eq!(said.matches("data.width").count(), 1, "not in the title");
+        }
+    }
+}
+
+/// A row has one colour in all figures, and blue and orange are of verdicts alone.
+#[test]
+fn a_row_has_one_colour_in_all_figures() {
+    let spec = spec(&["NeRF", "better", "worse"]);
+    let gain =
+        |row: &str| [("NeRF", 0.0), ("better", 1.0), ("worse", -1.0)].iter().find(|(name, _)| *name == row).unwrap().1;
+    let rows = ["NeRF", "better", "worse"];
+    let records: Vec<Record> = rows
+        .iter()
+        .flat_map(|row| {
+            (0..3).map(move |seed| {
+                record(row, vec![], seed, Some(20.0 + gain(row) + 0.01 * noise(seed, row.len() as u64)))
+            })
+        })
+        .collect();
+    let table = Table::new(&spec, &records, false).unwrap();
+    let log = |level: f64| vec![(1..9).map(|i| (f64::from(i), level)).collect::<Vec<_>>()];
+    let curves: Vec<Curve> = ["worse", "better"]
+        .map(|row| Curve { label: row.into(), seeds: log(20.0 + gain(row)), ..Curve::default() })
+        .to_vec();
+    let shifts = [Shifts { label: "worse".into(), sites: vec![(Site::Feature, log(2.0))] }];
+    let figures = [
+        rows_figure(page(&spec), &table, &records, "fern", "psnr").unwrap().unwrap().svg,
+        curves_figure(page(&spec), "fern", &curves).unwrap().unwrap().svg,
+        shifts_figure(page(&spec), "fern", &shifts).unwrap().unwrap().svg,
+    ];
+    let [of_worse, of_better] = ["rgb(204,121,167)", "rgb(0,158,115)"];
+    assert!(figures.iter().all(|svg| svg.contains(of_worse)));
+    assert!(figures[0].contains(of_better) && figures[1].contains(of_better) && !figures[2].contains(of_better));
+    // Triangles: the better row's points up, in blue; the worse one's down, in orange.
+    let triangle = |colour: &str| {
+        let line = figures[0].lines().find(|line| line.starts_with("<polygon") && line.contains(colour)).unwrap();
+        let y = |point: &str| point.split_once(',').unwrap().1.parse::<f64>().unwrap();
+        let points: Vec<f64> = attribute(line, "points").split(' ').map(y).collect();
+        points[2] - points[0]
+    };
+    assert!(triangle("rgb(0,114,178)") < 0.0 && triangle("rgb(213,94,0)") > 0.0);
+    assert!(figures[1..].iter().all(|svg| !svg.contains("rgb(0,114,178)") && !svg.contains("rgb(213,94,0)")));
+}
+
+/// A row that trains four times as long is cut off, and one that is far from the others has its own panel.
+#[test]
+fn curves_are_not_squeezed() {
+    let spec = spec(&["NeRF", "a", "b", "longer", "clean"]);
+    let curve = |label: &str, steps: u64, level: f64| Curve {
+        label: label.into(),
+        seeds: vec![(1..=steps).map(|i| (100.0 * i as f64, level + noise(i, 5))).collect()],
+        ..Curve::default()
+    };
+    let curves = [
+        curve("NeRF", 20, 20.0),
+        curve("a", 20, 20.2),
+        curve("b", 20, 19.9),
+        curve("longer", 86, 20.1),
+        curve("clean", 20, 28.0),
+    ];
+    for width in Width::ALL {
+        let figure = curves_figure(Style { spec: &spec, width }, "fern", &curves).unwrap().unwrap();
+        keep(&format!("squeezed{}", width.suffix()), &figure);
+        let said: String = texts(&figure.svg).into_iter().map(|(_, text)| format!("{text} ")).collect();
+        assert!(said.contains("Cut off: longer goes on to step 8600"), "{said}");
+        assert!(said.contains("difference to NeRF, rows far from the others"), "{said}");
+        assert!(!texts(&figure.svg).iter().any(|(_, text)| *text == "8000"), "the axis ends at 2000");
+    }
+}
+
+/// A row whose points failed has failed; it does not lack data.
+#[test]
+fn failed_rows_are_said_to_have_failed() {
+    let spec = spec(&["NeRF", "broken"]);
+    let mut records: Vec<Record> = (0..2).map(|seed| record("NeRF", vec![], seed, Some(20.0))).collect();
+    records.push(Record { status: Status::Failed, ..record("broken", vec![], 0, None) });
+    let table = Table::new(&spec, &records, false).unwrap();
+    for width in Width::ALL {
+        let svg = rows_figure(Style { spec: &spec, width }, &table, &records, "fern", "psnr").unwrap().unwrap().svg;
+        assert!(svg.contains("failed") && !svg.contains("no data"));
     }
 }

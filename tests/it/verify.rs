@@ -378,11 +378,11 @@ fn a_comparison_across_sweeps_is_made_again() {
     assert_says(&across("results", "Aug-NeRF", 4), &["results holds other folders"]);
     assert_says(&across("results/both", "NeRF", 2), &["both 'NeRF'"]);
     let said = across("results/both", "Aug-NeRF", 0);
-    assert_says(&said, &["Aug-NeRF against NeRF, psnr", "few_views_chair", "files: results/both"]);
+    assert_says(&said, &["Aug-NeRF against NeRF, psnr", "chair, 8 views", "files: results/both"]);
     let folder = dir.path().join("results/both");
     assert_says(
         &text(&folder.join("across.svg")),
-        &["Aug-NeRF against NeRF", "difference in PSNR", "few_views_chair, chair"],
+        &["Aug-NeRF against NeRF", "difference in PSNR", "chair, 8 views", " width=\"17cm\""],
     );
     let blocks = rows(&text(&folder.join("across.csv")));
     let own = |name: &str, column: &str| {

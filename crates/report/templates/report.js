@@ -35,7 +35,7 @@ const quoted = text => {
   return `"${(formula ? "'" : "") + line.replaceAll('"', '""')}"`;
 };
 const csv = () => all(".results").map(table => {
-  const scene = table.closest(".box").previousElementSibling.textContent;
+  const scene = table.closest("[data-scene]").dataset.scene;
   const line = row => [...row.cells].filter(cell => !cell.hidden).map(cell => quoted(cell.innerText)).join(",");
   return [...table.rows].filter(row => !row.hidden).map((row, i) => (i ? quoted(scene) : '"scene"') + "," + line(row)).join("\n");
 }).join("\n");
@@ -48,6 +48,18 @@ for (const button of all("[data-copy]")) button.addEventListener("click", () => 
   area.remove();
   document.getElementById("copied").textContent = done ? "copied" : "the browser does not let this page copy";
 });
+
+// A table or picture that is wider than its box says so.
+const hint = box => {
+  const wide = box.scrollWidth > box.clientWidth + 1, before = box.previousElementSibling;
+  const hints = before?.classList.contains("hint") ? before : box.insertAdjacentElement("beforebegin", document.createElement("p"));
+  hints.className = "hint";
+  hints.textContent = "scroll sideways for more \u2192";
+  hints.hidden = !wide;
+};
+const hintAll = () => all(".box").forEach(hint);
+addEventListener("resize", hintAll);
+hintAll();
 
 // Curves against steps or seconds.
 for (const figure of all("figure.switch")) {
@@ -62,7 +74,7 @@ for (const figure of all("figure.switch")) {
 
 // Two pictures of one view, the left one up to the slider.
 for (const stage of all(".stage")) {
-  const rows = all("tbody tr", stage.nextElementSibling), [left, right, what] = all("select", stage);
+  const rows = all("tbody tr", document.getElementById(stage.dataset.views)), [left, right, what] = all("select", stage);
   const [under, over] = all("img", stage), slider = stage.querySelector("input");
   for (const select of [left, right]) select.append(...rows.map((row, i) => new Option(row.dataset.name, i)));
   const picture = select => rows[select.value].cells[what.selectedIndex + 1].querySelector("img")?.src;
@@ -73,7 +85,8 @@ for (const stage of all(".stage")) {
     }
     over.style.clipPath = `inset(0 ${100 - slider.value}% 0 0)`;
   };
-  [right.value, left.value] = [rows.length - 1, Math.min(1, rows.length - 1)];
+  // The first row against the last; a row alone against the ground truth.
+  [right.value, left.value] = [rows.length - 1, rows.length > 2 ? 1 : 0];
   for (const control of [left, right, what, slider]) control.addEventListener("input", show);
   show();
   stage.hidden = false;

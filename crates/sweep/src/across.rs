@@ -8,7 +8,7 @@ use crate::base::files::write_atomic;
 use crate::base::input::{TEXT_BYTES, read_text};
 use crate::base::{Error, Result};
 use crate::report::Across;
-use crate::report::plots::across_figure;
+use crate::report::plots::{Width, across_figure};
 
 use super::folder::DEFINITION;
 use super::view::{Origin, Selection, Source, VIEW, View};
@@ -104,8 +104,12 @@ impl AcrossRequest {
         let request = toml::to_string(self).expect("plain data");
         let texts = [(ACROSS, request), (ACROSS_CSV, across.csv()), (ACROSS_PAGE, across.markdown())];
         let texts = texts.into_iter().map(|(name, text)| (name.to_string(), text.into_bytes()));
-        let figure = across_figure(across)?.into_iter().flat_map(|figure| figure.files(FIGURE));
-        Ok(texts.chain(figure).collect())
+        let mut files: Vec<(String, Vec<u8>)> = texts.collect();
+        for width in Width::ALL {
+            let name = format!("{FIGURE}{}", width.suffix());
+            files.extend(across_figure(across, width)?.into_iter().flat_map(|figure| figure.files(&name)));
+        }
+        Ok(files)
     }
 
     /// Writes them into a folder, which may hold pages beside them.

@@ -4,7 +4,7 @@ use serde::{Deserialize, Serialize};
 use toml::{Table, Value};
 
 use crate::base::rng::{Random, Stream};
-use crate::report::AxisValue;
+use crate::report::{AxisParts, AxisValue};
 
 /// Limit on the values of an axis; more is an error, found before memory is allocated.
 const MOST_VALUES: usize = 10_000;
@@ -129,6 +129,22 @@ impl Axis {
         }
         let label = row.iter().map(text).collect::<Vec<String>>().join(" / ");
         Ok(AxisPoint { label, sets: self.keys.iter().cloned().zip(row.iter().cloned()).collect() })
+    }
+
+    /// Returns what tells the settings apart that each have their own value: `t`, `xyz`, `view` of
+    /// `perturb.t.epsilon`, ... `None` if all settings have one value.
+    pub(super) fn parts(&self) -> Option<AxisParts> {
+        self.zip.as_ref().filter(|_| self.keys.len() > 1)?;
+        let keys: Vec<Vec<&str>> = self.keys.iter().map(|key| key.split('.').collect()).collect();
+        let shortest = keys.iter().map(Vec::len).min().unwrap_or(1);
+        let is_shared = |at: fn(&[&str], usize) -> usize, i: usize| {
+            let part = |key: &Vec<&str>| key[at(key, i)].to_string();
+            keys.iter().all(|key| part(key) == part(&keys[0]))
+        };
+        let start = (0..shortest - 1).take_while(|&i| is_shared(|_, i| i, i)).count();
+        let end = (0..shortest - 1 - start).take_while(|&i| is_shared(|key, i| key.len() - 1 - i, i)).count();
+        let name = |key: &Vec<&str>| key[start..key.len() - end].join(".");
+        Some(AxisParts { axis: self.name.clone(), panel: self.panel.clone(), names: keys.iter().map(name).collect() })
     }
 
     /// Returns a point of the axis as records name it.
@@ -265,6 +281,19 @@ mod tests {
         assert_eq!(points[1].label, "2 / l1");
         let sets = [("a.x".to_string(), Value::Integer(2)), ("b".to_string(), Value::String("l1".into()))];
         assert_eq!(points[1].sets, sets);
+    }
+
+    #[test]
+    fn settings_that_vary_together_are_told_apart_by_what_differs_in_their_names() {
+        let parts = |keys: &str| {
+            let zip = vec!["1"; keys.split(", ").count()].join(", ");
+            axis(&format!("keys = [{keys}]\nzip = [[{zip}]]")).parts().map(|parts| parts.names)
+        };
+        let sites = "\"perturb.t.epsilon\", \"perturb.xyz.epsilon\", \"perturb.view.epsilon\"";
+        assert_eq!(parts(sites).unwrap(), ["t", "xyz", "view"]);
+        assert_eq!(parts("\"train.steps\", \"train.rays\"").unwrap(), ["steps", "rays"]);
+        assert_eq!(parts("\"seed\", \"train.rays\"").unwrap(), ["seed", "train.rays"]);
+        assert_eq!(parts("\"seed\""), None);
     }
 
     #[test]

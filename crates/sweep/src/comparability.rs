@@ -5,6 +5,7 @@ use std::hash::Hash;
 
 use toml::Table;
 
+use super::axes::Axis;
 use super::definition::Definition;
 use super::points::Point;
 use crate::metrics::{Metric, Needs};
@@ -27,6 +28,8 @@ impl Definition {
             equivalence: self.equivalence.clone().into_iter().collect(),
             varied: !self.axis.is_empty(),
             notes: Vec::new(),
+            changed: self.changed_text(),
+            parts: self.all_axes().filter_map(Axis::parts).collect(),
         }
     }
 }

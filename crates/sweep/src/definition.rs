@@ -244,13 +244,17 @@ impl Definition {
 
     /// Returns the title with the command line's changes: `Ablation, 3,000 steps (with train.steps = 20)`.
     pub(super) fn full_title(&self) -> String {
-        // Tables show their scenes and seeds.
-        let changed = self.changed.iter().filter(|(name, _)| ![SCENES, SEEDS].contains(&name.as_str()));
-        let changed: Vec<String> = changed.map(|(name, value)| format!("{name} = {value}")).collect();
-        if changed.is_empty() {
-            return self.title.clone();
+        match self.changed_text().as_str() {
+            "" => self.title.clone(),
+            changed => format!("{} (with {changed})", self.title),
         }
-        format!("{} (with {})", self.title, changed.join(", "))
+    }
+
+    /// Returns the settings that were changed for all rows: `data.width = 24, train.steps = 20`. Tables show their
+    /// scenes and seeds.
+    pub(super) fn changed_text(&self) -> String {
+        let changed = self.changed.iter().filter(|(name, _)| ![SCENES, SEEDS].contains(&name.as_str()));
+        changed.map(|(name, value)| format!("{name} = {value}")).collect::<Vec<String>>().join(", ")
     }
 
     /// Returns the row that a row is compared with, or `None` for a baseline.

@@ -4,15 +4,19 @@ use std::path::{Component, Path, PathBuf};
 
 use super::collect::TableInputs;
 use super::outputs::{SweepOutputs, optional};
+use crate::base::input::read_bytes;
 use crate::base::{Error, Result};
 use crate::report::exporters::File;
-use crate::report::page::{Page, ShownScene, ViewOfRow, ViewOfScene};
+use crate::report::page::{Film, Page, ShownScene, ViewOfRow, ViewOfScene};
 use crate::report::tables::{Line, Table};
-use crate::report::{Status, distinct};
-use crate::run::FirstView;
+use crate::report::{Record, Status, distinct};
+use crate::run::{FirstView, RunDir};
 
 /// Most rows of a scene whose images are shown.
 const MOST_ROWS: usize = 24;
+/// Videos of a run in `renders/`, the smaller format first, and the limit on the bytes of all in a page.
+const FILMS: [&str; 2] = ["path/rgb.mp4", "path/rgb.gif"];
+const MOST_FILM_BYTES: u64 = 16 << 20;
 /// Most folders that a link goes up. Beyond that, page and runs have no common location.
 const MOST_UP: usize = 4;
 
@@ -25,6 +29,7 @@ impl TableInputs<'_> {
             records: &outputs.all_records(),
             files,
             views: views(table, outputs)?,
+            films: films(table, outputs)?,
             attacks: self.attacks(table),
             timing: if self.with_timing { &outputs.timing } else { &[] },
             link: &|id| link(folder, outputs.runs.get(id)?),
@@ -44,6 +49,30 @@ fn views(table: &Table, outputs: &SweepOutputs) -> Result<Vec<ShownScene>> {
         }
     }
     Ok(shown)
+}
+
+/// Returns the video of each row's first point that has one, as far as they fit into a page.
+fn films(table: &Table, outputs: &SweepOutputs) -> Result<Vec<Film>> {
+    let (mut films, mut room) = (Vec::new(), MOST_FILM_BYTES);
+    for line in &table.lines {
+        let points = line.ids.iter().filter_map(|id| outputs.records.iter().find(|record| record.id == *id));
+        let of_point = |record: &Record| {
+            Some((
+                record.seed?,
+                FILMS.map(|film| outputs.runs.get(&record.id).map(|run| RunDir::renders_in(run).join(film))),
+            ))
+        };
+        let found = points.filter_map(of_point).find_map(|(seed, paths)| {
+            let fits = |path: &PathBuf| path.metadata().is_ok_and(|file| file.is_file() && file.len() <= room);
+            Some((seed, paths.into_iter().flatten().find(fits)?))
+        });
+        let Some((seed, path)) = found else { continue };
+        let bytes = read_bytes(&path, room).map_err(|e| Error::unreadable(&path, &e))?;
+        room = room.saturating_sub(bytes.len() as u64);
+        let name = path.file_name().map(|name| name.to_string_lossy().into_owned()).unwrap_or_default();
+        films.push(Film::new(&line.label, seed, &name, &bytes));
+    }
+    Ok(films)
 }
 
 /// Returns `None` if no row has an image.

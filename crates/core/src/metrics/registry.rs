@@ -279,8 +279,9 @@ const DECIBEL: Metric = Metric {
     needs: Needs::Nothing,
 };
 const RATIO: Metric = Metric { unit: "", direction: Direction::Down, digits: Digits::Decimals(3), ..DECIBEL };
+/// Less variation of density is smoother, not better: an empty field has none.
 const LATTICE: Metric = Metric {
-    direction: Direction::Down,
+    direction: Direction::Neither,
     digits: Digits::Figures,
     scope: Scope::Lattice,
     needs: Needs::DerivativesAtPoints,
@@ -416,9 +417,9 @@ train_lpips_vgg | LPIPS (vgg) of training views |  | Decimals(3) Neither TrainVi
 gap_lpips_vgg | LPIPS (vgg), training minus held-out |  | Decimals(3) Neither Gap Lpips(Vgg)
 train_lpips_squeeze | LPIPS (squeeze) of training views |  | Decimals(3) Neither TrainViews Lpips(Squeeze)
 gap_lpips_squeeze | LPIPS (squeeze), training minus held-out |  | Decimals(3) Neither Gap Lpips(Squeeze)
-l1 | l1 of density | scene units^2 | Figures Down Lattice DerivativesAtPoints
-tv | TV of density | scene units | Figures Down Lattice DerivativesAtPoints
-laplacian | Laplacian of density |  | Figures Down Lattice DerivativesAtPoints
+l1 | l1 of density | scene units^2 | Figures Neither Lattice DerivativesAtPoints
+tv | TV of density | scene units | Figures Neither Lattice DerivativesAtPoints
+laplacian | Laplacian of density |  | Figures Neither Lattice DerivativesAtPoints
 largest_density | largest density | 1 / scene unit | Figures Neither Lattice DerivativesAtPoints
 occupied | occupied |  | Figures Neither Lattice DerivativesAtPoints
 depth_mae | mean depth error | scene units | Figures Down View Depth

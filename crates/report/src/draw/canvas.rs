@@ -8,9 +8,10 @@ use base64::engine::general_purpose::STANDARD;
 use svg::node::element::{Circle, Image as Raster, Polygon, Polyline, Rectangle, Text};
 use svg::{Document, Node};
 
+use super::numbers::{numbers, power};
 use super::pictures::encode_png8;
-use super::raster;
 pub use super::raster::FINENESS;
+use super::{raster, scripts};
 use crate::base::{Error, Image, Result};
 
 /// A finished figure.
@@ -30,12 +31,51 @@ impl Figure {
     }
 }
 
-/// What figures are to be lettered in.
-const FONT_FAMILY: &str = "Ubuntu, sans-serif";
-/// Letters' size.
+/// Width of a figure in print. Its letters have 7 pt in both.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Width {
+    /// 17 cm: a page's text.
+    Page,
+    /// 8.3 cm: one of two columns.
+    Column,
+}
+
+impl Width {
+    /// Both.
+    pub const ALL: [Width; 2] = [Width::Page, Width::Column];
+
+    /// The width in units of a canvas.
+    pub const fn units(self) -> f64 {
+        match self {
+            Width::Page => 895.0,
+            Width::Column => 437.0,
+        }
+    }
+
+    /// The end of a figure's file name.
+    pub fn suffix(self) -> &'static str {
+        match self {
+            Width::Page => "",
+            Width::Column => "_column",
+        }
+    }
+
+    /// Returns the first for a page, the second for a column.
+    pub fn pick<T>(self, page: T, column: T) -> T {
+        match self {
+            Width::Page => page,
+            Width::Column => column,
+        }
+    }
+}
+
+/// Centimetres of a canvas's unit.
+pub(super) const CENTIMETRES: f64 = 17.0 / Width::Page.units();
+
+/// Fonts whose letters are as wide as those of the embedded one.
+const FONT_FAMILY: &str = "Arial, Helvetica, Liberation Sans, sans-serif";
+/// Size of letters: 7 pt in print.
 pub const TEXT: f64 = 13.0;
-/// Size of a title's letters.
-pub const TITLE: f64 = 15.0;
 /// From one line of text to the next.
 pub const LINE_HEIGHT: f64 = 18.0;
 /// What a drawing leaves free at its sides.
@@ -71,20 +111,20 @@ pub const BLACK: Colour = Colour(30, 30, 30);
 pub const GREY: Colour = Colour(110, 110, 110);
 /// Grid lines.
 pub const GRID: Colour = Colour(225, 225, 225);
-/// First colour of differences.
+/// What is better.
 pub const BLUE: Colour = Colour(0, 114, 178);
-/// Second colour of differences.
-pub const RED: Colour = Colour(213, 94, 0);
-/// Okabe and Ito's colours, which colour-blind readers tell apart.
+/// What is worse.
+pub const ORANGE: Colour = Colour(213, 94, 0);
+/// Colours of rows, which colour-blind readers tell apart. None is the colour of a verdict.
 pub const PALETTE: [Colour; 8] = [
-    BLUE,
-    RED,
+    Colour(60, 60, 60),
     Colour(0, 158, 115),
     Colour(204, 121, 167),
     Colour(86, 180, 233),
     Colour(230, 159, 0),
-    Colour(90, 90, 90),
-    Colour(160, 130, 40),
+    Colour(117, 80, 160),
+    Colour(140, 81, 40),
+    Colour(130, 150, 40),
 ];
 
 /// Which part of a text stands at its place.
@@ -142,20 +182,40 @@ pub struct Canvas {
     pub width: f64,
     /// Height in pixels.
     pub height: f64,
+    /// Pixels of the PNG to one of the SVG.
+    pub fineness: f64,
     pub(super) marks: Vec<Mark>,
 }
 
 impl Canvas {
     /// Returns an empty canvas of this size in pixels.
     pub fn new(width: f64, height: f64) -> Canvas {
-        Canvas { width, height, marks: Vec::new() }
+        Canvas { width, height, fineness: FINENESS, marks: Vec::new() }
     }
 
-    /// A canvas with a title at its top, at least as wide as that needs.
-    pub fn titled(width: f64, height: f64, title: &str) -> Canvas {
-        let mut canvas = Canvas::new(width.max(text_width(title, TITLE) + 2.0 * SIDE), height);
-        canvas.text((SIDE, 20.0), title, TITLE, Anchor::Left, BLACK);
+    /// A canvas of a figure's width with its title, which wraps. The height ends below the title.
+    pub fn titled(width: Width, title: &str) -> Canvas {
+        let mut canvas = Canvas::new(width.units(), 0.0);
+        canvas.height = canvas.lines((SIDE, 20.0), canvas.width - 2.0 * SIDE, title, BLACK);
         canvas
+    }
+
+    /// Writes lines of at most `width`, from `(x, y)` down; returns the position after them.
+    pub fn lines(&mut self, (x, mut y): (f64, f64), width: f64, text: &str, colour: Colour) -> f64 {
+        for line in wrapped(text, width, TEXT) {
+            self.text((x, y), &line, TEXT, Anchor::Left, colour);
+            y += LINE_HEIGHT;
+        }
+        y
+    }
+
+    /// Writes a name in lines of at most `width` that end at `x`, centred vertically on `y`.
+    pub fn name(&mut self, (x, y): (f64, f64), width: f64, text: &str) {
+        let lines = wrapped(text, width, TEXT);
+        let first = y - LINE_HEIGHT * (lines.len() as f64 - 1.0) / 2.0;
+        for (index, line) in lines.iter().enumerate() {
+            self.text((x, first + LINE_HEIGHT * index as f64), line, TEXT, Anchor::Right, BLACK);
+        }
     }
 
     /// Draws a line through points.
@@ -176,6 +236,12 @@ impl Canvas {
     /// Draws a disc.
     pub fn dot(&mut self, at: (f64, f64), radius: f64, colour: Colour, opacity: f64) {
         self.marks.extend(drawable(&[at]).pop().map(|at| Mark::Dot { at, radius, colour, opacity }));
+    }
+
+    /// Draws a triangle that points up or down.
+    pub fn triangle(&mut self, (x, y): (f64, f64), radius: f64, up: bool, colour: Colour) {
+        let tip = if up { -radius } else { radius };
+        self.area(vec![(x - radius, y - 0.7 * tip), (x + radius, y - 0.7 * tip), (x, y + tip)], colour, 1.0);
     }
 
     /// Writes a line of text, centred vertically on `at`.
@@ -227,8 +293,8 @@ impl Canvas {
 
     fn svg(&self) -> String {
         let (width, height) = self.size();
-        let mut document =
-            Document::new().set("viewBox", (0, 0, width, height)).set("width", width).set("height", height);
+        let [wide, high] = [width, height].map(|units| format!("{}cm", (units * CENTIMETRES * 100.0).round() / 100.0));
+        let mut document = Document::new().set("viewBox", (0, 0, width, height)).set("width", wide).set("height", high);
         document.append(Rectangle::new().set("width", width).set("height", height).set("fill", "white"));
         self.marks.iter().for_each(|mark| mark.write(&mut document));
         document.to_string()
@@ -296,9 +362,12 @@ fn tenths(length: f64) -> f64 {
 /// Width of a text in pixels.
 pub fn text_width(text: &str, size: f64) -> f64 {
     let face = ttf_parser::Face::parse(raster::FACE, 0).expect("the embedded font is a font");
-    let advance =
-        |letter: char| face.glyph_index(letter).and_then(|glyph| face.glyph_hor_advance(glyph)).unwrap_or(500);
-    text.chars().map(|letter| f64::from(advance(letter))).sum::<f64>() * size / f64::from(face.units_per_em())
+    let advance = |letter: char| {
+        let (letter, scale) = scripts::plain(letter).map_or((letter, 1.0), |(plain, _)| (plain, scripts::SCALE));
+        let advance = face.glyph_index(letter).and_then(|glyph| face.glyph_hor_advance(glyph)).unwrap_or(500);
+        f64::from(advance) * scale
+    };
+    text.chars().map(advance).sum::<f64>() * size / f64::from(face.units_per_em())
 }
 
 /// Lines of at most `width` pixels in letters of `size`, broken at spaces, and within a word where it alone is longer.
@@ -329,35 +398,6 @@ fn pieces(word: &str, width: f64, size: f64) -> Vec<String> {
     pieces
 }
 
-/// A number with the digits that a step between ticks asks for.
-pub fn number(value: f64, step: f64) -> String {
-    if value != 0.0 && !(1e-3..1e6).contains(&value.abs()) {
-        return format!("{value:.1e}");
-    }
-    let digits = (-step.log10().floor()).clamp(0.0, 6.0) as usize;
-    format!("{value:.digits$}")
-}
-
-/// A setting's value as a label has it: long numbers by three digits at most, all else as it is.
-pub fn short(text: &str) -> String {
-    match text.parse::<f64>() {
-        Ok(exact) if text.len() > 6 && (1e-3..1e6).contains(&exact.abs()) => number(exact, exact.abs() / 100.0),
-        // Through its own digits, so that none is a zero at the end.
-        Ok(exact) if text.len() > 6 => {
-            format!("{:e}", format!("{exact:.2e}").parse::<f64>().expect("a number's own digits"))
-        }
-        _ => text.to_string(),
-    }
-}
-
-/// Ten to a whole power.
-fn power(exponent: f64) -> String {
-    match (-3.0..6.0).contains(&exponent) {
-        true => 10f64.powi(exponent as i32).to_string(),
-        false => format!("1e{exponent}"),
-    }
-}
-
 /// Round numbers across a range, and the step between them.
 pub fn ticks((low, high): (f64, f64), most: usize) -> (Vec<f64>, f64) {
     let raw = (high - low) / most as f64;
@@ -369,6 +409,22 @@ pub fn ticks((low, high): (f64, f64), most: usize) -> (Vec<f64>, f64) {
     let first = (low / step).ceil() as i64;
     let last = (high / step).floor() as i64;
     ((first..=last).map(|i| i as f64 * step).collect(), step)
+}
+
+/// Returns as many round numbers across a range as fit side by side along `width`, each with its text.
+pub fn tick_texts(range: (f64, f64), width: f64) -> Vec<(f64, String)> {
+    const BETWEEN: f64 = 14.0;
+    let with = |most: usize| {
+        let (values, step) = ticks(range, most);
+        let texts = numbers(&values, step);
+        (values.into_iter().zip(texts).collect::<Vec<(f64, String)>>(), step)
+    };
+    let fits = |(texts, step): &(Vec<(f64, String)>, f64)| {
+        let widest = texts.iter().map(|(_, text)| text_width(text, TEXT)).fold(0.0, f64::max);
+        widest + BETWEEN <= width * step / (range.1 - range.0)
+    };
+    let most = (width / 50.0) as usize + 1;
+    (2..=most.max(3)).rev().map(with).find(fits).unwrap_or_else(|| with(2)).0
 }
 
 /// A range with some room around its values; none without finite values.
@@ -417,14 +473,15 @@ impl Panel {
     /// Horizontal grid lines, their numbers where asked for, and the frame.
     pub fn frame(&self, drawing: &mut Canvas, numbers: bool) {
         let (values, step) = ticks(self.range, (self.height / 40.0) as usize + 1);
-        self.frame_at(drawing, values.into_iter().map(|value| (value, number(value, step))), numbers);
+        let texts = self::numbers(&values, step);
+        self.frame_at(drawing, values.into_iter().zip(texts), numbers);
     }
 
     /// The same of a range of decimal logarithms, with lines at powers of ten.
     pub fn log_frame(&self, drawing: &mut Canvas, numbers: bool) {
         let (values, _) = ticks(self.range, (self.height / 20.0) as usize);
         let whole = values.into_iter().filter(|value| value.fract() == 0.0);
-        self.frame_at(drawing, whole.map(|value| (value, power(value))), numbers);
+        self.frame_at(drawing, whole.map(|value| (value, power(10f64.powf(value)))), numbers);
     }
 
     fn frame_at(&self, drawing: &mut Canvas, marks: impl Iterator<Item = (f64, String)>, numbers: bool) {

@@ -1,55 +1,66 @@
-//! Lines of text as outlines of the embedded font, with its ligatures and kerning.
+//! Lines of text as outlines of the embedded font, with its kerning.
 
 use tiny_skia::{Path, PathBuilder, Transform};
 use ttf_parser::gpos::{PairAdjustment, PositioningSubtable};
 use ttf_parser::{Face, GlyphId, OutlineBuilder};
 
 use super::canvas::Anchor;
-
-/// Letters with a common glyph, the longest first.
-const LIGATURES: [(&str, &str); 5] =
-    [("ffi", "\u{fb03}"), ("ffl", "\u{fb04}"), ("ff", "\u{fb00}"), ("fi", "\u{fb01}"), ("fl", "\u{fb02}")];
+use super::scripts;
 
 /// Returns the outlines of a line of text, or none if it has only spaces. The point is on the baseline, at the end that
 /// the anchor names.
 pub fn outlines(face: &Face, text: &str, (x, y): (f64, f64), size: f64, anchor: Anchor) -> Option<Path> {
-    let scale = size as f32 / f32::from(face.units_per_em());
-    let letters: Vec<(GlyphId, f32)> =
-        spaced(face, text).into_iter().map(|(glyph, advance)| (glyph, advance as f32 * scale)).collect();
-    let width: f32 = letters.iter().map(|(_, advance)| advance).sum();
+    let em = size as f32 / f32::from(face.units_per_em());
+    let letters = spaced(face, text);
+    let width: f32 = letters.iter().map(|letter| letter.advance * em).sum();
     let mut along = match anchor {
         Anchor::Left => 0.0,
         Anchor::Middle => -width / 2.0,
         Anchor::Right => -width,
     };
     let mut line = PathBuilder::new();
-    for (glyph, advance) in letters {
+    for letter in letters {
+        let (scale, foot) = (letter.scale * em, y as f32 - letter.raised * size as f32);
         // In the font y points up, in the figure down.
-        let place = Transform::from_translate(x as f32, y as f32).pre_translate(along, 0.0).pre_scale(scale, -scale);
-        if let Some(outline) = outline(face, glyph).and_then(|outline| outline.transform(place)) {
+        let place = Transform::from_translate(x as f32, foot).pre_translate(along, 0.0).pre_scale(scale, -scale);
+        if let Some(outline) = outline(face, letter.glyph).and_then(|outline| outline.transform(place)) {
             line.push_path(&outline);
         }
-        along += advance;
+        along += letter.advance * em;
     }
     line.finish()
 }
 
-/// Returns the glyphs of a text, each with the distance to the next in font units. As in SVG, spaces at the ends are
-/// dropped and several spaces are one.
-fn spaced(face: &Face, text: &str) -> Vec<(GlyphId, i32)> {
-    let mut text = text.split(' ').filter(|word| !word.is_empty()).collect::<Vec<&str>>().join(" ");
-    for (letters, ligature) in LIGATURES {
-        text = text.replace(letters, ligature);
-    }
-    let visible = text.chars().filter(|letter| !is_invisible(*letter));
-    // A letter that the font lacks is drawn as a box, the first glyph.
-    let glyph = |letter: char| face.glyph_index(if letter.is_whitespace() { ' ' } else { letter }).unwrap_or_default();
-    let glyphs: Vec<GlyphId> = visible.map(glyph).collect();
-    let advance = |i: usize| {
-        let kerning = glyphs.get(i + 1).map_or(0, |next| kerning(face, glyphs[i], *next));
-        i32::from(face.glyph_hor_advance(glyphs[i]).unwrap_or(0)) + kerning
+/// A glyph in a line.
+struct Letter {
+    glyph: GlyphId,
+    /// Distance to the next, in font units.
+    advance: f32,
+    /// Size, relative to the line's.
+    scale: f32,
+    /// Baseline above that of the line, in em.
+    raised: f32,
+}
+
+/// Returns the letters of a text. As in SVG, spaces at the ends are dropped and several spaces are one.
+fn spaced(face: &Face, text: &str) -> Vec<Letter> {
+    let text = text.split(' ').filter(|word| !word.is_empty()).collect::<Vec<&str>>().join(" ");
+    let letter = |letter: char| {
+        let (plain, scale, raised) = match scripts::plain(letter) {
+            Some((plain, raised)) => (plain, scripts::SCALE as f32, raised as f32),
+            None => (if letter.is_whitespace() { ' ' } else { letter }, 1.0, 0.0),
+        };
+        // A letter that the font lacks is drawn as a box, the first glyph.
+        let glyph = face.glyph_index(plain).unwrap_or_default();
+        Letter { glyph, advance: f32::from(face.glyph_hor_advance(glyph).unwrap_or(0)) * scale, scale, raised }
     };
-    (0..glyphs.len()).map(|i| (glyphs[i], advance(i))).collect()
+    let mut letters: Vec<Letter> = text.chars().filter(|letter| !is_invisible(*letter)).map(letter).collect();
+    for i in 1..letters.len() {
+        if (letters[i - 1].scale, letters[i].scale) == (1.0, 1.0) {
+            letters[i - 1].advance += kerning(face, letters[i - 1].glyph, letters[i].glyph) as f32;
+        }
+    }
+    letters
 }
 
 /// Returns whether a character only controls how its neighbours are set.
@@ -118,12 +129,13 @@ mod tests {
     #[test]
     fn letters_are_spaced_as_the_font_asks() {
         let face = Face::parse(crate::draw::raster::FACE, 0).unwrap();
-        let advances =
-            |text: &str| -> Vec<i32> { spaced(&face, text).into_iter().map(|(_, advance)| advance).collect() };
+        let advances = |text: &str| -> Vec<f32> { spaced(&face, text).iter().map(|letter| letter.advance).collect() };
         let (alone, pair) = (advances("T"), advances("To"));
         assert!(pair[0] < alone[0], "no kerning: {pair:?} after {alone:?}");
         assert_eq!(pair[1], advances("o")[0]);
-        assert_eq!(advances("efficient").len(), "e\u{fb03}cient".chars().count());
+        let raised = spaced(&face, "10⁻⁵");
+        assert!(raised[2].scale < 1.0 && raised[3].raised > 0.0 && raised[1].raised == 0.0);
+        assert_eq!(raised[3].glyph, spaced(&face, "5")[0].glyph);
         assert_eq!(advances("  a   b "), advances("a b"));
         assert_eq!(advances("a\u{200b}b"), advances("ab"));
     }

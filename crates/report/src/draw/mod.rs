@@ -6,9 +6,11 @@ mod disc;
 #[cfg(feature = "png-figures")]
 mod letters;
 mod mp4;
+pub mod numbers;
 pub mod pictures;
 mod raster;
 mod reel;
+mod scripts;
 
 pub use canvas::Figure;
 pub use mp4::without_mp4;

@@ -3,7 +3,7 @@
 
 use super::statistics::{holm, simultaneous};
 use super::tables::text::{signed_interval, signed_text};
-use super::tables::{Comparison, Line, Table, escape};
+use super::tables::{Comparison, Judgement, Line, Table, escape};
 use crate::base::csv::{csv_number, csv_text};
 use crate::metrics::{Direction, Metric};
 use crate::report::distinct;
@@ -31,6 +31,8 @@ pub struct Block {
     pub scene: String,
     /// Axis values; usually empty.
     pub axes: String,
+    /// Number of training views; empty if it is unknown or differs.
+    pub views: String,
     /// Name for readers instead of sweep and scene.
     pub label: Option<String>,
     /// The difference, its p values corrected over the blocks, or `None` if no seed has both rows.
@@ -54,6 +56,7 @@ impl Across {
             sweep: table.name.clone(),
             scene: line.scene.clone(),
             axes: line.axes.clone(),
+            views: line.protocol("views_trained").into(),
             label: None,
             comparison: line.cells[0].comparison,
             status: line.status.clone(),
@@ -71,7 +74,18 @@ impl Across {
             blocks: tables.iter().flat_map(of).collect(),
         };
         across.correct();
+        across.tell_apart();
         across
+    }
+
+    /// Names blocks of one scene and number of views by their sweeps, too.
+    fn tell_apart(&mut self) {
+        let names: Vec<String> = self.blocks.iter().map(Block::place).collect();
+        for (block, name) in self.blocks.iter_mut().zip(&names) {
+            if names.iter().filter(|other| *other == name).count() > 1 {
+                block.label = Some(format!("{}, {}", block.scene_and_views(), block.sweep));
+            }
+        }
     }
 
     /// Calls the blocks of a sweep otherwise for readers; those of several scenes keep theirs.
@@ -194,9 +208,17 @@ impl Across {
     }
 
     /// Returns the verdict on a block in words.
-    pub(super) fn words(&self, block: &Block, comparison: &Comparison) -> String {
-        let mut words: Vec<String> =
-            comparison.verdict().map(|verdict| verdict.name().to_string()).into_iter().collect();
+    fn words(&self, block: &Block, comparison: &Comparison) -> String {
+        self.said(block, comparison, comparison.verdict().map_or("", |verdict| verdict.name()))
+    }
+
+    /// Returns the same for a figure, whose marks show where no difference is shown.
+    pub(super) fn judged(&self, block: &Block, comparison: &Comparison) -> String {
+        self.said(block, comparison, Judgement::of(&self.metric, comparison).name())
+    }
+
+    fn said(&self, block: &Block, comparison: &Comparison, verdict: &str) -> String {
+        let mut words: Vec<String> = Some(verdict.to_string()).filter(|word| !word.is_empty()).into_iter().collect();
         if let Some(margin) = block.margin() {
             let margin = signed_text(&self.metric, margin);
             let margin = margin.trim_start_matches('+');
@@ -211,14 +233,18 @@ impl Across {
 }
 
 impl Block {
-    /// Returns the label, or sweep and scene, and axis values.
+    /// Returns the label, or scene and training views, and axis values: `fern, 8 views`.
     pub(super) fn place(&self) -> String {
-        let parts = match &self.label {
-            Some(label) => vec![label, &self.axes],
-            None => vec![&self.sweep, &self.scene, &self.axes],
-        };
-        let parts = parts.into_iter().filter(|text| !text.is_empty());
-        parts.map(String::as_str).collect::<Vec<&str>>().join(", ")
+        let name = self.label.clone().unwrap_or_else(|| self.scene_and_views());
+        if self.axes.is_empty() { name } else { format!("{name}, {}", self.axes) }
+    }
+
+    fn scene_and_views(&self) -> String {
+        match self.views.as_str() {
+            "" => self.scene.clone(),
+            "1" => format!("{}, 1 view", self.scene),
+            views => format!("{}, {views} views", self.scene),
+        }
     }
 
     /// Returns the margin of equivalence that the sweep states.
@@ -295,7 +321,7 @@ mod tests {
         // Less is better: a value far above 0 is no gain, and one near 0 is no gain of the margin.
         assert_eq!((a.ruled_out("lpips_squeeze"), b.ruled_out("lpips_squeeze")), (Some(true), Some(true)));
         let text = across.markdown();
-        assert!(text.contains("| a, fern | 4 | +0.50 ["), "{text}");
+        assert!(text.contains("| fern, a | 4 | +0.50 ["), "{text}");
         assert!(
             text.contains("| higher |") && text.contains("equivalent within 0.30, a gain of 0.30 is ruled out |"),
             "{text}"

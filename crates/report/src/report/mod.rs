@@ -13,4 +13,4 @@ pub mod tables;
 pub use across::{Across, Block};
 pub use published::{PUBLISHED_NOTE, PublishedProtocol, PublishedRow, published_rows};
 pub use record::distinct;
-pub use record::{AxisValue, PublishedKey, Record, RowSpec, Status, TableSpec, label};
+pub use record::{AxisParts, AxisValue, PublishedKey, Record, RowSpec, Status, TableSpec, label};

@@ -132,9 +132,36 @@ pub struct TableSpec {
     pub varied: bool,
     /// Further notes below the table: the sweeps and the selection that it shows.
     pub notes: Vec<String>,
+    /// Settings that were changed for all rows, as the end of the title has them: `data.width = 24, ...`.
+    pub changed: String,
+    /// The settings of axes that vary several of them together.
+    pub parts: Vec<AxisParts>,
+}
+
+/// The settings that an axis varies together.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct AxisParts {
+    /// The axis's name.
+    pub axis: String,
+    /// Its panel.
+    pub panel: String,
+    /// What tells each setting from the others, in the order of a value's parts: `t`, `xyz`, `view`.
+    pub names: Vec<String>,
 }
 
 impl TableSpec {
+    /// Returns the title without the changed settings, which figures have in their captions.
+    pub fn short_title(&self) -> &str {
+        let with = format!(" (with {})", self.changed);
+        self.title.strip_suffix(&with).unwrap_or(&self.title)
+    }
+
+    /// Returns the names of the settings that an axis varies together; empty if it varies one.
+    pub fn parts_of(&self, axis: &str, panel: &str) -> &[String] {
+        let own = self.parts.iter().find(|parts| (parts.axis.as_str(), parts.panel.as_str()) == (axis, panel));
+        own.map_or(&[], |parts| &parts.names)
+    }
+
     /// Returns the margin of equivalence of a metric, or `None` if the definition has none.
     pub fn margin(&self, metric: &str) -> Option<f64> {
         self.equivalence.iter().find(|(known, _)| known == metric).map(|(_, margin)| *margin)

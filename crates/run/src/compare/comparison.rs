@@ -4,7 +4,7 @@ use super::differences::{Difference, differences};
 use super::run_view::RunView;
 use super::window::{Window, crop, crop_mask, most_different};
 use crate::base::{Error, Image, Result};
-use crate::draw::{depth_range, pixel_errors};
+use crate::draw::{depth_range, depth_range_of, pixel_errors};
 use crate::metrics::{PSNR, SSIM, ViewMetrics, measure_unmasked, unmasked_or};
 use crate::run::RenderedView;
 
@@ -61,8 +61,10 @@ impl Comparison {
         let over = |values: fn(&RenderedView) -> &Vec<f32>| -> Vec<f32> {
             runs.iter().flat_map(|(_, rendered)| values(rendered).iter().copied()).collect()
         };
-        // All runs share one scale.
-        let depths = depth_range(&over(|r| &r.depth), Some(&over(|r| &r.acc)));
+        // All runs share one scale with the ground truth.
+        let (depth, acc) = (over(|r| &r.depth), over(|r| &r.acc));
+        let truth_depth = runs[0].0.view.depth.clone().filter(|_| runs[0].0.ndc.is_none()).unwrap_or_default();
+        let depths = depth_range_of(&[(&depth, Some(&acc)), (&truth_depth, None)]);
         let named: Vec<&RunView> = runs.iter().map(|(run, _)| run).collect();
         let differences = differences(&named);
         let truth_in_box = crop(&truth, chosen);

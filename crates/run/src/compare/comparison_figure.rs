@@ -3,102 +3,97 @@
 use super::comparison::{Comparison, metrics_text};
 use super::differences::difference_text;
 use super::display_size::DisplaySize;
-use super::parts::{BAR, colour_bar, lines, note, trained_on};
+use super::parts::{colour_bar, note, trained_on};
 use super::window::{Window, crop};
 use crate::base::{Image, Result};
-use crate::draw::canvas::{Anchor, BLACK, Canvas, Figure, LINE_HEIGHT, PAPER, RED, SIDE, TEXT, TITLE, text_width};
+use crate::draw::canvas::{Anchor, BLACK, Canvas, Figure, GREY, LINE_HEIGHT, ORANGE, PAPER, TEXT, Width, text_width};
 use crate::draw::{depth_colour, scale_colour};
 
-/// Gap between two images.
-const GAP: f64 = 10.0;
+/// Heads of the columns.
+const HEADS: [&str; 4] = ["view", "box", "error", "depth"];
+const SPREAD: &str = "largest minus smallest error";
 
 /// Draws one row for the ground truth and one a run: view, box, error, depth.
 pub fn draw(comparison: &Comparison) -> Result<Figure> {
-    ComparisonFigure { comparison }.draw()
+    let scale = DisplaySize::on_page(comparison.truth(), HEADS.len());
+    ComparisonFigure { comparison, scale }.draw()
 }
 
 struct ComparisonFigure<'a> {
     comparison: &'a Comparison,
+    scale: DisplaySize,
 }
 
 impl ComparisonFigure<'_> {
     fn draw(&self) -> Result<Figure> {
-        let scale = DisplaySize::of(self.comparison.truth());
-        let mut canvas = Canvas::new(2.0 * SIDE + 4.0 * scale.width + 3.0 * GAP, 0.0);
-        let left = |column: usize| SIDE + column as f64 * (scale.width + GAP);
-        let width = canvas.width - 2.0 * SIDE;
-        let mut y = lines(&mut canvas, (SIDE, 20.0), width, &self.comparison.first().title(), (TITLE, BLACK)) + 8.0;
-        for (column, name) in ["truth", "box", self.spread_name(), self.truth_depth_name()].iter().enumerate() {
-            canvas.text((left(column), y), name, TEXT, Anchor::Left, BLACK);
+        let scale = &self.scale;
+        let mut canvas = Canvas::new(Width::Page.units(), 0.0);
+        canvas.fineness = scale.fineness;
+        let width = canvas.width - 2.0 * scale.margin;
+        let mut y = canvas.lines((scale.margin, 20.0), width, &self.comparison.first().title(), BLACK) + 4.0;
+        for (column, name) in HEADS.iter().enumerate() {
+            canvas.text((scale.left(column), y), name, TEXT, Anchor::Left, GREY);
         }
+        y += LINE_HEIGHT + 4.0;
+        canvas.text((scale.margin, y), "ground truth", TEXT, Anchor::Left, BLACK);
         y += 12.0;
-        self.draw_truth(&mut canvas, &scale, y, &left)?;
+        self.draw_truth(&mut canvas, y)?;
         y += scale.height + 8.0;
         for (index, side) in self.comparison.sides.iter().enumerate() {
             y = self.draw_label(&mut canvas, index, y + LINE_HEIGHT / 2.0 + 4.0) + 4.0;
             let depth = &side.rendered.depth;
-            self.draw_view(&mut canvas, &scale, y, &left, &side.rendered.image)?;
-            scale.draw_map(&mut canvas, (left(2), y), &self.error_picture(&side.errors))?;
-            scale.draw_map(&mut canvas, (left(3), y), &self.depth_picture(depth, Some(&side.rendered.acc))?)?;
-            self.draw_box(&mut canvas, &scale, (left(2), y));
-            self.draw_box(&mut canvas, &scale, (left(3), y));
+            self.draw_view(&mut canvas, y, &side.rendered.image)?;
+            self.draw_map(&mut canvas, (2, y), &self.error_picture(&side.errors))?;
+            self.draw_map(&mut canvas, (3, y), &self.depth_picture(depth, Some(&side.rendered.acc))?)?;
             y += scale.height + 8.0;
         }
-        self.draw_bars(&mut canvas, &scale, y, &left)?;
-        canvas.height = y + BAR + 8.0;
-        canvas.caption(&self.caption(&scale));
+        canvas.height = self.draw_bars(&mut canvas, y)? + 4.0;
+        canvas.caption(&self.caption());
         canvas.finish()
     }
 
-    fn spread_name(&self) -> &'static str {
-        if self.comparison.sides.len() > 1 { "largest minus smallest error" } else { "" }
-    }
-
-    fn truth_depth_name(&self) -> &'static str {
-        if self.comparison.truth_depth().is_some() { "depth" } else { "" }
-    }
-
-    fn draw_truth(&self, canvas: &mut Canvas, scale: &DisplaySize, y: f64, left: &impl Fn(usize) -> f64) -> Result<()> {
-        self.draw_view(canvas, scale, y, left, self.comparison.truth())?;
+    /// Draws the view and, if there are any, the differences between the runs' errors and the depth.
+    fn draw_truth(&self, canvas: &mut Canvas, y: f64) -> Result<()> {
+        self.draw_view(canvas, y, self.comparison.truth())?;
         if self.comparison.sides.len() > 1 {
-            scale.draw_map(canvas, (left(2), y), &self.error_picture(&self.comparison.spread()))?;
-            self.draw_box(canvas, scale, (left(2), y));
+            canvas.text((self.scale.left(2), y - 12.0), SPREAD, TEXT, Anchor::Left, BLACK);
+            self.draw_map(canvas, (2, y), &self.error_picture(&self.comparison.spread()))?;
         }
-        if let Some(depth) = self.comparison.truth_depth() {
-            scale.draw_map(canvas, (left(3), y), &self.depth_picture(depth, None)?)?;
-            self.draw_box(canvas, scale, (left(3), y));
+        match self.comparison.truth_depth() {
+            Some(depth) => self.draw_map(canvas, (3, y), &self.depth_picture(depth, None)?),
+            None => Ok(()),
         }
+    }
+
+    /// Draws a coloured map with the box's outline.
+    fn draw_map(&self, canvas: &mut Canvas, (column, y): (usize, f64), map: &Image) -> Result<()> {
+        self.scale.draw_map(canvas, (self.scale.left(column), y), map)?;
+        self.draw_box(canvas, (self.scale.left(column), y));
         Ok(())
     }
 
     /// Draws the view with the box's outline, and the box enlarged.
-    fn draw_view(
-        &self,
-        canvas: &mut Canvas,
-        scale: &DisplaySize,
-        y: f64,
-        left: &impl Fn(usize) -> f64,
-        image: &Image,
-    ) -> Result<()> {
-        scale.draw(canvas, (left(0), y), image)?;
-        self.draw_box(canvas, scale, (left(0), y));
+    fn draw_view(&self, canvas: &mut Canvas, y: f64, image: &Image) -> Result<()> {
+        let scale = &self.scale;
+        scale.draw(canvas, (scale.left(0), y), image)?;
+        self.draw_box(canvas, (scale.left(0), y));
         let inside = crop(image, self.comparison.window);
         let Window { width, height, .. } = self.comparison.window;
         let times = (scale.width / width as f64).min(scale.height / height as f64);
         let size = (times * width as f64, times * height as f64);
-        canvas.picture((left(1), y), size, &inside)?;
-        canvas.outline((left(1), y), size, RED, 1.5);
+        canvas.picture((scale.left(1), y), size, &inside)?;
+        canvas.outline((scale.left(1), y), size, ORANGE, 1.5);
         Ok(())
     }
 
-    fn draw_box(&self, canvas: &mut Canvas, scale: &DisplaySize, (x, y): (f64, f64)) {
+    fn draw_box(&self, canvas: &mut Canvas, (x, y): (f64, f64)) {
         let Window { x: column, y: row, width, height } = self.comparison.window;
-        let units = scale.width / self.comparison.truth().width as f64;
+        let units = self.scale.width / self.comparison.truth().width as f64;
         let place = (x + column as f64 * units, y + row as f64 * units);
         let size = (width as f64 * units, height as f64 * units);
         // White below, so that the outline is visible on every colour.
         canvas.outline(place, size, PAPER, 3.0);
-        canvas.outline(place, size, RED, 1.5);
+        canvas.outline(place, size, ORANGE, 1.5);
     }
 
     /// Draws a run's name, metrics and differences; returns where its images start.
@@ -106,35 +101,30 @@ impl ComparisonFigure<'_> {
         let side = &self.comparison.sides[index];
         let (view, in_box) = (metrics_text(&side.metrics), metrics_text(&side.metrics_in_box));
         let numbers = format!("view: {view}; box: {in_box}");
-        let right = canvas.width - SIDE;
-        let below = lines(canvas, (SIDE, y), right - SIDE, &side.run.label, (TITLE, BLACK));
+        let (left, right) = (self.scale.margin, canvas.width - self.scale.margin);
+        let below = canvas.lines((left, y), right - left, &side.run.label, BLACK);
         // Next to the name, or below a name that leaves no space.
-        if SIDE + text_width(&side.run.label, TITLE) + 20.0 + text_width(&numbers, TEXT) > right {
+        if left + text_width(&side.run.label, TEXT) + 20.0 + text_width(&numbers, TEXT) > right {
             y = below;
         }
         canvas.text((right, y), &numbers, TEXT, Anchor::Right, BLACK);
         let below = below.max(y + LINE_HEIGHT);
-        note(canvas, (SIDE, below), right - SIDE, &difference_text(&self.comparison.differences, index))
+        note(canvas, (left, below), right - left, &difference_text(&self.comparison.differences, index))
             - LINE_HEIGHT / 2.0
     }
 
-    /// Draws the colour bars below their columns.
-    fn draw_bars(&self, canvas: &mut Canvas, scale: &DisplaySize, y: f64, left: &impl Fn(usize) -> f64) -> Result<()> {
-        let (near, far) = self.comparison.depths;
+    /// Draws the colour bars below their columns; returns the position after them.
+    fn draw_bars(&self, canvas: &mut Canvas, y: f64) -> Result<f64> {
+        let scale = &self.scale;
         let unit = format!("depth ({})", self.comparison.first().depth_unit());
-        colour_bar(
-            canvas,
-            (left(2), y),
-            scale.width,
-            (0.0, self.comparison.error_top),
-            false,
-            "error (1: black for white)",
-        )?;
+        let errors = (0.0, self.comparison.error_top);
+        let left = colour_bar(canvas, (scale.left(2), y), scale.width, errors, false, "error (1: black for white)")?;
         // Near is bright.
-        colour_bar(canvas, (left(3), y), scale.width, (near, far), true, &unit)
+        let right = colour_bar(canvas, (scale.left(3), y), scale.width, self.comparison.depths, true, &unit)?;
+        Ok(left.max(right))
     }
 
-    fn caption(&self, scale: &DisplaySize) -> String {
+    fn caption(&self) -> String {
         let Window { x, y, width, height } = self.comparison.window;
         let by = match self.comparison.chosen_by() {
             "hand" => "chosen by hand".to_string(),
@@ -146,10 +136,10 @@ impl ComparisonFigure<'_> {
              everything beyond, such as the outermost 2 % of the runs' values. Grey depth: little that stops light in a rendering; in the truth, nothing hit or depth not known."
         );
         if !self.comparison.differences.is_empty() {
-            text += " Below names: what these runs differ in.";
+            text += " Below names: the first settings that these runs differ in; compare.json has all.";
         }
-        if scale.shrink > 1 {
-            text += &format!(" Views are shown at 1/{} of their size.", scale.shrink);
+        if self.scale.shrink > 1 {
+            text += &format!(" Views are shown at 1/{} of their size.", self.scale.shrink);
         }
         text + &trained_on(self.comparison.sides.iter().map(|side| &side.run))
     }

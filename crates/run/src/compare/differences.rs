@@ -3,6 +3,7 @@
 use serde::Serialize;
 
 use super::run_view::{RunView, settings};
+use crate::draw::numbers::rounded;
 use crate::run::columns;
 use crate::settings::Config;
 use crate::settings::columns::{Column, find};
@@ -60,31 +61,26 @@ fn differing(rows: Vec<Vec<(String, String)>>, skip: fn(&str) -> bool) -> Vec<Di
     found
 }
 
-/// Returns one run's side of the differences as a line of text.
+/// Most differences in a line of text, where none of [`FIRST`] differs.
+const TOLD: usize = 3;
+/// Columns that say most about a run, and whose value says what it is of.
+const FIRST: [&str; 5] = ["method", "regularizers", "perturb_kind", "attack", "corruption"];
+
+/// Returns one run's side of the differences that matter most as a line of text: `tv 3e-7`.
 pub(super) fn difference_text(differences: &[Difference], run: usize) -> String {
-    let own = differences.iter().filter(|difference| !difference.values[run].is_empty());
-    let named = own.map(|difference| {
-        let Difference { name, values } = difference;
+    let told = |difference: &&Difference| !difference.values[run].is_empty();
+    let first: Vec<&Difference> =
+        FIRST.iter().filter_map(|name| differences.iter().find(|difference| difference.name == *name)).collect();
+    if !first.is_empty() {
+        let values = first.into_iter().filter(told).map(|difference| rounded(&difference.values[run]));
+        return values.collect::<Vec<String>>().join("; ");
+    }
+    let named = differences.iter().filter(told).take(TOLD).map(|Difference { name, values }| {
         // A setting keeps its name for --set; a protocol field becomes words.
         let name = if name.contains('.') { name.clone() } else { name.replace('_', " ") };
-        format!("{name} {}", short(&values[run]))
+        format!("{name} {}", rounded(&values[run]))
     });
     named.collect::<Vec<String>>().join("; ")
-}
-
-/// Rounds long fractions in a text to four digits: 0.8333333333333334 as 0.8333. Files have all digits.
-fn short(text: &str) -> String {
-    let rounded = |part: &str| {
-        let end = part.trim_end_matches([' ', ',', '/', ';']);
-        match end.parse::<f64>() {
-            Ok(number) if end.len() > 8 && end.contains('.') => {
-                let number: f64 = format!("{number:.3e}").parse().expect("written as a number");
-                format!("{number}{}", &part[end.len()..])
-            }
-            _ => part.to_string(),
-        }
-    };
-    text.split_inclusive([' ', ',', '/', ';']).map(rounded).collect()
 }
 
 #[cfg(test)]
@@ -92,12 +88,15 @@ mod tests {
     use super::*;
 
     #[test]
-    fn long_fractions_are_rounded_and_nothing_else_is_changed() {
-        let text = "t 3/0.8333333333333334/0.25, rgb 1/2.5/0.01568627450980392";
-        assert_eq!(short(text), "t 3/0.8333/0.25, rgb 1/2.5/0.01569");
-        for same in ["709e22912345", "coarse 0, fine 1", "0.00001", "123456789", ""] {
-            assert_eq!(short(same), same);
-        }
+    fn a_line_of_differences_is_short_and_says_what_matters_first() {
+        let difference = |name: &str, value: &str| Difference { name: name.into(), values: vec![value.into()] };
+        let told = ["density_activation", "field_width", "regularizers", "data.near"].map(|name| match name {
+            "regularizers" => difference(name, "tv 0.0000003"),
+            name => difference(name, "1"),
+        });
+        assert_eq!(difference_text(&told, 0), "tv 3e-7");
+        assert_eq!(difference_text(&told[..2], 0), "density activation 1; field width 1");
+        assert_eq!(difference_text(&[], 0), "");
     }
 
     #[test]

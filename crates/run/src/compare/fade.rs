@@ -17,7 +17,7 @@ const STEPS: usize = 9;
 /// Writes both runs in turn, each under its name, with a fade from one to the other and back.
 pub fn write_fade(comparison: &Comparison, path: &Path) -> Result<()> {
     check_fade(comparison.sides.len())?;
-    let scale = DisplaySize::of(comparison.truth());
+    let scale = DisplaySize::alone(comparison.truth());
     let texts: Vec<Vec<String>> = comparison.sides.iter().map(|side| text(side, scale.width)).collect();
     let lines = texts.iter().map(Vec::len).max().unwrap_or(0);
     let names = texts.iter().map(|text| name_strip(text, lines, scale.width)).collect::<Result<Vec<Image>>>()?;

@@ -14,6 +14,9 @@ mod profile_files;
 mod run_view;
 mod window;
 
+pub(crate) use display_size::DisplaySize;
+pub(crate) use parts::colour_bar;
+
 pub use comparison::Comparison;
 pub use comparison::check_box;
 pub use differences::{Difference, differences, differing_settings};

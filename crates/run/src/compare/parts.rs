@@ -2,14 +2,12 @@
 
 use super::run_view::RunView;
 use crate::base::{Image, Result};
-use crate::draw::canvas::{Anchor, BLACK, Canvas, Colour, GREY, LINE_HEIGHT, TEXT, number, ticks, wrapped};
+use crate::draw::canvas::{Anchor, BLACK, Canvas, GREY, LINE_HEIGHT, TEXT, text_width, ticks, wrapped};
+use crate::draw::numbers::numbers;
 use crate::draw::scale_colour;
 
-/// Height of [`colour_bar`] with its numbers and name.
-pub const BAR: f64 = 46.0;
-
 /// Draws a colour bar with numbers and a name below. The map's colours run from left to right, or from right to left
-/// if `falling`.
+/// if `falling`. Returns the position after it.
 pub fn colour_bar(
     canvas: &mut Canvas,
     (x, y): (f64, f64),
@@ -17,7 +15,7 @@ pub fn colour_bar(
     (low, high): (f32, f32),
     falling: bool,
     name: &str,
-) -> Result<()> {
+) -> Result<f64> {
     const COLOURS: usize = 256;
     const HEIGHT: f64 = 12.0;
     let share = |i: usize| i as f32 / (COLOURS - 1) as f32;
@@ -27,33 +25,25 @@ pub fn colour_bar(
     let (low, high) = (f64::from(low), f64::from(high));
     // A scale without length, for a constant depth, has one number.
     let (values, step) = if high > low { ticks((low, high), 4) } else { (vec![low], 1e-3) };
-    for value in values {
+    for (value, text) in values.iter().zip(numbers(&values, step)) {
         let at = x + width * (value - low) / (high - low).max(f64::MIN_POSITIVE);
         canvas.line(&[(at, y + HEIGHT), (at, y + HEIGHT + 4.0)], BLACK, 1.0);
-        canvas.text((at, y + HEIGHT + 12.0), &number(value, step), TEXT, Anchor::Middle, BLACK);
+        // A number at the bar's end does not leave it.
+        let half = (text_width(&text, TEXT) / 2.0).min(width / 2.0);
+        let middle = at.clamp(x + half, x + width - half);
+        canvas.text((middle, y + HEIGHT + 12.0), &text, TEXT, Anchor::Middle, BLACK);
     }
-    canvas.text((x + width / 2.0, y + HEIGHT + 28.0), name, TEXT, Anchor::Middle, BLACK);
-    Ok(())
+    let mut foot = y + HEIGHT + 28.0;
+    for line in wrapped(name, width, TEXT) {
+        canvas.text((x + width / 2.0, foot), &line, TEXT, Anchor::Middle, BLACK);
+        foot += LINE_HEIGHT;
+    }
+    Ok(foot)
 }
 
 /// Draws grey lines of text of at most `width`, from `(x, y)` down; returns the position after them.
 pub fn note(canvas: &mut Canvas, at: (f64, f64), width: f64, text: &str) -> f64 {
-    if text.is_empty() { at.1 } else { lines(canvas, at, width, text, (TEXT, GREY)) }
-}
-
-/// Draws the same with a given size and colour.
-pub fn lines(
-    canvas: &mut Canvas,
-    (x, mut y): (f64, f64),
-    width: f64,
-    text: &str,
-    (size, colour): (f64, Colour),
-) -> f64 {
-    for line in wrapped(text, width, size) {
-        canvas.text((x, y), &line, size, Anchor::Left, colour);
-        y += LINE_HEIGHT;
-    }
-    y
+    if text.is_empty() { at.1 } else { canvas.lines(at, width, text, GREY) }
 }
 
 /// Returns a note if all runs were trained on views with the same corruption; differences are shown elsewhere.

@@ -1,21 +1,23 @@
 //! The figure of several runs along the same rays.
 
 use super::differences::{difference_text, differences};
-use super::parts::{BAR, colour_bar, lines, note, trained_on};
+use super::parts::{colour_bar, note, trained_on};
 use super::profile::{EVEN, Profile, Profiles, Samples};
 use super::run_view::RunView;
 use super::window::Window;
 use crate::base::{Error, Image, Result};
 use crate::data::resample;
 use crate::draw::canvas::{
-    Anchor, BLACK, Canvas, Colour, FINENESS, Figure, GRID, PALETTE, PAPER, Panel, RED, SIDE, TEXT, TITLE, number, ticks,
+    Anchor, BLACK, Canvas, Colour, Figure, GRID, ORANGE, PALETTE, PAPER, Panel, SIDE, TEXT, Width, ticks,
 };
+use crate::draw::numbers::numbers;
 use crate::draw::scale_colour;
 
-const LEFT: f64 = 92.0;
-/// One pixel of the PNG for each even sample.
-const WIDTH: f64 = EVEN as f64 / FINENESS;
-const RIGHT: f64 = 92.0;
+const LEFT: f64 = 82.0;
+const RIGHT: f64 = 72.0;
+const WIDTH: f64 = Width::Page.units() - LEFT - RIGHT;
+/// Two pixels of the PNG for each even sample.
+const FINENESS: f64 = 2.0 * EVEN as f64 / WIDTH;
 /// Height of the view in the corner.
 const INSET: f64 = 72.0;
 /// Height of a patch's map.
@@ -26,11 +28,12 @@ const OUTLIERS: f64 = 0.02;
 /// Draws curves of the pixel's ray, and maps of the patch's row below, all over the same t.
 pub fn draw(profiles: &Profiles) -> Result<Figure> {
     let first = &profiles.runs[0].0;
-    let mut canvas = Canvas::new(LEFT + WIDTH + RIGHT, 0.0);
+    let mut canvas = Canvas::new(Width::Page.units(), 0.0);
+    canvas.fineness = FINENESS;
     let (x, y) = profiles.pixel;
     let title = format!("Density and colour along the ray of pixel ({x}, {y})");
     let width = draw_inset(&mut canvas, profiles)? - 2.0 * SIDE;
-    let y = lines(&mut canvas, (SIDE, 20.0), width, &title, (TITLE, BLACK)) + 2.0;
+    let y = canvas.lines((SIDE, 20.0), width, &title, BLACK) + 2.0;
     let y = note(&mut canvas, (SIDE, y), width, &first.title());
     let mut y = legend(&mut canvas, profiles, y.max(16.0 + INSET + 16.0)) + 4.0;
     let axis = Axis { bounds: first.bounds };
@@ -55,7 +58,7 @@ fn draw_inset(canvas: &mut Canvas, profiles: &Profiles) -> Result<f64> {
     let middle = |start: usize| (start as f64 + 0.5 * profiles.patch.width as f64) * unit - 0.5 * side;
     let at = (left + middle(profiles.patch.x), top + middle(profiles.patch.y));
     canvas.outline(at, (side, side), PAPER, 3.0);
-    canvas.outline(at, (side, side), RED, 1.5);
+    canvas.outline(at, (side, side), ORANGE, 1.5);
     Ok(left)
 }
 
@@ -78,9 +81,9 @@ impl Axis {
     /// Draws numbers and name below a panel; returns the position after them.
     fn label(&self, canvas: &mut Canvas, y: f64, unit: &str) -> f64 {
         let (values, step) = ticks(self.bounds, 6);
-        for t in values {
-            canvas.line(&[(self.x(t), y), (self.x(t), y + 4.0)], BLACK, 1.0);
-            canvas.text((self.x(t), y + 12.0), &number(t, step), TEXT, Anchor::Middle, BLACK);
+        for (t, text) in values.iter().zip(numbers(&values, step)) {
+            canvas.line(&[(self.x(*t), y), (self.x(*t), y + 4.0)], BLACK, 1.0);
+            canvas.text((self.x(*t), y + 12.0), &text, TEXT, Anchor::Middle, BLACK);
         }
         canvas.text((LEFT + WIDTH / 2.0, y + 30.0), &format!("t ({unit})"), TEXT, Anchor::Middle, BLACK);
         y + 40.0
@@ -94,8 +97,8 @@ fn legend(canvas: &mut Canvas, profiles: &Profiles, mut y: f64) -> f64 {
     let named: Vec<&RunView> = profiles.runs.iter().map(|(run, _)| run).collect();
     let differences = differences(&named);
     for (index, (run, profile)) in profiles.runs.iter().enumerate() {
-        canvas.line(&[(SIDE, y), (SIDE + 26.0, y)], colour(index), 3.0);
-        y = lines(canvas, (TEXT_LEFT, y), width, &run.label, (TITLE, BLACK));
+        canvas.line(&[(SIDE, y), (SIDE + 26.0, y)], colour(profiles, index), 3.0);
+        y = canvas.lines((TEXT_LEFT, y), width, &run.label, BLACK);
         y = note(canvas, (TEXT_LEFT, y), width, &difference_text(&differences, index));
         y = note(canvas, (TEXT_LEFT, y), width, &smoothness(profile)) + 6.0;
     }
@@ -120,8 +123,11 @@ pub fn check_overlay(runs: usize) -> Result<()> {
     Err(Error::Config(format!("a profile overlays at most {most} runs, but there are {runs}; name fewer")))
 }
 
-fn colour(run: usize) -> Colour {
-    PALETTE[run]
+/// Returns a run's colour: its row's in the sweep's figures, unless two rows have one.
+fn colour(profiles: &Profiles, run: usize) -> Colour {
+    let of = |index: usize| profiles.runs[index].0.row.unwrap_or(index) % PALETTE.len();
+    let is_clear = (0..profiles.runs.len()).all(|i| (0..i).all(|j| of(i) != of(j)));
+    PALETTE[if is_clear { of(run) } else { run }]
 }
 
 /// One panel of curves.
@@ -176,9 +182,9 @@ impl Curves {
         canvas.text((panel.right() + 8.0, y + self.height / 2.0), self.name, TEXT, Anchor::Left, BLACK);
         for (index, points) in runs.iter().enumerate() {
             let line: Vec<(f64, f64)> = points.iter().map(|(t, value)| (axis.x(*t), panel.y(*value))).collect();
-            canvas.line(&line, colour(index), 1.3);
+            canvas.line(&line, colour(profiles, index), 1.3);
             if self.evaluated {
-                line.iter().for_each(|at| canvas.dot(*at, 1.7, colour(index), 0.8));
+                line.iter().for_each(|at| canvas.dot(*at, 1.7, colour(profiles, index), 0.8));
             }
         }
     }
@@ -189,8 +195,8 @@ impl Curves {
 fn maps(canvas: &mut Canvas, profiles: &Profiles, axis: &Axis, unit: &str, mut y: f64) -> Result<f64> {
     let top = density_top(profiles);
     for (index, (run, profile)) in profiles.runs.iter().enumerate() {
-        canvas.line(&[(LEFT, y), (LEFT + 26.0, y)], colour(index), 3.0);
-        y = lines(canvas, (LEFT + 34.0, y), WIDTH - 34.0, &run.label, (TEXT, BLACK)) - 4.0;
+        canvas.line(&[(LEFT, y), (LEFT + 26.0, y)], colour(profiles, index), 3.0);
+        y = canvas.lines((LEFT + 34.0, y), WIDTH - 34.0, &run.label, BLACK) - 4.0;
         let density = map(profiles, profile, |ray, k| scale_colour(ray.density[k] / top));
         let rgb = map(profiles, profile, |ray, k| ray.rgb[k]);
         for (name, picture) in [("density", density), ("colour", rgb)] {
@@ -202,8 +208,7 @@ fn maps(canvas: &mut Canvas, profiles: &Profiles, axis: &Axis, unit: &str, mut y
         y += 6.0;
     }
     y = axis.label(canvas, y - 14.0, unit) + 14.0;
-    colour_bar(canvas, (LEFT, y), WIDTH, (0.0, top), false, "density on the maps")?;
-    Ok(y + BAR)
+    colour_bar(canvas, (LEFT, y), WIDTH, (0.0, top), false, "density on the maps")
 }
 
 /// Draws the first and last column of the patch next to a map, and a mark at the pixel's own.

@@ -14,6 +14,8 @@ use crate::train::checkpoint::State;
 pub struct RunView {
     /// Label in images and files.
     pub label: String,
+    /// Place of its row in the sweep that it is of, which decides its colour.
+    pub row: Option<usize>,
     /// Provenance of its numbers.
     pub protocol: Protocol,
     /// The held-out view.
@@ -39,6 +41,7 @@ impl RunView {
         let index = find_view(&label, scene, view)?;
         Ok(RunView {
             label,
+            row: None,
             protocol: Protocol::new(config, scene, state),
             view: scene.test[index].clone(),
             index,

@@ -3,10 +3,10 @@
 use crate::base::Result;
 use crate::data::pose::{self, Vec3};
 use crate::data::{Camera, Scene, View};
-use crate::draw::canvas::{Anchor, BLACK, BLUE, Canvas, Colour, Figure, GREY, PALETTE, RED, SIDE, TEXT};
+use crate::draw::canvas::{Anchor, BLACK, BLUE, Canvas, Colour, Figure, GREY, ORANGE, PALETTE, SIDE, TEXT, Width};
 
-/// Side of a panel, pixels.
-const PANEL: f64 = 460.0;
+/// Side of a panel.
+const PANEL: f64 = (Width::Page.units() - 2.0 * SIDE - GAP) / 2.0;
 const GAP: f64 = 24.0;
 /// Limit on drawn points; more points are thinned evenly.
 const MOST_POINTS: usize = 6000;
@@ -16,27 +16,28 @@ const FRUSTUM: f64 = 0.05;
 const FAR_SHARE: f64 = 1.5;
 /// Quantiles of the points that decide the extent.
 const SHOWN: [f64; 2] = [0.02, 0.98];
-const GREEN: Colour = PALETTE[2];
+const GREEN: Colour = PALETTE[1];
 
 /// One of two parallel views: its directions to the right and up.
 struct Panel {
     name: &'static str,
     left: f64,
+    top: f64,
     axes: [Vec3; 2],
     /// Its centre, and half of its side in scene units.
     middle: Vec3,
     half: f64,
 }
 
-/// Draws the scene's cameras (training blue, held out red), points (grey), box (green) and rays from near to far, from
+/// Draws the scene's cameras (training blue, held out orange), points (grey), box (green) and rays from near to far, from
 /// two sides.
 ///
 /// # Errors
 /// The figure cannot be drawn.
 pub fn scene_picture(scene: &Scene) -> Result<Figure> {
-    let width = 2.0 * SIDE + 2.0 * PANEL + GAP;
     let title = format!("{}: {} views to train on, {} held out", scene.name, scene.train.len(), scene.test.len());
-    let mut canvas = Canvas::titled(width, 64.0 + PANEL, &title);
+    let mut canvas = Canvas::titled(Width::Page, &title);
+    let top = canvas.height + 20.0;
     let [right, forward, up] = axes(scene);
     let (middle, half, is_cut) = shown(scene);
     let views = [
@@ -45,8 +46,9 @@ pub fn scene_picture(scene: &Scene) -> Result<Figure> {
     ];
     for (place, (name, axes)) in views.into_iter().enumerate() {
         let left = SIDE + place as f64 * (PANEL + GAP);
-        Panel { name, left, axes, middle, half }.draw(&mut canvas, scene);
+        Panel { name, left, top, axes, middle, half }.draw(&mut canvas, scene);
     }
+    canvas.height = top + PANEL + 6.0;
     canvas.caption(&caption(scene, half, is_cut));
     canvas.finish()
 }
@@ -134,7 +136,7 @@ fn point_corners(scene: &Scene) -> Option<(Vec3, Vec3)> {
 }
 
 fn caption(scene: &Scene, half: f64, is_cut: bool) -> String {
-    let mut text = String::from("Blue: cameras that are trained on; red: held out. ");
+    let mut text = String::from("Blue: cameras that are trained on; orange: held out. ");
     if !scene.space.points.is_empty() {
         text += &format!("Grey: {} points of the capture. ", scene.space.points.len());
     }
@@ -155,10 +157,8 @@ fn caption(scene: &Scene, half: f64, is_cut: bool) -> String {
 }
 
 impl Panel {
-    const TOP: f64 = 60.0;
-
     fn draw(&self, canvas: &mut Canvas, scene: &Scene) {
-        canvas.text((self.left, 46.0), self.name, TEXT, Anchor::Left, BLACK);
+        canvas.text((self.left, self.top - 12.0), self.name, TEXT, Anchor::Left, BLACK);
         let every = scene.space.points.len().div_ceil(MOST_POINTS).max(1);
         for point in scene.space.points.iter().step_by(every) {
             let at = self.at(point.map(f64::from));
@@ -166,7 +166,7 @@ impl Panel {
                 canvas.dot(at, 1.0, GREY, 0.4);
             }
         }
-        for (views, colour) in [(&scene.train, BLUE), (&scene.test, RED)] {
+        for (views, colour) in [(&scene.train, BLUE), (&scene.test, ORANGE)] {
             for view in views {
                 self.draw_camera(canvas, scene, &view.camera, colour);
             }
@@ -174,7 +174,7 @@ impl Panel {
         if let Some(domain) = scene.space.domain {
             self.draw_box(canvas, domain);
         }
-        canvas.outline((self.left, Self::TOP), (PANEL, PANEL), GREY, 1.0);
+        canvas.outline((self.left, self.top), (PANEL, PANEL), GREY, 1.0);
     }
 
     fn draw_camera(&self, canvas: &mut Canvas, scene: &Scene, camera: &Camera, colour: Colour) {
@@ -209,11 +209,11 @@ impl Panel {
     fn at(&self, point: Vec3) -> (f64, f64) {
         let offset = pose::sub(point, self.middle);
         let [x, y] = self.axes.map(|axis| pose::dot(offset, axis) / self.half);
-        (self.left + 0.5 * PANEL * (1.0 + x), Self::TOP + 0.5 * PANEL * (1.0 - y))
+        (self.left + 0.5 * PANEL * (1.0 + x), self.top + 0.5 * PANEL * (1.0 - y))
     }
 
     fn holds(&self, (x, y): (f64, f64)) -> bool {
-        (self.left..=self.left + PANEL).contains(&x) && (Self::TOP..=Self::TOP + PANEL).contains(&y)
+        (self.left..=self.left + PANEL).contains(&x) && (self.top..=self.top + PANEL).contains(&y)
     }
 
     /// Draws the part of a line that is inside the panel.
@@ -221,7 +221,7 @@ impl Panel {
         let ((x0, y0), (x1, y1)) = (self.at(from), self.at(to));
         // Fractions of the line at which it enters and leaves the panel, by Liang-Barsky clipping.
         let (mut enters, mut leaves) = (0.0f64, 1.0f64);
-        for (start, step, low) in [(x0, x1 - x0, self.left), (y0, y1 - y0, Self::TOP)] {
+        for (start, step, low) in [(x0, x1 - x0, self.left), (y0, y1 - y0, self.top)] {
             if step == 0.0 {
                 if !(low..=low + PANEL).contains(&start) {
                     return;

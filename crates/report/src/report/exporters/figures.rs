@@ -2,16 +2,17 @@
 
 use crate::base::Result;
 use crate::report::plots::{
-    Figure, axes_figure, curves_figure, heatmap_figures, rows_figure, seconds_figure, shifts_figure, surfaces_figure,
+    Figure, Style, Width, axes_figure, curves_figure, heatmap_figures, rows_figure, seconds_figure, shifts_figure,
+    surfaces_figure,
 };
 
 use super::{Collected, Exporter, File};
 
-/// The figures of one kind, with files named `KIND_...`.
+/// The figures of one kind, with files named `KIND_...` for a page and `KIND_..._column` for a column.
 pub struct Figures {
     kind: &'static str,
     repeats: bool,
-    figures: fn(&Collected) -> Result<Vec<Named>>,
+    figures: fn(&Collected, Style) -> Result<Vec<Named>>,
 }
 
 /// A figure's file name without its extension, and the figure if there is one.
@@ -21,11 +22,11 @@ type Named = (String, Option<Figure>);
 pub static ROWS: Figures = Figures {
     kind: "rows_",
     repeats: true,
-    figures: |collected| {
+    figures: |collected, style| {
         let table = collected.table()?;
         each_metric(collected, |scene, metric| match collected.spec.varied {
             true => Ok(vec![]),
-            false => Ok(vec![rows_figure(table, collected.records, scene, metric)?]),
+            false => Ok(vec![rows_figure(style, table, collected.records, scene, metric)?]),
         })
     },
 };
@@ -34,8 +35,8 @@ pub static ROWS: Figures = Figures {
 pub static AXES: Figures = Figures {
     kind: "axes_",
     repeats: true,
-    figures: |collected| {
-        each_metric(collected, |scene, metric| Ok(vec![axes_figure(collected.spec, collected.records, scene, metric)?]))
+    figures: |collected, style| {
+        each_metric(collected, |scene, metric| Ok(vec![axes_figure(style, collected.records, scene, metric)?]))
     },
 };
 
@@ -43,10 +44,10 @@ pub static AXES: Figures = Figures {
 pub static HEATMAPS: Figures = Figures {
     kind: "heatmap_",
     repeats: true,
-    figures: |collected| {
+    figures: |collected, style| {
         let table = collected.table()?;
         each_metric(collected, |scene, metric| {
-            let figures = heatmap_figures(table, collected.records, scene, metric)?;
+            let figures = heatmap_figures(style, table, collected.records, scene, metric)?;
             Ok(figures.into_iter().map(Some).collect())
         })
     },
@@ -56,14 +57,12 @@ pub static HEATMAPS: Figures = Figures {
 pub static CURVES: Figures = Figures {
     kind: "curves_",
     repeats: true,
-    figures: |collected| {
+    figures: |collected, style| {
         let mut figures = Vec::new();
         for (scene, curves) in collected.curves {
-            let title = format!("{}: training on {scene}", collected.spec.title);
-            let unit = "PSNR of the step's rays (dB)";
-            figures.push((format!("{scene}_psnr"), curves_figure(&title, unit, curves)?));
+            figures.push((format!("{scene}_psnr"), curves_figure(style, scene, curves)?));
             // Drawn only with clock times, since it is not reproducible.
-            figures.push((format!("{scene}_psnr_seconds"), seconds_figure(&title, unit, curves)?));
+            figures.push((format!("{scene}_psnr_seconds"), seconds_figure(style, scene, curves)?));
         }
         Ok(figures)
     },
@@ -73,11 +72,10 @@ pub static CURVES: Figures = Figures {
 pub static ATTACK: Figures = Figures {
     kind: "attack_",
     repeats: true,
-    figures: |collected| {
+    figures: |collected, style| {
         let mut figures = Vec::new();
         for (scene, shifts) in collected.shifts {
-            let title = format!("{}: shift of colours by the attack on {scene}", collected.spec.title);
-            figures.push((scene.clone(), shifts_figure(&title, shifts)?));
+            figures.push((scene.clone(), shifts_figure(style, scene, shifts)?));
         }
         Ok(figures)
     },
@@ -87,11 +85,10 @@ pub static ATTACK: Figures = Figures {
 pub static SURFACES: Figures = Figures {
     kind: "surfaces_",
     repeats: false,
-    figures: |collected| {
+    figures: |collected, style| {
         let mut figures = Vec::new();
         for (scene, surfaces) in collected.surfaces {
-            let title = format!("{}: surfaces of {scene}", collected.spec.title);
-            figures.push((scene.clone(), surfaces_figure(&title, surfaces)?));
+            figures.push((scene.clone(), surfaces_figure(style, scene, surfaces)?));
         }
         Ok(figures)
     },
@@ -112,9 +109,10 @@ impl Exporter for Figures {
 
     fn export(&self, collected: &Collected) -> Result<Vec<File>> {
         let mut files = Vec::new();
-        for (name, figure) in (self.figures)(collected)? {
-            if let Some(figure) = figure {
-                files.extend(figure.files(&format!("{}{name}", self.kind)));
+        for width in Width::ALL {
+            for (name, figure) in (self.figures)(collected, Style { spec: collected.spec, width })? {
+                let name = format!("{}{name}{}", self.kind, width.suffix());
+                files.extend(figure.into_iter().flat_map(|figure| figure.files(&name)));
             }
         }
         Ok(files)

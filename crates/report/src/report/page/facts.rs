@@ -1,5 +1,6 @@
 //! The head of the page: what it shows, and what a reader must know before any number.
 
+use crate::draw::numbers::rounded;
 use crate::report::tables::Table;
 use crate::report::tables::text::warnings as warnings_of;
 use crate::report::{Record, Status, distinct};
@@ -36,7 +37,7 @@ pub fn warnings(table: &Table, records: &[Record]) -> Vec<String> {
     let several = table.scenes().len() > 1;
     let of_scene = |(scene, lines): (&str, Vec<_>)| {
         let scene = scene.to_string();
-        let named = move |warning: String| if several { format!("{scene}: {warning}") } else { warning };
+        let named = move |warning: String| rounded(&if several { format!("{scene}: {warning}") } else { warning });
         warnings_of(&lines).into_iter().map(named)
     };
     let mut warnings: Vec<String> = table.scenes().into_iter().flat_map(of_scene).collect();

@@ -1,30 +1,67 @@
 //! The figures, inline in the page.
 
 use crate::base::{Error, Result};
+use crate::metrics::Metric;
 use crate::report::exporters::File;
+use crate::report::plots::Width;
+use crate::report::tables::Heading;
 
 /// A figure, with its version against seconds if there is one.
 pub struct Figure {
     pub name: String,
-    pub svg: String,
-    pub seconds: String,
+    pub title: String,
+    pub svg: Drawn,
+    pub seconds: Option<Drawn>,
+}
+
+/// A figure as wide screens and as narrow ones show it.
+#[derive(Default)]
+pub struct Drawn {
+    pub page: String,
+    pub column: String,
 }
 
 const SECONDS: &str = "_seconds";
 
 /// Returns the figures among the files, in order.
 pub fn figures(files: &[File]) -> Result<Vec<Figure>> {
+    let column = Width::Column.suffix();
     let svgs = files.iter().filter_map(|(name, bytes)| Some((name.strip_suffix(".svg")?, bytes)));
     let mut figures: Vec<Figure> = Vec::new();
-    for (name, bytes) in svgs {
-        let svg = inline(name, bytes)?;
+    for (name, bytes) in svgs.filter(|(name, _)| !name.ends_with(column)) {
+        let narrow = format!("{name}{column}.svg");
+        let narrow =
+            files.iter().find(|(known, _)| *known == narrow).map(|(_, bytes)| inline(name, bytes)).transpose()?;
+        let page = inline(name, bytes)?;
+        let drawn = Drawn { column: narrow.unwrap_or_else(|| page.clone()), page };
         let of_steps = |figure: &&mut Figure| name.strip_suffix(SECONDS) == Some(figure.name.as_str());
         match figures.iter_mut().find(of_steps) {
-            Some(figure) => figure.seconds = svg,
-            None => figures.push(Figure { name: name.into(), svg, seconds: String::new() }),
+            Some(figure) => figure.seconds = Some(drawn),
+            None => figures.push(Figure { name: name.into(), title: title(name), svg: drawn, seconds: None }),
         }
     }
     Ok(figures)
+}
+
+/// Returns what a figure shows, in words, by its file's name: `rows_fern_psnr` as `Rows: PSNR on fern`.
+fn title(name: &str) -> String {
+    let (kind, rest) = name.split_once('_').unwrap_or((name, ""));
+    let metric = Metric::in_tables().map(|metric| metric.key).filter(|key| rest.ends_with(&format!("_{key}")));
+    let Some(key) = metric.max_by_key(|key| key.len()) else {
+        return match kind {
+            "attack" => format!("Shift of colours by the attack on {rest}"),
+            "surfaces" => format!("Surfaces of {rest}"),
+            _ => name.into(),
+        };
+    };
+    let (scene, metric) = (&rest[..rest.len() - key.len() - 1], Heading::of(key).name);
+    match kind {
+        "rows" => format!("{metric} of each row on {scene}"),
+        "axes" => format!("{metric} along the axes on {scene}"),
+        "heatmap" => format!("{metric} over two axes on {scene}"),
+        "curves" => format!("Training on {scene}"),
+        _ => name.into(),
+    }
 }
 
 /// Returns the SVG element of a figure of this program. Other content is not put into a page.

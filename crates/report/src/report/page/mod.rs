@@ -6,6 +6,7 @@
 mod attack;
 mod facts;
 mod figures;
+mod films;
 mod points;
 mod protocol;
 mod results;
@@ -21,6 +22,7 @@ use crate::report::Record;
 use crate::report::exporters::File;
 use crate::report::tables::{AttackLine, Heading, PointTiming, Table, table_latex};
 
+pub use films::Film;
 pub use views::{ShownScene, ViewOfRow, ViewOfScene};
 
 const STYLE: &str = include_str!("../../../templates/report.css");
@@ -36,6 +38,8 @@ pub struct Page<'a> {
     pub files: &'a [File],
     /// First held-out views, scene by scene.
     pub views: Vec<ShownScene>,
+    /// Videos of rows.
+    pub films: Vec<Film>,
     /// Effect of the attack.
     pub attacks: Vec<AttackLine<'a>>,
     /// Clock times, if the page shows them; it is then not reproducible.
@@ -62,6 +66,7 @@ struct Html<'a> {
     figures: Vec<figures::Figure>,
     views: &'a [ShownScene],
     views_note: &'static str,
+    films: &'a [Film],
     attacks: Vec<attack::SiteRow<'a>>,
     points: Vec<points::Point<'a>>,
     protocols: Vec<protocol::Scene<'a>>,
@@ -90,6 +95,7 @@ impl Page<'_> {
             figures: figures::figures(self.files)?,
             views: &self.views,
             views_note: views::NOTE,
+            films: &self.films,
             attacks: attack::site_rows(&self.attacks),
             points: points::points(table, self.records, self.link),
             protocols: protocol::scenes(table),

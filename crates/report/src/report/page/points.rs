@@ -1,5 +1,6 @@
 //! The points, one line each.
 
+use crate::draw::numbers::rounded;
 use crate::metrics::Metric;
 use crate::report::tables::Table;
 use crate::report::{Record, Status};
@@ -28,7 +29,7 @@ pub fn points<'a>(table: &Table, records: &'a [Record], link: &dyn Fn(&str) -> O
         id: &record.id,
         link: link(&record.id).unwrap_or_default(),
         scene: &record.scene,
-        label: record.label(),
+        label: rounded(&record.label()),
         seed: record.seed.map_or(String::new(), |seed| seed.to_string()),
         status: record.status.name(),
         reason: &record.reason,

@@ -1,19 +1,23 @@
 //! The table: one column a metric, with the difference to the baseline below each mean.
 
+use crate::draw::numbers::rounded;
 use crate::metrics::{Direction, Metric};
 use crate::report::statistics::p_text;
 use crate::report::tables::text::{
-    UNKNOWN_BACKBONE, further_notes, interval_of, marked_label, mean_text, published_text, scene_notes,
+    UNKNOWN_BACKBONE, further_notes, interval_of, marked_label, mean_and_spread, published_text, scene_notes,
 };
-use crate::report::tables::{Cell, Heading, Line, Table, is_better, is_worse};
+use crate::report::tables::{Cell, Heading, Judgement, Line, Table};
 
 const MEANS: &str =
     "Mean ± standard deviation over the seeds; in brackets their number where it is not that of the definition.";
 const DIFFERENCES: &str = "Below each mean: the difference to the baseline, paired by seed, with its 95 % Student t interval, \
-     and the p value after Holm's correction over the rows of the scene's table. Bold is what is better than the baseline with a p below \
-     0.05, and nothing else; \"not distinguishable\" is said where the interval holds 0, which proves no equality.";
+     and the p value after Holm's correction over the rows of the scene's table. Where p is below 0.05, blue and ▲ are better (bold), \
+     orange and ▼ worse. Grey: no difference is shown, which proves no equality.";
 const EQUIVALENCE: &str = "\"Equivalent within\" a margin that the definition states: two one-sided paired t tests, with Holm's \
      p below 0.05.";
+
+/// Most rows that a note names; marks are at the rows' names.
+const MOST_NAMED: usize = 6;
 
 /// A column.
 pub struct Column {
@@ -35,6 +39,8 @@ pub struct Scene<'a> {
 /// A row of the table.
 pub struct Row {
     pub label: String,
+    /// Axis values of further lines that are the same training.
+    pub same: Vec<String>,
     pub quoted: bool,
     pub cells: Vec<Number>,
 }
@@ -88,8 +94,8 @@ pub fn columns(table: &Table) -> Vec<Column> {
 pub fn scenes(table: &Table) -> Vec<Scene<'_>> {
     let scenes = table.scenes().into_iter().map(|(name, lines)| Scene {
         name,
-        rows: lines.iter().map(|line| row(table, line)).collect(),
-        notes: scene_notes(&lines),
+        rows: trainings(&lines).into_iter().map(|(line, same)| row(table, line, &same)).collect(),
+        notes: scene_notes(&lines, MOST_NAMED),
     });
     scenes.collect()
 }
@@ -100,7 +106,23 @@ pub fn notes(table: &Table) -> Vec<String> {
     table.notes.iter().cloned().chain(how).chain(further_notes(table, EQUIVALENCE)).collect()
 }
 
-fn row(table: &Table, line: &Line) -> Row {
+/// Returns each line with the further lines that are made of the same points: values of several axes can be one
+/// configuration.
+fn trainings<'a>(lines: &[&'a Line]) -> Vec<(&'a Line, Vec<&'a Line>)> {
+    let mut trainings: Vec<(&Line, Vec<&Line>)> = Vec::new();
+    for line in lines {
+        let same = |(first, _): &&mut (&Line, Vec<&Line>)| {
+            !line.ids.is_empty() && (&first.ids, &first.row) == (&line.ids, &line.row)
+        };
+        match trainings.iter_mut().find(same) {
+            Some((_, further)) => further.push(line),
+            None => trainings.push((line, Vec::new())),
+        }
+    }
+    trainings
+}
+
+fn row(table: &Table, line: &Line, same: &[&Line]) -> Row {
     let mut cells = Vec::new();
     for (group, cell) in line.cells.iter().enumerate() {
         cells.push(number(group, cell, line.points));
@@ -115,17 +137,23 @@ fn row(table: &Table, line: &Line) -> Row {
         mean: text(line),
         ..Number::default()
     }));
-    Row { label: marked_label(line), quoted: line.quoted, cells }
+    let same = same.iter().map(|line| rounded(&line.axes)).collect();
+    Row { label: rounded(&marked_label(line)), same, quoted: line.quoted, cells }
 }
 
 fn number(group: usize, cell: &Cell, points: usize) -> Number {
-    // `25.31 ± 0.12 (3)`
-    let text = mean_text(cell);
-    let text = if cell.n == points { text.rsplit_once(" (").map_or(text.as_str(), |(mean, _)| mean) } else { &text };
-    let (mean, spread) = text.split_once(" ± ").unwrap_or((text, ""));
+    let (mean, mut spread) = mean_and_spread(cell);
+    if cell.n != points && cell.mean.is_some() {
+        spread += &format!("{}({})", if spread.is_empty() { "" } else { " " }, cell.n);
+    }
     let comparison = cell.comparison;
     let p = comparison.and_then(|comparison| comparison.p_holm).map(|p| format!("p {}", p_text(p)));
-    let verdict = comparison.and_then(|comparison| comparison.verdict()).map(|verdict| verdict.name().to_string());
+    let judged = comparison.map(|comparison| Judgement::of(&cell.metric, &comparison));
+    let verdict = judged.filter(|judged| *judged != Judgement::NotShown).map(|judged| match judged {
+        Judgement::Better => "▲ better".to_string(),
+        Judgement::Worse => "▼ worse".into(),
+        other => other.name().into(),
+    });
     let equivalence =
         comparison.and_then(|comparison| comparison.equivalence).filter(|equivalence| equivalence.holds());
     let equivalent = equivalence.map(|equivalence| {
@@ -136,11 +164,11 @@ fn number(group: usize, cell: &Cell, points: usize) -> Number {
     Number {
         group,
         value: cell.mean.map_or(String::new(), |mean| mean.to_string()),
-        mean: mean.into(),
-        spread: spread.into(),
+        mean,
+        spread,
         difference: interval_of(cell),
         conclusion: said.join(", "),
-        better: is_better(cell),
-        worse: is_worse(cell),
+        better: judged == Some(Judgement::Better),
+        worse: judged == Some(Judgement::Worse),
     }
 }

@@ -1,13 +1,26 @@
-//! Training curves.
+//! Training curves: values of the baseline and the best rows, then differences to the baseline.
 
-use super::{Figure, SPREAD_NOTE, Spread};
+use super::ends::{self, End};
+use super::{Figure, SPREAD_NOTE, Spread, Stroke, Style};
 use crate::base::Result;
-use crate::draw::canvas::{
-    Anchor, BLACK, Canvas, Colour, LINE_HEIGHT, PALETTE, Panel, TEXT, number, range, text_width, ticks,
-};
+use crate::draw::canvas::{Anchor, BLACK, Canvas, GREY, LINE_HEIGHT, Panel, SIDE, TEXT, range, tick_texts, wrapped};
+use crate::report::statistics::mean;
 
 /// Log points in a curve's moving average.
 const WINDOW: usize = 5;
+/// Most rows that are all drawn. Of more, the baseline and the best [`BEST`] are.
+const MOST: usize = 6;
+const BEST: usize = 4;
+/// A row that trains for more than this multiple of the others' steps is cut off.
+const LONGER: f64 = 2.0;
+/// Share of the steps from which on differences are drawn.
+const FROM: f64 = 0.1;
+/// A row is far from the others if its last difference is this multiple of theirs, and at least [`FAR`] dB.
+const TIMES: f64 = 4.0;
+const FAR: f64 = 1.0;
+/// Room for numbers at the left, and for names at the right of a page and of a column.
+const LEFT: f64 = 62.0;
+const NAMES: (f64, f64) = (190.0, 120.0);
 
 /// Log points of each seed: step and value.
 pub type Seeds = Vec<Vec<(f64, f64)>>;
@@ -62,7 +75,7 @@ fn smoothed(points: &[(f64, f64)]) -> Vec<(f64, f64)> {
     (0..points.len()).map(around).collect()
 }
 
-/// Draws a line of means at the log points themselves.
+/// Returns a line of means at the log points themselves.
 pub(super) fn unsmoothed(seeds: &[Vec<(f64, f64)>]) -> Line {
     spreads(&seeds.iter().map(|seed| finite(seed)).collect::<Vec<_>>())
 }
@@ -76,58 +89,49 @@ fn range_of<'a>(lines: impl Iterator<Item = &'a Line>) -> Option<(f64, f64)> {
     range(lines.flatten().flat_map(|(_, s)| s.band.map_or([s.mean, s.mean], |(low, high)| [low, high])))
 }
 
-/// How a line is drawn.
-#[derive(Clone, Copy)]
-pub(super) struct Stroke {
-    pub(super) colour: Colour,
-    pub(super) dashed: bool,
-    pub(super) width: f64,
+/// Returns where the axis of steps ends: rows that train for much longer than the others do not squeeze them.
+pub(super) fn axis_end(lasts: &[f64]) -> f64 {
+    let mut sorted = lasts.to_vec();
+    sorted.sort_by(f64::total_cmp);
+    let usual = sorted.get(sorted.len() / 2).copied().unwrap_or(1.0);
+    let end = sorted.into_iter().rfind(|last| *last <= LONGER * usual).unwrap_or(1.0);
+    if end > 0.0 { end } else { 1.0 }
 }
 
-impl Stroke {
-    pub(super) fn draw(self, drawing: &mut Canvas, line: &[(f64, f64)]) {
-        match self.dashed {
-            true => drawing.dashed(line, self.colour, self.width),
-            false => drawing.line(line, self.colour, self.width),
-        }
-    }
+/// Returns the part of a line up to the axis's end.
+pub(super) fn cut(line: &Line, end: f64) -> Line {
+    line.iter().copied().filter(|(step, _)| *step <= end).collect()
 }
 
 /// A panel over steps.
 pub(super) struct Plot {
     pub(super) panel: Panel,
     /// The last step.
-    pub(super) last: f64,
+    pub(super) end: f64,
     /// Quantity of the x axis.
     pub(super) along: &'static str,
 }
 
 impl Plot {
-    /// End of the x axis.
-    fn end(&self) -> f64 {
-        if self.last > 0.0 { self.last } else { 1.0 }
+    pub(super) fn x(&self, step: f64) -> f64 {
+        self.panel.left + self.panel.width * step / self.end
     }
 
-    fn x(&self, step: f64) -> f64 {
-        self.panel.left + self.panel.width * step / self.end()
-    }
-
-    fn frame(&self, drawing: &mut Canvas, unit: &str) {
-        self.panel.frame(drawing, true);
-        self.axis(drawing, unit);
-    }
-
-    /// Draws the numbers of the x axis and the names of both axes.
-    pub(super) fn axis(&self, drawing: &mut Canvas, title: &str) {
+    /// Draws the numbers of the x axis and the names of both axes; returns the position after them.
+    pub(super) fn axis(&self, drawing: &mut Canvas, title: &[String]) -> f64 {
         let panel = &self.panel;
-        let (marks, step) = ticks((0.0, self.end()), (panel.width / 85.0) as usize);
-        for mark in marks {
-            drawing.text((self.x(mark), panel.bottom() + 12.0), &number(mark, step), TEXT, Anchor::Middle, BLACK);
+        for (mark, text) in tick_texts((0.0, self.end), panel.width) {
+            drawing.text((self.x(mark), panel.bottom() + 12.0), &text, TEXT, Anchor::Middle, BLACK);
         }
-        drawing.text((panel.left + panel.width / 2.0, panel.bottom() + 32.0), self.along, TEXT, Anchor::Middle, BLACK);
-        drawing.text((panel.left, panel.top - 12.0), title, TEXT, Anchor::Left, BLACK);
+        drawing.text((panel.left + panel.width / 2.0, panel.bottom() + 29.0), self.along, TEXT, Anchor::Middle, BLACK);
+        for (index, line) in title.iter().rev().enumerate() {
+            let at = (panel.left, panel.top - 11.0 - LINE_HEIGHT * index as f64);
+            drawing.text(at, line, TEXT, Anchor::Left, BLACK);
+        }
+        panel.bottom() + 42.0
     }
 
+    /// Draws a line of means with its band.
     pub(super) fn line(&self, drawing: &mut Canvas, line: &Line, stroke: Stroke) {
         let banded: Vec<(f64, (f64, f64))> = line.iter().filter_map(|(step, s)| Some((*step, s.band?))).collect();
         if banded.len() > 1 {
@@ -138,95 +142,246 @@ impl Plot {
         stroke.draw(drawing, &self.places(line));
     }
 
-    /// Draws a line's means.
+    /// Returns the places of a line's means.
     fn places(&self, line: &Line) -> Vec<(f64, f64)> {
         line.iter().map(|(step, s)| (self.x(*step), self.panel.y(s.mean))).collect()
     }
+}
 
-    /// Draws an entry of the legend next to the panel.
-    pub(super) fn entry(&self, drawing: &mut Canvas, index: usize, label: &str, stroke: Stroke) {
-        let y = self.panel.top + 8.0 + index as f64 * LINE_HEIGHT;
-        let sample = [(self.panel.right() + 14.0, y), (self.panel.right() + 42.0, y)];
-        Stroke { width: 2.5, ..stroke }.draw(drawing, &sample);
-        drawing.text((self.panel.right() + 48.0, y), label, TEXT, Anchor::Left, BLACK);
+/// A row of the figure.
+struct Row<'a> {
+    label: &'a str,
+    stroke: Stroke,
+    /// Moving average of the training rays.
+    rays: Line,
+    held_out: Line,
+    seen: Line,
+}
+
+impl<'a> Row<'a> {
+    fn new(style: Style, curve: &'a Curve) -> Row<'a> {
+        let smooth: Vec<_> = curve.seeds.iter().map(|seed| smoothed(seed)).collect();
+        Row {
+            label: &curve.label,
+            stroke: style.stroke(&curve.label),
+            rays: spreads(&smooth),
+            held_out: unsmoothed(&curve.held_out),
+            seen: unsmoothed(&curve.seen),
+        }
+    }
+
+    fn last(&self) -> f64 {
+        self.rays.last().map_or(0.0, |(step, _)| *step)
+    }
+
+    /// Returns the row's last value: of held-out views if they were evaluated.
+    fn score(&self) -> f64 {
+        self.held_out.last().or(self.rays.last()).map_or(f64::NEG_INFINITY, |(_, spread)| spread.mean)
+    }
+
+    /// Returns the line that is compared: of held-out views if all rows have them.
+    fn compared(&self, held_out: bool) -> &Line {
+        if held_out { &self.held_out } else { &self.rays }
     }
 }
 
-/// Returns a row's colour. After the last colour of the palette, colours repeat, dashed.
-pub(super) fn stroke(index: usize) -> Stroke {
-    Stroke { colour: PALETTE[index % PALETTE.len()], dashed: index >= PALETTE.len(), width: 1.8 }
-}
-
-/// Draws means over seeds against steps, with a legend. If views were evaluated during training, a panel below shows
-/// held-out and training views. Returns `None` without points.
-pub fn curves_figure(title: &str, unit: &str, curves: &[Curve]) -> Result<Option<Figure>> {
-    figure(title, unit, "step", curves)
+/// Draws means over seeds against steps. If views were evaluated during training, a panel shows held-out and training
+/// views. Returns `None` without points.
+pub fn curves_figure(style: Style, scene: &str, curves: &[Curve]) -> Result<Option<Figure>> {
+    figure(style, scene, "step", curves)
 }
 
 /// Draws the same against seconds of training, for the curves whose seconds are known.
-pub fn seconds_figure(title: &str, unit: &str, curves: &[Curve]) -> Result<Option<Figure>> {
+pub fn seconds_figure(style: Style, scene: &str, curves: &[Curve]) -> Result<Option<Figure>> {
     let curves: Vec<Curve> = curves.iter().filter_map(Curve::in_seconds).collect();
-    figure(title, unit, "seconds of training", &curves)
+    figure(style, scene, "seconds of training", &curves)
 }
 
-fn figure(title: &str, unit: &str, along: &'static str, curves: &[Curve]) -> Result<Option<Figure>> {
-    let smooth = |curve: &Curve| curve.seeds.iter().map(|seed| smoothed(seed)).collect::<Vec<_>>();
-    let lines: Vec<Line> = curves.iter().map(|curve| spreads(&smooth(curve))).collect();
-    let steps = lines.iter().flatten().map(|(step, _)| *step);
-    let (Some(range), Some(last)) = (range_of(lines.iter()), steps.reduce(f64::max)) else { return Ok(None) };
-    let legend = curves.iter().map(|curve| text_width(&curve.label, TEXT)).fold(60.0, f64::max);
-    let plot = Plot { panel: Panel { left: 76.0, top: 50.0, width: 560.0, height: 320.0, range }, last, along };
-    let legend_height = 60.0 + curves.len() as f64 * LINE_HEIGHT;
-    let bottom = (plot.panel.bottom() + 52.0).max(legend_height);
-    let evaluated = Evaluated::new(curves, bottom, last, along);
-    let width = if evaluated.is_some() { legend.max(text_width(SEEN, TEXT)) } else { legend };
-    let bottom = evaluated.as_ref().map_or(bottom, |evaluated| evaluated.plot.panel.bottom() + 52.0);
-    let mut drawing = Canvas::titled(plot.panel.right() + width + 70.0, bottom, title);
-    plot.frame(&mut drawing, unit);
-    for (index, (curve, line)) in curves.iter().zip(&lines).enumerate() {
-        plot.line(&mut drawing, line, stroke(index));
-        plot.entry(&mut drawing, index, &curve.label, stroke(index));
+fn figure(style: Style, scene: &str, along: &'static str, curves: &[Curve]) -> Result<Option<Figure>> {
+    let rows = curves.iter().map(|curve| Row::new(style, curve)).filter(|row| !row.rays.is_empty());
+    let mut rows: Vec<Row> = rows.collect();
+    let all = rows.len();
+    keep_best(style, &mut rows);
+    if range_of(rows.iter().map(|row| &row.rays)).is_none() {
+        return Ok(None);
     }
-    if let Some(evaluated) = &evaluated {
-        evaluated.draw(&mut drawing);
+    let end = axis_end(&rows.iter().map(Row::last).collect::<Vec<f64>>());
+    let longer: Vec<String> = rows.iter().filter(|row| row.last() > end).map(|row| further(row, along)).collect();
+    for row in &mut rows {
+        [&mut row.rays, &mut row.held_out, &mut row.seen].into_iter().for_each(|line| *line = cut(line, end));
     }
-    let above = if evaluated.is_some() { "above are" } else { "are" };
-    drawing.caption(&format!(
-        "{SPREAD_NOTE} Curves {above} moving averages over {WINDOW} log points, of the training rays."
-    ));
-    drawing.finish().map(Some)
+    let curves = Curves { style, rows: &rows, end, along };
+    let mut drawing = style.canvas(&format!("training on {scene}"));
+    let rays = |row: &Row| vec![(row.rays.clone(), row.stroke)];
+    curves.draw(&mut drawing, "PSNR of the step's rays (dB)", &rows.iter().collect::<Vec<_>>(), rays, (210.0, 160.0));
+    // Seconds of two rows do not fall together.
+    if along == "step" {
+        curves.draw_differences(&mut drawing);
+    }
+    let evaluated: Vec<&Row> = rows.iter().filter(|row| !row.held_out.is_empty() || !row.seen.is_empty()).collect();
+    let both = |row: &Row| {
+        let line = |line: &Line, dashed| (line.clone(), Stroke { dashed, ..row.stroke });
+        vec![line(&row.held_out, false), line(&row.seen, true)]
+    };
+    if !evaluated.is_empty() {
+        let title = "PSNR of whole views (dB): held-out, and training (dashed)";
+        curves.draw(&mut drawing, title, &evaluated, both, (190.0, 160.0));
+    }
+    style.finish(drawing, &caption(all, &rows, &longer))
 }
 
-const HELD_OUT: &str = "held-out views";
-const SEEN: &str = "training views";
-
-/// The panel of evaluations during training.
-struct Evaluated {
-    plot: Plot,
-    /// Each row's held-out and training views.
-    lines: Vec<[Line; 2]>,
+/// Keeps the baseline and the best other rows, if there are many.
+fn keep_best(style: Style, rows: &mut Vec<Row>) {
+    if rows.len() <= MOST {
+        return;
+    }
+    let baseline = rows.iter().position(|row| style.baseline_of(row.label).is_none()).unwrap_or(0);
+    let mut scores: Vec<f64> = (0..rows.len()).filter(|i| *i != baseline).map(|i| rows[i].score()).collect();
+    scores.sort_by(|a, b| b.total_cmp(a));
+    let least = scores[BEST - 1];
+    let (mut at, mut kept) = (0, 0);
+    rows.retain(|row| {
+        at += 1;
+        let keeps = at - 1 == baseline || row.score() >= least && kept < BEST;
+        kept += usize::from(keeps && at - 1 != baseline);
+        keeps
+    });
 }
 
-impl Evaluated {
-    /// Returns the panel below `top`, or `None` if nothing was evaluated.
-    fn new(curves: &[Curve], top: f64, last: f64, along: &'static str) -> Option<Evaluated> {
-        let both = |curve: &Curve| [&curve.held_out, &curve.seen].map(|seeds| unsmoothed(seeds));
-        let lines: Vec<[Line; 2]> = curves.iter().map(both).collect();
-        let range = range_of(lines.iter().flatten())?;
-        let panel = Panel { left: 76.0, top: top + 30.0, width: 560.0, height: 240.0, range };
-        Some(Evaluated { plot: Plot { panel, last, along }, lines })
-    }
+/// Returns how far a row that is cut off goes on, and its last value.
+fn further(row: &Row, along: &str) -> String {
+    let unit = if along == "step" { "step " } else { "" };
+    let (last, value) = row.rays.last().map_or((0.0, 0.0), |(step, spread)| (*step, spread.mean));
+    let after = if along == "step" { "" } else { " s" };
+    format!("{} goes on to {unit}{last:.0}{after} (last {value:.2} dB)", row.label)
+}
 
-    fn draw(&self, drawing: &mut Canvas) {
-        self.plot.frame(drawing, "PSNR of whole views (dB)");
-        for (index, [held_out, seen]) in self.lines.iter().enumerate() {
-            let solid = Stroke { dashed: false, ..stroke(index) };
-            self.plot.line(drawing, held_out, solid);
-            self.plot.places(held_out).into_iter().for_each(|at| drawing.dot(at, 2.5, solid.colour, 1.0));
-            Stroke { dashed: true, ..solid }.draw(drawing, &self.plot.places(seen));
+struct Curves<'f, 'a> {
+    style: Style<'f>,
+    rows: &'f [Row<'a>],
+    end: f64,
+    along: &'static str,
+}
+
+impl Curves<'_, '_> {
+    /// Draws a panel below everything: the lines of rows, the first of each named at its end.
+    fn draw(
+        &self,
+        drawing: &mut Canvas,
+        title: &str,
+        rows: &[&Row],
+        lines: impl Fn(&Row) -> Vec<(Line, Stroke)>,
+        height: (f64, f64),
+    ) {
+        let lines: Vec<Vec<(Line, Stroke)>> = rows.iter().map(|row| lines(row)).collect();
+        let Some(range) = range_of(lines.iter().flatten().map(|(line, _)| line)) else { return };
+        let room = self.style.width.pick(NAMES.0, NAMES.1);
+        let title = wrapped(title, drawing.width - LEFT - SIDE, TEXT);
+        let panel = Panel {
+            left: LEFT,
+            top: drawing.height + LINE_HEIGHT * title.len() as f64 + 4.0,
+            width: drawing.width - LEFT - room - SIDE,
+            height: self.style.width.pick(height.0, height.1),
+            range,
+        };
+        let plot = Plot { panel, end: self.end, along: self.along };
+        plot.panel.frame(drawing, true);
+        let foot = plot.axis(drawing, &title);
+        if range.0 < 0.0 && range.1 > 0.0 {
+            let y = plot.panel.y(0.0);
+            drawing.line(&[(plot.panel.left, y), (plot.panel.right(), y)], GREY, 1.2);
         }
-        for (index, (label, dashed)) in [(HELD_OUT, false), (SEEN, true)].into_iter().enumerate() {
-            self.plot.entry(drawing, index, label, Stroke { colour: BLACK, dashed, width: 1.8 });
+        let mut named = Vec::new();
+        for (row, own) in rows.iter().zip(&lines) {
+            own.iter().for_each(|(line, stroke)| plot.line(drawing, line, *stroke));
+            let end = own.iter().find_map(|(line, _)| plot.places(line).last().copied());
+            named.extend(end.map(|at| End { at, stroke: row.stroke, name: row.label }));
         }
+        ends::draw(drawing, &plot.panel, room, named);
+        drawing.height = foot;
+    }
+
+    /// Draws the differences to each baseline; rows far from the others have their own panel.
+    fn draw_differences(&self, drawing: &mut Canvas) {
+        let held_out = self.rows.iter().all(|row| row.held_out.len() > 1);
+        let of = |row: &Row| -> Option<Line> {
+            let name = self.style.baseline_of(row.label)?;
+            let baseline = self.rows.iter().find(|other| other.label == name)?;
+            let line = difference(row.compared(held_out), baseline.compared(held_out), FROM * self.end);
+            (line.len() > 1).then_some(line)
+        };
+        let compared: Vec<(&Row, Line)> = self.rows.iter().filter_map(|row| Some((row, of(row)?))).collect();
+        let lasts: Vec<f64> = compared.iter().map(|(_, line)| last(line)).collect();
+        let is_far = far(&lasts);
+        let what = if held_out { "PSNR of held-out views" } else { "PSNR of the step's rays" };
+        let names: Vec<&str> = compared.iter().filter_map(|(row, _)| self.style.baseline_of(row.label)).collect();
+        let baseline = if names.iter().all(|name| *name == names[0]) { names.first() } else { None };
+        for (group, far) in [("", false), (", rows far from the others", true)] {
+            let rows = compared.iter().zip(&is_far).filter(|(_, own)| **own == far).map(|(row, _)| row);
+            let (rows, lines): (Vec<&Row>, Vec<&Line>) = rows.map(|(row, line)| (*row, line)).unzip();
+            let title = format!("{what} (dB), difference to {}{group}", baseline.unwrap_or(&"the baseline"));
+            let line = |row: &Row| {
+                let index = rows.iter().position(|other| other.label == row.label).expect("one of the rows");
+                vec![(lines[index].clone(), row.stroke)]
+            };
+            self.draw(drawing, &title, &rows, line, (150.0, 130.0));
+        }
+    }
+}
+
+/// Returns the differences of two lines' means where both have a log point, from a step on.
+fn difference(line: &Line, baseline: &Line, from: f64) -> Line {
+    let at = |(step, own): &(f64, Spread)| {
+        let (_, other) = baseline.iter().find(|(known, _)| known == step)?;
+        Some((*step, Spread { mean: own.mean - other.mean, band: None }))
+    };
+    line.iter().filter(|(step, _)| *step >= from).filter_map(at).collect()
+}
+
+/// Returns the mean of the last fifth of a line.
+fn last(line: &Line) -> f64 {
+    let from = line.len() - line.len().div_ceil(5);
+    mean(&line[from..].iter().map(|(_, spread)| spread.mean).collect::<Vec<f64>>()).unwrap_or(0.0)
+}
+
+/// Returns which differences are far from the others.
+fn far(differences: &[f64]) -> Vec<bool> {
+    let mut sizes: Vec<f64> = differences.iter().map(|value| value.abs()).collect();
+    sizes.sort_by(f64::total_cmp);
+    let Some(usual) = sizes.len().checked_sub(1).map(|last| sizes[last / 2]) else { return Vec::new() };
+    let limit = (TIMES * usual).max(FAR);
+    differences.iter().map(|value| differences.len() > 1 && value.abs() > limit).collect()
+}
+
+fn caption(all: usize, rows: &[Row], longer: &[String]) -> String {
+    let mut text = format!("{SPREAD_NOTE} Curves of the step's rays are moving averages over {WINDOW} log points.");
+    if rows.len() > 1 {
+        text += " Differences are those of the means, from a tenth of the steps on.";
+    }
+    if rows.len() < all {
+        text += &format!(" Of {all} rows: the baseline and the {BEST} with the highest last value.");
+    }
+    if !longer.is_empty() {
+        text += &format!(" Cut off: {}.", longer.join("; "));
+    }
+    text
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_row_that_trains_longer_does_not_squeeze_the_others() {
+        assert_eq!(axis_end(&[2000.0, 2000.0, 8657.0, 2000.0]), 2000.0);
+        assert_eq!(axis_end(&[20.0, 80.0]), 80.0);
+        assert_eq!((axis_end(&[5.0]), axis_end(&[0.0]), axis_end(&[])), (5.0, 1.0, 1.0));
+    }
+
+    #[test]
+    fn a_row_far_from_the_others_is_told_apart() {
+        assert_eq!(far(&[0.1, -0.3, 8.0, 0.2]), [false, false, true, false]);
+        assert_eq!(far(&[0.1, 0.5]), [false, false], "less than a dB is near");
+        assert_eq!((far(&[9.0]), far(&[])), (vec![false], vec![]));
     }
 }

@@ -1,18 +1,29 @@
 //! A metric over two axes that are varied together, as coloured cells.
 
-use super::{Figure, metric_label};
+use super::places::Places;
+use super::{Figure, Style, metric_label};
 use crate::base::Result;
-use crate::draw::canvas::{Anchor, BLACK, Canvas, Colour, GREY, PAPER, RED, TEXT, number, range, text_width, ticks};
+use crate::draw::canvas::{
+    Anchor, BLACK, BLUE, Canvas, Colour, GREY, LINE_HEIGHT, ORANGE, PAPER, SIDE, TEXT, range, text_width, ticks,
+    wrapped,
+};
+use crate::draw::numbers::numbers;
 use crate::draw::scale_colour;
 use crate::metrics::Metric;
-use crate::report::tables::{Cell, Line, Table, Verdict};
+use crate::report::tables::{Cell, Judgement, Line, Table};
 use crate::report::{AxisValue, Record, label};
 use crate::settings::columns::InactiveBy;
 
+use super::differences::absent;
+
+/// Largest cell; narrower ones than [`SPREADS`] have no spread.
 const CELL: (f64, f64) = (74.0, 44.0);
-const TOP: f64 = 70.0;
-/// Width of the colour bar.
+const SPREADS: f64 = 52.0;
+/// Most room of the values at the left.
+const NAMES: (f64, f64) = (160.0, 90.0);
+/// Width of the colour bar, and of its numbers.
 const BAR: f64 = 16.0;
+const NUMBERS: f64 = 50.0;
 /// Boxes of the colour bar.
 const BAR_STEPS: usize = 64;
 
@@ -28,10 +39,16 @@ struct Map<'a> {
 }
 
 /// Draws a figure for each row and pair of axes of a scene that are varied together; empty if there is no such pair.
-pub fn heatmap_figures(table: &Table, records: &[Record], scene: &str, metric: &str) -> Result<Vec<Figure>> {
+pub fn heatmap_figures(
+    style: Style,
+    table: &Table,
+    records: &[Record],
+    scene: &str,
+    metric: &str,
+) -> Result<Vec<Figure>> {
     let Some(index) = table.metrics.iter().position(|known| known == metric) else { return Ok(Vec::new()) };
     let maps = maps(table, records, scene).into_iter().filter(|map| map.columns.len() > 1 && map.rows.len() > 1);
-    maps.filter_map(|map| map.figure(table, scene, index).transpose()).collect()
+    maps.filter_map(|map| map.figure(style, table, scene, index).transpose()).collect()
 }
 
 fn maps<'a>(table: &'a Table, records: &'a [Record], scene: &str) -> Vec<Map<'a>> {
@@ -66,34 +83,47 @@ fn place<'a>(values: &mut Vec<&'a str>, value: &'a str) -> usize {
 }
 
 impl Map<'_> {
-    fn figure(&self, table: &Table, scene: &str, metric: usize) -> Result<Option<Figure>> {
-        let cell = |line: &Line| line.cells[metric].clone();
+    fn figure(&self, style: Style, table: &Table, scene: &str, metric: usize) -> Result<Option<Figure>> {
         let means = self.cells.iter().filter_map(|(_, line)| line.cells[metric].mean);
         let Some(range) = range(means) else { return Ok(None) };
-        let key = &table.metrics[metric];
-        let words = self.rows.iter().map(|value| text_width(value, TEXT)).fold(40.0, f64::max);
-        let left = 20.0 + words.max(text_width(&axis_name(self.down), TEXT)) + 10.0;
-        let (right, bottom) = (left + CELL.0 * self.columns.len() as f64, TOP + CELL.1 * self.rows.len() as f64);
-        let title = format!("{}: {} on {scene}, {}", table.title, metric_label(key), self.title);
-        let mut drawing = Canvas::titled((right + 140.0).max(560.0), bottom + 52.0, &title);
-        drawing.text((20.0, TOP - 14.0), &axis_name(self.down), TEXT, Anchor::Left, BLACK);
-        let middle = (left + right) / 2.0;
-        drawing.text((middle, bottom + 34.0), &axis_name(self.across), TEXT, Anchor::Middle, BLACK);
-        for (index, value) in self.columns.iter().enumerate() {
-            let at = left + CELL.0 * (index as f64 + 0.5);
-            drawing.text((at, bottom + 14.0), value, TEXT, Anchor::Middle, BLACK);
+        let mut drawing = style.canvas(&format!("{} on {scene}, {}", metric_label(&table.metrics[metric]), self.title));
+        let [across, down] = [&self.columns, &self.rows].map(|values| Places::new(values));
+        let [across_texts, down_texts] = [&across, &down].map(|places| names(places));
+        let widest = down_texts.iter().map(|text| text_width(text, TEXT)).fold(40.0, f64::max);
+        let room = widest.min(style.width.pick(NAMES.0, NAMES.1));
+        let left = SIDE + room + 8.0;
+        let cells = drawing.width - left - SIDE - 20.0 - BAR - 6.0 - NUMBERS;
+        let cell = ((cells / self.columns.len() as f64).min(CELL.0).max(1.0), CELL.1);
+        let right = left + cell.0 * self.columns.len() as f64;
+        let top = drawing.lines((SIDE, drawing.height + 4.0), drawing.width - 2.0 * SIDE, &axis_name(self.down), BLACK);
+        let bottom = top + cell.1 * self.rows.len() as f64;
+        let mut foot = bottom;
+        for (index, text) in across_texts.iter().enumerate() {
+            let x = left + cell.0 * (index as f64 + 0.5);
+            for (line, part) in wrapped(text, cell.0 - 4.0, TEXT).iter().enumerate() {
+                let y = bottom + 14.0 + LINE_HEIGHT * line as f64;
+                drawing.text((x, y), part, TEXT, Anchor::Middle, BLACK);
+                foot = foot.max(y);
+            }
         }
-        for (index, value) in self.rows.iter().enumerate() {
-            drawing.text((left - 8.0, TOP + CELL.1 * (index as f64 + 0.5)), value, TEXT, Anchor::Right, BLACK);
+        drawing.text(((left + right) / 2.0, foot + 20.0), &axis_name(self.across), TEXT, Anchor::Middle, BLACK);
+        for (index, text) in down_texts.iter().enumerate() {
+            drawing.name((left - 8.0, top + cell.1 * (index as f64 + 0.5)), room, text);
         }
         for ((column, row), line) in &self.cells {
-            let at = (left + CELL.0 * *column as f64, TOP + CELL.1 * *row as f64);
-            draw_cell(&mut drawing, at, &cell(line), range);
+            let place = (across.index(self.columns[*column]), down.index(self.rows[*row]));
+            let at = (left + cell.0 * place.0 as f64, top + cell.1 * place.1 as f64);
+            draw_cell(&mut drawing, at, cell, (line, &line.cells[metric]), range);
         }
-        draw_bar(&mut drawing, (right + 30.0, TOP), bottom - TOP, range);
-        drawing.caption(&caption(self.cells.iter().map(|(_, line)| *line)));
-        drawing.finish().map(Some)
+        draw_bar(&mut drawing, (right + 20.0, top), bottom - top, range);
+        drawing.height = foot + 34.0;
+        style.finish(drawing, &caption(self.cells.iter().map(|(_, line)| *line)))
     }
+}
+
+/// Returns what stands at each value.
+fn names(places: &Places) -> Vec<String> {
+    places.texts().into_iter().map(|lines| lines.join(" / ")).collect()
 }
 
 /// Returns `features: steps`.
@@ -105,12 +135,18 @@ fn share(value: f64, (low, high): (f64, f64)) -> f32 {
     ((value - low) / (high - low)) as f32
 }
 
-fn draw_cell(drawing: &mut Canvas, (x, y): (f64, f64), cell: &Cell, range: (f64, f64)) {
-    let (width, height) = (CELL.0 - 2.0, CELL.1 - 2.0);
+fn draw_cell(
+    drawing: &mut Canvas,
+    (x, y): (f64, f64),
+    size: (f64, f64),
+    (line, cell): (&Line, &Cell),
+    range: (f64, f64),
+) {
+    let (width, height) = (size.0 - 2.0, size.1 - 2.0);
     let middle = (x + width / 2.0, y + height / 2.0);
     let Some(mean) = cell.mean.filter(|mean| mean.is_finite()) else {
         drawing.outline((x, y), (width, height), GREY, 1.0);
-        drawing.text(middle, "no data", TEXT, Anchor::Middle, GREY);
+        drawing.text(middle, absent(line), TEXT, Anchor::Middle, GREY);
         return;
     };
     let share = share(mean, range);
@@ -118,13 +154,19 @@ fn draw_cell(drawing: &mut Canvas, (x, y): (f64, f64), cell: &Cell, range: (f64,
     let digits = |value: f64| Metric::find(&cell.metric).map_or_else(|| value.to_string(), |metric| metric.text(value));
     // The map is dark below its middle.
     let ink = if share < 0.55 { PAPER } else { BLACK };
-    drawing.text((middle.0, middle.1 - 8.0), &digits(mean), TEXT, Anchor::Middle, ink);
-    let spread = cell.deviation.map_or(String::new(), |deviation| format!("± {}", digits(deviation)));
-    drawing.text((middle.0, middle.1 + 9.0), &spread, TEXT - 2.0, Anchor::Middle, ink);
-    let verdict = cell.comparison.and_then(|comparison| comparison.verdict());
-    if verdict.is_some_and(Verdict::is_difference) {
-        drawing.outline((x + 1.0, y + 1.0), (width - 2.0, height - 2.0), RED, 3.0);
-    }
+    let spread = cell.deviation.filter(|_| width > SPREADS).map(|deviation| format!("± {}", digits(deviation)));
+    let up = if spread.is_some() { 8.0 } else { 0.0 };
+    drawing.text((middle.0, middle.1 - up), &digits(mean), TEXT, Anchor::Middle, ink);
+    drawing.text((middle.0, middle.1 + 9.0), &spread.unwrap_or_default(), TEXT, Anchor::Middle, ink);
+    let frame = match cell.comparison.map(|comparison| Judgement::of(&cell.metric, &comparison)) {
+        Some(Judgement::Better) => BLUE,
+        Some(Judgement::Worse) => ORANGE,
+        Some(Judgement::Higher | Judgement::Lower) => BLACK,
+        Some(Judgement::NotShown) | None => return,
+    };
+    // On white, so that the frame is seen on every colour.
+    drawing.outline((x + 1.5, y + 1.5), (width - 3.0, height - 3.0), PAPER, 5.0);
+    drawing.outline((x + 1.5, y + 1.5), (width - 3.0, height - 3.0), frame, 3.0);
 }
 
 fn box_of(drawing: &mut Canvas, (x, y): (f64, f64), (width, height): (f64, f64), share: f32) {
@@ -141,16 +183,16 @@ fn draw_bar(drawing: &mut Canvas, (x, y): (f64, f64), height: f64, range: (f64, 
         box_of(drawing, (x, y + step * index as f64), (BAR, step + 0.5), share);
     }
     let (values, step) = ticks(range, (height / 40.0) as usize + 1);
-    for value in values {
-        let at = y + height * (1.0 - f64::from(share(value, range)));
-        drawing.text((x + BAR + 6.0, at), &number(value, step), TEXT, Anchor::Left, BLACK);
+    for (value, text) in values.iter().zip(numbers(&values, step)) {
+        let at = y + height * (1.0 - f64::from(share(*value, range)));
+        drawing.text((x + BAR + 6.0, at), &text, TEXT, Anchor::Left, BLACK);
     }
 }
 
 fn caption<'a>(lines: impl Iterator<Item = &'a Line> + Clone) -> String {
     let mut text =
-        "Means over seeds, with standard deviations. Cells in a red frame differ from the baseline by Holm's p \
-                    below 0.05, corrected over the rows of the scene's table."
+        "Means over seeds, with standard deviations. Cells in a frame differ from the baseline by Holm's p below 0.05, \
+         corrected over the rows of the scene's table: blue is better, orange worse."
             .to_string();
     for by in InactiveBy::ALL {
         let inactive = lines.clone().filter(|line| line.inactive_sites(by).is_some());

@@ -1,20 +1,30 @@
 //! Figures of a sweep.
+//!
+//! Each is drawn for a page and for one of two columns ([`Width`]); long titles and names wrap. A row has one colour in
+//! all figures. Blue is better, orange worse, grey not shown.
 
+use crate::base::Result;
+use crate::draw::canvas::{Canvas, Colour, PALETTE};
 use crate::metrics::Metric;
+use crate::report::TableSpec;
 use crate::report::statistics::{mean, standard_deviation};
 
 mod across;
 mod axes;
 mod curves;
 mod differences;
+mod ends;
 mod heatmap;
+mod legend;
 mod pairs;
+mod places;
 mod rows;
 mod series;
 mod shifts;
 mod surfaces;
 
 pub use crate::draw::Figure;
+pub use crate::draw::canvas::Width;
 pub use across::across_figure;
 pub use axes::axes_figure;
 pub use curves::{Curve, Seeds, curves_figure, seconds_figure};
@@ -23,6 +33,66 @@ pub use rows::rows_figure;
 pub use shifts::{Shifts, shifts_figure};
 pub use surfaces::{Surface, surfaces_figure};
 
+/// What the figures of a sweep share.
+#[derive(Clone, Copy)]
+pub struct Style<'a> {
+    /// The sweep's title and rows; a row's place decides its colour.
+    pub spec: &'a TableSpec,
+    /// Width in print.
+    pub width: Width,
+}
+
+impl Style<'_> {
+    /// Returns a canvas with the sweep's title and what the figure shows.
+    fn canvas(&self, shows: &str) -> Canvas {
+        Canvas::titled(self.width, &format!("{}: {shows}", self.spec.short_title()))
+    }
+
+    /// Adds the caption, with the settings that were changed for all rows, and finishes the figure.
+    fn finish(&self, mut drawing: Canvas, caption: &str) -> Result<Option<Figure>> {
+        let changed = match self.spec.changed.as_str() {
+            "" => String::new(),
+            changed => format!(" All rows: {changed}."),
+        };
+        drawing.caption(&format!("{caption}{changed}"));
+        drawing.finish().map(Some)
+    }
+
+    /// Returns the line of a row. After the last colour of the palette, colours repeat, dashed.
+    fn stroke(&self, row: &str) -> Stroke {
+        let mut own = self.spec.rows.iter().filter(|known| !known.quoted);
+        Stroke::of(own.position(|known| known.name == row).unwrap_or(0))
+    }
+
+    /// Returns the name of a row's baseline.
+    fn baseline_of(&self, row: &str) -> Option<&str> {
+        self.spec.rows.iter().find(|known| known.name == row)?.baseline.as_deref()
+    }
+}
+
+/// How a line is drawn.
+#[derive(Clone, Copy)]
+struct Stroke {
+    colour: Colour,
+    dashed: bool,
+    width: f64,
+}
+
+impl Stroke {
+    fn of(index: usize) -> Stroke {
+        Stroke { colour: PALETTE[index % PALETTE.len()], dashed: index >= PALETTE.len(), width: 1.8 }
+    }
+
+    /// Draws a line, or a dot where there is one point.
+    fn draw(self, drawing: &mut Canvas, line: &[(f64, f64)]) {
+        match (line, self.dashed) {
+            ([only], _) => drawing.dot(*only, 3.0, self.colour, 1.0),
+            (_, true) => drawing.dashed(line, self.colour, self.width),
+            (_, false) => drawing.line(line, self.colour, self.width),
+        }
+    }
+}
+
 /// Returns the name of a metric in figures.
 fn metric_label(key: &str) -> &str {
     Metric::find(key).map_or(key, |metric| metric.label)
@@ -30,6 +100,7 @@ fn metric_label(key: &str) -> &str {
 
 /// Mean over seeds with their spread: mean ± standard deviation for three or more seeds, the two values for two,
 /// nothing for one.
+#[derive(Clone, Copy)]
 struct Spread {
     mean: f64,
     band: Option<(f64, f64)>,

@@ -1,6 +1,7 @@
 //! Which values of an axis differ significantly, over all panels of a figure.
 
-use super::series::{Series, tick};
+use super::series::{Series, value_text};
+use crate::draw::numbers::short;
 use crate::metrics::Metric;
 use crate::report::statistics::{SIGNIFICANCE, holm, least_provable, p_text, p_value, paired_differences};
 
@@ -50,13 +51,15 @@ impl<'a> Tests<'a> {
             (0, _) => "no data".into(),
             (1, _) => "one seed: no spread known".into(),
             (_, Some(((a, b), p))) if p < SIGNIFICANCE => {
-                format!("{seeds} seeds: {} and {} differ, p {}", tick(a).join(" / "), tick(b).join(" / "), p_text(p))
+                format!("{seeds} seeds: {} and {} differ, p {}", value_text(a), value_text(b), p_text(p))
             }
             _ => {
                 let least = self.least_provable(series).zip(Metric::find(metric));
-                let least =
-                    least.map_or(String::new(), |(least, metric)| format!(" ({} would)", metric.with_unit(least)));
-                format!("{seeds} seeds: no pair passes{least}")
+                let least = least.map_or(String::new(), |(least, metric)| {
+                    let space = if metric.unit.is_empty() { "" } else { " " };
+                    format!("; detectable from {}{space}{}", two_digits(least), metric.unit)
+                });
+                format!("{seeds} seeds: no difference shown{least}")
             }
         }
     }
@@ -71,6 +74,11 @@ impl<'a> Tests<'a> {
         let differences: Vec<&[f64]> = self.of(series).map(|pair| pair.differences.as_slice()).collect();
         least_provable(&differences, family.count())
     }
+}
+
+/// Returns a size by its first two digits.
+fn two_digits(value: f64) -> String {
+    short(&format!("{value:.1e}"))
 }
 
 /// Returns all pairs of a line's values that differ in any number.
@@ -103,6 +111,7 @@ mod tests {
         let panel = |panel: &'static str, differences: [f64; 3]| Series {
             axis: "steps",
             panel,
+            row: "r",
             label: "r".into(),
             points: vec![
                 ("1", vec![(0, 20.0), (1, 20.0), (2, 20.0)]),
@@ -125,7 +134,10 @@ mod tests {
         assert!(tests.tells_apart(&few[0], "3"));
         let all = many(15);
         let tests = Tests::new(&all);
-        assert!(!tests.tells_apart(&all[0], "3") && tests.verdict(&all[0], "psnr").contains("no pair passes ("));
+        assert!(
+            !tests.tells_apart(&all[0], "3")
+                && tests.verdict(&all[0], "psnr").contains("no difference shown; detectable from ")
+        );
         // Equal numbers in another panel are the same trainings, and no further test.
         let twice = [panel("a", [0.5, 0.56, 0.62]), panel("b", [0.5, 0.56, 0.62])];
         let tests = Tests::new(&twice);

@@ -1,16 +1,27 @@
 //! A table as points: means with their seeds, and differences to the baseline with intervals.
 
-use super::differences::{PANEL, ROW, Scale, TOP, widest, words};
-use super::{Figure, metric_label};
+use super::differences::{FOOT, MARKS, NOT_SHOWN, Scale, absent, heights, middles, words};
+use super::{Figure, Stroke, Style, metric_label};
 use crate::base::Result;
-use crate::draw::canvas::{Anchor, BLACK, BLUE, Canvas, GREY, TEXT, range};
-use crate::report::tables::{Cell, Line, Table};
-use crate::report::{Record, Status};
+use crate::draw::canvas::{Anchor, Canvas, GREY, LINE_HEIGHT, SIDE, TEXT, Width, range, text_width};
+use crate::metrics::Metric;
+use crate::report::tables::{Cell, Comparison, Line, Table};
+use crate::report::{Record, Status, distinct};
 use crate::settings::columns::InactiveBy;
+
+/// Most room of the names for a page and a column.
+const NAMES: (f64, f64) = (230.0, 118.0);
+const GAP: f64 = 30.0;
 
 /// Draws one horizontal line for each line of the scene. Returns `None` if nothing is measured, or there is only one
 /// line.
-pub fn rows_figure(table: &Table, records: &[Record], scene: &str, metric: &str) -> Result<Option<Figure>> {
+pub fn rows_figure(
+    style: Style,
+    table: &Table,
+    records: &[Record],
+    scene: &str,
+    metric: &str,
+) -> Result<Option<Figure>> {
     let Some(column) = table.metrics.iter().position(|known| known == metric) else { return Ok(None) };
     let lines: Vec<&Line> = table.lines.iter().filter(|line| line.scene == scene && !line.quoted).collect();
     if lines.len() < 2 {
@@ -19,29 +30,66 @@ pub fn rows_figure(table: &Table, records: &[Record], scene: &str, metric: &str)
     let seeds: Vec<Vec<f64>> = lines.iter().map(|line| seeds(line, records, metric)).collect();
     let Some(values) = range(seeds.iter().flatten().copied()) else { return Ok(None) };
     let cells: Vec<&Cell> = lines.iter().map(|line| &line.cells[column]).collect();
-    let intervals = cells.iter().filter_map(|cell| cell.comparison.as_ref()?.interval);
-    let differences = range(intervals.flat_map(|(low, high)| [low, high]).chain([0.0]));
-    let labels: Vec<String> = lines.iter().map(|line| label(line)).collect();
-    let label_width = widest(labels.iter().map(String::as_str), 80.0);
-    let comparisons = cells.iter().map(|cell| cell.comparison.as_ref());
-    let words: Vec<String> = comparisons.map(|comparison| comparison.map_or(String::new(), words)).collect();
-    let bottom = TOP + ROW * lines.len() as f64;
-    let left = Scale { left: 20.0 + label_width + 16.0, range: values };
-    let right = Scale { left: left.left + PANEL + 40.0, range: differences.unwrap_or((-1.0, 1.0)) };
-    let title = format!("{}: {} on {scene}", table.title, metric_label(metric));
-    let width = right.left + PANEL + widest(words.iter().map(String::as_str), 120.0) + 30.0;
-    let mut drawing = Canvas::titled(width, bottom + 30.0, &title);
-    left.frame(&mut drawing, metric_label(metric), bottom);
-    right.frame(&mut drawing, "difference to the baseline, 95 % interval", bottom);
+    let ends = cells.iter().filter_map(|cell| cell.comparison).flat_map(|comparison| {
+        let (low, high) = comparison.interval.unwrap_or((comparison.difference, comparison.difference));
+        [low, high]
+    });
+    let differences = range(ends.chain([0.0])).unwrap_or((-1.0, 1.0));
+    let names: Vec<String> = lines.iter().map(|line| label(line)).collect();
+    let mut drawing = style.canvas(&format!("{} on {scene}", metric_label(metric)));
+    let [mut left, mut right] = scales(style.width, &names, &said(style.width, &cells), values, differences);
+    let heads = [left.head(metric_label(metric)), right.head(&difference_head(&lines, metric))];
+    let top = drawing.height + heads.iter().map(Vec::len).max().unwrap_or(1) as f64 * LINE_HEIGHT + 8.0;
+    (left.top, right.top) = (top, top);
+    let room = left.left - SIDE - 10.0;
+    let (middles, bottom) = middles(&heights(&names, room), top);
+    left.frame(&mut drawing, &heads[0], bottom);
+    right.frame(&mut drawing, &heads[1], bottom);
     right.zero(&mut drawing, bottom);
-    for (index, (((cell, seeds), label), words)) in cells.iter().zip(&seeds).zip(&labels).zip(&words).enumerate() {
-        let y = TOP + ROW * (index as f64 + 0.5);
-        drawing.text((left.left - 10.0, y), label, TEXT, Anchor::Right, BLACK);
-        draw_mean(&mut drawing, &left, y, cell, seeds);
-        cell.comparison.iter().for_each(|comparison| right.difference(&mut drawing, y, comparison, words));
+    for (((line, cell), y), (name, seeds)) in lines.iter().zip(&cells).zip(middles).zip(names.iter().zip(&seeds)) {
+        drawing.name((left.left - 10.0, y), room, name);
+        draw_mean(&mut drawing, &left, y, (line, cell), seeds, style.stroke(&line.row));
+        let Some(comparison) = &cell.comparison else { continue };
+        right.difference(&mut drawing, y, metric, comparison);
+        let at = (right.right() + 8.0, y);
+        drawing.text(at, &verdict(style.width, metric, comparison), TEXT, Anchor::Left, GREY);
     }
-    drawing.caption(&caption(&lines, column));
-    drawing.finish().map(Some)
+    drawing.height = bottom + FOOT;
+    style.finish(drawing, &caption(&lines, column))
+}
+
+/// Places both scales beside the names.
+fn scales(width: Width, names: &[String], said: &[String], values: (f64, f64), differences: (f64, f64)) -> [Scale; 2] {
+    let widest = |texts: &[String], least: f64| texts.iter().map(|text| text_width(text, TEXT)).fold(least, f64::max);
+    let names = widest(names, 60.0).min(width.pick(NAMES.0, NAMES.1));
+    let left = SIDE + names + 10.0;
+    let each = (width.units() - left - GAP - widest(said, 10.0) - 8.0 - SIDE) / 2.0;
+    let scale = |left: f64, range: (f64, f64)| Scale { left, width: each, top: 0.0, range };
+    [scale(left, values), scale(left + each + GAP, differences)]
+}
+
+/// Returns what stands at the end of each line.
+fn said(width: Width, cells: &[&Cell]) -> Vec<String> {
+    let of = |cell: &&Cell| cell.comparison.map(|comparison| verdict(width, &cell.metric, &comparison));
+    cells.iter().filter_map(of).collect()
+}
+
+/// Returns a verdict in words for a page; a column has room for a sign of equivalence.
+fn verdict(width: Width, metric: &str, comparison: &Comparison) -> String {
+    match width {
+        Width::Page => words(metric, comparison),
+        Width::Column => if comparison.is_equivalent() { "≈" } else { "" }.into(),
+    }
+}
+
+/// Returns `difference to NeRF (dB), 95 % interval`.
+fn difference_head(lines: &[&Line], metric: &str) -> String {
+    let baseline = match distinct(lines.iter().filter_map(|line| line.baseline.as_deref())).as_slice() {
+        [only] => only.to_string(),
+        _ => "the baseline".into(),
+    };
+    let unit = Metric::find(metric).map(|metric| metric.unit).filter(|unit| !unit.is_empty());
+    format!("difference to {baseline}{}, 95 % interval", unit.map_or(String::new(), |unit| format!(" ({unit})")))
 }
 
 fn seeds(line: &Line, records: &[Record], metric: &str) -> Vec<f64> {
@@ -54,24 +102,24 @@ fn label(line: &Line) -> String {
     if line.inactive_levels.is_empty() { line.label.clone() } else { format!("{} †", line.label) }
 }
 
-fn draw_mean(drawing: &mut Canvas, scale: &Scale, y: f64, cell: &Cell, seeds: &[f64]) {
+fn draw_mean(drawing: &mut Canvas, scale: &Scale, y: f64, (line, cell): (&Line, &Cell), seeds: &[f64], own: Stroke) {
     let Some(mean) = cell.mean else {
-        drawing.text((scale.left + 6.0, y), "no data", TEXT, Anchor::Left, GREY);
+        drawing.text((scale.left + 6.0, y), absent(line), TEXT, Anchor::Left, GREY);
         return;
     };
-    seeds.iter().for_each(|seed| drawing.dot((scale.x(*seed), y), 2.5, BLUE, 0.45));
-    drawing.dot((scale.x(mean), y), 4.5, BLUE, 1.0);
+    seeds.iter().for_each(|seed| drawing.dot((scale.x(*seed), y), 2.5, own.colour, 0.45));
+    drawing.dot((scale.x(mean), y), 4.5, own.colour, 1.0);
 }
 
 fn caption(lines: &[&Line], column: usize) -> String {
-    let mut text = "Large dots are means over seeds, faint dots the seeds. Differences are paired by seed; higher and lower \
-                    (red) by Holm's p below 0.05 over the rows of the scene's table, not distinguishable where the interval holds 0, no word \
-                    between the two."
-        .to_string();
+    let mut text = format!(
+        "Large dots are means over seeds, faint dots the seeds. Differences are paired by seed. {MARKS} the rows of the \
+         scene's table. {NOT_SHOWN}"
+    );
     let comparisons = lines.iter().filter_map(|line| line.cells[column].comparison);
     let margins = comparisons.filter_map(|comparison| comparison.equivalence).map(|equivalence| equivalence.margin);
     if let Some(margin) = margins.reduce(f64::max) {
-        text += &format!(" Equivalent: within {margin} of the baseline, by two one-sided tests (Holm).");
+        text += &format!(" Equivalent (≈): within {margin} of the baseline, by two one-sided tests (Holm).");
     }
     for by in InactiveBy::ALL {
         let sites = lines.iter().filter_map(|line| Some(format!("{} ({})", line.label, line.inactive_sites(by)?)));

@@ -1,18 +1,17 @@
 //! How far the attack moves colours during training, site by site.
 
-use super::curves::{Line, Plot, Seeds, Stroke, stroke, unsmoothed};
-use super::differences::widest;
-use super::{Figure, SPREAD_NOTE, Spread};
+use super::curves::{Line, Plot, Seeds, axis_end, cut, unsmoothed};
+use super::{Figure, SPREAD_NOTE, Spread, Stroke, Style, legend};
 use crate::augment::Site;
 use crate::base::Result;
-use crate::draw::canvas::{Anchor, BLACK, Canvas, GREY, LINE_HEIGHT, Panel, SIDE, TEXT};
+use crate::draw::canvas::{Canvas, GREY, LINE_HEIGHT, Panel, SIDE};
 use crate::settings::columns::LEAST_SHIFT;
 
-const PANEL: (f64, f64) = (260.0, 190.0);
-const GAP: (f64, f64) = (40.0, 72.0);
-const MARGIN: (f64, f64) = (76.0, 84.0);
-/// Number of panels side by side.
-const COLUMNS: usize = 3;
+/// Panels side by side of a page and of a column, and their heights.
+const ACROSS: (usize, usize) = (3, 2);
+const HEIGHT: (f64, f64) = (160.0, 130.0);
+const LEFT: f64 = 50.0;
+const GAP: f64 = 36.0;
 const INACTIVE: &str = "1/2: inactive below";
 
 /// How far one row's deltas move the rendered colours, in 8-bit steps.
@@ -28,54 +27,63 @@ impl Shifts {
     fn line(&self, site: Site) -> Line {
         self.sites.iter().find(|(own, _)| *own == site).map_or(Line::new(), |(_, seeds)| unsmoothed(seeds))
     }
+
+    /// Returns the last step of any site.
+    fn last(&self) -> Option<f64> {
+        let steps = self.sites.iter().flat_map(|(_, seeds)| seeds).flatten().map(|(step, _)| *step);
+        steps.reduce(f64::max)
+    }
 }
 
 /// Draws a panel for each site of any row, on one logarithmic scale: means over seeds against steps. Returns `None` if
 /// no colour moved.
-pub fn shifts_figure(title: &str, rows: &[Shifts]) -> Result<Option<Figure>> {
-    let lines = |site: Site| (site, rows.iter().map(|row| row.line(site)).collect::<Vec<Line>>());
+pub fn shifts_figure(style: Style, scene: &str, rows: &[Shifts]) -> Result<Option<Figure>> {
+    let end = axis_end(&rows.iter().filter_map(Shifts::last).collect::<Vec<f64>>());
+    let lines = |site: Site| (site, rows.iter().map(|row| cut(&row.line(site), end)).collect::<Vec<Line>>());
     let sites: Vec<(Site, Vec<Line>)> =
         Site::ALL.into_iter().map(lines).filter(|(_, lines)| lines.iter().any(|line| !line.is_empty())).collect();
     let points = || sites.iter().flat_map(|(_, lines)| lines).flatten();
-    let last = points().map(|(step, _)| *step).reduce(f64::max);
-    let (Some(range), Some(last)) = (decades(points()), last) else { return Ok(None) };
-    let panel = |index: usize| Panel {
-        left: MARGIN.0 + (index % COLUMNS) as f64 * (PANEL.0 + GAP.0),
-        top: MARGIN.1 + (index / COLUMNS) as f64 * (PANEL.1 + GAP.1),
-        width: PANEL.0,
-        height: PANEL.1,
-        range,
-    };
-    let plot = |index: usize| Plot { panel: panel(index), last, along: "step" };
-    let beside = plot(sites.len().min(COLUMNS) - 1);
-    let legend = widest(rows.iter().map(|row| row.label.as_str()).chain([INACTIVE]), 60.0);
-    let width = beside.panel.right() + legend + 70.0;
-    let below_legend = MARGIN.1 + (rows.len() + 1) as f64 * LINE_HEIGHT;
-    let height = (panel(sites.len() - 1).bottom() + 52.0).max(below_legend);
-    let mut drawing = Canvas::titled(width, height, title);
-    drawing.text((SIDE, 44.0), "shift of the rendered colours (8-bit steps)", TEXT, Anchor::Left, BLACK);
-    for (index, (site, lines)) in sites.iter().enumerate() {
-        draw_site(&mut drawing, &plot(index), *site, lines, index % COLUMNS == 0);
+    let Some(range) = decades(points()) else { return Ok(None) };
+    let across = style.width.pick(ACROSS.0, ACROSS.1);
+    let mut drawing = style.canvas(&format!("shift of colours by the attack on {scene}"));
+    let width = (drawing.width - LEFT - SIDE + GAP) / across as f64 - GAP;
+    let strokes: Vec<Stroke> = rows.iter().map(|row| style.stroke(&row.label)).collect();
+    drawing.height = drawing.lines(
+        (SIDE, drawing.height + 4.0),
+        drawing.width - 2.0 * SIDE,
+        "shift of the rendered colours (8-bit steps)",
+        GREY,
+    );
+    for line in sites.chunks(across) {
+        let (top, mut foot) = (drawing.height + LINE_HEIGHT, 0.0);
+        for (column, (site, lines)) in line.iter().enumerate() {
+            let left = LEFT + column as f64 * (width + GAP);
+            let panel = Panel { left, top, width, height: style.width.pick(HEIGHT.0, HEIGHT.1), range };
+            foot = draw_site(&mut drawing, Plot { panel, end, along: "step" }, *site, lines, &strokes, column == 0);
+        }
+        drawing.height = foot;
     }
-    for (index, row) in rows.iter().enumerate() {
-        beside.entry(&mut drawing, index, &row.label, stroke(index));
-    }
-    beside.entry(&mut drawing, rows.len(), INACTIVE, BOUND);
-    drawing.caption(&caption(points().any(|(_, shift)| shift.mean <= 0.0)));
-    drawing.finish().map(Some)
+    let mut entries: Vec<(&str, Stroke)> = rows.iter().map(|row| row.label.as_str()).zip(strokes).collect();
+    entries.push((INACTIVE, BOUND));
+    legend::draw(&mut drawing, &entries);
+    let longer: Vec<&str> =
+        rows.iter().filter(|row| row.last().is_some_and(|last| last > end)).map(|row| row.label.as_str()).collect();
+    style.finish(drawing, &caption(points().any(|(_, shift)| shift.mean <= 0.0), &longer))
 }
 
 const BOUND: Stroke = Stroke { colour: GREY, dashed: true, width: 1.2 };
 
-fn draw_site(drawing: &mut Canvas, plot: &Plot, site: Site, lines: &[Line], numbers: bool) {
+/// Draws a site's panel; returns the position after it.
+fn draw_site(drawing: &mut Canvas, plot: Plot, site: Site, lines: &[Line], strokes: &[Stroke], numbers: bool) -> f64 {
     let panel = &plot.panel;
     panel.log_frame(drawing, numbers);
-    plot.axis(drawing, site.name());
+    let foot = plot.axis(drawing, &[site.name().to_string()]);
     let y = panel.y(LEAST_SHIFT.log10());
     BOUND.draw(drawing, &[(panel.left, y), (panel.right(), y)]);
-    for (index, line) in lines.iter().enumerate() {
-        plot.line(drawing, &logarithms(line, panel.range.0), stroke(index));
+    for (line, stroke) in lines.iter().zip(strokes) {
+        plot.line(drawing, &logarithms(line, panel.range.0), *stroke);
     }
+    foot
 }
 
 /// Returns whole powers of ten around the data and the bound, or `None` if nothing is above 0.
@@ -99,10 +107,11 @@ fn logarithms(line: &Line, least: f64) -> Line {
     drawn.map(|(step, shift)| (*step, logarithm(shift))).collect()
 }
 
-fn caption(has_zeros: bool) -> String {
+fn caption(has_zeros: bool, longer: &[&str]) -> String {
     let zeros = if has_zeros { " Shifts of 0 have no place on this scale." } else { "" };
+    let longer = if longer.is_empty() { String::new() } else { format!(" Cut off: {}.", longer.join("; ")) };
     format!(
         "{SPREAD_NOTE} Shift: how far the deltas of this site alone move the colours of the step's rays, mean over rays and \
-         channels. A site whose mean over its last ten logs is below 1/2 counts as inactive.{zeros}"
+         channels. A site whose mean over its last ten logs is below 1/2 counts as inactive.{zeros}{longer}"
     )
 }

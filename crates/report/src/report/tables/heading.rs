@@ -1,6 +1,6 @@
 //! Column headings of metrics for readers, and the one rule for bold numbers.
 
-use super::{Cell, Verdict};
+use super::{Cell, Comparison, Verdict};
 use crate::metrics::{Direction, Metric};
 
 /// A metric's name, unit and better direction.
@@ -46,25 +46,55 @@ impl Heading<'_> {
     }
 }
 
+/// What a difference to the baseline means for a reader: the one rule for bold numbers, colours and marks.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Judgement {
+    /// Better than the baseline, by Holm's p.
+    Better,
+    /// Worse than the baseline, by Holm's p.
+    Worse,
+    /// Higher, of a metric that is not better in either direction.
+    Higher,
+    /// Lower, of such a metric.
+    Lower,
+    /// No difference is shown.
+    NotShown,
+}
+
+impl Judgement {
+    /// Judges a comparison of a metric.
+    pub fn of(metric: &str, comparison: &Comparison) -> Judgement {
+        let direction = Metric::find(metric).map_or(Direction::Neither, |metric| metric.direction);
+        match (comparison.verdict(), direction) {
+            (Some(Verdict::Higher), Direction::Up) | (Some(Verdict::Lower), Direction::Down) => Judgement::Better,
+            (Some(Verdict::Higher), Direction::Down) | (Some(Verdict::Lower), Direction::Up) => Judgement::Worse,
+            (Some(Verdict::Higher), Direction::Neither) => Judgement::Higher,
+            (Some(Verdict::Lower), Direction::Neither) => Judgement::Lower,
+            (Some(Verdict::NotDistinguishable) | None, _) => Judgement::NotShown,
+        }
+    }
+
+    /// Returns the word; empty where no difference is shown.
+    pub fn name(self) -> &'static str {
+        match self {
+            Judgement::Better => "better",
+            Judgement::Worse => "worse",
+            Judgement::Higher => "higher",
+            Judgement::Lower => "lower",
+            Judgement::NotShown => "",
+        }
+    }
+}
+
 /// Returns whether a cell is better than the baseline by Holm's p, and so printed bold. Never for a descriptive
 /// metric.
 pub fn is_better(cell: &Cell) -> bool {
-    is_on(cell, [Verdict::Higher, Verdict::Lower])
+    cell.comparison.is_some_and(|comparison| Judgement::of(&cell.metric, &comparison) == Judgement::Better)
 }
 
 /// Returns whether a cell is worse than the baseline by Holm's p.
 pub fn is_worse(cell: &Cell) -> bool {
-    is_on(cell, [Verdict::Lower, Verdict::Higher])
-}
-
-/// Returns whether the verdict is the first if more is better, the second if less is.
-fn is_on(cell: &Cell, [up, down]: [Verdict; 2]) -> bool {
-    let wanted = match Metric::find(&cell.metric).map(|metric| metric.direction) {
-        Some(Direction::Up) => up,
-        Some(Direction::Down) => down,
-        Some(Direction::Neither) | None => return false,
-    };
-    cell.comparison.and_then(|comparison| comparison.verdict()) == Some(wanted)
+    cell.comparison.is_some_and(|comparison| Judgement::of(&cell.metric, &comparison) == Judgement::Worse)
 }
 
 #[cfg(test)]
@@ -79,7 +109,7 @@ mod tests {
             [
                 "PSNR (dB) ↑",
                 "PSNR, training minus held-out (dB)",
-                "l1 of density (scene units²) ↓",
+                "l1 of density (scene units²)",
                 "LPIPS (vgg) ↓",
                 "occupied",
                 "mine"

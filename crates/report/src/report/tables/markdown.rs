@@ -15,7 +15,7 @@ pub fn table_markdown(table: &Table) -> String {
         text += &format!("|---|{}\n", "---:|".repeat(grid.head.len() - 1));
         text.extend(rows.by_ref().take(lines.len()).map(|row| row_text(row)));
         text += "\n";
-        text += &list_text(&scene_notes(&lines));
+        text += &list_text(&scene_notes(&lines, usize::MAX));
     }
     text + "\n" + &list_text(&general_notes(table))
 }

@@ -8,6 +8,7 @@ use super::text::{
     scene_notes,
 };
 use super::{Cell, Line, Table};
+use crate::draw::numbers::rounded;
 
 /// Returns title, then a drawing for each scene with its notes. `width` is the terminal's, in characters; the terminal
 /// wraps the notes.
@@ -16,7 +17,7 @@ pub fn table_terminal(table: &Table, width: u16) -> String {
     for (scene, lines) in table.scenes() {
         text += &format!("\n{scene}: {}\n", protocol_text(&lines));
         text += &format!("{}\n", drawing(table, &lines, width));
-        text.extend(scene_notes(&lines).iter().map(|note| format!("{note}\n")));
+        text.extend(scene_notes(&lines, usize::MAX).iter().map(|note| format!("{note}\n")));
     }
     text += "\n";
     text.extend(general_notes(table).iter().map(|note| format!("{note}\n")));
@@ -27,10 +28,15 @@ fn drawing(table: &Table, lines: &[&Line], width: u16) -> Drawing {
     let mut drawing = Drawing::new();
     drawing.load_style(UTF8_HORIZONTAL_ONLY).set_content_arrangement(ContentArrangement::Dynamic).set_width(width);
     let unknown = lines.iter().any(|line| !unknown_text(line).is_empty()).then_some("paper, unknown backbone");
-    drawing.set_header(std::iter::once("row").chain(table.metrics.iter().map(String::as_str)).chain(unknown));
+    // A note says why a metric has no number.
+    let is_filled = |index: &usize| lines.iter().any(|line| !cell_text(&line.cells[*index]).is_empty());
+    let filled: Vec<usize> = (0..table.metrics.len()).filter(is_filled).collect();
+    let metrics = filled.iter().map(|index| table.metrics[*index].as_str());
+    drawing.set_header(std::iter::once("row").chain(metrics).chain(unknown));
     for line in lines {
         let last = unknown.map(|_| unknown_text(line));
-        drawing.add_row(std::iter::once(marked_label(line)).chain(line.cells.iter().map(cell_text)).chain(last));
+        let cells = filled.iter().map(|index| cell_text(&line.cells[*index]));
+        drawing.add_row(std::iter::once(rounded(&marked_label(line))).chain(cells).chain(last));
     }
     drawing
 }

@@ -2,11 +2,12 @@
 
 use super::kinds::{is_without_fields, kind_notes, llff_note};
 use super::{Cell, Comparison, Line, Table};
-use crate::metrics::{DEPTH_MAE, DEPTH_RMSE, DEPTH_ROUGHNESS, Metric, NORMAL_ROUGHNESS, Needs};
+use crate::draw::numbers::power;
+use crate::metrics::{DEPTH_MAE, DEPTH_RMSE, DEPTH_ROUGHNESS, Digits, Metric, NORMAL_ROUGHNESS, Needs};
 use crate::report::PUBLISHED_NOTE;
 use crate::report::distinct;
 use crate::report::statistics::p_text;
-use crate::settings::columns::{COLUMNS, CaptionRule, InactiveBy};
+use crate::settings::columns::{COLUMNS, CaptionRule, INACTIVE_BY, InactiveBy};
 
 const HOW_TO_READ: &str = "difference to the baseline, paired by seed, with its 95 % Student t interval and the p value \
      after Holm's correction over the rows of the scene's table; \"higher\" and \"lower\" where that is below 0.05, \"not \
@@ -117,11 +118,53 @@ pub const UNKNOWN_BACKBONE: [Column; 2] = [
     ("average", |line| line.published_average.map_or(String::new(), |value| format!("{value:.3}"))),
 ];
 
-/// Returns `25.31 ± 0.12 (3)`; without the deviation for one seed, empty for none.
+/// Numbers of one metric that stand together: with one number of decimals and one power of ten.
+struct Together {
+    texts: Vec<String>,
+    /// `×10⁵`; empty without a power.
+    power: String,
+}
+
+fn together(metric: &str, values: &[f64]) -> Together {
+    let plain = |decimals: usize| Together {
+        texts: values.iter().map(|value| format!("{value:.decimals$}")).collect(),
+        power: String::new(),
+    };
+    let largest = values.iter().map(|value| value.abs()).fold(0.0, f64::max);
+    match Metric::find(metric).map(|metric| metric.digits) {
+        Some(Digits::Decimals(decimals)) => plain(decimals),
+        None => Together { texts: values.iter().map(f64::to_string).collect(), power: String::new() },
+        Some(Digits::Figures) if largest == 0.0 => plain(0),
+        Some(Digits::Figures) if (1e-3..1e5).contains(&largest) => {
+            plain((3.0 - largest.log10().floor()).max(0.0) as usize)
+        }
+        Some(Digits::Figures) => {
+            let exponent = largest.log10().floor();
+            let texts = values.iter().map(|value| format!("{:.3}", value / 10f64.powf(exponent))).collect();
+            // The number is that of the power alone.
+            Together { texts, power: format!("×{}", power(10f64.powf(exponent))) }
+        }
+    }
+}
+
+/// Returns mean and standard deviation, each complete, with one number of decimals and one power of ten; the deviation
+/// is empty for one seed, both for none.
+pub fn mean_and_spread(cell: &Cell) -> (String, String) {
+    let Some(mean) = cell.mean else { return Default::default() };
+    let values: Vec<f64> = std::iter::once(mean).chain(cell.deviation).collect();
+    let Together { texts, power } = together(&cell.metric, &values);
+    let mut texts = texts.into_iter().map(|text| text + &power);
+    (texts.next().unwrap_or_default(), texts.next().unwrap_or_default())
+}
+
+/// Returns `25.31 ± 0.12 (3)`, or `(4.133 ± 0.383)×10⁵ (3)`; without the deviation for one seed, empty for none.
 pub fn mean_text(cell: &Cell) -> String {
     let Some(mean) = cell.mean else { return String::new() };
-    let deviation = cell.deviation.map_or(String::new(), |value| format!(" ± {}", number(&cell.metric, value)));
-    format!("{}{deviation} ({})", number(&cell.metric, mean), cell.n)
+    let values: Vec<f64> = std::iter::once(mean).chain(cell.deviation).collect();
+    let Together { texts, power } = together(&cell.metric, &values);
+    let numbers = texts.join(" ± ");
+    let numbers = if texts.len() > 1 && !power.is_empty() { format!("({numbers})") } else { numbers };
+    format!("{numbers}{power} ({})", cell.n)
 }
 
 /// Returns `+0.31 [+0.10, +0.52], p 0.021, higher`; the last word is the verdict, if there is one.
@@ -143,15 +186,25 @@ pub fn interval_of(cell: &Cell) -> String {
 
 /// Returns `+0.31 [+0.10, +0.52]`, without brackets if there is no interval.
 pub fn signed_interval(metric: &str, difference: f64, interval: Option<(f64, f64)>) -> String {
-    let signed = |value: f64| signed_text(metric, value);
-    let ends = interval.map_or(String::new(), |(low, high)| format!(" [{}, {}]", signed(low), signed(high)));
-    signed(difference) + &ends
+    let ends = interval.into_iter().flat_map(|(low, high)| [low, high]);
+    let Together { texts, power } = together(metric, &std::iter::once(difference).chain(ends).collect::<Vec<f64>>());
+    let texts: Vec<String> = texts.into_iter().map(signed).collect();
+    match texts.as_slice() {
+        [difference, low, high] => {
+            let space = if power.is_empty() { "" } else { " " };
+            format!("{difference} [{low}, {high}]{space}{power}")
+        }
+        _ => texts.concat() + &power,
+    }
+}
+
+fn signed(text: String) -> String {
+    if text.starts_with('-') { text } else { format!("+{text}") }
 }
 
 /// Returns a difference with its sign and the digits of its metric.
 pub fn signed_text(metric: &str, value: f64) -> String {
-    let text = number(metric, value);
-    if text.starts_with('-') { text } else { format!("+{text}") }
+    signed(number(metric, value))
 }
 
 fn conclusion(cell: &Cell, comparison: &Comparison) -> String {
@@ -174,23 +227,68 @@ fn number(metric: &str, value: f64) -> String {
     Metric::find(metric).map_or_else(|| value.to_string(), |metric| metric.text(value))
 }
 
-/// Returns the notes below the lines of a scene.
-pub fn scene_notes(lines: &[&Line]) -> Vec<String> {
-    let mut notes = baseline_notes(lines);
+/// Returns the notes below the lines of a scene. Of more rows than `most`, a note says how many they are.
+pub fn scene_notes(lines: &[&Line], most: usize) -> Vec<String> {
+    let mut notes = baseline_notes(lines, most);
     notes.extend(corruption_notes(lines));
-    notes.extend(varied_notes(lines));
+    notes.extend(varied_notes(lines, most));
     notes.extend(kind_notes(lines));
-    notes.extend(MARKS.iter().filter_map(|mark| mark_note(mark, lines)));
+    notes.extend(MARKS.iter().filter_map(|mark| mark_note(mark, lines, most)));
     notes.extend(unmeasured_notes(lines));
-    notes.extend(published_notes(lines));
+    notes.extend(published_notes(lines, most));
     notes
 }
 
-/// Returns what a reader must know before the numbers: lines that are not comparable, unfinished, without effect of
-/// the attack or different between seeds, and metrics without numbers.
+/// Returns what a reader must know before the numbers, in one line for each fact: lines that are not comparable,
+/// unfinished, without effect of the attack or different between seeds, and metrics without numbers.
 pub fn warnings(lines: &[&Line]) -> Vec<String> {
-    let marks = MARKS.iter().filter(|(symbol, ..)| !['#', '‖', '*'].contains(symbol));
-    marks.filter_map(|mark| mark_note(mark, lines)).chain(unmeasured_notes(lines)).collect()
+    let measured = lines.iter().filter(|line| !line.ids.is_empty()).count();
+    let grouped = |start: &str, of: &dyn Fn(&Line) -> Option<String>| -> Option<String> {
+        let facts = distinct(lines.iter().filter_map(|line| of(line)));
+        let rows = |fact: &String| {
+            let labels = lines.iter().filter(|line| of(line).as_ref() == Some(fact)).map(|line| line.label.as_str());
+            format!("{}: {fact}", rows_text(&labels.collect::<Vec<&str>>(), measured))
+        };
+        (!facts.is_empty()).then(|| format!("{start}: {}", facts.iter().map(rows).collect::<Vec<String>>().join("; ")))
+    };
+    let marked = [
+        grouped("NOT COMPARABLE, built by force; differ from the scene's first row", &|line| joined(&line.mixed)),
+        grouped("points without numbers", &|line| line.unfinished().then(|| status_and_reason(line))),
+    ];
+    let by_site = InactiveBy::ALL.into_iter().filter_map(|by| inactive_warning(lines, by));
+    let differing = grouped("settings differ between seeds", &|line| joined(&line.differs));
+    marked.into_iter().flatten().chain(by_site).chain(differing).chain(unmeasured_notes(lines)).collect()
+}
+
+/// Returns in how many rows each site was inactive: `view in all 26 rows, t in 25`.
+fn inactive_warning(lines: &[&Line], by: InactiveBy) -> Option<String> {
+    let own: Vec<&&Line> = lines.iter().filter(|line| line.inactive_sites(by).is_some()).collect();
+    let attacked = lines.iter().filter(|line| !line.protocol(INACTIVE_BY).is_empty()).count();
+    let sites = distinct(own.iter().flat_map(|line| line.inactive_levels.iter().map(String::as_str)));
+    let mut counts: Vec<(&str, usize)> = sites
+        .into_iter()
+        .map(|site| (site, own.iter().filter(|line| line.inactive_levels.iter().any(|own| own == site)).count()))
+        .collect();
+    counts.sort_by_key(|(_, count)| std::cmp::Reverse(*count));
+    let text = |(index, (site, count)): (usize, &(&str, usize))| {
+        let all = if *count == attacked && attacked > 1 { "all " } else { "" };
+        let rows = if index == 0 { if *count == 1 { " row" } else { " rows" } } else { "" };
+        format!("{site} in {all}{count}{rows}")
+    };
+    let said: Vec<String> = counts.iter().enumerate().map(text).collect();
+    (!said.is_empty()).then(|| format!("{}: {} (see Attack)", by.meaning(), said.join(", ")))
+}
+
+/// Most rows that a warning names.
+const NAMED: usize = 3;
+
+fn rows_text(labels: &[&str], measured: usize) -> String {
+    match labels.len() {
+        1 => labels[0].to_string(),
+        all if all == measured => "all rows".into(),
+        many if many > NAMED => format!("{many} rows"),
+        _ => labels.join(", "),
+    }
 }
 
 /// Returns the notes below the table on how to read its cells.
@@ -232,8 +330,8 @@ pub fn further_notes(table: &Table, equivalence: &str) -> Vec<String> {
     notes
 }
 
-fn baseline_notes(lines: &[&Line]) -> Vec<String> {
-    match labels_by(lines, |line| line.baseline.clone()).as_slice() {
+fn baseline_notes(lines: &[&Line], most: usize) -> Vec<String> {
+    match labels_by(lines, most, |line| line.baseline.clone()).as_slice() {
         [(baseline, _)] => vec![format!("baseline: {baseline}")],
         several => several.iter().map(|(baseline, labels)| format!("baseline of {labels}: {baseline}")).collect(),
     }
@@ -269,18 +367,18 @@ fn corruption_notes(lines: &[&Line]) -> Vec<String> {
 }
 
 /// Returns the settings that the definition varies between lines and that a reader might think equal.
-fn varied_notes(lines: &[&Line]) -> Vec<String> {
+fn varied_notes(lines: &[&Line], most: usize) -> Vec<String> {
     let value = |line: &Line, name: &str| Some(line.protocol(name).to_string()).filter(|text| !text.is_empty());
     let varied = columns(&[CaptionRule::Always, CaptionRule::Differing]).filter_map(|name| {
-        let values = labels_by(lines, |line| value(line, name));
+        let values = labels_by(lines, most, |line| value(line, name));
         let named: Vec<String> = values.iter().map(|(value, labels)| format!("{value} ({labels})")).collect();
         (values.len() > 1).then(|| format!("rows differ in {name}: {}", named.join("; ")))
     });
     varied.collect()
 }
 
-fn mark_note((symbol, meaning, of): &Mark, lines: &[&Line]) -> Option<String> {
-    let marked = labels_by(lines, of).into_iter().map(|(what, labels)| match what.as_str() {
+fn mark_note((symbol, meaning, of): &Mark, lines: &[&Line], most: usize) -> Option<String> {
+    let marked = labels_by(lines, most, of).into_iter().map(|(what, labels)| match what.as_str() {
         "" => labels,
         what => format!("{labels} ({what})"),
     });
@@ -325,7 +423,7 @@ fn why_empty(needs: Needs, with_weights: bool) -> &'static str {
     }
 }
 
-fn published_notes(lines: &[&Line]) -> Vec<String> {
+fn published_notes(lines: &[&Line], most: usize) -> Vec<String> {
     let protocol = |line: &Line| {
         let known = Some(&line.published_protocol).filter(|text| !text.is_empty())?;
         Some(match line.protocol_difference.as_str() {
@@ -333,16 +431,19 @@ fn published_notes(lines: &[&Line]) -> Vec<String> {
             difference => format!("{known}; here {difference}"),
         })
     };
-    let notes = labels_by(lines, protocol);
+    let notes = labels_by(lines, most, protocol);
     notes.into_iter().map(|(protocol, labels)| format!("in the paper, {labels}: {protocol}")).collect()
 }
 
 /// Returns each distinct text with the labels of its lines.
-fn labels_by(lines: &[&Line], text: impl Fn(&Line) -> Option<String>) -> Vec<(String, String)> {
+fn labels_by(lines: &[&Line], most: usize, text: impl Fn(&Line) -> Option<String>) -> Vec<(String, String)> {
     let texts = distinct(lines.iter().filter_map(|line| text(line)));
     let labels = |said: &str| {
         let of = lines.iter().filter(|line| text(line).as_deref() == Some(said)).map(|line| line.label.as_str());
-        of.collect::<Vec<&str>>().join(", ")
+        match of.collect::<Vec<&str>>() {
+            many if many.len() > most => format!("{} rows", many.len()),
+            few => few.join(", "),
+        }
     };
     texts.into_iter().map(|said| (said.clone(), labels(&said))).collect()
 }
@@ -354,6 +455,21 @@ mod tests {
 
     fn cell(metric: &str, n: usize, comparison: Option<Comparison>) -> Cell {
         Cell { metric: metric.into(), n, mean: Some(1.0), deviation: None, comparison, published: None }
+    }
+
+    #[test]
+    fn numbers_that_stand_together_have_one_exponent_and_one_number_of_decimals() {
+        let of = |metric: &str, mean: f64, deviation: f64| {
+            mean_text(&Cell { mean: Some(mean), deviation: Some(deviation), ..cell(metric, 3, None) })
+        };
+        assert_eq!(of("laplacian", 413300.0, 38340.0), "(4.133 ± 0.383)×10⁵ (3)");
+        assert_eq!(of("l1", 76.24, 0.1677), "76.24 ± 0.17 (3)");
+        assert_eq!(of("tv", 1065.0, 107.4), "1065 ± 107 (3)");
+        assert_eq!(of("psnr", 18.974, 0.05), "18.97 ± 0.05 (3)");
+        assert_eq!(signed_interval("l1", -1.388, Some((-3.259, 0.483))), "-1.388 [-3.259, +0.483]");
+        assert_eq!(signed_interval("tv", 2e-6, Some((-1e-7, 4.1e-6))), "+2.000 [-0.100, +4.100] ×10⁻⁶");
+        let one = Cell { mean: Some(413300.0), ..cell("laplacian", 1, None) };
+        assert_eq!((mean_text(&one), mean_and_spread(&one).0), ("4.133×10⁵ (1)".into(), "4.133×10⁵".into()));
     }
 
     #[test]

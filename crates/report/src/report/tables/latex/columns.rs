@@ -147,18 +147,23 @@ impl Part<'_, '_> {
     /// Returns the cells of a line.
     pub fn cells(&self, label: &str, line: &Line) -> Vec<String> {
         let label = match self.label {
-            Some(_) => format!("\\raggedright {}\\par", escape(label)),
-            None => escape(label),
+            // Neither braces nor a paragraph's end: both would double the height of the row.
+            Some(_) => format!("\\raggedright {}", escape(label)),
+            None => braced(&escape(label)),
         };
         let columns = self.groups.iter().flat_map(|layout| &layout.group.columns);
-        std::iter::once(label).chain(columns.map(|column| column.text(line))).collect()
+        std::iter::once(label).chain(columns.map(|column| braced(&column.text(line)))).collect()
     }
 }
 
-/// Joins cells in braces: a row must not start with `[` or `*`, which the line end before it would take.
+/// Joins the cells of a row.
 pub fn row_text(cells: &[String]) -> String {
-    let cells: Vec<String> = cells.iter().map(|cell| format!("{{{cell}}}")).collect();
     format!("{} \\\\\n", cells.join(" & "))
+}
+
+/// Puts a cell in braces: a row must not start with `[` or `*`, which the line end before it would take.
+fn braced(cell: &str) -> String {
+    format!("{{{cell}}}")
 }
 
 /// Stacks lines, with the last on the row's line.
@@ -199,7 +204,8 @@ fn em(letter: char) -> f64 {
         letter if letter.is_uppercase() => 0.82,
         // Includes Latin letters with accents.
         letter if u32::from(letter) < 0x180 => 0.57,
-        '\u{370}'..='\u{3ff}' => 0.75,
+        '\u{370}'..='\u{3ff}' | '×' => 0.78,
+        '\u{2070}'..='\u{209f}' | '¹' => 0.44,
         // Some are printed as their number: `[U+4E2D]`.
         _ => 4.5,
     }

@@ -73,7 +73,8 @@ pub fn floats(caption: &str, blocks: Vec<Block>) -> String {
         let again = if index == 0 { "" } else { " (continued)" };
         let blocks: Vec<String> = blocks.into_iter().map(|block| block.text).collect();
         format!(
-            "\\begin{{table}}\n\\centering\n\\caption{{{}{again}}}\n\\footnotesize\n\\setlength{{\\tabcolsep}}{{{SEPARATION}pt}}\n\
+            "\\begin{{table}}\n\\centering\n\\setlength{{\\abovecaptionskip}}{{0pt}}\n\\setlength{{\\belowcaptionskip}}{{6pt}}\n\
+             \\caption{{{}{again}}}\n\\footnotesize\n\\setlength{{\\tabcolsep}}{{{SEPARATION}pt}}\n\
              {}\\end{{table}}\n",
             escape(caption),
             blocks.join("\n\\medskip\n")

@@ -10,6 +10,7 @@ use super::text::{
     UNKNOWN_BACKBONE, further_notes, interval_of, marked_label, mean_text, protocol_text, published_text, scene_notes,
 };
 use super::{Cell, Comparison, Line, Table};
+use crate::draw::numbers::rounded;
 use crate::report::statistics::p_text;
 use columns::{Column, Group, Part, parts, row_text};
 use escape::{LETTER, escape};
@@ -116,7 +117,7 @@ fn p_cell(comparison: Comparison) -> String {
 /// Returns the parts of a table, each with all lines that `shown` accepts, scene by scene.
 fn blocks(table: &Table, groups: &[Group], shown: impl Fn(&Line) -> bool) -> Vec<Block> {
     let lines: Vec<&Line> = table.lines.iter().filter(|line| shown(line)).collect();
-    let labels: Vec<String> = lines.iter().map(|line| marked_label(line)).collect();
+    let labels: Vec<String> = lines.iter().map(|line| rounded(&marked_label(line))).collect();
     let mut blocks = Vec::new();
     for part in parts(&labels, groups, &lines) {
         let rows: Vec<f64> = labels.iter().map(|label| part.label_rows(label)).collect();
@@ -150,7 +151,7 @@ fn block(part: &Part, lines: &[&Line], labels: &[String]) -> Block {
 fn notes(table: &Table) -> Vec<String> {
     let of_scene = |(scene, lines): (&str, Vec<_>)| {
         let protocol = format!("{scene}, all rows: {}", protocol_text(&lines));
-        std::iter::once(protocol).chain(scene_notes(&lines))
+        std::iter::once(protocol).chain(scene_notes(&lines, usize::MAX))
     };
     let mut notes = table.notes.clone();
     notes.extend(table.scenes().into_iter().flat_map(of_scene));
