@@ -3,7 +3,7 @@
 use augnerf::base::Image;
 use augnerf::report::page::{Film, Page, ShownScene, ViewOfRow, ViewOfScene};
 use augnerf::report::tables::{AttackLine, Table};
-use augnerf::report::{Record, RowSpec, Status, TableSpec};
+use augnerf::report::{AxisValue, Record, RowSpec, Status, TableSpec};
 
 use crate::common::assert_says;
 use crate::common::files::text;
@@ -114,6 +114,53 @@ fn the_page_fetches_nothing_and_runs_nothing_but_its_own_script() {
         &page,
         &["lpips_vgg: empty, no LPIPS weights", "9 done", "▲ better", "no difference is shown", "+0.50 [+0.48, +0.52]"],
     );
+}
+
+/// Narrow screens get the figures of a column, captions are words, and videos play without the network.
+#[test]
+fn the_page_fits_a_phone_and_shows_videos() {
+    let page = page();
+    assert_eq!((page.matches("class=\"wide\"").count(), page.matches("class=\"narrow\"").count()), (2, 2));
+    assert_says(
+        &page,
+        &["<figcaption>Training on fern", "media-src data:", "data:image/gif;base64,R0lGODlhOQ", "TV, seed 0"],
+    );
+    assert_says(&page, &["scroll sideways for more", "rows.length > 2 ? 1 : 0"]);
+}
+
+/// Values of several axes that are one training are one row, and what holds of all rows is said once.
+#[test]
+fn a_training_has_one_row_and_a_fact_one_line() {
+    let value =
+        |axis: &str, value: &str| vec![AxisValue { axis: axis.into(), panel: String::new(), value: value.into() }];
+    let point = |id: &str, seed: u64, axes: Vec<AxisValue>| Record {
+        id: format!("{id}{seed}"),
+        scene: "fern".into(),
+        row: "Aug-NeRF".into(),
+        axes,
+        seed: Some(seed),
+        status: Status::Done,
+        reason: String::new(),
+        metrics: vec![("psnr".into(), Some(20.0 + seed as f64))],
+        protocol: vec![("inactive_by".into(), "colour".into()), ("data_hash".into(), format!("hash {seed}"))],
+        inactive_levels: vec!["view".into()],
+    };
+    let places =
+        [("a", value("steps", "3")), ("a", value("epsilon", "0.06274509803921569")), ("b", value("steps", "1"))];
+    let records: Vec<Record> =
+        places.iter().flat_map(|(id, axes)| [0, 1].map(|seed| point(id, seed, axes.clone()))).collect();
+    let row = RowSpec { name: "Aug-NeRF".into(), ..RowSpec::default() };
+    let spec = TableSpec { metrics: vec!["psnr".into()], rows: vec![row], ..TableSpec::default() };
+    let table = Table::new(&spec, &records, false).unwrap();
+    let (views, films, attacks, link) = (vec![], vec![], vec![], |_: &str| None);
+    let page = Page { table: &table, records: &records, files: &[], views, films, attacks, timing: &[], link: &link };
+    let page = page.html().unwrap();
+    let results = page.split("class=\"results").nth(1).unwrap().split("</table>").next().unwrap();
+    assert_eq!(results.matches("<th scope=\"row\">").count(), 2, "{results}");
+    assert_says(results, &["the same training: epsilon = 0.06275"]);
+    let first = page.split("Read first").nth(1).unwrap().split("</section>").next().unwrap();
+    assert_says(first, &["view in all 3 rows (see Attack)", "all rows: data_hash"]);
+    assert_eq!(first.matches("<li>").count(), 2, "{first}");
 }
 
 #[test]

@@ -150,6 +150,12 @@ fn a_comparison_repeats_byte_for_byte_and_its_numbers_are_those_of_the_box() {
     let truth = &runs[0].scene.test[0].image;
     let images: Vec<Image> = runs.iter().map(|run| run.rendered("r").1.image).collect();
     assert_eq!(window, slowly(&[&quantise(&images[0]), &quantise(&images[1])], &quantise(truth), (6, 6)));
+    // The scale of depth holds the ground truth's.
+    let depth = runs[0].scene.test[0].depth.as_ref().unwrap();
+    let [near, far] = [0, 1].map(|end| report["depth_colours"][end].as_f64().unwrap() as f32);
+    let known: Vec<f32> = depth.iter().copied().filter(|depth| depth.is_finite()).collect();
+    let outside = known.iter().filter(|depth| !(near..=far).contains(depth)).count();
+    assert!(!known.is_empty() && outside * 10 <= known.len(), "{outside} of {} beyond {near} to {far}", known.len());
     for (index, image) in images.iter().enumerate() {
         let in_box = psnr(&crop(image, window), &crop(truth, window)).unwrap();
         assert_eq!(report["runs"][index]["box"]["psnr"].as_f64(), in_box);
@@ -177,6 +183,7 @@ fn the_picture_shows_the_pixels_themselves() {
     let asked = Window { x: 15, y: 15, width: 1, height: 1 };
     compared(&runs, Some(asked)).write(dir.path(), false).unwrap();
     let picture = image::open(dir.path().join("compare.png")).unwrap().to_rgb8();
+    assert_eq!(picture.width(), 1740, "17 cm, whatever the views");
     let shown = |column: u32, image: &Image| {
         let expected = eight_bits(image);
         let left = 40 + column * (400 + 20);

@@ -464,10 +464,10 @@ fn the_smallest_and_largest_numbers_and_odd_letters_are_drawn() {
                 seeds,
                 seconds_per_step: Some(b),
             };
-            curves_figure("t\u{0}", "u", std::slice::from_ref(&curve)).unwrap();
+            curves_figure(page(&spec), "fern", std::slice::from_ref(&curve)).unwrap();
             let sites = vec![(Site::T, curve.seeds.clone()), (Site::Rgb, curve.held_out.clone())];
-            shifts_figure("t\u{0}", &[Shifts { label: odd[1].into(), sites }]).unwrap();
-            seconds_figure("t\u{0}", "u", &[curve]).unwrap();
+            shifts_figure(page(&spec), "fern", &[Shifts { label: odd[1].into(), sites }]).unwrap();
+            seconds_figure(page(&spec), "fern", &[curve]).unwrap();
         }
     }
 }

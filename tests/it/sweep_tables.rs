@@ -4,7 +4,7 @@ use std::collections::HashMap;
 
 use crate::common::files::rows;
 use augnerf::base::Error;
-use augnerf::report::plots::rows_figure;
+use augnerf::report::plots::{Style, Width, rows_figure};
 use augnerf::report::tables::{
     Line, Table, Verdict, points_csv, table_csv, table_latex, table_markdown, table_terminal,
 };
@@ -22,6 +22,10 @@ fn row(name: &str, baseline: Option<&str>, method: &str) -> RowSpec {
     }
 }
 
+fn page(spec: &TableSpec) -> Style<'_> {
+    Style { spec, width: Width::Page }
+}
+
 fn spec() -> TableSpec {
     TableSpec {
         name: "tab4".into(),
@@ -34,10 +38,7 @@ fn spec() -> TableSpec {
             row("output & only", Some("NeRF"), ""),
         ],
         must_match: vec!["width".into(), "code_revision".into()],
-        by_seed: vec![],
-        equivalence: vec![],
-        varied: false,
-        notes: vec![],
+        ..TableSpec::default()
     }
 }
 
@@ -296,7 +297,7 @@ fn inactive_sites_are_worded_by_what_was_judged() {
     let text = table_markdown(&table);
     assert!(text.contains(&format!("- † {by_colour} (rgb, density)")) && !text.contains("on the loss"), "{text}");
     assert!(text.contains("| Aug-NeRF † |"), "one mark");
-    let figure = rows_figure(&table, &records, "fern", "psnr").unwrap().unwrap().svg;
+    let figure = rows_figure(page(&spec()), &table, &records, "fern", "psnr").unwrap().unwrap().svg;
     assert!(figure.contains("8-bit") && !figure.contains("effect"), "{figure}");
 }
 
@@ -383,6 +384,33 @@ fn latex_is_escaped_and_closed() {
         assert_eq!(count("begin"), count("end"), "{environment}");
     }
     assert_eq!(text.matches("\\begin{table}").count(), 2, "means and differences");
+}
+
+/// A long name wraps without a paragraph's end, which would double the row's height; the caption has a gap below.
+#[test]
+fn latex_rows_have_normal_height_and_captions_a_gap() {
+    let long = "a row of a name that is much longer than the first column of any table in a paper may ever be";
+    let rename = |name: &str| if name == "output & only" { long.to_string() } else { name.to_string() };
+    let mut spec = spec();
+    spec.rows.iter_mut().for_each(|row| row.name = rename(&row.name));
+    let mut records = records();
+    records.iter_mut().for_each(|record| record.row = rename(&record.row));
+    let latex = table_latex(&Table::new(&spec, &records, false).unwrap());
+    assert!(latex.contains(&format!("\\raggedright {long}")), "{latex}");
+    assert!(!latex.contains("{\\raggedright") && !latex.contains("\\par} &"), "{latex}");
+    let gap = latex.find("\\setlength{\\belowcaptionskip}{6pt}").unwrap();
+    assert!(gap < latex.find("\\caption").unwrap());
+}
+
+/// A metric that no row has takes no column of a terminal; the note below says why it has none.
+#[test]
+fn terminal_tables_leave_out_empty_columns() {
+    let spec = TableSpec { metrics: vec!["psnr".into(), "lpips_vgg".into()], ..spec() };
+    let plain: Vec<Record> = records().into_iter().filter(|record| record.scene == "fern").collect();
+    let text = table_terminal(&Table::new(&spec, &plain, false).unwrap(), 120);
+    let head = text.lines().find(|line| line.trim_start().starts_with("row ")).unwrap();
+    assert!(head.contains("psnr") && !head.contains("lpips_vgg"), "{text}");
+    assert!(text.contains("lpips_vgg: empty"), "{text}");
 }
 
 #[test]
@@ -475,11 +503,11 @@ fn words_are_the_same_in_every_format_and_follow_holm() {
         assert_eq!((is_about(&text, "higher"), is_about(&text, "lower")), (1, 0), "{text}");
         assert_eq!(is_about(&text, "not distinguishable"), 0, "{text}");
     }
-    let figure = augnerf::report::plots::rows_figure(&table, &records, "fern", "psnr").unwrap().unwrap().svg;
+    let figure = rows_figure(page(&spec()), &table, &records, "fern", "psnr").unwrap().unwrap().svg;
     let words = |word: &str| figure.matches(&format!(">\n{word}\n<")).count();
-    assert_eq!((words("higher"), words("lower"), words("not distinguishable")), (1, 0, 0));
-    // One interval is red, with its dot.
-    assert_eq!(figure.matches("rgb(213,94,0)").count(), 3);
+    assert_eq!((words("better"), words("worse"), words("not distinguishable")), (1, 0, 0));
+    // One interval is blue, with its triangle; none is orange.
+    assert_eq!((figure.matches("rgb(0,114,178)").count(), figure.matches("rgb(213,94,0)").count()), (2, 0));
 
     // A margin is stated: what lies within is equivalent, whether it differs or not.
     let mut spec = spec();

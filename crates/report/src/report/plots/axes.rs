@@ -77,7 +77,11 @@ impl<'f, 'a> Axes<'f, 'a> {
         for line in names.chunks(across) {
             let levels: Vec<Level> = line.iter().map(|name| self.level(axis, name, width)).collect();
             let most = |count: fn(&Level) -> usize| levels.iter().map(count).max().unwrap_or(0) as f64;
-            let named = if line.iter().any(|name| !name.is_empty()) { LINE_HEIGHT } else { 0.0 };
+            let names: Vec<Vec<String>> = line.iter().map(|name| wrapped(name, width, TEXT)).collect();
+            let named = match line.iter().all(|name| name.is_empty()) {
+                true => 0.0,
+                false => LINE_HEIGHT * names.iter().map(Vec::len).max().unwrap_or(1) as f64,
+            };
             let top = drawing.height + LINE_HEIGHT + named + 2.0;
             let height = self.style.width.pick(HEIGHT.0, HEIGHT.1);
             let leftmost = levels.iter().enumerate().map(|(index, level)| place(index, level.name)).min();
@@ -90,12 +94,14 @@ impl<'f, 'a> Axes<'f, 'a> {
                     let at = (SIDE, top - named - 12.0);
                     drawing.text(at, metric_label(self.metric), TEXT, Anchor::Left, GREY);
                 }
-                drawing.text((left, top - 10.0), level.name, TEXT, Anchor::Left, BLACK);
+                let above = top - 10.0 - LINE_HEIGHT * (names[index].len() - 1) as f64;
+                drawing.lines((left, above), width, level.name, BLACK);
                 self.draw_level(drawing, &panel, level, axis, parts(level.name));
             }
             let ticks = most(|level| level.ticks.iter().map(Vec::len).max().unwrap_or(1));
             let verdicts = most(|level| level.verdicts.iter().map(Vec::len).sum());
-            drawing.height = top + height + FIRST + LINE_HEIGHT * (ticks + 1.0 + verdicts) + 4.0;
+            let named = wrapped(axis, width, TEXT).len() as f64;
+            drawing.height = top + height + FIRST + LINE_HEIGHT * (ticks + named + verdicts) + 4.0;
         }
     }
 
@@ -139,11 +145,13 @@ impl<'f, 'a> Axes<'f, 'a> {
         }
         let lines = level.ticks.iter().map(Vec::len).max().unwrap_or(1) as f64;
         let mut y = panel.bottom() + FIRST + LINE_HEIGHT * lines;
-        drawing.text((panel.left + panel.width / 2.0, y), axis, TEXT, Anchor::Middle, BLACK);
+        for line in wrapped(axis, panel.width, TEXT) {
+            drawing.text((panel.left + panel.width / 2.0, y), &line, TEXT, Anchor::Middle, BLACK);
+            y += LINE_HEIGHT;
+        }
         for (series, stroke) in &level.lines {
             draw_series(drawing, panel, series, *stroke, &level.places);
         }
-        y += LINE_HEIGHT;
         for (verdict, (_, stroke)) in level.verdicts.iter().zip(&level.lines) {
             let indent = if level.lines.len() > 1 { 24.0 } else { 0.0 };
             if indent > 0.0 {

@@ -124,9 +124,9 @@ impl Plot {
             drawing.text((self.x(mark), panel.bottom() + 12.0), &text, TEXT, Anchor::Middle, BLACK);
         }
         drawing.text((panel.left + panel.width / 2.0, panel.bottom() + 29.0), self.along, TEXT, Anchor::Middle, BLACK);
-        for (index, line) in title.iter().rev().enumerate() {
-            let at = (panel.left, panel.top - 11.0 - LINE_HEIGHT * index as f64);
-            drawing.text(at, line, TEXT, Anchor::Left, BLACK);
+        for (index, line) in title.iter().enumerate() {
+            let above = (title.len() - 1 - index) as f64;
+            drawing.text((panel.left, panel.top - 11.0 - LINE_HEIGHT * above), line, TEXT, Anchor::Left, BLACK);
         }
         panel.bottom() + 42.0
     }

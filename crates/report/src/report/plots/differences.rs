@@ -43,8 +43,9 @@ impl Scale {
             drawing.text((self.x(value), bottom + 12.0), &text, TEXT, Anchor::Middle, BLACK);
         }
         drawing.line(&[(self.left, bottom), (self.right(), bottom)], BLACK, 1.0);
-        for (index, line) in head.iter().rev().enumerate() {
-            let at = (self.left + self.width / 2.0, self.top - 12.0 - LINE_HEIGHT * index as f64);
+        for (index, line) in head.iter().enumerate() {
+            let above = (head.len() - 1 - index) as f64;
+            let at = (self.left + self.width / 2.0, self.top - 12.0 - LINE_HEIGHT * above);
             drawing.text(at, line, TEXT, Anchor::Middle, BLACK);
         }
     }

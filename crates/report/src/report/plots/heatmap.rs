@@ -106,7 +106,10 @@ impl Map<'_> {
                 foot = foot.max(y);
             }
         }
-        drawing.text(((left + right) / 2.0, foot + 20.0), &axis_name(self.across), TEXT, Anchor::Middle, BLACK);
+        for line in wrapped(&axis_name(self.across), right - left, TEXT) {
+            foot += LINE_HEIGHT + 1.0;
+            drawing.text(((left + right) / 2.0, foot), &line, TEXT, Anchor::Middle, BLACK);
+        }
         for (index, text) in down_texts.iter().enumerate() {
             drawing.name((left - 8.0, top + cell.1 * (index as f64 + 0.5)), room, text);
         }
@@ -116,7 +119,7 @@ impl Map<'_> {
             draw_cell(&mut drawing, at, cell, (line, &line.cells[metric]), range);
         }
         draw_bar(&mut drawing, (right + 20.0, top), bottom - top, range);
-        drawing.height = foot + 34.0;
+        drawing.height = foot + 14.0;
         style.finish(drawing, &caption(self.cells.iter().map(|(_, line)| *line)))
     }
 }
