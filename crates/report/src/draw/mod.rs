@@ -7,10 +7,12 @@ mod disc;
 mod letters;
 mod mp4;
 pub mod numbers;
+mod panel;
 pub mod pictures;
 mod raster;
 mod reel;
 mod scripts;
+mod words;
 
 pub use canvas::Figure;
 pub use mp4::without_mp4;

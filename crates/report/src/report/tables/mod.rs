@@ -15,6 +15,8 @@ mod markdown;
 mod read;
 mod terminal;
 pub mod text;
+mod together;
+mod warnings;
 
 pub use attack::{AttackLine, AttackSite, SiteMeans, attack_csv};
 pub use checks::disagreements;

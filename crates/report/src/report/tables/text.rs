@@ -1,13 +1,15 @@
 //! Texts of the tables for readers before escaping: numbers, marks and notes.
 
 use super::kinds::{is_without_fields, kind_notes, llff_note};
+use super::together::number;
+pub use super::together::{mean_and_spread, mean_text, signed_interval, signed_text};
+pub use super::warnings::warnings;
 use super::{Cell, Comparison, Line, Table};
-use crate::draw::numbers::power;
-use crate::metrics::{DEPTH_MAE, DEPTH_RMSE, DEPTH_ROUGHNESS, Digits, Metric, NORMAL_ROUGHNESS, Needs};
+use crate::metrics::{DEPTH_MAE, DEPTH_RMSE, DEPTH_ROUGHNESS, Metric, NORMAL_ROUGHNESS, Needs};
 use crate::report::PUBLISHED_NOTE;
 use crate::report::distinct;
 use crate::report::statistics::p_text;
-use crate::settings::columns::{COLUMNS, CaptionRule, INACTIVE_BY, InactiveBy};
+use crate::settings::columns::{COLUMNS, CaptionRule, InactiveBy};
 
 const HOW_TO_READ: &str = "difference to the baseline, paired by seed, with its 95 % Student t interval and the p value \
      after Holm's correction over the rows of the scene's table; \"higher\" and \"lower\" where that is below 0.05, \"not \
@@ -35,11 +37,11 @@ const MARKS: [Mark; 8] = [
     ('¶', "settings that differ between seeds", |line| joined(&line.differs)),
 ];
 
-fn joined(names: &[String]) -> Option<String> {
+pub(super) fn joined(names: &[String]) -> Option<String> {
     (!names.is_empty()).then(|| names.join(", "))
 }
 
-fn status_and_reason(line: &Line) -> String {
+pub(super) fn status_and_reason(line: &Line) -> String {
     match line.reason.as_str() {
         "" => line.status.clone(),
         reason => format!("{}: {reason}", line.status),
@@ -118,55 +120,6 @@ pub const UNKNOWN_BACKBONE: [Column; 2] = [
     ("average", |line| line.published_average.map_or(String::new(), |value| format!("{value:.3}"))),
 ];
 
-/// Numbers of one metric that stand together: with one number of decimals and one power of ten.
-struct Together {
-    texts: Vec<String>,
-    /// `×10⁵`; empty without a power.
-    power: String,
-}
-
-fn together(metric: &str, values: &[f64]) -> Together {
-    let plain = |decimals: usize| Together {
-        texts: values.iter().map(|value| format!("{value:.decimals$}")).collect(),
-        power: String::new(),
-    };
-    let largest = values.iter().map(|value| value.abs()).fold(0.0, f64::max);
-    match Metric::find(metric).map(|metric| metric.digits) {
-        Some(Digits::Decimals(decimals)) => plain(decimals),
-        None => Together { texts: values.iter().map(f64::to_string).collect(), power: String::new() },
-        Some(Digits::Figures) if largest == 0.0 => plain(0),
-        Some(Digits::Figures) if (1e-3..1e5).contains(&largest) => {
-            plain((3.0 - largest.log10().floor()).max(0.0) as usize)
-        }
-        Some(Digits::Figures) => {
-            let exponent = largest.log10().floor();
-            let texts = values.iter().map(|value| format!("{:.3}", value / 10f64.powf(exponent))).collect();
-            // The number is that of the power alone.
-            Together { texts, power: format!("×{}", power(10f64.powf(exponent))) }
-        }
-    }
-}
-
-/// Returns mean and standard deviation, each complete, with one number of decimals and one power of ten; the deviation
-/// is empty for one seed, both for none.
-pub fn mean_and_spread(cell: &Cell) -> (String, String) {
-    let Some(mean) = cell.mean else { return Default::default() };
-    let values: Vec<f64> = std::iter::once(mean).chain(cell.deviation).collect();
-    let Together { texts, power } = together(&cell.metric, &values);
-    let mut texts = texts.into_iter().map(|text| text + &power);
-    (texts.next().unwrap_or_default(), texts.next().unwrap_or_default())
-}
-
-/// Returns `25.31 ± 0.12 (3)`, or `(4.133 ± 0.383)×10⁵ (3)`; without the deviation for one seed, empty for none.
-pub fn mean_text(cell: &Cell) -> String {
-    let Some(mean) = cell.mean else { return String::new() };
-    let values: Vec<f64> = std::iter::once(mean).chain(cell.deviation).collect();
-    let Together { texts, power } = together(&cell.metric, &values);
-    let numbers = texts.join(" ± ");
-    let numbers = if texts.len() > 1 && !power.is_empty() { format!("({numbers})") } else { numbers };
-    format!("{numbers}{power} ({})", cell.n)
-}
-
 /// Returns `+0.31 [+0.10, +0.52], p 0.021, higher`; the last word is the verdict, if there is one.
 pub(super) fn difference_text(cell: &Cell) -> String {
     let Some(comparison) = &cell.comparison else { return String::new() };
@@ -184,29 +137,6 @@ pub fn interval_of(cell: &Cell) -> String {
     signed_interval(&cell.metric, comparison.difference, comparison.interval) + &pairs
 }
 
-/// Returns `+0.31 [+0.10, +0.52]`, without brackets if there is no interval.
-pub fn signed_interval(metric: &str, difference: f64, interval: Option<(f64, f64)>) -> String {
-    let ends = interval.into_iter().flat_map(|(low, high)| [low, high]);
-    let Together { texts, power } = together(metric, &std::iter::once(difference).chain(ends).collect::<Vec<f64>>());
-    let texts: Vec<String> = texts.into_iter().map(signed).collect();
-    match texts.as_slice() {
-        [difference, low, high] => {
-            let space = if power.is_empty() { "" } else { " " };
-            format!("{difference} [{low}, {high}]{space}{power}")
-        }
-        _ => texts.concat() + &power,
-    }
-}
-
-fn signed(text: String) -> String {
-    if text.starts_with('-') { text } else { format!("+{text}") }
-}
-
-/// Returns a difference with its sign and the digits of its metric.
-pub fn signed_text(metric: &str, value: f64) -> String {
-    signed(number(metric, value))
-}
-
 fn conclusion(cell: &Cell, comparison: &Comparison) -> String {
     let p = comparison.p_holm.map_or(String::new(), |p| format!(", p {}", p_text(p)));
     let words = comparison.verdict().map_or(String::new(), |verdict| format!(", {}", verdict.name()));
@@ -222,11 +152,6 @@ pub fn published_text(cell: &Cell) -> String {
     cell.published.map_or(String::new(), |value| number(&cell.metric, value))
 }
 
-/// Returns a value with the digits of its metric.
-fn number(metric: &str, value: f64) -> String {
-    Metric::find(metric).map_or_else(|| value.to_string(), |metric| metric.text(value))
-}
-
 /// Returns the notes below the lines of a scene. Of more rows than `most`, a note says how many they are.
 pub fn scene_notes(lines: &[&Line], most: usize) -> Vec<String> {
     let mut notes = baseline_notes(lines, most);
@@ -237,58 +162,6 @@ pub fn scene_notes(lines: &[&Line], most: usize) -> Vec<String> {
     notes.extend(unmeasured_notes(lines));
     notes.extend(published_notes(lines, most));
     notes
-}
-
-/// Returns what a reader must know before the numbers, in one line for each fact: lines that are not comparable,
-/// unfinished, without effect of the attack or different between seeds, and metrics without numbers.
-pub fn warnings(lines: &[&Line]) -> Vec<String> {
-    let measured = lines.iter().filter(|line| !line.ids.is_empty()).count();
-    let grouped = |start: &str, of: &dyn Fn(&Line) -> Option<String>| -> Option<String> {
-        let facts = distinct(lines.iter().filter_map(|line| of(line)));
-        let rows = |fact: &String| {
-            let labels = lines.iter().filter(|line| of(line).as_ref() == Some(fact)).map(|line| line.label.as_str());
-            format!("{}: {fact}", rows_text(&labels.collect::<Vec<&str>>(), measured))
-        };
-        (!facts.is_empty()).then(|| format!("{start}: {}", facts.iter().map(rows).collect::<Vec<String>>().join("; ")))
-    };
-    let marked = [
-        grouped("NOT COMPARABLE, built by force; differ from the scene's first row", &|line| joined(&line.mixed)),
-        grouped("points without numbers", &|line| line.unfinished().then(|| status_and_reason(line))),
-    ];
-    let by_site = InactiveBy::ALL.into_iter().filter_map(|by| inactive_warning(lines, by));
-    let differing = grouped("settings differ between seeds", &|line| joined(&line.differs));
-    marked.into_iter().flatten().chain(by_site).chain(differing).chain(unmeasured_notes(lines)).collect()
-}
-
-/// Returns in how many rows each site was inactive: `view in all 26 rows, t in 25`.
-fn inactive_warning(lines: &[&Line], by: InactiveBy) -> Option<String> {
-    let own: Vec<&&Line> = lines.iter().filter(|line| line.inactive_sites(by).is_some()).collect();
-    let attacked = lines.iter().filter(|line| !line.protocol(INACTIVE_BY).is_empty()).count();
-    let sites = distinct(own.iter().flat_map(|line| line.inactive_levels.iter().map(String::as_str)));
-    let mut counts: Vec<(&str, usize)> = sites
-        .into_iter()
-        .map(|site| (site, own.iter().filter(|line| line.inactive_levels.iter().any(|own| own == site)).count()))
-        .collect();
-    counts.sort_by_key(|(_, count)| std::cmp::Reverse(*count));
-    let text = |(index, (site, count)): (usize, &(&str, usize))| {
-        let all = if *count == attacked && attacked > 1 { "all " } else { "" };
-        let rows = if index == 0 { if *count == 1 { " row" } else { " rows" } } else { "" };
-        format!("{site} in {all}{count}{rows}")
-    };
-    let said: Vec<String> = counts.iter().enumerate().map(text).collect();
-    (!said.is_empty()).then(|| format!("{}: {} (see Attack)", by.meaning(), said.join(", ")))
-}
-
-/// Most rows that a warning names.
-const NAMED: usize = 3;
-
-fn rows_text(labels: &[&str], measured: usize) -> String {
-    match labels.len() {
-        1 => labels[0].to_string(),
-        all if all == measured => "all rows".into(),
-        many if many > NAMED => format!("{many} rows"),
-        _ => labels.join(", "),
-    }
 }
 
 /// Returns the notes below the table on how to read its cells.
@@ -387,7 +260,7 @@ fn mark_note((symbol, meaning, of): &Mark, lines: &[&Line], most: usize) -> Opti
 }
 
 /// Returns why a column is empty, for metrics that no line of the scene has.
-fn unmeasured_notes(lines: &[&Line]) -> Vec<String> {
+pub(super) fn unmeasured_notes(lines: &[&Line]) -> Vec<String> {
     let measured: Vec<&Line> = lines.iter().copied().filter(|line| !line.ids.is_empty()).collect();
     let Some(first) = measured.first() else { return Vec::new() };
     let with_weights = measured.iter().any(|line| !line.protocol("lpips_weights").is_empty());
@@ -455,21 +328,6 @@ mod tests {
 
     fn cell(metric: &str, n: usize, comparison: Option<Comparison>) -> Cell {
         Cell { metric: metric.into(), n, mean: Some(1.0), deviation: None, comparison, published: None }
-    }
-
-    #[test]
-    fn numbers_that_stand_together_have_one_exponent_and_one_number_of_decimals() {
-        let of = |metric: &str, mean: f64, deviation: f64| {
-            mean_text(&Cell { mean: Some(mean), deviation: Some(deviation), ..cell(metric, 3, None) })
-        };
-        assert_eq!(of("laplacian", 413300.0, 38340.0), "(4.133 ± 0.383)×10⁵ (3)");
-        assert_eq!(of("l1", 76.24, 0.1677), "76.24 ± 0.17 (3)");
-        assert_eq!(of("tv", 1065.0, 107.4), "1065 ± 107 (3)");
-        assert_eq!(of("psnr", 18.974, 0.05), "18.97 ± 0.05 (3)");
-        assert_eq!(signed_interval("l1", -1.388, Some((-3.259, 0.483))), "-1.388 [-3.259, +0.483]");
-        assert_eq!(signed_interval("tv", 2e-6, Some((-1e-7, 4.1e-6))), "+2.000 [-0.100, +4.100] ×10⁻⁶");
-        let one = Cell { mean: Some(413300.0), ..cell("laplacian", 1, None) };
-        assert_eq!((mean_text(&one), mean_and_spread(&one).0), ("4.133×10⁵ (1)".into(), "4.133×10⁵".into()));
     }
 
     #[test]
