@@ -68,7 +68,7 @@ impl<'a> Places<'a> {
 
     /// Returns whether a line joins a value with the next.
     pub(super) fn is_joined(&self, index: usize) -> bool {
-        !self.is_words() && !(index == 0 && self.has_zero_apart())
+        !self.is_words() && (index > 0 || !self.has_zero_apart())
     }
 
     /// Returns what stands below each value: one line for each setting that is varied together.
