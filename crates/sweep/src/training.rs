@@ -441,12 +441,15 @@ mod tests {
                 order.push(index);
                 Ok(1.0)
             },
-            0.0,
+            0.001,
         )
         .unwrap();
         assert_eq!((each[0].len(), each[1].len()), (LEAST_STEPS, LEAST_STEPS));
         assert_eq!(order, [0, 1].repeat(LEAST_STEPS), "one of each in turn");
         assert_eq!(super::median(&[3.0, 1.0, 2.0, 9.0]), 2.0);
+        // An estimate needs no more than two seconds of it.
+        let steps = |seconds: f64| time_in_turns(&[1000], |_| Ok(seconds), ESTIMATE).unwrap()[0].len();
+        assert_eq!([60.0, 1.0, 0.1].map(steps), [1, 2, LEAST_STEPS]);
     }
 
     #[test]

@@ -494,7 +494,7 @@ mod tests {
         };
         let long = said("paper-llff", 2.0 * LONG);
         assert!(long.contains("2 of 3 points are left: about 4.0 h here") && long.contains("2 at once"), "{long}");
-        assert!(long.contains("the paper's own settings: about 120 min a point here; --preset fast"), "{long}");
+        assert!(long.contains("the paper's own settings: about 2.0 h a point here; --preset fast"), "{long}");
         assert!(!said("paper-llff", 60.0).contains("warning") && !said("fast", 2.0 * LONG).contains("warning"));
         let mut named = definition("fast");
         named.apply(Overrides { preset: Some("paper-llff".into()), ..Overrides::default() }).unwrap();
