@@ -302,7 +302,9 @@ mod tests {
     /// People type values as they would anywhere.
     #[test]
     fn values_are_read_as_they_are_meant() {
-        let config = set(&["data.name=360", "train.steps=1e4", "regularizer.weight=.5", "train.rays=+6.4e1"]).unwrap();
+        let typed =
+            ["data.name=360", "train.steps=1e4", "regularizer.kind=tv", "regularizer.weight=.5", "train.rays=+6.4e1"];
+        let config = set(&typed).unwrap();
         assert_eq!((config.data.name.as_str(), config.train.steps, config.train.rays), ("360", 10_000, 64));
         assert_eq!(config.regularizer.weight, [0.5]);
         for name in ["2024-01-01", "true", "[a]", "1_000", "'quoted'"] {
