@@ -36,12 +36,13 @@ pub(super) fn draw(drawing: &mut Canvas, panel: &Panel, room: f64, mut ends: Vec
 /// Returns the top of each name: as near to its middle as names before it and the bounds allow.
 fn spread(middles: &[f64], heights: &[f64], top: f64, bottom: f64) -> Vec<f64> {
     let mut tops: Vec<f64> = middles.iter().zip(heights).map(|(middle, height)| middle - height / 2.0).collect();
-    let mut least = top - LINE_HEIGHT / 2.0;
+    // Above is the panel's title.
+    let mut least = top - 2.0;
     for (own, height) in tops.iter_mut().zip(heights) {
         *own = own.max(least);
         least = *own + height;
     }
-    let mut most = bottom.max(top + heights.iter().sum::<f64>() - LINE_HEIGHT / 2.0);
+    let mut most = bottom.max(top - 2.0 + heights.iter().sum::<f64>());
     for (own, height) in tops.iter_mut().zip(heights).rev() {
         *own = own.min(most - height);
         most = *own;
