@@ -143,7 +143,8 @@ impl TrainArguments {
             return Ok(());
         }
         if !std::io::stdin().is_terminal() || self.answer.json {
-            console.say(&format!("warning: {text}"));
+            // Also with --quiet: it may take weeks.
+            report(&format!("warning: {text}"));
             return Ok(());
         }
         report(&format!("{text}. Start? [y/N]"));

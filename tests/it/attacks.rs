@@ -96,11 +96,16 @@ fn links_in_a_run_lead_no_write_out_of_it() {
 fn pipes_in_a_run_are_not_waited_for() {
     let dir = TempDir::new().unwrap();
     let run = trained(dir.path());
-    for name in ["depth_errors.gz", "metrics.json"] {
+    for name in ["depth_errors.gz", "metrics.json", "run.lock"] {
         let file = run.join(name);
         fs::remove_file(&file).unwrap();
         assert!(std::process::Command::new("mkfifo").arg(&file).status().unwrap().success());
-        refuse(&["eval", run.to_str().unwrap()], 4, &[name, "neither a file nor a folder"]);
+        for command in ["eval", "measure", "render", "export"] {
+            let out = dir.path().join("a.safetensors");
+            let file = [out.to_str().unwrap()];
+            let last = if command == "export" { &file[..] } else { &[] };
+            refuse(&[&[command, run.to_str().unwrap()], last].concat(), 4, &[name, "neither a file nor a folder"]);
+        }
         fs::remove_file(&file).unwrap();
         fs::write(&file, "").unwrap();
     }

@@ -1,6 +1,9 @@
 //! Captures of strangers: small copies of each kind of fault that was found in published scenes (tests/fixtures/captures3).
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
+
+use serde_json::Value;
+use tempfile::TempDir;
 
 use crate::common::files::{entries, files, json};
 use crate::common::program::{demand, printed, refuse};
@@ -57,7 +60,7 @@ fn cameras_that_cannot_be_right_are_named() {
     assert!(!said.contains("look away"), "{said}");
     assert_says(&check("one_place", &[]), &["all 8 cameras stand in one place"]);
     is_refused("centre_outside", &["principal point", "more than half a picture outside", "\"w\" and \"h\""]);
-    is_refused("orthographic", &["\"orthographic\" is true"]);
+    is_refused("orthographic", &["\"orthographic\" says that the camera is orthographic"]);
 }
 
 #[test]
@@ -126,6 +129,189 @@ fn a_scene_s_own_file_stands_for_its_folder_and_a_near_miss_is_named() {
     std::fs::write(dir.path().join("transforms.json"), poses).unwrap();
     std::fs::copy(&frame, dir.path().join("photo_1.jpg")).unwrap();
     refuse(&["data", "check", dir.path().to_str().unwrap()], 3, &["the nearest name there is photo_1.jpg"]);
+}
+
+/// A copy of a capture whose file of poses is changed.
+fn changed(name: &str, file: &str, change: impl Fn(&mut Value)) -> TempDir {
+    let dir = tempfile::tempdir().unwrap();
+    copy(Path::new(&capture(name)), dir.path());
+    let file = dir.path().join(file);
+    let mut value = json(&file);
+    change(&mut value);
+    std::fs::write(file, value.to_string()).unwrap();
+    dir
+}
+
+const POSES: &str = "transforms.json";
+
+/// Changes each frame, by its number.
+fn frames(value: &mut Value, change: impl Fn(usize, &mut Value)) {
+    value["frames"].as_array_mut().unwrap().iter_mut().enumerate().for_each(|(number, frame)| change(number, frame));
+}
+
+fn says(dir: &TempDir, words: &[&str]) {
+    assert_says(&check_folder(dir.path(), &[]), words);
+}
+
+fn refuses(dir: &TempDir, words: &[&str]) {
+    refuse(&["data", "check", dir.path().to_str().unwrap(), "--set", "data.downscale=1"], 3, words);
+}
+
+#[test]
+fn a_photo_is_one_however_it_is_spelt() {
+    let again = |turn: bool| {
+        changed("letter_case", POSES, |value| {
+            let list = value["frames"].as_array_mut().unwrap();
+            let mut frame = list[0].clone();
+            let name = frame["file_path"].as_str().unwrap().replace(".jpg", ".JPG");
+            list[0]["file_path"] = name.clone().into();
+            frame["file_path"] = format!("./images/../{name}").into();
+            frame["transform_matrix"][0][3] =
+                (if turn { 7.0 } else { frame["transform_matrix"][0][3].as_f64().unwrap() }).into();
+            list.push(frame);
+        })
+    };
+    says(&again(false), &["1 frames are listed again and are left out"]);
+    refuses(&again(true), &["twice, with two poses"]);
+    // Two photos of the model, one file.
+    let dir = tempfile::tempdir().unwrap();
+    copy(Path::new(&capture("colmap_only1")), dir.path());
+    let poses = dir.path().join("sparse/1/images.txt");
+    let text = std::fs::read_to_string(&poses).unwrap();
+    std::fs::write(&poses, text.replace("0001.jpg", "a.jpg").replace("0002.jpg", "A.jpg")).unwrap();
+    let images = dir.path().join("images");
+    std::fs::rename(images.join("0001.jpg"), images.join("a.jpg")).unwrap();
+    std::fs::remove_file(images.join("0002.jpg")).unwrap();
+    if !images.join("A.jpg").exists() {
+        says(&dir, &["1 of the 8 images of the COLMAP model are not there: \"A.jpg\""]);
+    }
+}
+
+#[test]
+fn photos_are_found_by_the_longest_end_of_their_path_and_in_other_folders() {
+    for front in ["./data/fox/", "../other/", "data\\\\fox\\\\"] {
+        let front = front.replace("\\\\", "\\");
+        let dir = changed("axes_opencv", POSES, |value| {
+            frames(value, |_, frame| {
+                frame["file_path"] =
+                    format!("{front}{}", frame["file_path"].as_str().unwrap().trim_start_matches("./")).into();
+            });
+        });
+        says(&dir, &["8 photos are not where \"file_path\" says, and were found elsewhere"]);
+    }
+    for (name, words) in
+        [("colmap_only1", "8 photos are in no folder images, and were found elsewhere"), ("masks_llff", "8 of 8")]
+    {
+        let dir = tempfile::tempdir().unwrap();
+        copy(Path::new(&capture(name)), dir.path());
+        std::fs::rename(dir.path().join("images"), dir.path().join("input")).unwrap();
+        says(&dir, &[words]);
+    }
+    let dir = tempfile::tempdir().unwrap();
+    copy(Path::new(&capture("colmap_only1")), dir.path());
+    std::fs::rename(dir.path().join("images"), dir.path().join("images_4")).unwrap();
+    refuses(&dir, &["has none of the 8 images", "images_4"]);
+}
+
+#[test]
+fn masks_are_found_under_other_names() {
+    let moved = |to: &dyn Fn(&Path, &str) -> PathBuf| {
+        let dir = tempfile::tempdir().unwrap();
+        copy(Path::new(&capture("masks_llff")), dir.path());
+        for mask in entries(&dir.path().join("masks")) {
+            let to = to(dir.path(), mask.file_stem().unwrap().to_str().unwrap());
+            std::fs::create_dir_all(to.parent().unwrap()).unwrap();
+            std::fs::rename(mask, to).unwrap();
+        }
+        std::fs::remove_dir(dir.path().join("masks")).unwrap();
+        dir
+    };
+    let in_folder = moved(&|dir, stem| dir.join("Object_Masks").join(format!("{stem}.PNG")));
+    says(&in_folder, &["8 of 8 photos have masks in Object_Masks/", "data.masks=Object_Masks"]);
+    let read = check_folder(in_folder.path(), &["data.masks=Object_Masks"]);
+    assert_says(&read, &["8 of 8 photos have masks, by data.masks"]);
+    let below = moved(&|dir, stem| dir.join("images/masks").join(format!("{stem}.png")));
+    says(&below, &["8 of 8 photos have masks in masks/", "data.masks=masks"]);
+    says(
+        &moved(&|dir, stem| dir.join("masks").join(format!("x{stem}x.png"))),
+        &["masks/ has 8 images that are called like no photo"],
+    );
+}
+
+#[test]
+fn masks_beside_their_photos_are_named() {
+    let dir = tempfile::tempdir().unwrap();
+    copy(Path::new(&capture("letter_case")), dir.path());
+    let photo = entries(&dir.path().join("images")).remove(0);
+    image::GrayImage::new(32, 32).save(photo.with_file_name("0001_mask.png")).unwrap();
+    says(&dir, &["1 of 8 photos have masks in their own folder", "data.masks=beside"]);
+}
+
+#[test]
+fn cameras_of_which_some_cannot_be_right_are_named() {
+    let flip = |frame: &mut Value| {
+        for row in frame["transform_matrix"].as_array_mut().unwrap().iter_mut().take(3) {
+            (1..3).for_each(|column| row[column] = (-row[column].as_f64().unwrap()).into());
+        }
+    };
+    let mixed = changed("axes_opencv", POSES, |value| {
+        frames(value, |number, frame| {
+            if number % 4 != 0 {
+                flip(frame)
+            }
+        });
+    });
+    says(&mixed, &["2 of 8 cameras look away from the point at which the others look"]);
+    let transposed = changed("axes_opencv", POSES, |value| {
+        frames(value, |_, frame| {
+            let old = frame["transform_matrix"].clone();
+            (0..4).for_each(|row| {
+                (0..4).for_each(|column| frame["transform_matrix"][row][column] = old[column][row].clone())
+            });
+        });
+    });
+    refuses(&transposed, &["the last row of \"transform_matrix\"", "probably transposed"]);
+    let corner = changed("one_place", POSES, |value| {
+        frames(value, |_, _| ());
+        (value["cx"], value["cy"]) = (0.0.into(), 0.0.into());
+    });
+    says(&corner, &["principal point at 0.0, 0.0", "all 8 cameras stand in one place"]);
+    let narrow = changed("axes_opencv", POSES, |value| value["fl_x"] = 4444.0.into());
+    says(&narrow, &["degrees across"]);
+    let flat = changed("axes_opencv", POSES, |value| value["ortho_scale"] = 2.5.into());
+    refuses(&flat, &["\"ortho_scale\" says that the camera is orthographic"]);
+    let twice = changed("axes_opencv", POSES, |value| {
+        let pose = value["frames"][0]["transform_matrix"].clone();
+        value["frames"][3]["transform_matrix"] = pose;
+    });
+    says(&twice, &["have the same pose"]);
+}
+
+#[test]
+fn blender_scenes_without_test_views_hold_some_out_and_name_what_is_unused() {
+    let name = "blender_no_test_pictures";
+    let dir = changed(name, "transforms_test.json", |value| value["frames"] = Value::Array(Vec::new()));
+    says(&dir, &["is held out instead"]);
+    std::fs::remove_file(dir.path().join("transforms_test.json")).unwrap();
+    says(&dir, &["is held out instead"]);
+    let photo = entries(&dir.path().join("train")).remove(0);
+    std::fs::copy(&photo, photo.with_file_name("other.png")).unwrap();
+    says(&dir, &["are in no transforms_*.json that is read and are not used: other.png"]);
+}
+
+#[test]
+fn models_in_other_folders_and_photos_in_others_are_named() {
+    let dir = tempfile::tempdir().unwrap();
+    copy(Path::new(&capture("colmap_split")), dir.path());
+    std::fs::create_dir_all(dir.path().join("distorted/sparse")).unwrap();
+    std::fs::rename(dir.path().join("sparse/1"), dir.path().join("distorted/sparse/0")).unwrap();
+    says(&dir, &["2 COLMAP models: sparse/0 (2 photos), distorted/sparse/0 (8 photos); sparse/0 is read"]);
+    let dir = tempfile::tempdir().unwrap();
+    copy(Path::new(&capture("colmap_only1")), dir.path());
+    let other = dir.path().join("images/cam2");
+    std::fs::create_dir(&other).unwrap();
+    std::fs::copy(dir.path().join("images/0001.jpg"), other.join("9.jpg")).unwrap();
+    says(&dir, &["1 of the 1 photos in images/cam2 are not in the COLMAP model and are not used: 9.jpg"]);
 }
 
 #[test]

@@ -38,6 +38,8 @@ pub struct Best {
     pub unfinished: Vec<String>,
     /// The views that were measured, as in the protocol: `test`, `every-8-val`.
     pub split: String,
+    /// Its PSNR is no higher than that of the best single colour of the training views.
+    pub no_better_than_one_colour: bool,
     /// These are validation views, not the views of reported results.
     pub on_validation: bool,
 }
@@ -103,6 +105,7 @@ pub fn best(
             unfinished: lines.iter().filter(missing).map(|line| line.label.clone()).collect(),
             on_validation: splits.iter().all(is_validation),
             split: splits.join(", "),
+            no_better_than_one_colour: line.no_better_than_one_colour,
         })
     };
     let found: Vec<Best> = table.scenes().into_iter().filter_map(of_scene).collect();

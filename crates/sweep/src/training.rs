@@ -114,9 +114,11 @@ impl<'a> Trainings<'a> {
     /// step. Configurations that differ by the seed alone are checked once.
     ///
     /// # Errors
-    /// [`Error::Config`], for the first point that cannot. A scene that cannot be read is no error here: its points fail.
+    /// [`Error::Config`], for the first point that cannot. [`Error::Data`], if no scene can be read. If others can, it is
+    /// said: its points fail, and no other is lost.
     pub fn check_points(&self, points: &[Point]) -> Result<()> {
         let mut checked = BTreeSet::new();
+        let (mut readable, mut unreadable) = (false, BTreeMap::new());
         for point in points.iter().filter(|point| point.no_data.is_none()) {
             let mut config = point.config.clone();
             (config.seed, config.train.dead_start_share) = (0, 0.0);
@@ -126,11 +128,18 @@ impl<'a> Trainings<'a> {
             let start = self
                 .scene(config)
                 .and_then(|(config, scene)| Trainer::check(&config, &scene, DType::F32, &self.runtime));
-            if let Err(error) = start
-                && error.is_of_settings()
-            {
-                return Err(error.within(&point.label()));
+            match start {
+                Ok(()) => readable = true,
+                Err(error) if error.is_of_settings() => return Err(error.within(&point.label())),
+                Err(error @ Error::Data(_)) => _ = unreadable.entry(point.scene.clone()).or_insert(error),
+                Err(_) => {}
             }
+        }
+        for (scene, error) in unreadable {
+            if !readable {
+                return Err(error);
+            }
+            self.events.on(Event::Note(&format!("scene {scene} cannot be read, and its points will fail: {error}")));
         }
         Ok(())
     }

@@ -15,7 +15,9 @@ pub const AXIS: &str = "axis.";
 pub const SETTING: &str = "set.";
 
 /// The settings in which the points of a sweep differ, but for the scene, the seed and what a seed brings with it.
-pub struct Varied(Vec<&'static str>);
+///
+/// Each with the most values that a point has of it, if it is a list.
+pub struct Varied(Vec<(&'static str, usize)>);
 
 impl Varied {
     /// Finds them.
@@ -29,7 +31,11 @@ impl Varied {
         let of_seed = |path: &str| path == "seed" || definition.by_seed.contains_key(path);
         let settings = REGISTRY.settings.iter().filter(|setting| setting.rule.effect == Effect::Numbers);
         let paths = settings.map(|setting| setting.path.as_str()).filter(|path| !of_seed(path) && *path != "data.name");
-        Varied(paths.filter(differs).collect())
+        let parts = |path: &'static str| {
+            let lengths = tables.iter().filter_map(|table| value_at(table, path)?.as_array().map(Vec::len));
+            (path, lengths.max().unwrap_or(0))
+        };
+        Varied(paths.filter(differs).map(parts).collect())
     }
 
     /// Returns a point's columns: `axis.weight`, `set.regularizer.weight`.
@@ -39,16 +45,27 @@ impl Varied {
             (format!("{AXIS}{panel}{space}{axis}"), value.clone())
         };
         let table = point.config.to_table();
-        let setting = |path: &&str| (format!("{SETTING}{path}"), value_at(&table, path).map_or(String::new(), text));
-        axes.iter().map(axis).chain(self.0.iter().map(setting)).collect()
+        let setting = |(path, parts): &(&str, usize)| -> Vec<(String, String)> {
+            let value = value_at(&table, path);
+            match parts {
+                0 | 1 => vec![(format!("{SETTING}{path}"), value.map_or(String::new(), text))],
+                parts => (0..*parts)
+                    .map(|part| {
+                        let value = value.and_then(Value::as_array).and_then(|values| values.get(part));
+                        (format!("{SETTING}{path}.{part}"), value.map_or(String::new(), text))
+                    })
+                    .collect(),
+            }
+        };
+        axes.iter().map(axis).chain(self.0.iter().flat_map(setting)).collect()
     }
 }
 
-/// A value as a cell: numbers and words as they are; a list of one as its only value.
+/// A value as a cell: numbers and words as they are; a list of one as its only value, an empty list as nothing.
 fn text(value: &Value) -> String {
     match value {
         Value::String(text) => text.clone(),
-        Value::Array(values) if values.len() == 1 => text(&values[0]),
+        Value::Array(values) if values.len() < 2 => values.first().map_or(String::new(), text),
         other => other.to_string(),
     }
 }

@@ -68,6 +68,9 @@ fn text(best: &Best) -> String {
     if !best.unfinished.is_empty() {
         lines.push(format!("  skipped, with unfinished points: {}", best.unfinished.join(", ")));
     }
+    if best.no_better_than_one_colour {
+        lines.push("  no better than one colour: its PSNR is no higher than floor_psnr".into());
+    }
     lines.push(match best.on_validation {
         true => format!(
             "  chosen among {} rows on validation views (split {})",

@@ -3,6 +3,7 @@
 //! Pixels are read as stored. An EXIF orientation is not applied, and COLMAP does not apply it either. It is applied
 //! only if a capture's file says that its poses are those of turned photos ([`crate::data::formats::transforms`]).
 
+use std::collections::{BTreeMap, BTreeSet};
 use std::fs::File;
 use std::io::{BufReader, Cursor};
 use std::path::{Path, PathBuf};
@@ -136,15 +137,36 @@ pub(super) fn below(folder: &Path) -> Vec<PathBuf> {
     found
 }
 
-/// Notes photos in the folders of the used ones that are not used themselves. `why` ends "3 photos".
+/// Returns a file without detours and links, by which equal files are known.
+pub(super) fn real(path: &Path) -> PathBuf {
+    path.canonicalize().unwrap_or_else(|_| path.to_path_buf())
+}
+
+/// Notes photos in the folders of the used ones, and below their folder in the scene, that are not used themselves. `why`
+/// ends "3 photos".
 pub(super) fn note_unused<'a>(scene: &Path, used: impl Iterator<Item = &'a PathBuf>, why: &str, events: &dyn Listener) {
-    let used: std::collections::BTreeSet<&Path> = used.map(PathBuf::as_path).collect();
-    let folders: std::collections::BTreeSet<&Path> = used.iter().filter_map(|path| path.parent()).collect();
-    for folder in folders {
-        let Ok(there) = list(folder) else { continue };
+    let used: Vec<&PathBuf> = used.collect();
+    // The folder in the scene, such as `images`; the scene itself has others' folders.
+    let top =
+        |path: &&PathBuf| Some(path.parent()?.strip_prefix(scene).ok()?.components().next()?.as_os_str().to_owned());
+    let tops: BTreeSet<_> = used.iter().filter_map(top).map(|name| scene.join(name)).collect();
+    let mut folders: BTreeMap<PathBuf, Vec<PathBuf>> = BTreeMap::new();
+    let parents: BTreeSet<&Path> = used.iter().filter_map(|path| path.parent()).collect();
+    for folder in parents.into_iter().filter(|folder| !tops.iter().any(|top| folder.starts_with(top))) {
+        folders.insert(folder.to_path_buf(), list(folder).unwrap_or_default());
+    }
+    for top in tops {
+        for within in below(&top) {
+            let path = top.join(within);
+            folders.entry(path.parent().unwrap_or(&top).to_path_buf()).or_default().push(path);
+        }
+    }
+    let used: BTreeSet<PathBuf> = used.into_iter().map(|path| real(path)).collect();
+    for (folder, there) in &folders {
+        let within = folder.strip_prefix(scene).unwrap_or(folder);
         let is_other = |path: &&PathBuf| {
-            let name = path.file_name().unwrap_or_default().to_string_lossy();
-            !used.contains(path.as_path()) && !NO_PHOTOS.iter().any(|part| name.contains(part))
+            let name = within.join(path.file_name().unwrap_or_default());
+            is_photo(&name.to_string_lossy().to_lowercase()) && !used.contains(&real(path))
         };
         let others: Vec<String> = there
             .iter()
@@ -154,8 +176,7 @@ pub(super) fn note_unused<'a>(scene: &Path, used: impl Iterator<Item = &'a PathB
         if others.is_empty() {
             continue;
         }
-        let within = folder.strip_prefix(scene).unwrap_or(folder).display().to_string();
-        let place = if within.is_empty() { String::new() } else { format!(" in {within}") };
+        let place = if within.as_os_str().is_empty() { String::new() } else { format!(" in {}", within.display()) };
         let shown = others.iter().take(UNUSED_NAMED).cloned().collect::<Vec<_>>().join(", ");
         let more = if others.len() > UNUSED_NAMED { ", ..." } else { "" };
         events.on(Event::Note(&format!(
@@ -167,17 +188,27 @@ pub(super) fn note_unused<'a>(scene: &Path, used: impl Iterator<Item = &'a PathB
     }
 }
 
-/// Returns the only one of the images `below` a folder that a name means: its path ends in the name, or it lies in the
-/// folder itself under the end of the name, unless the name begins with a split's. Letter case and an image's ending do
-/// not count. Masks and maps of depth are no photos.
+/// Returns whether a path, in lower case, names no mask and no map of depth.
+fn is_photo(path: &str) -> bool {
+    !NO_PHOTOS.iter().any(|part| path.contains(part))
+}
+
+/// Returns the only one of the images `below` a folder that a name means: its path ends in the name or in the longest end of
+/// it, or it lies in the folder itself under the last part. A split's folder stays part of the name. Letter case and an
+/// image's ending do not count. Masks and maps of depth are no photos.
 pub(super) fn place_of<'a>(name: &str, below: &'a [PathBuf]) -> Option<&'a Path> {
     let wanted = without_ending(name_key(Path::new(name.trim_start_matches('/'))));
-    let is_of_split = ["train/", "test/", "val/"].iter().any(|split| wanted.contains(split));
-    let last = wanted.rsplit('/').next().filter(|_| !is_of_split);
-    let is_photo = |path: &str| !NO_PHOTOS.iter().any(|part| path.contains(part));
+    let splits = ["train/", "test/", "val/"].into_iter().filter(|split| wanted.contains(split)).collect::<Vec<_>>();
+    let names_split = |end: &str| splits.iter().all(|split| end.contains(split));
     let only = |fits: &dyn Fn(&str) -> bool| only(below, |path| is_photo(path) && fits(&without_ending(path.into())));
+    let ends =
+        |end: &str| only(&|path| path.strip_suffix(end).is_some_and(|front| front.is_empty() || front.ends_with('/')));
+    // The longest end first; its last part alone means a file in the folder itself.
+    let parts = wanted.match_indices('/').map(|(at, _)| &wanted[at + 1..]);
+    let shorter = parts.filter(|end| end.contains('/') && names_split(end));
+    let last = wanted.rsplit('/').next().filter(|last| names_split(last));
     only(&|path| path == wanted)
-        .or_else(|| only(&|path| path.strip_suffix(&wanted).is_some_and(|front| front.ends_with('/'))))
+        .or_else(|| std::iter::once(&*wanted).chain(shorter).find_map(ends))
         .or_else(|| only(&|path| Some(path) == last))
 }
 

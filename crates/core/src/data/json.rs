@@ -180,6 +180,23 @@ impl<'a> Object<'a> {
         list.iter().enumerate().map(frame).collect()
     }
 
+    /// Returns whether a list is there and empty.
+    pub(super) fn is_empty(&self, key: &str) -> bool {
+        self.value.get(key).and_then(Value::as_array).is_some_and(Vec::is_empty)
+    }
+
+    /// Returns the first key that says that cameras are orthographic: by its name, such as `ortho_scale`, or by its text.
+    pub(super) fn orthographic(&self) -> Option<&'a str> {
+        let says = |text: &str| text.to_lowercase().contains("ortho");
+        let is_said = |(key, value): &(&'a String, &Value)| match value {
+            Value::String(text) => says(text) || says(key),
+            Value::Bool(yes) => *yes && says(key),
+            Value::Number(number) => says(key) && number.as_f64() != Some(0.0),
+            _ => false,
+        };
+        self.value.as_object()?.iter().find(is_said).map(|(key, _)| &**key)
+    }
+
     /// Returns whether a key is there and null.
     pub(super) fn is_null(&self, key: &str) -> bool {
         self.value.get(key).is_some_and(Value::is_null)
@@ -239,6 +256,17 @@ impl<'a> Object<'a> {
             for (number, target) in numbers.iter().zip(target) {
                 *target = number.as_f64().filter(|v| v.abs() <= LARGEST).ok_or_else(wrong)?;
             }
+        }
+        let last = rows.get(3).and_then(Value::as_array).map(|row| row.iter().map(Value::as_f64).collect::<Vec<_>>());
+        let is_last = |row: &Vec<Option<f64>>| {
+            let near = |(found, wanted): (&Option<f64>, f64)| found.is_some_and(|found| (found - wanted).abs() < 1e-6);
+            row.len() == 4 && row.iter().zip([0.0, 0.0, 0.0, 1.0]).all(near)
+        };
+        if last.as_ref().is_some_and(|row| !is_last(row)) {
+            return Err(self.error(&format!(
+                "the last row of \"{key}\" is {}, but it must be [0, 0, 0, 1]: the matrix is probably transposed",
+                rows[3]
+            )));
         }
         pose::check_rotation(&pose).map_err(|what| {
             self.error(&format!("the left 3x3 part of \"{key}\" must be a rotation, but it has {what}"))

@@ -13,6 +13,8 @@ const MARKERS: [&str; 3] = ["poses_bounds.npy", "transforms_train.json", "transf
 /// Largest number of letters by which a mistaken name differs from a right one.
 const TYPING_ERRORS: usize = 2;
 const VIDEOS: [&str; 7] = ["mp4", "mov", "avi", "mkv", "webm", "m4v", "insv"];
+/// Photos that are not read.
+const UNREAD: [&str; 8] = ["heic", "heif", "tif", "tiff", "dng", "cr2", "nef", "arw"];
 const ARCHIVES: [&str; 7] = ["zip", "tar", "gz", "tgz", "7z", "rar", "xz"];
 
 /// A layout of another program that is not read: entries that are all there, its name, and what to do. `SCENE` stands for
@@ -23,7 +25,7 @@ struct Layout {
     advice: &'static str,
 }
 
-const LAYOUTS: [Layout; 11] = [
+const LAYOUTS: [Layout; 14] = [
     Layout {
         entries: &["keyframes"],
         name: "a raw capture of Polycam",
@@ -51,6 +53,22 @@ const LAYOUTS: [Layout; 11] = [
         name: "a scene in the layout of NeuS",
         advice: "write its cameras into a transforms.json: decompose the first three rows of world_mat_N into intrinsics and pose; \
                  .npz files are not read",
+    },
+    Layout {
+        entries: &["cams"],
+        name: "a scene in the layout of MVSNet",
+        advice: "write the extrinsics of cams/*_cam.txt (world to camera), inverted, into a transforms.json, and read that with \
+                 data.axes=opencv",
+    },
+    Layout {
+        entries: &["bundle.out"],
+        name: "a reconstruction of Bundler",
+        advice: "reconstruct the photos with COLMAP, or write its cameras into a transforms.json",
+    },
+    Layout {
+        entries: &["opensfm"],
+        name: "a project of OpenDroneMap",
+        advice: "convert it with `ns-process-data odm --data HERE --output-dir SCENE`, then check SCENE",
     },
     Layout {
         entries: &["pose", "intrinsics.txt"],
@@ -115,7 +133,10 @@ pub(super) fn check_folder(path: &Path) -> Result<()> {
 /// Returns the error for a folder that no format detects: what it looks like, and what to do.
 pub(super) fn unknown(dir: &Path) -> Error {
     let entries = entries(dir);
-    let known = misnamed(dir, &entries)
+    let known = inside_a_scene(dir)
+        .or_else(|| without_training_file(dir))
+        .or_else(|| misnamed(dir, &entries))
+        .or_else(|| model_below(dir))
         .or_else(|| layout(dir))
         .or_else(|| photos(dir, &entries))
         .or_else(|| {
@@ -149,6 +170,58 @@ fn entries(dir: &Path) -> Vec<String> {
     names
 }
 
+/// Most folders that are searched.
+const MOST_FOLDERS: usize = 10_000;
+/// Folders above one that may be the scene's.
+const ABOVE: usize = 3;
+
+/// A part of a scene, such as its `images` or `sparse`.
+fn inside_a_scene(dir: &Path) -> Option<String> {
+    let dir = std::path::absolute(dir).ok()?;
+    let scene = dir.ancestors().skip(1).take(ABOVE).find(|above| Format::of_folder(above).is_some())?;
+    let part = dir.strip_prefix(scene).ok()?.components().next()?;
+    let parts = ["images", "sparse", "colmap", "train", "test", "val", "masks"];
+    parts
+        .iter()
+        .any(|known| part.as_os_str().to_string_lossy().starts_with(known))
+        .then(|| format!("{} is a part of the scene {}; name that folder", dir.display(), scene.display()))
+}
+
+fn without_training_file(dir: &Path) -> Option<String> {
+    let there = ["transforms_test.json", "transforms_val.json"].into_iter().find(|name| dir.join(name).is_file())?;
+    Some(format!(
+        "{}: transforms_train.json is missing beside {there}, which has views to evaluate on alone",
+        dir.display()
+    ))
+}
+
+/// A COLMAP model in another place than those that are read.
+fn model_below(dir: &Path) -> Option<String> {
+    let mut folders = vec![(dir.to_path_buf(), 0)];
+    for _ in 0..MOST_FOLDERS {
+        let (folder, depth) = folders.pop()?;
+        let is_there =
+            |ending: &str| ["cameras", "images"].iter().all(|name| folder.join(format!("{name}.{ending}")).is_file());
+        if is_there("bin") || is_there("txt") {
+            let scene = folder
+                .ancestors()
+                .skip(1)
+                .take(ABOVE)
+                .find(|above| *above != dir && Format::of_folder(above).is_some());
+            let advice = match scene {
+                Some(scene) => format!("name {}", scene.display()),
+                None => format!("move it to {}/sparse/0, and the photos to {}/images", dir.display(), dir.display()),
+            };
+            return Some(format!("{} is a COLMAP model, but not where one is looked for; {advice}", folder.display()));
+        }
+        if depth < ABOVE {
+            let below = std::fs::read_dir(&folder).into_iter().flatten().flatten().map(|entry| entry.path());
+            folders.extend(below.filter(|path| path.is_dir() && !path.is_symlink()).map(|path| (path, depth + 1)));
+        }
+    }
+    None
+}
+
 /// A file with nearly the name of a scene's own, or with the content of one.
 fn misnamed(dir: &Path, entries: &[String]) -> Option<String> {
     let files = || entries.iter().filter(|name| dir.join(name).is_file());
@@ -175,6 +248,19 @@ fn photos(dir: &Path, entries: &[String]) -> Option<String> {
     let count = |folder: &Path| images::list(folder).map_or(0, |files| files.len());
     if let here @ 1.. = count(dir) {
         return Some(without_cameras(dir, here, Path::new("SCENE")));
+    }
+    let unread = |folder: &Path| {
+        let files = self::entries(folder).into_iter().filter(|name| has_ending(Path::new(name), &UNREAD)).count();
+        (files > 0).then(|| {
+            format!(
+                "{}: {files} photos in a format that is not read (HEIC, TIFF, raw); convert them to PNG or JPEG, and find their \
+                 cameras with COLMAP or `ns-process-data`",
+                folder.display()
+            )
+        })
+    };
+    if let Some(words) = unread(dir).or_else(|| unread(&dir.join("images"))) {
+        return Some(words);
     }
     let below = |name: &&str| dir.join(name).is_dir() && count(&dir.join(name)) > 0;
     let folder = ["images"].into_iter().chain(entries.iter().map(String::as_str)).find(below)?;
@@ -258,11 +344,34 @@ mod tests {
             (&[("a.JPG", ""), ("notes.txt", "")], "DIR: 1 photos without cameras; put them into SCENE/images"),
             (&[("images/a.JPG", "")], "colmap automatic_reconstructor --workspace_path DIR --image_path DIR/images`"),
             (&[("input/a.JPG", "")], "DIR/input: 1 photos without cameras"),
+            (&[("images/a.HEIC", "")], "DIR/images: 1 photos in a format that is not read"),
+            (
+                &[("transforms_test.json", "{}"), ("test/a.png", "")],
+                "transforms_train.json is missing beside transforms_test.json",
+            ),
+            (
+                &[("dense/0/sparse/cameras.bin", ""), ("dense/0/sparse/images.bin", ""), ("dense/0/images/a.png", "")],
+                "DIR/dense/0/sparse is a COLMAP model, but not where one is looked for; name DIR/dense/0",
+            ),
+            (
+                &[("colmap_text/cameras.txt", ""), ("colmap_text/images.txt", ""), ("images/a.png", "")],
+                "move it to DIR/sparse/0, and the photos to DIR/images",
+            ),
+            (&[("cams/0_cam.txt", ""), ("images/a.png", "")], "the layout of MVSNet"),
             (&[("lego/transforms.json", ""), ("thumbs/a.png", "")], "scenes lie one level deeper: lego"),
         ] {
             let said = said(entries);
             assert!(said.contains(words), "{said}");
         }
+    }
+
+    #[test]
+    fn a_part_of_a_scene_is_answered_with_the_scene() {
+        let dir = tempfile::tempdir().unwrap();
+        std::fs::create_dir(dir.path().join("images")).unwrap();
+        std::fs::write(dir.path().join("transforms.json"), "{}").unwrap();
+        let said = unknown(&dir.path().join("images")).to_string();
+        assert!(said.contains("is a part of the scene") && said.ends_with("name that folder"), "{said}");
     }
 
     #[test]

@@ -1,7 +1,7 @@
 //! Masks: which pixels of a photo count. A capture's file names them (nerfstudio's `mask_path`), or they lie in a folder
 //! that `data.masks` names.
 
-use std::collections::HashMap;
+use std::collections::{BTreeMap, BTreeSet, HashMap};
 use std::path::{Path, PathBuf};
 
 use crate::base::{Error, Event, Image, Listener, Result};
@@ -9,8 +9,10 @@ use crate::data::json::Object;
 use crate::data::{images, resample};
 use crate::settings::DataConfig;
 
-/// Folders in which masks usually lie.
-const FOLDERS: [&str; 4] = ["masks", "mask", "images_mask", "images_masks"];
+/// Part of the names of folders in which masks lie, in lower case.
+const IN_FOLDERS: &str = "mask";
+/// The value of `data.masks` for masks that lie beside their photos.
+const BESIDE: &str = "beside";
 /// The value of `data.masks` for none at all.
 pub(in crate::data) const NONE: &str = "none";
 /// Begin of the names of instant-ngp's masks, in the photos' folder. White is left out there.
@@ -57,36 +59,6 @@ impl MaskFile {
         MaskFile { path, inverted: false }
     }
 
-    /// Finds a photo's mask in a folder of the scene: `NAME.png`, `NAME_mask.png` or `mask_NAME.png` of `NAME.jpg`, or
-    /// `NAME.jpg.png` as COLMAP has it, in the photo's own sub-folder, or in the folder itself if no other photo `has_name`.
-    fn in_folder(dir: &Path, folder: &str, photo: &Path, has_name: impl Fn(&str) -> usize) -> Option<MaskFile> {
-        let (stem, name) = (photo.file_stem()?.to_string_lossy(), photo.file_name()?.to_string_lossy());
-        let within = photo.strip_prefix(dir).ok().and_then(Path::parent).unwrap_or(Path::new(""));
-        // Photos lie in images/ or the like, and masks in the same sub-folders of theirs.
-        let below = within.components().skip(1).collect::<PathBuf>();
-        let bare = (has_name(&stem) == 1).then(PathBuf::new);
-        let places = [Some(within.to_path_buf()), Some(below), bare];
-        let endings = || images::ENDINGS.iter().flat_map(|ending| [ending.to_string(), ending.to_ascii_uppercase()]);
-        let bases = [name.to_string(), stem.to_string(), format!("{stem}_mask"), format!("mask_{stem}")];
-        let file = |place: PathBuf| {
-            let names = bases.iter().flat_map(|base| endings().map(move |ending| format!("{base}.{ending}")));
-            names.map(|name| dir.join(folder).join(&place).join(name)).find(|path| path.is_file())
-        };
-        places
-            .into_iter()
-            .flatten()
-            .filter(|place| has_name(&stem) == 1 || place.as_os_str() != "")
-            .find_map(file)
-            .map(MaskFile::of_black)
-    }
-
-    /// Finds instant-ngp's mask beside a photo.
-    fn beside(photo: &Path) -> Option<MaskFile> {
-        let name = format!("{DYNAMIC}{}.png", photo.file_stem()?.to_string_lossy());
-        let path = photo.with_file_name(name);
-        path.is_file().then_some(MaskFile { path, inverted: true })
-    }
-
     /// Reads which pixels of the photo's view of `width` x `height` count, row by row. `rectified` removes the photo's
     /// distortion.
     pub(in crate::data) fn read(
@@ -115,50 +87,147 @@ impl Masks {
         photos: impl Iterator<Item = &'a Path>,
         events: &dyn Listener,
     ) -> Result<Masks> {
-        let (photos, dir): (Vec<&Path>, _) = (photos.collect(), Path::new(&config.dir));
-        let stem = |photo: &Path| photo.file_stem().map(|stem| stem.to_string_lossy().into_owned());
-        let mut stems: HashMap<String, usize> = HashMap::new();
-        photos.iter().filter_map(|photo| stem(photo)).for_each(|stem| *stems.entry(stem).or_default() += 1);
-        let has_name = |stem: &str| stems.get(stem).copied().unwrap_or(0);
-        let in_folder = |name: &str| -> Vec<Option<MaskFile>> {
-            photos.iter().map(|photo| MaskFile::in_folder(dir, name, photo, has_name)).collect()
-        };
-        let beside = || photos.iter().map(|photo| MaskFile::beside(photo)).collect::<Vec<_>>();
+        let finder = Finder::new(Path::new(&config.dir), photos.collect());
+        let (dir, all) = (finder.dir.display(), finder.photos.len());
         let count = |files: &[Option<MaskFile>]| files.iter().flatten().count();
         match config.masks.as_str() {
             "" => {
-                let folders = FOLDERS.iter().map(|name| (format!("{name}/"), *name, count(&in_folder(name))));
-                let all = folders.chain([(format!("{DYNAMIC}*.png"), "beside", count(&beside()))]);
-                for (place, value, found) in all.filter(|(_, _, found)| *found > 0) {
-                    events.on(Event::Note(&format!(
-                        "{}: {found} of {} photos have masks in {place}, which are not used; data.masks={value} uses them, \
-                         data.masks=none says that they are not meant",
-                        dir.display(),
-                        photos.len()
-                    )));
-                }
-                Ok(Masks { files: vec![None; photos.len()] })
+                finder.note_unused(events);
+                Ok(Masks { files: vec![None; all] })
             }
-            NONE => Ok(Masks { files: vec![None; photos.len()] }),
+            NONE => Ok(Masks { files: vec![None; all] }),
             name => {
-                let files = if name == "beside" { beside() } else { in_folder(name) };
+                let files = finder.find(name);
                 let found = count(&files);
                 if found == 0 {
                     return Err(Error::Data(format!(
-                        "data.masks = \"{name}\": {} has no mask of its {} photos there; a mask is called like its photo, with the \
-                         ending .png",
-                        dir.display(),
-                        photos.len()
+                        "data.masks = \"{name}\": {dir} has no mask of its {all} photos there; a mask is called like its photo, with \
+                         the ending .png"
                     )));
                 }
-                events.on(Event::Note(&format!(
-                    "{}: {found} of {} photos have masks, by data.masks = \"{name}\"",
-                    dir.display(),
-                    photos.len()
-                )));
+                events
+                    .on(Event::Note(&format!("{dir}: {found} of {all} photos have masks, by data.masks = \"{name}\"")));
                 Ok(Masks { files })
             }
         }
+    }
+}
+
+/// Finds masks of photos by their names.
+struct Finder<'a> {
+    dir: &'a Path,
+    photos: Vec<&'a Path>,
+    /// How many photos have a stem.
+    stems: HashMap<String, usize>,
+}
+
+/// Images of a folder by their names without ending, as names are compared.
+type Images = HashMap<String, PathBuf>;
+
+impl<'a> Finder<'a> {
+    fn new(dir: &'a Path, photos: Vec<&'a Path>) -> Finder<'a> {
+        let mut stems = HashMap::new();
+        photos.iter().filter_map(|photo| stem(photo)).for_each(|stem| *stems.entry(stem).or_default() += 1);
+        Finder { dir, photos, stems }
+    }
+
+    /// Notes masks that are not used, and folders of masks in which no name fits.
+    fn note_unused(&self, events: &dyn Listener) {
+        let (dir, all) = (self.dir.display(), self.photos.len());
+        let folders = self.folders();
+        let places =
+            folders.iter().map(|(name, _)| (format!("{name}/"), &**name)).chain([("their own folder".into(), BESIDE)]);
+        for (place, value) in places {
+            let found = self.find(value).iter().flatten().count();
+            if found > 0 {
+                events.on(Event::Note(&format!(
+                    "{dir}: {found} of {all} photos have masks in {place}, which are not used; data.masks={value} uses them, \
+                     data.masks=none says that they are not meant"
+                )));
+            } else if let Some(images) = folders.get(value).filter(|images| **images > 0) {
+                events.on(Event::Note(&format!(
+                    "{dir}: {place} has {images} images that are called like no photo; a mask has its photo's name, with the ending .png"
+                )));
+            }
+        }
+    }
+
+    /// Returns the folders of masks, in the scene or beside photos, by their names, and how many images they have.
+    fn folders(&self) -> BTreeMap<String, usize> {
+        let parents = self.photos.iter().filter_map(|photo| photo.parent());
+        let mut folders = BTreeMap::new();
+        for place in parents.chain([self.dir]).collect::<BTreeSet<_>>() {
+            for entry in std::fs::read_dir(place).into_iter().flatten().flatten().filter(|entry| entry.path().is_dir())
+            {
+                let name = entry.file_name().to_string_lossy().into_owned();
+                let holds_photos = || self.photos.iter().any(|photo| photo.starts_with(entry.path()));
+                if name.to_lowercase().contains(IN_FOLDERS) && !holds_photos() {
+                    *folders.entry(name).or_default() += images::below(&entry.path()).len();
+                }
+            }
+        }
+        folders
+    }
+
+    /// Finds each photo's mask by a value of `data.masks`: a folder of the scene or beside the photos, or [`BESIDE`].
+    fn find(&self, value: &str) -> Vec<Option<MaskFile>> {
+        let mut known: HashMap<PathBuf, Images> = HashMap::new();
+        let mut find = |photo: &&Path| {
+            let parent = photo.parent()?;
+            let own = match value {
+                BESIDE => parent.to_path_buf(),
+                folder => parent.join(folder),
+            };
+            let mut mask = |folder: PathBuf, prefixes: &[PathBuf]| {
+                let images = known.entry(folder).or_insert_with_key(|folder| images_of(folder));
+                prefixes.iter().find_map(|prefix| named(images, photo, prefix, value == BESIDE))
+            };
+            let beside = mask(own, &[PathBuf::new()]);
+            if value == BESIDE { beside } else { beside.or_else(|| mask(self.dir.join(value), &self.prefixes(photo))) }
+        };
+        self.photos.iter().map(&mut find).collect()
+    }
+
+    /// Returns the sub-folders in which a photo's mask may lie: the photo's own, and none if no other photo has its name.
+    fn prefixes(&self, photo: &Path) -> Vec<PathBuf> {
+        let within = photo.strip_prefix(self.dir).ok().and_then(Path::parent).unwrap_or(Path::new(""));
+        // Photos lie in images/ or the like, and masks in the same sub-folders of theirs.
+        let below = within.components().skip(1).collect::<PathBuf>();
+        let is_single = stem(photo).is_some_and(|stem| self.stems.get(&stem) == Some(&1));
+        let bare = is_single.then(PathBuf::new);
+        let all = [Some(within.to_path_buf()), Some(below), bare].into_iter().flatten();
+        all.filter(|prefix| is_single || prefix.as_os_str() != "").collect()
+    }
+}
+
+fn stem(photo: &Path) -> Option<String> {
+    photo.file_stem().map(|stem| images::name_key(Path::new(stem)))
+}
+
+fn images_of(folder: &Path) -> Images {
+    let key = |within: &PathBuf| images::name_key(&within.with_extension(""));
+    images::below(folder).into_iter().map(|within| (key(&within), folder.join(&within))).collect()
+}
+
+/// Finds `NAME.png`, `NAME.jpg.png` as COLMAP has it, `NAME_mask.png`, `mask_NAME.png`, `NAME.mask.png`, and instant-ngp's
+/// `dynamic_mask_NAME.png`, in which white is left out. Beside a photo its own name is the photo.
+fn named(images: &Images, photo: &Path, prefix: &Path, beside: bool) -> Option<MaskFile> {
+    let (stem, name) = (photo.file_stem()?.to_string_lossy(), photo.file_name()?.to_string_lossy());
+    let plain = Some(stem.to_string()).filter(|_| !beside);
+    let marked = [
+        name.to_string(),
+        format!("{stem}_mask"),
+        format!("mask_{stem}"),
+        format!("{stem}.mask"),
+        format!("{stem}_alpha"),
+    ];
+    let dynamic = [format!("{DYNAMIC}{stem}"), format!("{DYNAMIC}{name}")];
+    let get = |base: &String| images.get(&images::name_key(&prefix.join(base)));
+    let path = plain.into_iter().chain(marked).find_map(|base| get(&base)).filter(|path| **path != *photo);
+    let inverted = || dynamic.iter().find_map(get);
+    match path {
+        Some(path) => Some(MaskFile::of_black(path.clone())),
+        None => inverted().map(|path| MaskFile { path: path.clone(), inverted: true }),
     }
 }
 

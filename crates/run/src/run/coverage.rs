@@ -58,6 +58,9 @@ impl Coverage {
     }
 }
 
+/// Origin and direction of a ray.
+type Ray<'a> = (&'a [f32], &'a [f32]);
+
 /// Returns rays through a small copy of a view.
 fn rays(camera: &Camera, scene: &Scene) -> RayBuffer {
     let width = camera.width.min(COLUMNS);
@@ -70,14 +73,9 @@ fn rays(camera: &Camera, scene: &Scene) -> RayBuffer {
 
 /// Returns the largest density within the lattice's box on each ray `(origin, direction)`; `None` for rays that are not
 /// solid.
-fn peaks(
-    density: &dyn Density,
-    rays: &[(&[f32], &[f32])],
-    (near, far): (f64, f64),
-    lattice: &Lattice,
-) -> Result<Vec<Option<f64>>> {
+fn peaks(density: &dyn Density, rays: &[Ray], (near, far): (f64, f64), lattice: &Lattice) -> Result<Vec<Option<f64>>> {
     let interval = (far - near) / POINTS as f64;
-    let along = |(origin, direction): &(&[f32], &[f32]), k: usize| -> [f32; 3] {
+    let along = |(origin, direction): &Ray, k: usize| -> [f32; 3] {
         let t = near + (k as f64 + 0.5) * interval;
         std::array::from_fn(|axis| (f64::from(origin[axis]) + t * f64::from(direction[axis])) as f32)
     };
@@ -89,7 +87,7 @@ fn peaks(
         let [lower, upper] = lattice.domain;
         (0..3).all(|axis| (lower[axis]..=upper[axis]).contains(&f64::from(point[axis])))
     };
-    let of_ray = |((values, points), (_, direction)): ((&[f32], &[[f32; 3]]), &(&[f32], &[f32]))| {
+    let of_ray = |((values, points), (_, direction)): ((&[f32], &[[f32; 3]]), &Ray)| {
         let length = direction.iter().map(|v| f64::from(*v).powi(2)).sum::<f64>().sqrt();
         let depth = values.iter().map(|value| f64::from(*value)).sum::<f64>() * interval * length;
         let peak = values.iter().zip(points).filter(|(_, point)| inside(point)).map(|(value, _)| f64::from(*value));

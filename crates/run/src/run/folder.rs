@@ -129,6 +129,7 @@ impl RunDir {
     /// Those of [`RunDir::take`].
     pub fn take_to_read(path: &Path) -> Result<RunDir> {
         let mut run = RunDir::open(path)?;
+        check_entries(path)?;
         if run.is_writable() {
             return RunDir::take(path);
         }

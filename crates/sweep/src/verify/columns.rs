@@ -12,6 +12,7 @@ use crate::provenance::Provenance;
 use crate::report::{Record, Status};
 use crate::run::Protocol;
 use crate::settings::{Config, DataKind, Extent, Located, Split};
+use crate::varied::Varied;
 
 /// A column and what stands in it.
 type Text = (&'static str, String);
@@ -20,11 +21,14 @@ type Text = (&'static str, String);
 pub fn check(_: &Verifier, sweep: &Collected, findings: &mut Findings) -> Result<()> {
     let archive = &sweep.archive;
     let (mut wrong, mut open, mut count) = (Vec::new(), Vec::new(), 0);
+    let varied = Varied::of(&archive.definition, &archive.points);
     // Points of several revisions may lack what the earlier ones did not write.
     let one_revision = !archive.provenance.code_revision.contains(", ");
     for record in archive.outputs.records.iter().filter(|record| record.status == Status::Done) {
         let Some(point) = archive.points.iter().find(|point| point.id == record.id) else { continue };
         let Decided { columns, unknown } = decided(point, record)?;
+        let columns = columns.into_iter().map(|(name, text)| (name.to_string(), text));
+        let columns = columns.chain(varied.columns(point, &record.axes));
         for name in unknown {
             if !open.contains(&name) {
                 open.push(name);
@@ -32,7 +36,7 @@ pub fn check(_: &Verifier, sweep: &Collected, findings: &mut Findings) -> Result
         }
         for (name, expected) in columns {
             // Columns that are younger than the points are not in their file.
-            let Some((_, found)) = record.protocol.iter().find(|(known, _)| known == name) else { continue };
+            let Some((_, found)) = record.protocol.iter().find(|(known, _)| *known == name) else { continue };
             if found.is_empty() && !one_revision {
                 continue;
             }

@@ -13,7 +13,7 @@ pub fn check(_: &Verifier, sweep: &Collected, findings: &mut Findings) -> Result
     let archive = &sweep.archive;
     let records = &archive.outputs.records;
     let lacks = |record: &Record| {
-        archive.provenance.missing.iter().any(|missing| missing.what.contains(&record.id) && !missing.is_of_program())
+        archive.provenance.missing.iter().any(|missing| missing.what.contains(&record.id) && missing.is_reason())
     };
     let done = records.iter().filter(|record| record.status == Status::Done).count();
     let mut wrong: Vec<String> = Vec::new();
@@ -34,6 +34,9 @@ pub fn check(_: &Verifier, sweep: &Collected, findings: &mut Findings) -> Result
                 wrong.push(format!("points.csv: {key} of {} is empty, which others have", record.point_label()));
             }
         }
+    }
+    for missing in archive.provenance.missing.iter().filter(|missing| missing.why.trim().is_empty()) {
+        wrong.push(format!("provenance.toml: the [[missing]] of '{}' has no why", missing.what));
     }
     let places = if done == records.len() { format!("{done}") } else { format!("{done} of {}", records.len()) };
     if !wrong.is_empty() && done < records.len() {

@@ -2,13 +2,14 @@
 //! evaluation views if there are any.
 
 use std::f64::consts::PI;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use rayon::prelude::*;
 
 use crate::base::{Error, Event, Listener, Result};
 use crate::data::formats::transforms::frames::{self, Frame, Listed};
 use crate::data::formats::transforms::{notes, transforms_file};
+use crate::data::images;
 use crate::data::json::{self, Object};
 use crate::data::pose::{self, Pose};
 use crate::data::{Camera, Rig, Scene, SceneSpace, View, background, depth, name_of, path};
@@ -36,6 +37,8 @@ pub fn load(config: &DataConfig, events: &dyn Listener) -> Result<Scene> {
         false => (train, read_split(config, eval, events)?),
         true => hold_out(train, config, eval, events),
     };
+    let used: Vec<PathBuf> = train.iter().chain(&listed).map(|listed| listed.place.clone()).collect();
+    images::note_unused(Path::new(&config.dir), used.iter(), "are in no transforms_*.json that is read", events);
     let (mut train, train_names) = frames::found(train);
     let (mut test, test_names) = frames::found(listed.into_iter().step_by(config.test_skip.max(1)).collect());
     frames::find_masks(train.iter_mut().chain(&mut test), config, events)?;
@@ -130,17 +133,19 @@ fn read_split(config: &DataConfig, name: &str, events: &dyn Listener) -> Result<
     let dir = Path::new(&config.dir);
     let file = dir.join(transforms_file(name));
     if !file.exists() {
-        return Err(missing(dir, &file, name));
+        return Err(missing(&file, name));
     }
     let value = json::read(&file)?;
     frames::read(Object::document(&file, &value)?, config.axes, events)
 }
 
-/// Returns whether a split's file is there and none of its photos, as exporters leave it that render no test views.
+/// Returns whether none of a split's photos is there, as exporters leave it that render no test views. Without the split's
+/// file, another one may have views to evaluate on.
 fn has_no_photos(config: &DataConfig, split: &str) -> Result<bool> {
-    let file = Path::new(&config.dir).join(transforms_file(split));
+    let file_of = |split: &str| Path::new(&config.dir).join(transforms_file(split));
+    let file = file_of(split);
     if !file.exists() {
-        return Ok(false);
+        return Ok(!["test", "val"].into_iter().any(|other| file_of(other).exists()));
     }
     frames::has_no_photos(Object::document(&file, &json::read(&file)?)?)
 }
@@ -174,7 +179,7 @@ fn read_depths(views: &mut [View], frames: &[Frame]) -> Result<()> {
     })
 }
 
-fn missing(dir: &Path, file: &Path, split: &str) -> Error {
+fn missing(file: &Path, split: &str) -> Error {
     let other = match split {
         "test" => "val",
         "val" => "test",
@@ -185,10 +190,6 @@ fn missing(dir: &Path, file: &Path, split: &str) -> Error {
             ));
         }
     };
-    let advice = if dir.join(transforms_file(other)).exists() {
-        format!("{} is there: set data.eval_split={other}", transforms_file(other))
-    } else {
-        "the scene has no views to evaluate on".into()
-    };
-    Error::Data(format!("{} is missing; {advice}", file.display()))
+    let other_file = transforms_file(other);
+    Error::Data(format!("{} is missing; {other_file} is there: set data.eval_split={other}", file.display()))
 }

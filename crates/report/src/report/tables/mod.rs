@@ -31,6 +31,7 @@ pub use read::{PlaceText, read_points, read_timing};
 pub use terminal::table_terminal;
 
 use crate::base::Result;
+use crate::metrics::{FLOOR_PSNR, PSNR};
 use crate::report::statistics::{mean, paired_differences, standard_deviation};
 use crate::report::{AxisValue, PublishedRow, Record, RowSpec, Status, TableSpec, distinct};
 use crate::settings::columns::{INACTIVE_BY, InactiveBy, is_per_seed};
@@ -115,6 +116,10 @@ pub struct Line {
     pub reason: String,
     /// Sites that were inactive with at least one seed.
     pub inactive_levels: Vec<String>,
+    /// PSNR of the best single colour of the training views, the mean over the seeds that have it.
+    pub floor_psnr: Option<f64>,
+    /// Its PSNR, over the same seeds, is no higher than that.
+    pub no_better_than_one_colour: bool,
     /// One cell for each of the table's metrics.
     pub cells: Vec<Cell>,
     /// The paper's LPIPS, of an unnamed backbone, or `None` if the table has no LPIPS.
@@ -245,6 +250,8 @@ fn line(spec: &TableSpec, group: &Group, groups: &[Group]) -> Line {
     let published = group.row.published.as_ref().and_then(|key| key.find(group.scene));
     let differences = published.as_ref().zip(measured).map(|(row, point)| row.protocol().difference(point));
     let (protocol, differs) = shared_protocol(group);
+    let floors: Vec<(f64, f64)> =
+        group.done().filter_map(|point| Some((point.metric(PSNR.key)?, point.metric(FLOOR_PSNR.key)?))).collect();
     Line {
         scene: group.scene.into(),
         row: group.row.name.clone(),
@@ -259,6 +266,8 @@ fn line(spec: &TableSpec, group: &Group, groups: &[Group]) -> Line {
         status: status_text(&group.points),
         reason: group.points.iter().map(|point| &point.reason).find(|r| !r.is_empty()).cloned().unwrap_or_default(),
         inactive_levels: distinct(group.done().flat_map(|point| point.inactive_levels.iter().cloned())),
+        floor_psnr: mean(&floors.iter().map(|(_, floor)| *floor).collect::<Vec<f64>>()),
+        no_better_than_one_colour: !floors.is_empty() && floors.iter().all(|(psnr, floor)| psnr <= floor),
         cells: spec.metrics.iter().map(|metric| cell(spec, metric, group, baseline, published.as_ref())).collect(),
         published_lpips: published.as_ref().map(|row| row.lpips).filter(|_| spec.has_any("lpips_")),
         published_average: published.as_ref().map(|row| row.average).filter(|_| spec.has_any("average_")),
@@ -295,6 +304,8 @@ fn quoted_line(spec: &TableSpec, row: &RowSpec, scene: &str) -> Option<Line> {
         status: String::new(),
         reason: String::new(),
         inactive_levels: Vec::new(),
+        floor_psnr: None,
+        no_better_than_one_colour: false,
         cells: spec.metrics.iter().map(cell).collect(),
         published_lpips: Some(published.lpips).filter(|_| spec.has_any("lpips_")),
         published_average: Some(published.average).filter(|_| spec.has_any("average_")),

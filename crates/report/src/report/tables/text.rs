@@ -5,7 +5,7 @@ use super::together::number;
 pub use super::together::{mean_and_spread, mean_text, signed_interval, signed_text};
 pub use super::warnings::warnings;
 use super::{Cell, Comparison, Line, Table};
-use crate::metrics::{DEPTH_MAE, DEPTH_RMSE, DEPTH_ROUGHNESS, Metric, NORMAL_ROUGHNESS, Needs};
+use crate::metrics::{DEPTH_MAE, DEPTH_RMSE, DEPTH_ROUGHNESS, Metric, NORMAL_ROUGHNESS, Needs, PSNR};
 use crate::report::PUBLISHED_NOTE;
 use crate::report::distinct;
 use crate::report::statistics::p_text;
@@ -26,7 +26,7 @@ static OWN_PIXELS: [&Metric; 4] = [&DEPTH_MAE, &DEPTH_RMSE, &DEPTH_ROUGHNESS, &N
 /// A mark after a row's name: symbol, meaning, and the details for a line that has it.
 type Mark = (char, &'static str, fn(&Line) -> Option<String>);
 
-const MARKS: [Mark; 8] = [
+const MARKS: [Mark; 9] = [
     ('#', "not run here: the paper's numbers alone", |line| line.quoted.then(String::new)),
     ('‖', SCORED, |line| line.scored.then(|| line.ids.join(", "))),
     ('*', "not in the paper", |line| line.ours.then(String::new)),
@@ -34,6 +34,7 @@ const MARKS: [Mark; 8] = [
     ('†', InactiveBy::Colour.meaning(), |line| line.inactive_sites(InactiveBy::Colour)),
     ('‡', "NOT COMPARABLE, built by force: differs from the scene's first row in", |line| joined(&line.mixed)),
     ('§', "points without numbers", |line| line.unfinished().then(|| status_and_reason(line))),
+    ('=', "no better than one colour with any seed", |line| line.no_better_than_one_colour.then(String::new)),
     ('¶', "settings that differ between seeds", |line| joined(&line.differs)),
 ];
 
@@ -155,6 +156,7 @@ pub fn published_text(cell: &Cell) -> String {
 /// Returns the notes below the lines of a scene. Of more rows than `most`, a note says how many they are.
 pub fn scene_notes(lines: &[&Line], most: usize) -> Vec<String> {
     let mut notes = baseline_notes(lines, most);
+    notes.extend(floor_note(lines));
     notes.extend(corruption_notes(lines));
     notes.extend(varied_notes(lines, most));
     notes.extend(kind_notes(lines));
@@ -208,6 +210,14 @@ fn baseline_notes(lines: &[&Line], most: usize) -> Vec<String> {
         [(baseline, _)] => vec![format!("baseline: {baseline}")],
         several => several.iter().map(|(baseline, labels)| format!("baseline of {labels}: {baseline}")).collect(),
     }
+}
+
+/// Returns what a picture of one colour would have, beside which PSNR means something.
+fn floor_note(lines: &[&Line]) -> Option<String> {
+    let floors = distinct(lines.iter().filter_map(|line| line.floor_psnr).map(|floor| number(PSNR.key, floor)));
+    let (first, last) = (floors.iter().min()?, floors.iter().max()?);
+    let range = if first == last { first.clone() } else { format!("{first} to {last}") };
+    Some(format!("PSNR of the best single colour of the training views: {range} dB"))
 }
 
 /// Returns the cost of corrupted training views: a line against one of the same method on clean views. If the cost is

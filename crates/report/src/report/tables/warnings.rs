@@ -19,6 +19,7 @@ pub fn warnings(lines: &[&Line]) -> Vec<String> {
     };
     let marked = [
         grouped("NOT COMPARABLE, built by force; differ from the scene's first row", &|line| joined(&line.mixed)),
+        grouped("NOTHING LEARNED", &|line| line.no_better_than_one_colour.then(|| "no better than one colour".into())),
         grouped("points without numbers", &|line| line.unfinished().then(|| status_and_reason(line))),
     ];
     let by_site = InactiveBy::ALL.into_iter().filter_map(|by| inactive_warning(lines, by));

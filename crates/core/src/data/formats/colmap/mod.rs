@@ -69,6 +69,7 @@ pub fn load(config: &DataConfig, events: &dyn Listener) -> Result<Scene> {
     let model = read::model(dir, &config.colmap_model, events)?;
     let source = folder::find(dir, &model.photographs, Size::of(config))?;
     let missing = check_missing(dir, &model, &source, events)?;
+    source.moved.iter().for_each(|moved| events.on(Event::Note(&format!("{}: {moved}", dir.display()))));
     if source.renamed > 0 {
         events.on(Event::Note(&format!(
             "{}: the names of {} photos differ from those of the COLMAP model in letter case or Unicode form",

@@ -47,6 +47,11 @@ impl Candidate {
 /// Returns the models of the first of the folders that has any, in the order in which equal ones count: `sparse/0`,
 /// `sparse/1` and so on, `sparse`. Models of other folders may be of other images, such as those before undistortion.
 pub(super) fn candidates(dir: &Path) -> Vec<Candidate> {
+    places(dir).into_iter().next().unwrap_or_default()
+}
+
+/// Returns the models of each folder that has any.
+fn places(dir: &Path) -> Vec<Vec<Candidate>> {
     let below = |folder: &str| -> Vec<Candidate> {
         let names = std::fs::read_dir(dir.join(folder)).into_iter().flatten().flatten().map(|entry| entry.file_name());
         let number =
@@ -58,22 +63,24 @@ pub(super) fn candidates(dir: &Path) -> Vec<Candidate> {
         numbered.chain([folder.to_string()]).filter_map(|folder| Candidate::at(dir, folder)).collect()
     };
     let places = FOLDERS.iter().chain([&DISTORTED]).map(|folder| below(folder));
-    places.into_iter().find(|found| !found.is_empty()).unwrap_or_default()
+    places.filter(|found| !found.is_empty()).collect()
 }
 
 /// Chooses the model with the most photos, or the `wanted` one. The second part names the others, if there are any.
 fn choose(dir: &Path, wanted: &str) -> Result<(Candidate, Option<String>)> {
-    let all = candidates(dir);
+    let mut places = places(dir);
+    let first = if places.is_empty() { Vec::new() } else { places.remove(0) };
+    let all: Vec<Candidate> = first.iter().cloned().chain(places.into_iter().flatten()).collect();
     let wrong = |what: String| Error::Data(format!("{}: {what}", dir.display()));
     let listed = || all.iter().map(Candidate::words).collect::<Vec<_>>().join(", ");
-    let most = all.iter().map(|model| model.photos).max().ok_or_else(|| {
+    let most = first.iter().map(|model| model.photos).max().ok_or_else(|| {
         wrong(format!(
             "no COLMAP model: cameras and images, .bin or .txt, are looked for in {} and {DISTORTED}, and in numbered folders there",
             FOLDERS.join(", ")
         ))
     })?;
     let chosen = match wanted {
-        "" => all.iter().find(|model| model.photos == most),
+        "" => first.iter().find(|model| model.photos == most),
         wanted => all.iter().find(|model| model.folder == wanted.trim_matches('/')),
     };
     let Some(chosen) = chosen else {

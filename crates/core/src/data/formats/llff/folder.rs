@@ -39,8 +39,11 @@ pub(super) fn find(dir: &Path, size: Size, poses: usize, listed: Option<&BTreeSe
 
 fn by_factor(dir: &Path, factor: usize, poses: usize, listed: Option<&BTreeSet<String>>) -> Result<Source> {
     let mut found: Vec<(usize, Vec<PathBuf>)> = Vec::new();
-    for name in folders(dir)? {
-        let Some(of) = images::factor_of(&name).filter(|of| factor.is_multiple_of(*of)) else { continue };
+    for name in photo_folders(dir, poses)? {
+        let of = images::factor_of(&name).unwrap_or(1);
+        if !factor.is_multiple_of(of) {
+            continue;
+        }
         found.push((of, with_poses(images::list(&dir.join(name))?, poses, listed)));
     }
     // Folders of the factor first, then the originals, then the smallest that can be averaged.
@@ -66,7 +69,7 @@ fn by_factor(dir: &Path, factor: usize, poses: usize, listed: Option<&BTreeSet<S
 
 fn by_width(dir: &Path, width: usize, poses: usize, listed: Option<&BTreeSet<String>>) -> Result<Source> {
     let mut found = Vec::new();
-    for name in folders(dir)? {
+    for name in photo_folders(dir, poses)? {
         let paths = with_poses(images::list(&dir.join(name))?, poses, listed);
         let Some(first) = paths.first() else { continue };
         let stored = images::size(first)?;
@@ -102,6 +105,19 @@ fn with_poses(paths: Vec<PathBuf>, poses: usize, listed: Option<&BTreeSet<String
 fn passed_over(paths: &[PathBuf], poses: usize) -> String {
     let folder = paths.first().and_then(|path| path.parent()).unwrap_or(Path::new(""));
     format!("{} has {} images for {poses} poses", folder.display(), paths.len())
+}
+
+/// Returns the names of the folders `images` and `images_*`; without any, that of the only folder with an image per pose.
+fn photo_folders(dir: &Path, poses: usize) -> Result<Vec<String>> {
+    let named = folders(dir)?;
+    if !named.is_empty() {
+        return Ok(named);
+    }
+    let entries = std::fs::read_dir(dir).map_err(|e| Error::unreadable(dir, &e))?;
+    let has_all = |name: &String| images::list(&dir.join(name)).is_ok_and(|paths| paths.len() == poses);
+    let names = entries.flatten().map(|entry| entry.file_name().to_string_lossy().into_owned());
+    let found: Vec<String> = names.filter(has_all).collect();
+    Ok(if found.len() == 1 { found } else { Vec::new() })
 }
 
 /// Returns the names of the folders `images` and `images_*`, sorted.

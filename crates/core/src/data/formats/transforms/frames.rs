@@ -42,7 +42,7 @@ pub struct Frame {
 /// complete list.
 pub struct Listed {
     /// The path where the photo is, or would be.
-    pub(super) place: PathBuf,
+    pub(in crate::data::formats) place: PathBuf,
     /// Its name in the file.
     pub(super) written: String,
     /// Camera to world.
@@ -95,6 +95,9 @@ pub fn read(document: Object, axes: Axes, events: &dyn Listener) -> Result<Vec<L
 /// Returns whether none of a document's photos is there.
 pub fn has_no_photos(document: Object) -> Result<bool> {
     let there = images::below(document.folder());
+    if document.is_empty("frames") {
+        return Ok(true);
+    }
     for object in document.frames()? {
         let picture = object.picture("file_path")?;
         if picture.path.is_some() || images::place_of(&picture.written, &there).is_some() {
@@ -179,7 +182,8 @@ fn distinct<'a>(entries: Vec<Entry<'a>>, document: Object, note: &dyn Fn(&str)) 
     let mut places: HashMap<PathBuf, usize> = HashMap::new();
     let (mut kept, mut again): (Vec<Entry>, Vec<String>) = (Vec::new(), Vec::new());
     for entry in entries {
-        match places.get(&entry.picture.place) {
+        let place = images::real(&entry.picture.place);
+        match places.get(&place) {
             Some(&place) if kept[place].pose == entry.pose => again.push(entry.picture.written),
             Some(_) => {
                 return Err(document.error(&format!(
@@ -188,7 +192,7 @@ fn distinct<'a>(entries: Vec<Entry<'a>>, document: Object, note: &dyn Fn(&str)) 
                 )));
             }
             None => {
-                places.insert(entry.picture.place.clone(), kept.len());
+                places.insert(place, kept.len());
                 kept.push(entry);
             }
         }

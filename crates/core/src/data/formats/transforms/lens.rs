@@ -140,18 +140,18 @@ const ADVICE: &str = "undistort the images first, for example with COLMAP's imag
 /// Returns an error for lenses that are not pinholes with the supported distortion.
 pub(in crate::data) fn check_model(frame: Object, document: Object) -> Result<()> {
     const FISHEYE: &str = "is_fisheye";
-    const ORTHOGRAPHIC: &str = "orthographic";
+    if let Some(key) = [frame, document].into_iter().find_map(|object| object.orthographic()) {
+        return Err(frame.error(&format!(
+            "\"{key}\" says that the camera is orthographic, but only perspective cameras are read; render the scene with a \
+             perspective camera"
+        )));
+    }
     let model = frame.text("camera_model")?.or(document.text("camera_model")?).unwrap_or("OPENCV");
     if !MODELS.contains(&model.to_ascii_uppercase().as_str()) {
         let what = format!("\"camera_model\" is \"{model}\", but only {} are read; {ADVICE}", MODELS.join(", "));
         return Err(frame.error(&what));
     }
     for object in [frame, document] {
-        if object.truth(ORTHOGRAPHIC)? == Some(true) {
-            return Err(frame.error(&format!(
-                "\"{ORTHOGRAPHIC}\" is true, but only perspective cameras are read; render the scene with a perspective camera"
-            )));
-        }
         if object.truth(FISHEYE)? == Some(true) {
             return Err(frame.error(&format!("\"{FISHEYE}\" is true, but only pinhole lenses are read; {ADVICE}")));
         }

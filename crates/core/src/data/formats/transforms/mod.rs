@@ -127,7 +127,7 @@ fn ordered(mut all: Roles, by_author: bool, config: &DataConfig) -> Result<Roles
     let mut poses: HashMap<PathBuf, Pose> = HashMap::new();
     let mut kept = Vec::with_capacity(all.len());
     for (listed, role) in all {
-        match poses.insert(listed.place.clone(), listed.pose) {
+        match poses.insert(images::real(&listed.place), listed.pose) {
             None => kept.push((listed, role)),
             Some(other) if other == listed.pose => {}
             Some(_) => {
