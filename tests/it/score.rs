@@ -200,7 +200,16 @@ fn scored_rows_stand_marked_in_the_table() {
     assert_eq!(before.len() + 2, table.len());
     assert_eq!(of("Aug-NeRF")["psnr_difference"], before[1]["psnr_difference"]);
     let markdown = text(&dir.join("results/tiny/table.md"));
-    assert_says(&markdown, &["| other code ‖ |", "not trained here", "All rows: protocol 1", "scored-"]);
+    assert_says(
+        &markdown,
+        &[
+            "| other code ‖= |",
+            "= no better than one colour with any seed",
+            "not trained here",
+            "All rows: protocol 1",
+            "scored-",
+        ],
+    );
     assert!(text(&dir.join("results/tiny/table.tex")).contains("$\\|$"));
     let points = rows(&text(&dir.join("results/tiny/points.csv")));
     assert_eq!(points.len(), 4, "they are no points");

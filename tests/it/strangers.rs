@@ -223,7 +223,7 @@ fn masks_are_found_under_other_names() {
             std::fs::create_dir_all(to.parent().unwrap()).unwrap();
             std::fs::rename(mask, to).unwrap();
         }
-        std::fs::remove_dir(dir.path().join("masks")).unwrap();
+        let _ = std::fs::remove_dir(dir.path().join("masks"));
         dir
     };
     let in_folder = moved(&|dir, stem| dir.join("Object_Masks").join(format!("{stem}.PNG")));

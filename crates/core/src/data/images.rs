@@ -189,7 +189,7 @@ pub(super) fn note_unused<'a>(scene: &Path, used: impl Iterator<Item = &'a PathB
 }
 
 /// Returns whether a path, in lower case, names no mask and no map of depth.
-fn is_photo(path: &str) -> bool {
+pub(super) fn is_photo(path: &str) -> bool {
     !NO_PHOTOS.iter().any(|part| path.contains(part))
 }
 

@@ -25,6 +25,7 @@ mod grid;
 pub mod hash;
 mod inside;
 mod peak;
+mod rgb_limit;
 mod slopes;
 mod spatial;
 
@@ -41,6 +42,7 @@ use grid::Grid;
 pub use grid::TableRecord;
 use inside::{Inside, NOTHING};
 pub use peak::peak_gflops;
+pub(crate) use rgb_limit::leads_away;
 pub use spatial::{DensityAt, Order, Spatial, spatial_reference};
 
 /// Returns the values of a contiguous tensor on the CPU, for custom operations.
@@ -430,12 +432,11 @@ impl Field {
     }
 
     /// Returns colour from raw colour, of any shape: a sigmoid, padded by `field.rgb_padding` on both sides. Within it raw
-    /// colour is limited by `field.rgb_limit`, and its gradient is that at the limit.
+    /// colour is limited by `field.rgb_limit`; beyond it, its gradient is that at the limit if it leads back, and 0 otherwise.
     pub fn activate_rgb(&self, raw: &Tensor) -> Result<Tensor> {
         let limit = self.config.rgb_limit;
         let rgb = match limit > 0.0 {
-            // The value of one, the gradient of the other.
-            true => candle_nn::ops::sigmoid(&(raw.clamp(-limit, limit)?.detach() + (raw - raw.detach())?)?)?,
+            true => candle_nn::ops::sigmoid(&rgb_limit::limited(raw, limit)?)?,
             false => candle_nn::ops::sigmoid(raw)?,
         };
         let padding = self.config.rgb_padding;

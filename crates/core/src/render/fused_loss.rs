@@ -9,7 +9,7 @@ use candle_core::{CpuStorage, CustomOp3, DType, Device, Layout, Result as Tensor
 use crate::augment::{DeltaSet, Deltas, Norm, Sets, Site, larger, smaller};
 use crate::base::Result;
 use crate::base::tensors::with_values;
-use crate::field::{Field, RawOutput, density_of, raw_density_gradient};
+use crate::field::{Field, RawOutput, density_of, leads_away, raw_density_gradient};
 use crate::settings::DensityActivation;
 
 use super::pass::Pass;
@@ -169,7 +169,7 @@ impl Samples<'_> {
 }
 
 impl FusedLoss {
-    /// Colour without padding. Its slope is c (1 - c) beyond the limit, too.
+    /// Colour without padding. Its slope is c (1 - c) beyond the limit, too, where it leads back.
     fn sigmoid(&self, raw: f32) -> f32 {
         1.0 / ((-raw.clamp(-self.limit, self.limit)).exp() + 1.0)
     }
@@ -235,9 +235,10 @@ impl FusedLoss {
         let (scale, _) = self.spread();
         let raw_density = &raw[rgb.len()..];
         // Adding 0 turns a negative 0 into a positive one, as in candle's sums.
-        let of_rgb = d_rgb.iter().zip(sigmoids).map(|(&d, s)| {
+        let of_rgb = d_rgb.iter().zip(sigmoids).zip(raw).map(|((&d, s), raw)| {
             let d = if self.padding > 0.0 { d * scale } else { d };
-            d * ((1.0 - s) * s) + 0.0
+            let d = d * ((1.0 - s) * s) + 0.0;
+            if leads_away(*raw, d, self.limit) { 0.0 } else { d }
         });
         let of_density = d_density
             .iter()

@@ -96,9 +96,9 @@ section! {
         /// 0.001).
         pub rgb_padding: f64 = 0.0,
             numbers().real(|padding| (0.0..=0.5).contains(&padding), "0 to 0.5").column("rgb_padding").later();
-        /// Raw colours count as at most this, and at least minus this, with their gradient as it is there (0 = as they are).
-        /// Colours that ran off to black or white keep a gradient by which they come back. 8 changes a colour by less than
-        /// a tenth of an 8-bit step.
+        /// Raw colours count as at most this, and at least minus this (0 = as they are). Beyond it they keep the gradient by
+        /// which they come back, and no other: colours that ran off to black or white return, and none runs off. 8 changes a
+        /// colour by less than a tenth of an 8-bit step.
         pub rgb_limit: f64 = 0.0,
             numbers().real(|limit| limit == 0.0 || (1.0..=80.0).contains(&limit), "0, or 1 to 80").column("rgb_limit").later();
         /// Implementation of the networks: `fused` (if there is one for the device) or `plain` (the reference). They

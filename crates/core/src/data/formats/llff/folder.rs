@@ -114,7 +114,9 @@ fn photo_folders(dir: &Path, poses: usize) -> Result<Vec<String>> {
         return Ok(named);
     }
     let entries = std::fs::read_dir(dir).map_err(|e| Error::unreadable(dir, &e))?;
-    let has_all = |name: &String| images::list(&dir.join(name)).is_ok_and(|paths| paths.len() == poses);
+    let is_photos = |name: &str| images::is_photo(&name.to_lowercase());
+    let has_all =
+        |name: &String| is_photos(name) && images::list(&dir.join(name)).is_ok_and(|paths| paths.len() == poses);
     let names = entries.flatten().map(|entry| entry.file_name().to_string_lossy().into_owned());
     let found: Vec<String> = names.filter(has_all).collect();
     Ok(if found.len() == 1 { found } else { Vec::new() })
