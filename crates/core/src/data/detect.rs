@@ -9,7 +9,7 @@ use crate::settings::{DataConfig, DataKind};
 
 /// Returns the kind of scene that `config` names: `config.kind` if it is set, and the kind of the folder's files
 /// otherwise. It looks for `poses_bounds.npy`, `transforms_train.json`, `transforms.json` and COLMAP's `sparse/0`, in
-/// the order of [`FORMATS`]. Without a folder it is the built-in scene.
+/// the order of [`FORMATS`](super::FORMATS). Without a folder it is the built-in scene.
 pub fn detect(config: &DataConfig) -> Result<DataKind> {
     let embedded = Format::of(config.kind).is_some_and(|format| format.marker.is_none());
     if config.dir.is_empty() {

@@ -136,7 +136,7 @@ impl<'a> Finder<'a> {
         let (dir, all) = (self.dir.display(), self.photos.len());
         let folders = self.folders();
         let places =
-            folders.iter().map(|(name, _)| (format!("{name}/"), &**name)).chain([("their own folder".into(), BESIDE)]);
+            folders.keys().map(|name| (format!("{name}/"), &**name)).chain([("their own folder".into(), BESIDE)]);
         for (place, value) in places {
             let found = self.find(value).iter().flatten().count();
             if found > 0 {
