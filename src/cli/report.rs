@@ -57,6 +57,13 @@ impl ReportArguments {
                 (table, page, out)
             }
             runs => {
+                if let Some(sweep) = runs.iter().find(|run| run.join("sweep.toml").is_file()) {
+                    return Err(Error::Config(format!(
+                        "{0}: the folder of a sweep, whose page is made of its results; name the folder that `augnerf sweep collect \
+                         {0}` prints",
+                        sweep.display()
+                    )));
+                }
                 let out = check_page_place(&self.out.clone().unwrap_or_else(|| PAGE.into()))?;
                 let (table, page) = RunsTable::read(runs, &self.labels)?.page(folder_of(&out), self.with_timing)?;
                 (table, page, out)
