@@ -19,7 +19,7 @@ use crate::train::{Origin, Trainer};
 
 use super::answer::{Answer, Measured};
 use super::experiment::{Base, Experiment, settings_file};
-use super::progress::{Console, duration, print, report};
+use super::progress::{Console, duration, print, report, says_yes};
 use super::signals::catch_signals;
 use super::{Compute, LpipsWeights, Sources};
 
@@ -147,12 +147,9 @@ impl TrainArguments {
             report(&format!("warning: {text}"));
             return Ok(());
         }
-        report(&format!("{text}. Start? [y/N]"));
-        let mut answer = String::new();
-        std::io::stdin().read_line(&mut answer).map_err(|e| Error::Config(format!("cannot read the answer: {e}")))?;
-        match answer.trim().to_ascii_lowercase().as_str() {
-            "y" | "yes" => Ok(()),
-            _ => Err(Error::Config("not started; name a --preset, or start with --yes".into())),
+        match says_yes(&format!("{text}. Start?"))? {
+            true => Ok(()),
+            false => Err(Error::Config("not started; name a --preset, or start with --yes".into())),
         }
     }
 }

@@ -8,7 +8,7 @@ use serde_json::json;
 
 use crate::base::{Error, Result};
 use crate::cli::answer::Answer;
-use crate::cli::progress::{print, print_shown, report};
+use crate::cli::progress::{print, print_shown, says_yes};
 use crate::sweep::{Left, SweepFolder, prunable, prune};
 
 use super::{RUNS, begun};
@@ -66,12 +66,9 @@ impl PruneArguments {
         if self.answer.json || !std::io::stdin().is_terminal() {
             return Err(Error::Config(format!("{count} points would be deleted; say so with --yes")));
         }
-        report(&format!("Delete these {count} points with their runs? [y/N]"));
-        let mut answer = String::new();
-        std::io::stdin().read_line(&mut answer).map_err(|e| Error::Config(format!("cannot read the answer: {e}")))?;
-        match answer.trim().to_ascii_lowercase().as_str() {
-            "y" | "yes" => Ok(()),
-            _ => Err(Error::Config("nothing is deleted".into())),
+        match says_yes(&format!("Delete these {count} points with their runs?"))? {
+            true => Ok(()),
+            false => Err(Error::Config("nothing is deleted".into())),
         }
     }
 }
