@@ -84,7 +84,7 @@ fn main() -> Result<()> {
         trainer.step(false)?;
     }
 
-    let viewer = Viewer { model: trainer.model(), config: &config, scene: &scene, runtime: &runtime };
+    let viewer = Viewer { model: trainer.model()?, config: &config, scene: &scene, runtime: &runtime };
     let held_out = &scene.test[0];
     let rendered = viewer.render(&held_out.camera)?;
     let psnr = measure(&held_out.name, &rendered.image, &held_out.image, &[])?.get(&PSNR).unwrap_or(f64::NAN);

@@ -95,7 +95,7 @@ pub use candle_core;
 
 #[cfg(feature = "baselines")]
 pub use augnerf_baselines::grids;
-pub use augnerf_core::{augment, data, field, losses, metrics, render, runtime, settings, space};
+pub use augnerf_core::{augment, data, field, losses, metrics, render, settings, space};
 pub use augnerf_report::{draw, report};
 pub use augnerf_run::{bench, compare, run, train};
 pub use augnerf_sweep as sweep;
@@ -106,6 +106,12 @@ pub mod cli;
 pub mod base {
     pub use augnerf_core::base::*;
     pub use augnerf_run::revision::{features, revision, version};
+}
+
+/// The machine of a run: device, threads, memory, host, clocks.
+pub mod runtime {
+    pub use augnerf_core::runtime::*;
+    pub use augnerf_run::open_runtime;
 }
 
 /// The model of each method, with its training and its rendering.

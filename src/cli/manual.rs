@@ -59,7 +59,7 @@ fn with_values(command: Command) -> Command {
             // Once in a process that only prints them.
             Some("set") => REGISTRY.settings.iter().map(|setting| &*format!("{}=", setting.path).leak()).collect(),
             Some("metric" | "metrics") => Metric::in_tables().map(|metric| metric.key).collect(),
-            Some("device") => vec!["cpu", "cuda", "cuda-tf32", "metal"],
+            Some("device") => vec!["cpu", "gpu", "cuda", "cuda-tf32", "metal"],
             Some("scenes") => vec!["builtin", "builtin-forward"],
             Some("from") if is_new => SHIPPED.iter().map(|(name, _)| *name).collect(),
             // Names in a folder that is not known yet: no files.

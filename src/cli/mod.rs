@@ -9,7 +9,7 @@ use std::sync::LazyLock;
 use clap::{Args, CommandFactory, FromArgMatches, Parser, Subcommand};
 
 use crate::base::{Class, Error, Result, features, revision, version};
-use crate::runtime::{Runtime, instructions};
+use crate::runtime::{Runtime, instructions, open_runtime};
 use crate::settings::Config;
 
 use progress::Console;
@@ -205,7 +205,7 @@ struct Compute {
 }
 
 const DEVICES: &str =
-    "cpu, cuda, cuda:N, cuda-tf32 (products rounded to 10 bits) or metal [default: cpu; resume: the run's]";
+    "cpu, gpu, gpu:N, cuda, cuda:N, cuda-tf32 (products rounded to 10 bits) or metal [default: cpu; resume: the run's]";
 
 /// Flags for a run's scene and LPIPS weights, if they have moved.
 #[derive(Args)]
@@ -269,7 +269,7 @@ impl Compute {
     fn runtime_or(&self, default: &str) -> Result<Runtime> {
         let device = self.device.as_deref().unwrap_or(default);
         // The messages begin with the name of the flag.
-        Runtime::new(device, self.threads.map(usize::from)).map_err(|error| Error::Config(format!("--{error}")))
+        open_runtime(device, self.threads.map(usize::from)).map_err(|error| Error::Config(format!("--{error}")))
     }
 }
 

@@ -427,7 +427,7 @@ fn masked_pixels_take_no_part_in_training_or_metrics() {
         let mut trainer = Trainer::new(&config, &scene, DType::F32, runtime()).unwrap();
         (0..5).for_each(|_| drop(trainer.step(false).unwrap()));
         let View { name, camera, image, mask, .. } = &scene.test[0];
-        let viewer = Viewer { model: trainer.model(), config: &config, scene: &scene, runtime: runtime() };
+        let viewer = Viewer { model: trainer.model().unwrap(), config: &config, scene: &scene, runtime: runtime() };
         let rendered = viewer.render(camera).unwrap();
         let metrics = measure_unmasked(name, &rendered.image, image, mask.as_deref(), &[]).unwrap();
         let evaluated = viewer.evaluate(&[], &(), || Ok(()), |_, _, _| Ok(())).unwrap();

@@ -94,7 +94,7 @@ impl Run {
     }
 
     fn viewer(&self) -> Viewer<'_> {
-        Viewer { model: self.trainer.model(), config: &self.config, scene: &self.scene, runtime: runtime() }
+        Viewer { model: self.trainer.model().unwrap(), config: &self.config, scene: &self.scene, runtime: runtime() }
     }
 
     fn run_view(&self, label: &str) -> RunView {
@@ -108,6 +108,7 @@ impl Run {
             revisions: vec!["a".into()],
             devices: vec!["cpu".into()],
             instructions: vec!["x86-64-v3".into()],
+            adapters: vec![],
         };
         RunView::new(label.into(), &self.viewer(), &state, "0").unwrap()
     }

@@ -34,7 +34,7 @@ fn scene() -> (Resolved, Scene) {
 }
 
 fn weights(trainer: &Trainer) -> Vec<f64> {
-    trainer.model().variables().iter().flat_map(|(_, var)| flat(var)).collect()
+    trainer.model().unwrap().variables().iter().flat_map(|(_, var)| flat(var)).collect()
 }
 
 /// Later steps come nearer to the views that they leave out, and a run that was saved goes on as if it had not been.

@@ -490,7 +490,7 @@ fn regularized(
 fn each_term_lowers_what_it_measures() {
     let lattice = Lattice { domain: BOX, side: 24 };
     let smoothness = |trainer: &Trainer| {
-        let field = trainer.model().fields().unwrap().fine().unwrap();
+        let field = trainer.model().unwrap().fields().unwrap().fine().unwrap();
         let found = measure(field, &lattice, || ()).unwrap();
         [found.l1, found.tv, found.laplacian.unwrap()]
     };
@@ -540,7 +540,7 @@ fn weight_zero_is_no_term() {
 }
 
 fn balance(trainer: &Trainer, regularizer: &RegularizerConfig) -> Vec<Balance> {
-    let fields = trainer.model().fields().unwrap().clone();
+    let fields = trainer.model().unwrap().fields().unwrap().clone();
     let mut learner = FieldLearner::new(trainer.config(), &tiny_scene(), fields, DType::F32, &CPU).unwrap();
     learner.balance(regularizer, trainer.step_count()).unwrap()
 }
@@ -563,7 +563,7 @@ fn the_balance_is_a_ratio_of_gradient_norms_and_moves_nothing() {
             let term = regularize(field, &points, &[term]).unwrap();
             term.gradients.iter().flatten().flat_map(flat).map(|g| g * g).sum::<f64>()
         };
-        let norm = trainer.model().fields().unwrap().by_role().into_iter().map(of_field).sum::<f64>().sqrt();
+        let norm = trainer.model().unwrap().fields().unwrap().by_role().into_iter().map(of_field).sum::<f64>().sqrt();
         assert!((balance.term_norm / norm - 1.0).abs() < 1e-4, "{balance:?} {norm}");
     }
 

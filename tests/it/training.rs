@@ -18,7 +18,7 @@ fn training_fits_the_scene() {
         let scene = tiny_scene();
         let trainer = trained(&config, steps);
         let View { camera, image, .. } = &scene.test[0];
-        let viewer = Viewer { model: trainer.model(), config: &config, scene: &scene, runtime: runtime() };
+        let viewer = Viewer { model: trainer.model().unwrap(), config: &config, scene: &scene, runtime: runtime() };
         let view = viewer.render(camera).unwrap();
         psnr_float(&view.image, image).unwrap().unwrap()
     };
@@ -35,7 +35,7 @@ fn chunks_bound_memory_and_change_no_picture() {
     let render = |chunk: usize| {
         let config = tiny_config(Method::Nerf, |config| config.eval.chunk = chunk);
         let camera: &Camera = &scene.test[0].camera;
-        let viewer = Viewer { model: trainer.model(), config: &config, scene: &scene, runtime: runtime() };
+        let viewer = Viewer { model: trainer.model().unwrap(), config: &config, scene: &scene, runtime: runtime() };
         let view = viewer.render(camera).unwrap();
         view.image.pixels
     };
@@ -60,7 +60,7 @@ fn a_run_whose_rays_are_all_empty_is_stopped() {
         config.sampling.density_noise = Some(1e4);
     });
     let mut trainer = trained(&config, 0);
-    for (name, var) in trainer.model().variables() {
+    for (name, var) in trainer.model().unwrap().variables() {
         if name.ends_with("density.bias") {
             var.set(&Tensor::new(&[-1e3f32], &Device::Cpu).unwrap()).unwrap();
         }
@@ -77,7 +77,7 @@ fn a_run_whose_rays_are_all_empty_is_stopped() {
 fn a_weight_that_is_not_a_number_is_reported_with_step_and_tensor() {
     let config = tiny_config(Method::Nerf, |_| {});
     let mut trainer = trained(&config, 2);
-    let (_, var) = &trainer.model().variables()[0];
+    let (_, var) = &trainer.model().unwrap().variables()[0];
     var.set(&(var.as_tensor() * f64::NAN).unwrap()).unwrap();
     let message = trainer.step(false).unwrap_err().to_string();
     assert!(message.contains("step 3") && message.contains("coarse"), "{message}");
@@ -186,9 +186,9 @@ fn mip_nerf_fits_the_scene_with_one_field() {
         let config = tiny_config(method, |_| {});
         let scene = tiny_scene();
         let mut trainer = trained(&config, 300);
-        assert_eq!(trainer.model().fields().unwrap().by_role().len(), 1);
+        assert_eq!(trainer.model().unwrap().fields().unwrap().by_role().len(), 1);
         let View { camera, image, .. } = &scene.test[0];
-        let viewer = Viewer { model: trainer.model(), config: &config, scene: &scene, runtime: runtime() };
+        let viewer = Viewer { model: trainer.model().unwrap(), config: &config, scene: &scene, runtime: runtime() };
         let psnr = psnr_float(&viewer.render(camera).unwrap().image, image).unwrap().unwrap();
         assert!(psnr > 18.0, "{method:?}: {psnr} dB");
         let stats = trainer.step(true).unwrap();
@@ -203,12 +203,12 @@ fn mip_nerf_fits_the_scene_with_one_field() {
 fn a_model_without_fine_samples_trains_its_coarse_field_alone() {
     let config = tiny_config(Method::AugNerf, |config| config.sampling.fine = 0);
     let mut trainer = trained(&config, 2);
-    assert!(trainer.model().fields().unwrap().fine().is_none());
+    assert!(trainer.model().unwrap().fields().unwrap().fine().is_none());
     let stats = trainer.step(true).unwrap();
     assert!(stats.term("loss_fine").is_none() && stats.sites.len() == 6);
     let scene = tiny_scene();
     let camera = &scene.test[0].camera;
-    let viewer = Viewer { model: trainer.model(), config: &config, scene: &scene, runtime: runtime() };
+    let viewer = Viewer { model: trainer.model().unwrap(), config: &config, scene: &scene, runtime: runtime() };
     viewer.render(camera).unwrap();
 }
 

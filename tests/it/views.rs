@@ -40,7 +40,7 @@ fn views_are_estimated_from_a_few_rows() {
     let seconds = |chunk: usize, views: usize| {
         let config = tiny_config(augnerf::settings::Method::Nerf, |config| config.eval.chunk = chunk);
         let (trainer, scene) = (trained(&config, 1), tiny_scene());
-        let viewer = Viewer { model: trainer.model(), config: &config, scene: &scene, runtime: runtime() };
+        let viewer = Viewer { model: trainer.model().unwrap(), config: &config, scene: &scene, runtime: runtime() };
         viewer.estimate_seconds(&vec![&scene.train[0].camera; views]).unwrap()
     };
     let (one, many) = (seconds(1, 1).unwrap(), seconds(1, 1000).unwrap());
@@ -54,7 +54,7 @@ fn the_gap_is_between_training_views_as_rendered_and_held_out_ones() {
     let config = tiny_config(augnerf::settings::Method::Nerf, |config| config.eval.train_views = Some(2));
     let trainer = trained(&config, 20);
     let scene = tiny_scene();
-    let viewer = Viewer { model: trainer.model(), config: &config, scene: &scene, runtime: runtime() };
+    let viewer = Viewer { model: trainer.model().unwrap(), config: &config, scene: &scene, runtime: runtime() };
     let go_on = || Ok(());
     let held_out = viewer.evaluate(&[], &(), go_on, |_, _, _| Ok(())).unwrap();
     let seen = viewer.evaluate_training_views(&[], &(), go_on).unwrap();

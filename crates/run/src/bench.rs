@@ -235,7 +235,7 @@ impl Workload {
         for _ in 0..self.steps {
             let started = Instant::now();
             trainer.step(false)?;
-            device.synchronize()?;
+            runtime.synchronize()?;
             seconds.push(started.elapsed().as_secs_f64());
         }
         let done = runtime.work() - before;

@@ -7,9 +7,12 @@ pub(crate) use augnerf_core::{
 };
 pub(crate) use augnerf_report::{draw, report};
 
+mod accelerator;
 pub mod bench;
 pub mod compare;
 pub mod model;
 pub mod revision;
 pub mod run;
 pub mod train;
+
+pub use accelerator::open_runtime;

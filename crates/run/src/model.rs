@@ -4,10 +4,12 @@ use std::sync::Arc;
 
 use candle_core::{DType, Device, Tensor, Var};
 
+use crate::accelerator;
 use crate::base::{Error, Result};
 use crate::data::Scene;
 use crate::field::{Density, FieldDensity};
 use crate::methods::{Family, FieldLearner, FieldRenderer, Fields, Learner, Network, Renderer};
+use crate::runtime::Runtime;
 use crate::settings::{Capability, Config, Representation, Resolved};
 
 /// The parameters of one experiment.
@@ -117,11 +119,14 @@ impl Model {
         }
     }
 
-    /// Returns a renderer of `scene` with the current parameters.
+    /// Returns a renderer of `scene` on `runtime` with the current parameters. This is the one place that chooses it.
     ///
     /// # Errors
-    /// A weight is not a number; errors of candle.
-    pub fn renderer(&self, config: &Config, scene: &Scene) -> Result<Box<dyn Renderer>> {
+    /// A weight is not a number; errors of candle; the runtime's accelerator does not render the method.
+    pub fn renderer(&self, config: &Config, scene: &Scene, runtime: &Runtime) -> Result<Box<dyn Renderer>> {
+        if let Some(accelerator) = runtime.accelerator() {
+            return accelerator::renderer(&**accelerator, config, scene, self);
+        }
         match self {
             Model::Fields(fields) => Ok(Box::new(FieldRenderer::new(fields, config, scene)?)),
             Model::Baseline(_, network) => network.renderer(config, scene),

@@ -191,7 +191,7 @@ impl Trainings<'_> {
             let mut camera = view.camera;
             let rows = (2 * self.runtime.threads() * config.eval.chunk).div_ceil(camera.width);
             camera.height = rows.min(view.camera.height);
-            let viewer = Viewer { model: trainer.model(), config: &config, scene: &scene, runtime: &self.runtime };
+            let viewer = Viewer { model: trainer.model()?, config: &config, scene: &scene, runtime: &self.runtime };
             let renderer = viewer.renderer()?;
             let timed = || -> Result<f64> {
                 let started = Instant::now();

@@ -78,7 +78,7 @@ pub struct SubmitArguments {
     max_deaths: MaxDeaths,
     #[command(flatten)]
     weights: LpipsWeights,
-    /// Device of a task: cpu, cuda, cuda-tf32 or metal [default: cpu]
+    /// Device of a task: cpu, gpu, cuda, cuda-tf32 or metal [default: cpu]
     #[arg(long, value_name = "DEVICE", help_heading = "Hardware")]
     device: Option<String>,
     /// Print errors and the job's number only

@@ -89,7 +89,7 @@ pub fn assert_threads_agree(config: &Resolved) {
         let runtime = Runtime::new("cpu", Some(threads)).unwrap();
         let mut trainer = Trainer::new(config, &tiny_scene(), DType::F32, &runtime).unwrap();
         (0..3).for_each(|_| drop(trainer.step(false).unwrap()));
-        trainer.model().variables().iter().flat_map(|(_, var)| flat(var)).collect()
+        trainer.model().unwrap().variables().iter().flat_map(|(_, var)| flat(var)).collect()
     };
     let one = parameters(1);
     assert!(one == parameters(2) && one == parameters(3));

@@ -94,7 +94,7 @@ pub fn trained(config: &Resolved, steps: u64) -> Trainer {
 
 /// All parameters of the fields whose role is among `roles`, flat.
 pub fn parameters(trainer: &Trainer, roles: &[&str]) -> Vec<f32> {
-    let variables = trainer.model().variables();
+    let variables = trainer.model().unwrap().variables();
     let chosen = variables.iter().filter(|(name, _)| roles.iter().any(|role| name.starts_with(role)));
     chosen.flat_map(|(_, var)| var.flatten_all().unwrap().to_vec1::<f32>().unwrap()).collect()
 }

@@ -294,7 +294,7 @@ fn terms_lower_what_they_measure() {
             (config.regularizer.lattice, config.regularizer.points_per_step) = (16, 256);
         });
         let trained = trained(&config, 100);
-        let fields = trained.model().fields().unwrap().by_role();
+        let fields = trained.model().unwrap().fields().unwrap().by_role();
         let found = measure(fields.last().unwrap().1, &lattice, || ()).unwrap();
         [found.l1, found.tv, found.laplacian.unwrap()]
     };

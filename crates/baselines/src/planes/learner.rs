@@ -9,7 +9,7 @@ use crate::grids::blend_views::blend_views;
 use crate::grids::planes::plane_sample;
 use crate::losses::LossTerm;
 use crate::methods::Gradients;
-use crate::methods::{Extremes, Learner, LogColumns, StepResult, StopCheck, Term};
+use crate::methods::{Extremes, Learner, LogColumns, StepReport, StepResult, StopCheck, Term};
 use crate::settings::{PlanesLoss, Resolved};
 
 use super::blend::{Blended, blend, blend_weight};
@@ -133,13 +133,13 @@ impl Learner for PlanesLearner {
         let number = |tensor: &Tensor| tensor.to_dtype(DType::F64)?.to_scalar::<f64>();
         let value = number(&loss)?;
         let described = "loss of the view that is left out".to_string();
-        Ok(StepResult {
-            gradients,
+        let report = StepReport {
             terms: vec![Term { name: LOSS.into(), described, value, weight: 1.0 }],
             loss: value,
             mse: number(&square)?,
             extremes: Extremes::read(&Extremes::tensor(&blended.acc, &blended.rgb, &target)?.to_vec1::<f64>()?),
             sites: Vec::new(),
-        })
+        };
+        Ok(StepResult { gradients, report })
     }
 }

@@ -7,7 +7,7 @@ use crate::base::{Error, Result};
 use crate::data::{RayParts, Scene};
 use crate::losses::LossTerm;
 use crate::methods::Batches;
-use crate::methods::{Learner, LogColumns, StepResult, StopCheck, Term};
+use crate::methods::{Learner, LogColumns, StepReport, StepResult, StopCheck, Term};
 use crate::runtime::over_parts;
 use crate::settings::Resolved;
 
@@ -103,7 +103,7 @@ impl Learner for SrnLearner {
             value,
             weight,
         };
-        Ok(StepResult {
+        let report = StepReport {
             terms: vec![
                 term("loss_image", "loss of the colours", image, srn.image_weight),
                 term("loss_depth", "loss of depths behind the camera", depth, srn.depth_weight),
@@ -113,8 +113,8 @@ impl Learner for SrnLearner {
             loss: srn.image_weight * image + srn.depth_weight * depth,
             mse: sums.error / (3.0 * rays),
             extremes: sums.extremes,
-            gradients: sums.gradients(&self.srn)?,
             sites: Vec::new(),
-        })
+        };
+        Ok(StepResult { gradients: sums.gradients(&self.srn)?, report })
     }
 }

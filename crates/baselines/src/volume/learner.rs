@@ -10,7 +10,7 @@ use crate::grids::variation::log_variation;
 use crate::losses::LossTerm;
 use crate::methods::Batches;
 use crate::methods::Gradients;
-use crate::methods::{Extremes, Learner, LogColumns, StepResult, StopCheck, Term};
+use crate::methods::{Extremes, Learner, LogColumns, StepReport, StepResult, StopCheck, Term};
 use crate::settings::Resolved;
 
 use super::decoder::Decoded;
@@ -179,6 +179,7 @@ impl Learner for VolumeLearner {
         // loss.
         terms.push(term("mean_acc", "mean accumulation", &losses.acc.mean_all()?, 0.0)?);
         let extremes = Extremes::tensor(&losses.acc, &(losses.rgb / WHITE)?, &target)?.to_vec1::<f64>()?;
-        Ok(StepResult { gradients, terms, loss, mse, extremes: Extremes::read(&extremes), sites: Vec::new() })
+        let report = StepReport { terms, loss, mse, extremes: Extremes::read(&extremes), sites: Vec::new() };
+        Ok(StepResult { gradients, report })
     }
 }

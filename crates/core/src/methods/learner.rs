@@ -1,11 +1,10 @@
-//! The trainer's view of a method.
+//! A method's view of a step: loss and gradients.
 
 use crate::base::Result;
 use crate::losses::LossTerm;
 
-use super::diagnostics::SiteDiagnostics;
-use super::extremes::Extremes;
 use super::gradients::Gradients;
+use super::stepper::StepReport;
 
 /// A term of a step's loss.
 #[derive(Clone, Debug, PartialEq)]
@@ -20,21 +19,12 @@ pub struct Term {
     pub weight: f64,
 }
 
-/// The result of a step.
+/// The result of a step, before its update.
 pub struct StepResult {
     /// Gradients of the loss, in the order of the model's variables.
     pub gradients: Gradients,
-    /// The terms of the loss.
-    pub terms: Vec<Term>,
-    /// The weighted sum of the terms, in the learner's own order of additions.
-    pub loss: f64,
-    /// Mean squared error of the colours that an evaluation would show, over rays and channels. A batch's PSNR is made
-    /// of it.
-    pub mse: f64,
-    /// Extremes of accumulation and colours over the rays, as an evaluation would show them.
-    pub extremes: Extremes,
-    /// Diagnostics of each site, at log steps.
-    pub sites: Vec<SiteDiagnostics>,
+    /// Measurements of the step.
+    pub report: StepReport,
 }
 
 /// The columns that a learner fills in the logs.
@@ -49,7 +39,7 @@ pub struct LogColumns {
 /// Returns an error if the current work is to stop before it is done.
 pub type StopCheck<'a> = dyn Fn() -> Result<()> + Sync + 'a;
 
-/// Trains a model's parameters on a scene's training views.
+/// Computes what trains a model's parameters on a scene's training views. A [`Stepper`](super::Stepper) updates them.
 pub trait Learner: Send {
     /// Returns the columns that its steps log, in order.
     fn columns(&self) -> LogColumns;

@@ -20,7 +20,7 @@ pub struct Timing {
     /// Highest resident memory of this process in MiB during the last session. `None` if the system does not tell, or
     /// if the process trained other runs at the same time.
     pub peak_memory_mib: Option<f64>,
-    /// The device as requested: `cpu`, `cuda`, `cuda:1`, `cuda-tf32`, `metal`.
+    /// The device as requested: `cpu`, `gpu`, `gpu:1`, `cuda`, `cuda:1`, `cuda-tf32`, `metal`.
     pub device: String,
     /// Threads of tensor operations.
     pub threads: usize,

@@ -8,21 +8,27 @@ use rayon::{ThreadPool, ThreadPoolBuilder};
 
 use crate::base::{Error, Result};
 
+mod accelerator;
 pub mod host;
 mod memory;
 mod process;
 mod work;
 
+pub use accelerator::Accelerator;
 pub use host::{Host, Timing, instructions};
 pub use host::{free_memory_mib, host_name, peak_memory_mib};
 pub use memory::MemoryWatch;
 pub use work::Work;
 pub use work::{count_multiply_adds, count_points, count_table_bytes};
 
+/// The kind of an accelerator's name.
+const GPU: &str = "gpu";
+
 /// Size of a thread's stack: the usual size of a main thread.
 const STACK_BYTES: usize = 8 << 20;
 
-/// A device, and threads of its own that share the work.
+/// A device, and threads of its own that share the work. The device is candle's, or an [`Accelerator`] beside candle's
+/// CPU.
 ///
 /// Several runtimes may work in one process at the same time. Neither another runtime nor the number of threads changes
 /// any numbers. A clone is the same runtime.
@@ -41,6 +47,7 @@ const STACK_BYTES: usize = 8 << 20;
 #[derive(Clone, Debug)]
 pub struct Runtime {
     device: Device,
+    accelerator: Option<Arc<dyn Accelerator>>,
     name: String,
     pool: Arc<ThreadPool>,
     counters: Arc<work::Counters>,
@@ -50,7 +57,7 @@ pub struct Runtime {
 
 impl Runtime {
     /// Opens `device` (`cpu`, `cuda`, `cuda:N`, `cuda-tf32` or `metal`) with this many threads. `None` is one thread
-    /// per CPU of the process.
+    /// per CPU of the process. A `gpu` is opened by `augnerf_run::open_runtime`.
     ///
     /// # Errors
     /// [`Error::Config`] if the device is unknown, absent or not built in, if the system denies the threads, or if the
@@ -66,12 +73,34 @@ impl Runtime {
     /// # Ok::<(), augnerf::base::Error>(())
     /// ```
     pub fn new(device: &str, threads: Option<usize>) -> Result<Runtime> {
-        if threads == Some(0) {
-            return Err(Error::Config("threads = 0 is out of range: it must be at least 1".into()));
-        }
-        process::prepare()?;
-        let threads = threads.unwrap_or_else(|| std::thread::available_parallelism().map_or(1, usize::from));
+        let threads = prepared(threads)?;
         Runtime::with_threads(open(device)?, device.to_string(), threads)
+    }
+
+    /// Returns a runtime of an open accelerator with its `name`, `gpu` or `gpu:N`. Work that the accelerator does not do
+    /// runs on the CPU with this many threads. `None` is one thread per CPU of the process.
+    ///
+    /// # Errors
+    /// [`Error::Config`] if the name is no accelerator's, or if the system denies the threads.
+    pub fn with_accelerator(
+        accelerator: Arc<dyn Accelerator>,
+        name: String,
+        threads: Option<usize>,
+    ) -> Result<Runtime> {
+        if Runtime::accelerator_index(&name)?.is_none() {
+            return Err(refused(&name, "an accelerator is named gpu or gpu:N"));
+        }
+        let own = Runtime::with_threads(Device::Cpu, name, prepared(threads)?)?;
+        Ok(Runtime { accelerator: Some(accelerator), ..own })
+    }
+
+    /// Returns the number of the accelerator that a name stands for: 1 for `gpu:1`. `None` for a device of candle.
+    ///
+    /// # Errors
+    /// [`Error::Config`] for a name that is no device's.
+    pub fn accelerator_index(device: &str) -> Result<Option<usize>> {
+        let (kind, index) = kind_and_index(device)?;
+        Ok((kind == GPU).then_some(index))
     }
 
     /// Returns an error for a name that is no device's, without opening one. Another machine may use the name.
@@ -91,7 +120,7 @@ impl Runtime {
             .start_handler(move |_| own.clone().adopt_thread())
             .build()
             .map_err(|e| Error::Config(format!("threads {threads}: cannot start the threads: {e}")))?;
-        Ok(Runtime { device, name, pool: Arc::new(pool), counters, alone: true })
+        Ok(Runtime { device, accelerator: None, name, pool: Arc::new(pool), counters, alone: true })
     }
 
     /// Returns a runtime on the same device for one of `jobs` that share this one's threads. Each has at least one
@@ -101,7 +130,7 @@ impl Runtime {
     /// [`Error::Config`] if the system denies the threads.
     pub fn share(&self, jobs: usize) -> Result<Runtime> {
         let own = Runtime::with_threads(self.device.clone(), self.name.clone(), (self.threads() / jobs).max(1))?;
-        Ok(Runtime { alone: jobs == 1, ..own })
+        Ok(Runtime { alone: jobs == 1, accelerator: self.accelerator.clone(), ..own })
     }
 
     /// Returns whether no other job shares these threads, so that the process's memory is this job's.
@@ -119,9 +148,43 @@ impl Runtime {
         self.pool.broadcast(|_| work());
     }
 
-    /// Returns the device.
+    /// Returns the device of tensors: the CPU beside an accelerator.
     pub fn device(&self) -> &Device {
         &self.device
+    }
+
+    /// Returns the accelerator, or `None` if a device of candle computes.
+    pub fn accelerator(&self) -> Option<&Arc<dyn Accelerator>> {
+        self.accelerator.as_ref()
+    }
+
+    /// Returns whether the CPU alone computes.
+    pub fn is_cpu(&self) -> bool {
+        self.device.is_cpu() && self.accelerator.is_none()
+    }
+
+    /// Waits until the work of its device is done.
+    ///
+    /// # Errors
+    /// Those of the device.
+    pub fn synchronize(&self) -> Result<()> {
+        match &self.accelerator {
+            Some(accelerator) => accelerator.synchronize(),
+            None => Ok(self.device.synchronize()?),
+        }
+    }
+
+    /// Does `work` on parts of so many `items`, as [`over_parts`] does. On an accelerator the parts come in turn.
+    ///
+    /// # Errors
+    /// Those of `work`.
+    pub fn over_parts<T: Sync, R: Send>(
+        &self,
+        items: &[T],
+        size: usize,
+        work: impl Fn(&[T]) -> Result<R> + Sync + Send,
+    ) -> Result<Vec<R>> {
+        in_parts(self.is_cpu(), items, size, work)
     }
 
     /// Returns the name under which the device was opened.
@@ -129,14 +192,14 @@ impl Runtime {
         &self.name
     }
 
-    /// Returns the device's kind: `cpu`, `cuda`, `cuda-tf32` or `metal`.
+    /// Returns the device's kind: `cpu`, `gpu`, `cuda`, `cuda-tf32` or `metal`.
     pub fn kind(&self) -> &str {
         self.name.split_once(':').map_or(self.name(), |(kind, _)| kind)
     }
 
     /// Returns the CPU's instruction set for which kernels are chosen. `None` if another device computes.
     pub fn instructions(&self) -> Option<&'static str> {
-        self.device.is_cpu().then(host::instructions)
+        self.is_cpu().then(host::instructions)
     }
 
     /// Returns the number of threads that share the work.
@@ -161,10 +224,28 @@ pub fn over_parts<T: Sync, R: Send>(
     size: usize,
     work: impl Fn(&[T]) -> Result<R> + Sync + Send,
 ) -> Result<Vec<R>> {
-    match device.is_cpu() {
+    in_parts(device.is_cpu(), items, size, work)
+}
+
+fn in_parts<T: Sync, R: Send>(
+    at_once: bool,
+    items: &[T],
+    size: usize,
+    work: impl Fn(&[T]) -> Result<R> + Sync + Send,
+) -> Result<Vec<R>> {
+    match at_once {
         true => items.par_chunks(size).map(work).collect(),
         false => items.chunks(size).map(work).collect(),
     }
+}
+
+/// Prepares the process, and returns the number of threads.
+fn prepared(threads: Option<usize>) -> Result<usize> {
+    if threads == Some(0) {
+        return Err(Error::Config("threads = 0 is out of range: it must be at least 1".into()));
+    }
+    process::prepare()?;
+    Ok(threads.unwrap_or_else(|| std::thread::available_parallelism().map_or(1, usize::from)))
 }
 
 fn open(name: &str) -> Result<Device> {
@@ -172,6 +253,7 @@ fn open(name: &str) -> Result<Device> {
     let (kind, index) = kind_and_index(name)?;
     match kind {
         "cpu" => Ok(Device::Cpu),
+        GPU => Err(refuse("it needs the feature gpu, and `augnerf_run::open_runtime`, which opens it".into())),
         "cuda" | "cuda-tf32" if cfg!(feature = "cuda") => {
             process::round_products(kind == "cuda-tf32", name)?;
             Device::new_cuda(index).map_err(|e| refuse(e.to_string()))
@@ -188,8 +270,8 @@ fn open(name: &str) -> Result<Device> {
 /// Returns kind and number of a device's name, whether this program was built with it or not.
 fn kind_and_index(name: &str) -> Result<(&str, usize)> {
     let (kind, index) = name.split_once(':').unwrap_or((name, "0"));
-    if !["cpu", "cuda", "cuda-tf32", "metal"].contains(&kind) || (kind == "cpu" && name != kind) {
-        return Err(refused(name, "choose cpu, cuda, cuda:N, cuda-tf32 or metal"));
+    if !["cpu", GPU, "cuda", "cuda-tf32", "metal"].contains(&kind) || (kind == "cpu" && name != kind) {
+        return Err(refused(name, "choose cpu, gpu, gpu:N, cuda, cuda:N, cuda-tf32 or metal"));
     }
     let index = index.parse().map_err(|_| refused(name, &format!("'{index}' is not a device number")))?;
     Ok((kind, index))
@@ -212,6 +294,62 @@ mod tests {
         assert_eq!(one.work(), Work { multiply_adds: 5, table_bytes: 0, points: 0, active_points: 0 });
         assert_eq!(other.work(), Work { multiply_adds: 0, table_bytes: 0, points: 3, active_points: 2 });
         assert_eq!(other.work() - other.work(), Work { multiply_adds: 0, table_bytes: 0, points: 0, active_points: 0 });
+    }
+
+    #[derive(Debug)]
+    struct Card;
+
+    impl Accelerator for Card {
+        fn description(&self) -> String {
+            "a card, driver 1".into()
+        }
+
+        fn synchronize(&self) -> Result<()> {
+            Err(Error::Config("the card is lost".into()))
+        }
+
+        fn as_any(&self) -> &dyn std::any::Any {
+            self
+        }
+    }
+
+    #[test]
+    fn an_accelerator_stands_beside_the_cpu() {
+        let open = |name: &str| Runtime::with_accelerator(Arc::new(Card), name.into(), Some(2));
+        for name in ["gpu", "gpu:3"] {
+            let runtime = open(name).unwrap();
+            assert_eq!((runtime.name(), runtime.kind(), runtime.threads()), (name, "gpu", 2));
+            assert!(runtime.device().is_cpu() && !runtime.is_cpu() && runtime.instructions().is_none());
+            let shared = runtime.share(2).unwrap();
+            let card = shared.accelerator().unwrap();
+            assert!(card.as_any().is::<Card>() && card.description() == "a card, driver 1");
+            assert_eq!(shared.synchronize().unwrap_err().to_string(), "the card is lost");
+            // In turn: a part sees those before it.
+            let seen = std::sync::Mutex::new(Vec::new());
+            let parts = runtime.over_parts(&[1, 2, 3], 1, |part| {
+                seen.lock().unwrap().extend_from_slice(part);
+                Ok(seen.lock().unwrap().len())
+            });
+            assert_eq!(parts.unwrap(), [1, 2, 3]);
+        }
+        for name in ["cpu", "cuda:1", "gpu:x", "gpus"] {
+            let error = open(name).unwrap_err().to_string();
+            assert!(error.starts_with(&format!("device {name}: ")), "{error}");
+        }
+        let cpu = Runtime::new("cpu", Some(1)).unwrap();
+        assert!(cpu.accelerator().is_none() && cpu.is_cpu() && cpu.synchronize().is_ok());
+    }
+
+    #[test]
+    fn a_gpu_is_a_device_that_is_opened_elsewhere() {
+        assert!(["gpu", "gpu:0", "gpu:12"].iter().all(|name| Runtime::check_name(name).is_ok()));
+        let indices = ["gpu", "gpu:12", "cpu", "cuda:1"].map(|name| Runtime::accelerator_index(name).unwrap());
+        assert_eq!(indices, [Some(0), Some(12), None, None]);
+        for name in ["gpu:", "gpu:-1", "gpu:x", "GPU"] {
+            assert!(Runtime::check_name(name).is_err() && Runtime::accelerator_index(name).is_err(), "{name}");
+        }
+        let error = Runtime::new("gpu:1", None).unwrap_err().to_string();
+        assert_eq!(error, "device gpu:1: it needs the feature gpu, and `augnerf_run::open_runtime`, which opens it");
     }
 
     #[test]

@@ -68,7 +68,7 @@ fn balance_here(
     Lattice { domain: regularizer.domain, side: regularizer.lattice }.check_meets(&scene, "regularizer.domain")?;
     let mut trainer = Trainer::new(&config, &scene, DType::F32, runtime)?;
     // It shares the trainer's weights.
-    let fields = trainer.model().fields()?.clone();
+    let fields = trainer.model()?.fields()?.clone();
     let mut learner = FieldLearner::new(&config, &scene, fields, DType::F32, runtime.device())?;
     let in_space: Vec<WeightedTerm> =
         REGULARIZERS.map(|term| WeightedTerm { term: LossTerm::of(term), weight: 1.0 }).into();
@@ -81,6 +81,8 @@ fn balance_here(
         events.on(Event::Stepped { step: stats.step, loss: stats.loss, psnr: stats.psnr() });
     }
     events.on(Event::TrainingFinished);
+    // Brings the trained weights into the shared ones.
+    trainer.model()?;
     let lines = learner.balance(&regularizer, steps)?.into_iter().flat_map(|balance| {
         GRID.map(|factor| {
             let share = MIDDLE_SHARE * factor;

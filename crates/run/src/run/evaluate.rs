@@ -9,7 +9,7 @@ use crate::data::{Camera, RayBuffer, Rays, Scene, View, seen_views};
 use crate::methods::Renderer;
 use crate::metrics::{Floor, Lpips, ViewMetrics, depth_errors, measure_depth, measure_unmasked};
 use crate::model::Model;
-use crate::runtime::{Runtime, over_parts};
+use crate::runtime::Runtime;
 use crate::settings::Resolved;
 
 /// Chunks for each thread in an estimate of time.
@@ -58,7 +58,7 @@ impl Viewer<'_> {
     /// let runtime = Runtime::new("cpu", None)?;
     /// let trainer = Trainer::new(&config, &scene, DType::F32, &runtime)?;
     ///
-    /// let viewer = Viewer { model: trainer.model(), config: &config, scene: &scene, runtime: &runtime };
+    /// let viewer = Viewer { model: trainer.model()?, config: &config, scene: &scene, runtime: &runtime };
     /// let view = viewer.render(&scene.path[0])?;
     /// assert_eq!((view.image.width, view.image.height, view.depth.len()), (16, 16, 256));
     /// // Sums of weights: 1 but for rounding.
@@ -78,7 +78,7 @@ impl Viewer<'_> {
     /// # Errors
     /// Errors of candle.
     pub fn renderer(&self) -> Result<Box<dyn Renderer>> {
-        self.runtime.install(|| self.model.renderer(self.config, self.scene))
+        self.runtime.install(|| self.model.renderer(self.config, self.scene, self.runtime))
     }
 
     /// Renders a view as [`Viewer::render`] does, with an existing renderer.
@@ -133,7 +133,7 @@ impl Viewer<'_> {
             Ok([host(&out.rgb)?, host(&(out.depth / &out.acc)?)?, host(&out.acc)?])
         };
         let mut rendered: [Vec<f32>; 3] = Default::default();
-        for part in over_parts(runtime.device(), pixels, config.eval.chunk, render)? {
+        for part in runtime.over_parts(pixels, config.eval.chunk, render)? {
             rendered.iter_mut().zip(part).for_each(|(whole, part)| whole.extend(part));
         }
         Ok(rendered)
@@ -154,7 +154,7 @@ impl Viewer<'_> {
             return Ok(None);
         }
         self.runtime.install(|| {
-            let renderer = self.model.renderer(self.config, self.scene)?;
+            let renderer = self.model.renderer(self.config, self.scene, self.runtime)?;
             let preparing = Instant::now();
             self.prepare(&*renderer, first)?;
             let prepared = preparing.elapsed();

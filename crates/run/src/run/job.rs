@@ -213,7 +213,7 @@ impl<'a> Job<'a> {
             per_step => left as f64 * per_step?,
         };
         let cameras: Vec<_> = self.experiment.setup.scene.test.iter().map(|view| &view.camera).collect();
-        let evaluation = self.experiment.viewer(&self.trainer).estimate_seconds(&cameras)?;
+        let evaluation = self.experiment.viewer(&self.trainer)?.estimate_seconds(&cameras)?;
         Ok(Some(steps + evaluation.unwrap_or(0.0)))
     }
 
@@ -254,7 +254,7 @@ impl Experiment<'_> {
         self.timing(session.trainer().step_count(), session.seconds(), seconds).write(&self.run.timing())?;
         report.check_learned(self.run.path())?;
         let steps = (session.trainer().step_count(), self.setup.config.train.steps);
-        Ok(Finished { report, model: session.trainer().model().clone(), steps, seconds: session.seconds() })
+        Ok(Finished { report, model: session.trainer().model()?.clone(), steps, seconds: session.seconds() })
     }
 
     fn report_redraws(&self, trainer: &Trainer, events: &dyn Listener) {
@@ -270,9 +270,9 @@ impl Experiment<'_> {
         }
     }
 
-    fn viewer<'a>(&'a self, trainer: &'a Trainer) -> Viewer<'a> {
+    fn viewer<'a>(&'a self, trainer: &'a Trainer) -> Result<Viewer<'a>> {
         let Setup { config, scene, runtime, .. } = &self.setup;
-        Viewer { model: trainer.model(), config, scene, runtime }
+        Ok(Viewer { model: trainer.model()?, config, scene, runtime })
     }
 
     /// Returns an error once there is a signal; the run's newest checkpoint is of `step`.
@@ -291,7 +291,7 @@ impl Experiment<'_> {
         events: &dyn Listener,
         signal: &AtomicUsize,
     ) -> Result<(Report, Option<Image>)> {
-        let (viewer, state) = (self.viewer(trainer), trainer.state());
+        let (viewer, state) = (self.viewer(trainer)?, trainer.state());
         let renders = self.run.renders();
         let pictures = Pictures::new(&renders, self.setup.scene, self.setup.config.eval.pictures);
         let mut first = None;
@@ -346,7 +346,7 @@ impl Between for Watcher<'_> {
         let started = Instant::now();
         let saved = trainer.step_count() - 1;
         let stop_check = || self.experiment.check_signal(self.signal, saved);
-        let viewer = self.experiment.viewer(trainer);
+        let viewer = self.experiment.viewer(trainer)?;
         let stride = trainer.config().train.eval_stride;
         let [views, seen] = viewer.evaluate_sparsely(stride, stop_check)?;
         self.seconds_evaluation += started.elapsed().as_secs_f64();

@@ -203,10 +203,16 @@ fn of_state(config: &Resolved, state: &State) -> Found {
         all.dedup();
         all.join(" + ")
     };
-    // The fused core runs on CPUs; see `Field::prepared`.
+    // The fused core runs on CPUs; see `Field::prepared`. A GPU has kernels of its own.
+    let on_gpu = state.devices.iter().any(|device| device == "gpu");
     let core = match config.field.core {
+        Core::Plain if on_gpu => by_device(|device| if device == "gpu" { "gpu" } else { "plain" }),
         Core::Plain => "plain".into(),
-        Core::Fused => by_device(|device| if device == "cpu" { "fused" } else { "plain" }),
+        Core::Fused => by_device(|device| match device {
+            "cpu" => "fused",
+            "gpu" => "gpu",
+            _ => "plain",
+        }),
     };
     let precision = match config.field.precision {
         Precision::Bf16 => "bf16".into(),
@@ -216,11 +222,20 @@ fn of_state(config: &Resolved, state: &State) -> Found {
         ("steps", state.step.into()),
         ("redraws", redraws.collect::<Vec<String>>().join(", ").into()),
         ("code_revision", state.revisions.join(" + ").into()),
-        ("device", state.devices.join(" + ").into()),
+        ("device", devices(state).into()),
         ("core", core.into()),
         ("precision", precision.into()),
         ("instructions", state.instructions.join(" + ").into()),
     ]
+}
+
+/// Returns the kinds of devices, a GPU with its adapters: `cpu + gpu (NVIDIA H200, Vulkan, driver 580.159)`.
+fn devices(state: &State) -> String {
+    let named = state.devices.iter().map(|device| match device.as_str() {
+        "gpu" if !state.adapters.is_empty() => format!("gpu ({})", state.adapters.join("; ")),
+        device => device.to_string(),
+    });
+    named.collect::<Vec<String>>().join(" + ")
 }
 
 /// Returns a learning rate and its schedule in words.
@@ -339,6 +354,21 @@ mod tests {
             assert_eq!(here + measured + usize::from(column.setting().is_some()), 1, "{}", column.name);
         }
         assert!(found.iter().all(|(name, _)| find(name).is_some()));
+    }
+
+    #[test]
+    fn a_gpu_is_named_with_its_adapters() {
+        let small = [parse_assignment("data.width=8").unwrap()];
+        let (config, scene) = load_scene(build(Some(Preset::Smoke), None, &small).unwrap(), &()).unwrap();
+        let of = |devices: &[&str], adapters: &[&str]| {
+            let own = |names: &[&str]| names.iter().map(|name| name.to_string()).collect();
+            let state = State { devices: own(devices), adapters: own(adapters), ..State::default() };
+            let protocol = Protocol::new(&config, &scene, &state);
+            ["device", "core", "precision"].map(|column| protocol.text(column))
+        };
+        assert_eq!(of(&["cpu"], &[]), ["cpu", "fused", "f32"]);
+        assert_eq!(of(&["gpu"], &["A, driver 1"]), ["gpu (A, driver 1)", "gpu", "f32"]);
+        assert_eq!(of(&["cpu", "gpu"], &["A", "B"]), ["cpu + gpu (A; B)", "fused + gpu", "f32"]);
     }
 
     #[test]

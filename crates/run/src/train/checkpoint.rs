@@ -13,14 +13,14 @@ use serde::{Deserialize, Serialize};
 use crate::base::files::{AtomicDir, clean_temporaries, discard, json_bytes};
 use crate::base::{Error, Result, tensor_sentence};
 use crate::data::Scene;
-use crate::model::{Model, Start};
+use crate::model::Model;
 use crate::revision::revision;
 use crate::runtime::Runtime;
 use crate::settings::{Config, Resolved};
 
-use super::{Adam, AdamSettings, Moments, Trainer, sums};
+use super::{Inputs, Moments, Trainer, sums};
 
-const FORMAT: u32 = 1;
+pub(super) const FORMAT: u32 = 1;
 const TENSORS: &str = "state.safetensors";
 const STATE: &str = "state.json";
 const CONFIG: &str = "config.toml";
@@ -50,6 +50,9 @@ pub struct State {
     /// Instruction sets of the CPUs that took the steps.
     #[serde(default)]
     pub instructions: Vec<String>,
+    /// Adapters and drivers of the GPUs that took the steps.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub adapters: Vec<String>,
 }
 
 /// Serde passes a reference.
@@ -61,10 +64,12 @@ fn is_zero(step: &u64) -> bool {
 impl State {
     /// Records that this program continues or measures the run, on `runtime`'s kind of device.
     pub fn touch(&mut self, runtime: &Runtime) {
+        let adapter = runtime.accelerator().map(|accelerator| accelerator.description());
         let now = [
             (&mut self.revisions, Some(revision())),
             (&mut self.devices, Some(runtime.kind())),
             (&mut self.instructions, runtime.instructions()),
+            (&mut self.adapters, adapter.as_deref()),
         ];
         for (list, now) in now.into_iter().filter_map(|(list, now)| Some((list, now?))) {
             if !list.iter().any(|known| known == now) {
@@ -307,7 +312,7 @@ impl Trainer {
     pub fn save(&self, checkpoints: &Path) -> Result<PathBuf> {
         std::fs::create_dir_all(checkpoints).map_err(|e| Error::unwritable(checkpoints, &e))?;
         clean_temporaries(checkpoints)?;
-        let target = folder(checkpoints, self.step);
+        let target = folder(checkpoints, self.step_count());
         if !target.exists() {
             self.write(&target)?;
         }
@@ -330,7 +335,7 @@ impl Trainer {
         let mut kept = 0;
         for (step, old) in list(checkpoints)?.into_iter().rev() {
             kept += usize::from(scheduled(step));
-            let keep = if scheduled(step) { kept <= train.keep_checkpoints } else { step == self.step };
+            let keep = if scheduled(step) { kept <= train.keep_checkpoints } else { step == self.step_count() };
             if !keep {
                 discard(&old).map_err(|e| Error::unwritable(&old, &e))?;
             }
@@ -340,24 +345,15 @@ impl Trainer {
 
     /// Returns counters and provenance at this step.
     pub fn state(&self) -> State {
-        let mut state = State {
-            format: FORMAT,
-            step: self.step,
-            adam_since: self.adam_since,
-            empty_steps: self.empty_steps,
-            redraws: self.redraws.clone(),
-            config_hash: self.config.hash(),
-            revisions: self.revisions.clone(),
-            instructions: self.instructions.clone(),
-            devices: self.devices.clone(),
-        };
+        let mut state = self.state.clone();
         state.touch(&self.runtime);
         state
     }
 
     fn tensor_bytes(&self) -> Result<Vec<u8>> {
+        let (variables, stepper) = (self.model()?.variables(), self.stepper.borrow());
         let mut named: Vec<(String, Tensor)> = Vec::new();
-        for ((name, var), moments) in self.adam.variables().iter().zip(self.adam.moments()) {
+        for ((name, var), moments) in variables.iter().zip(stepper.moments()) {
             named.push((name.clone(), var.as_tensor().clone()));
             named.push((format!("adam.first.{name}"), moments.first.clone()));
             named.push((format!("adam.second.{name}"), moments.second.clone()));
@@ -378,26 +374,23 @@ impl Trainer {
         dtype: DType,
         runtime: &Runtime,
     ) -> Result<Trainer> {
-        runtime.install(|| Trainer::resume_here(checkpoint, config, scene, dtype, runtime))
+        let inputs = Inputs { config, scene, dtype, runtime };
+        runtime.install(|| {
+            let state = load_state(checkpoint)?;
+            check_config(checkpoint, &state, config)?;
+            inputs.restore(checkpoint, state, true)
+        })
     }
+}
 
-    fn resume_here(
-        checkpoint: &Path,
-        config: &Resolved,
-        scene: &Scene,
-        dtype: DType,
-        runtime: &Runtime,
-    ) -> Result<Trainer> {
-        let state = load_state(checkpoint)?;
-        check_config(checkpoint, &state, config)?;
-        let names = Model::parameter_names(config);
-        let tensors = Tensors::open(checkpoint, dtype, runtime.device())?;
-        let model = Model::from_parameters(config, tensors.all("", &names)?)?;
-        let moments = tensors.moments(&names)?;
-        let adam = Adam::restore(AdamSettings::of(&config.train), model.variables(), moments);
-        let State { step, adam_since, empty_steps, redraws, revisions, devices, instructions, .. } = state;
-        let learner = model.learner(config, scene, dtype, runtime.device())?;
-        let trainer = Trainer::with(config, Start { model, learner, redraws }, runtime)?;
-        Ok(Trainer { adam, step, adam_since, empty_steps, revisions, devices, instructions, ..trainer })
+impl Inputs<'_> {
+    /// Returns a trainer with the parameters of a checkpoint, and with its moments if it `goes_on`.
+    pub(super) fn restore(self, checkpoint: &Path, state: State, goes_on: bool) -> Result<Trainer> {
+        let names = Model::parameter_names(self.config);
+        let tensors = Tensors::open(checkpoint, self.dtype, self.runtime.device())?;
+        let model = Model::from_parameters(self.config, tensors.all("", &names)?)?;
+        let moments = if goes_on { Some(tensors.moments(&names)?) } else { None };
+        let stepper = self.stepper(&model, None, moments)?;
+        Ok(self.trainer(model, stepper, state))
     }
 }

@@ -1,13 +1,15 @@
-//! Training: steps of a learner, updates by Adam, checks whether a run is alive, and checkpoints.
+//! Training: steps, checks whether a run is alive, and checkpoints.
 
+use std::cell::{Cell, RefCell};
 use std::time::Instant;
 
 use candle_core::DType;
 
+use crate::accelerator;
 use crate::base::{Error, Result};
 use crate::data::Scene;
 use crate::losses::LossTerm;
-use crate::methods::{Learner, LogColumns, StopCheck};
+use crate::methods::{HostStepper, Learner, LogColumns, StepAt, Stepper, StopCheck};
 use crate::model::{Model, Start};
 use crate::runtime::Runtime;
 use crate::settings::Resolved;
@@ -19,6 +21,8 @@ mod origin;
 mod stats;
 mod sums;
 
+use checkpoint::State;
+
 pub use crate::optimizer::{Adam, AdamSettings, Moments, learning_rate};
 pub use memory::graphs_mib;
 pub use origin::Origin;
@@ -29,7 +33,7 @@ const LONG_STEP: f64 = 2.0;
 
 /// Returns an error if a run on a CPU needs more memory than is free.
 fn check_memory(config: &Resolved, scene: &Scene, runtime: &Runtime) -> Result<()> {
-    match runtime.device().is_cpu() {
+    match runtime.is_cpu() {
         true => memory::check_memory(config, scene, runtime.threads()),
         false => Ok(()),
     }
@@ -58,21 +62,56 @@ fn check_memory(config: &Resolved, scene: &Scene, runtime: &Runtime) -> Result<(
 pub struct Trainer {
     config: Resolved,
     runtime: Runtime,
+    /// Its variables may lack the newest steps: see [`Trainer::model`].
     model: Model,
-    learner: Box<dyn Learner>,
-    adam: Adam,
-    step: u64,
-    /// The step at which its moments were 0.
-    adam_since: u64,
-    /// Successive steps on which every ray was empty or all had one colour.
-    empty_steps: u64,
-    /// How often each part of the model was initialized again before it was alive.
-    redraws: Vec<u64>,
-    /// Revisions of the code and kinds of devices of earlier steps.
-    revisions: Vec<String>,
-    /// Instruction sets of its CPUs.
-    instructions: Vec<String>,
-    devices: Vec<String>,
+    stepper: RefCell<Box<dyn Stepper>>,
+    /// A step came after the last fetch.
+    moved: Cell<bool>,
+    /// Counters, and the provenance of earlier steps.
+    state: State,
+}
+
+/// What a run is trained with.
+#[derive(Clone, Copy)]
+struct Inputs<'a> {
+    config: &'a Resolved,
+    scene: &'a Scene,
+    dtype: DType,
+    runtime: &'a Runtime,
+}
+
+impl Inputs<'_> {
+    /// Returns what trains `model`, with saved moments or 0. `learner` is that of a new run. This is the one place that
+    /// chooses between an accelerator and candle's devices.
+    fn stepper(
+        self,
+        model: &Model,
+        learner: Option<Box<dyn Learner>>,
+        moments: Option<Vec<Moments>>,
+    ) -> Result<Box<dyn Stepper>> {
+        let Inputs { config, scene, dtype, runtime } = self;
+        if let Some(accelerator) = runtime.accelerator() {
+            return accelerator::stepper(&**accelerator, config, scene, model, moments);
+        }
+        let learner = match learner {
+            Some(learner) => learner,
+            None => model.learner(config, scene, dtype, runtime.device())?,
+        };
+        Ok(Box::new(HostStepper::new(&config.train, learner, model.variables(), moments)?))
+    }
+
+    /// Returns a trainer that continues from `state` with parameters and moments of that step.
+    fn trainer(self, model: Model, stepper: Box<dyn Stepper>, state: State) -> Trainer {
+        let Inputs { config, runtime, .. } = self;
+        Trainer {
+            config: config.clone(),
+            runtime: runtime.clone(),
+            model,
+            stepper: RefCell::new(stepper),
+            moved: Cell::new(false),
+            state: State { format: checkpoint::FORMAT, config_hash: config.hash(), ..state },
+        }
+    }
 }
 
 impl Trainer {
@@ -81,7 +120,8 @@ impl Trainer {
     ///
     /// # Errors
     /// [`Error::Config`]: the run needs more memory than is free, or a regularizer's box misses the scene's rays or
-    /// takes too long. [`Error::Diverged`]: every initialization of a field is dead.
+    /// takes too long, or the runtime's accelerator does not train the method. [`Error::Diverged`]: every initialization
+    /// of a field is dead.
     pub fn new(config: &Resolved, scene: &Scene, dtype: DType, runtime: &Runtime) -> Result<Trainer> {
         if let Some(parent) = &config.train.parent {
             return Err(Error::Config(format!(
@@ -90,9 +130,12 @@ impl Trainer {
             )));
         }
         check_memory(config, scene, runtime)?;
+        accelerator::check_method(config, runtime)?;
+        let inputs = Inputs { config, scene, dtype, runtime };
         runtime.install(|| {
-            let start = Model::start(config, scene, dtype, runtime.device())?;
-            Trainer::with(config, start, runtime)
+            let Start { model, learner, redraws } = Model::start(config, scene, dtype, runtime.device())?;
+            let stepper = inputs.stepper(&model, Some(learner), None)?;
+            Ok(inputs.trainer(model, stepper, State { redraws, ..State::default() }))
         })
     }
 
@@ -101,6 +144,7 @@ impl Trainer {
     /// # Errors
     /// Those of [`Trainer::new`].
     pub fn check(config: &Resolved, scene: &Scene, dtype: DType, runtime: &Runtime) -> Result<()> {
+        accelerator::check_method(config, runtime)?;
         runtime.install(|| Model::start(config, scene, dtype, runtime.device()).map(drop))
     }
 
@@ -113,28 +157,11 @@ impl Trainer {
         let runtime = self.runtime.clone();
         let mut timed = || -> Result<f64> {
             let started = Instant::now();
-            runtime.install(|| self.learner.step(self.step, false, stop_check))?;
+            runtime.install(|| self.stepper.get_mut().try_step(self.state.step, stop_check))?;
             Ok(started.elapsed().as_secs_f64())
         };
         let first = timed()?;
         if first > LONG_STEP { Ok(first) } else { timed() }
-    }
-
-    fn with(config: &Resolved, Start { model, learner, redraws }: Start, runtime: &Runtime) -> Result<Trainer> {
-        Ok(Trainer {
-            config: config.clone(),
-            runtime: runtime.clone(),
-            adam: Adam::new(AdamSettings::of(&config.train), model.variables())?,
-            model,
-            learner,
-            step: 0,
-            adam_since: 0,
-            empty_steps: 0,
-            redraws,
-            revisions: Vec::new(),
-            instructions: Vec::new(),
-            devices: Vec::new(),
-        })
     }
 
     /// Returns the configuration at the start.
@@ -142,32 +169,39 @@ impl Trainer {
         &self.config
     }
 
-    /// Returns the trained model.
-    pub fn model(&self) -> &Model {
-        &self.model
+    /// Returns the trained model. Its variables hold the parameters after the newest step, until the next one.
+    ///
+    /// # Errors
+    /// [`Error::Diverged`]: a number of the steps was not finite. The parameters cannot be read from their device.
+    pub fn model(&self) -> Result<&Model> {
+        if self.moved.get() {
+            self.stepper.borrow_mut().fetch()?;
+            self.moved.set(false);
+        }
+        Ok(&self.model)
     }
 
     /// Returns the number of completed steps.
     pub fn step_count(&self) -> u64 {
-        self.step
+        self.state.step
     }
 
     /// Returns how often each part of the model (see [`Model::parts`]) was initialized again because it started dead.
     pub fn redraws(&self) -> &[u64] {
-        &self.redraws
+        &self.state.redraws
     }
 
     /// Returns the log columns of the learner's terms and diagnostics.
     pub fn columns(&self) -> LogColumns {
-        self.learner.columns()
+        self.stepper.borrow().columns()
     }
 
-    /// Adds a custom term to the loss; see [`Learner::add_term`].
+    /// Adds a custom term to the loss; see [`Stepper::add_term`].
     ///
     /// # Errors
     /// A term of that name exists, or the method cannot compute it.
     pub fn add_term(&mut self, term: LossTerm, weight: f64) -> Result<()> {
-        self.learner.add_term(term, weight)
+        self.stepper.get_mut().add_term(term, weight)
     }
 
     /// Takes one step. With `log`, the learner computes its diagnostics.
@@ -187,23 +221,17 @@ impl Trainer {
     }
 
     fn step_here(&mut self, log: bool, stop_check: &StopCheck) -> Result<StepStats> {
-        let result = self.learner.step(self.step, log, stop_check)?;
-        let gradients = result.gradients;
-        let stats = StepStats {
-            step: self.step + 1,
-            learning_rate: learning_rate(&self.config, self.step),
-            terms: result.terms,
-            loss: result.loss,
-            mse: result.mse,
-            extremes: result.extremes,
-            sites: result.sites,
-        };
-        let train = &self.config.train;
-        health::check_step(&stats, &gradients, &self.adam, train.learning_rate)?;
-        self.empty_steps = health::count_dead(self.empty_steps, &stats, train.collapse_steps)?;
-        self.adam.update(&gradients.0, stats.learning_rate, stats.step - self.adam_since)?;
-        health::check_parameters(stats.step, &self.adam, train.learning_rate)?;
-        self.step += 1;
+        let State { step, adam_since, empty_steps, .. } = self.state;
+        let rate = learning_rate(&self.config, step);
+        let at = StepAt { step, updates: step + 1 - adam_since, learning_rate: rate, log };
+        self.moved.set(true);
+        let report = self.stepper.get_mut().step(at, stop_check)?;
+        let stats = StepStats::new(at, report);
+        self.state.empty_steps = health::count_dead(empty_steps, &stats, self.config.train.collapse_steps)?;
+        self.state.step += 1;
         Ok(stats)
     }
 }
+
+#[cfg(test)]
+mod tests;

@@ -5,10 +5,10 @@ use std::path::Path;
 use candle_core::{DType, Tensor};
 
 use super::checkpoint::{State, Tensors, load_state};
-use super::{Adam, AdamSettings, Moments, Trainer, check_memory};
+use super::{Inputs, Moments, Trainer, check_memory};
 use crate::base::Result;
 use crate::data::Scene;
-use crate::model::{Model, Start};
+use crate::model::Model;
 use crate::runtime::Runtime;
 use crate::settings::Resolved;
 
@@ -44,43 +44,21 @@ impl Trainer {
         runtime: &Runtime,
     ) -> Result<Trainer> {
         check_memory(config, scene, runtime)?;
+        let inputs = Inputs { config, scene, dtype, runtime };
         runtime.install(|| match origin {
             Origin::Checkpoint { folder, goes_on } => {
-                Trainer::from_checkpoint(folder, goes_on, config, scene, dtype, runtime)
+                let state = load_state(folder)?;
+                let state = if goes_on { state } else { State { step: 0, adam_since: 0, empty_steps: 0, ..state } };
+                inputs.restore(folder, state, goes_on)
             }
             Origin::Weights { values, step } => {
                 let model = Model::from_parameters(config, values)?;
+                let stepper = inputs.stepper(&model, None, None)?;
                 let redraws = vec![0; Model::parts(config).len()];
-                let learner = model.learner(config, scene, dtype, runtime.device())?;
-                Ok(Trainer {
-                    step,
-                    adam_since: step,
-                    ..Trainer::with(config, Start { model, learner, redraws }, runtime)?
-                })
+                let state = State { step, adam_since: step, redraws, ..State::default() };
+                Ok(inputs.trainer(model, stepper, state))
             }
         })
-    }
-
-    fn from_checkpoint(
-        folder: &Path,
-        goes_on: bool,
-        config: &Resolved,
-        scene: &Scene,
-        dtype: DType,
-        runtime: &Runtime,
-    ) -> Result<Trainer> {
-        let state = load_state(folder)?;
-        let (tensors, names) = (Tensors::open(folder, dtype, runtime.device())?, Model::parameter_names(config));
-        let model = Model::from_parameters(config, tensors.all("", &names)?)?;
-        let moments = if goes_on { Some(tensors.moments(&names)?) } else { None };
-        let variables = model.variables();
-        let State { step, adam_since, empty_steps, redraws, revisions, devices, instructions, .. } = state;
-        let learner = model.learner(config, scene, dtype, runtime.device())?;
-        let fresh = Trainer::with(config, Start { model, learner, redraws }, runtime)?;
-        let trainer = Trainer { revisions, devices, instructions, ..fresh };
-        let Some(moments) = moments else { return Ok(trainer) };
-        let adam = Adam::restore(AdamSettings::of(&config.train), variables, moments);
-        Ok(Trainer { adam, step, adam_since, empty_steps, ..trainer })
     }
 }
 

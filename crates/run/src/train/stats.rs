@@ -1,6 +1,6 @@
 //! Measurements of a training step.
 
-use crate::methods::{Extremes, SiteDiagnostics, Term};
+use crate::methods::{Extremes, SiteDiagnostics, StepAt, StepReport, Term};
 
 /// Measurements of one step.
 #[derive(Clone, Debug)]
@@ -22,6 +22,11 @@ pub struct StepStats {
 }
 
 impl StepStats {
+    /// Returns the measurements of the step at a place.
+    pub(super) fn new(at: StepAt, StepReport { terms, loss, mse, extremes, sites }: StepReport) -> StepStats {
+        StepStats { step: at.step + 1, learning_rate: at.learning_rate, terms, loss, mse, extremes, sites }
+    }
+
     /// Returns the PSNR of the batch in the evaluated pass in dB, unrounded, or `None` if the error is 0.
     pub fn psnr(&self) -> Option<f64> {
         (self.mse > 0.0).then(|| -10.0 * self.mse.log10())

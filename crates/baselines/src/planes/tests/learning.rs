@@ -75,7 +75,7 @@ fn gradients_of_a_step_are_central_differences() {
                 let mut values = at.clone();
                 values[place] += by;
                 set(values);
-                learner.step(1, false, &|| Ok(())).unwrap().loss
+                learner.step(1, false, &|| Ok(())).unwrap().report.loss
             };
             let slope = (moved(1e-6) - moved(-1e-6)) / 2e-6;
             set(at);
@@ -91,14 +91,15 @@ fn threads_change_no_bit_of_a_step() {
     let config = config(&scene, |_| {});
     on_any_threads(|| {
         let learned = learned(&config, &scene, DType::F32, 3);
-        let loss = Tensor::new(&[learned.loss, learned.mse, learned.extremes.largest_acc], &Device::Cpu).unwrap();
+        let report = &learned.report;
+        let loss = Tensor::new(&[report.loss, report.mse, report.extremes.largest_acc], &Device::Cpu).unwrap();
         learned.gradients.0.into_iter().flatten().chain([loss]).collect()
     });
 }
 
 fn bits(learned: &StepResult) -> Vec<u64> {
     let gradients = learned.gradients.0.iter().flatten().flat_map(numbers).map(f64::to_bits);
-    gradients.chain([learned.loss.to_bits()]).collect()
+    gradients.chain([learned.report.loss.to_bits()]).collect()
 }
 
 /// The view that is left out says what is asked for at the crop's pixels, and nothing else of it is seen.
@@ -245,6 +246,6 @@ fn large_disparities_leave_every_step_its_pixels() {
     for step in 0..40 {
         let work = Work::draw(&config.llff, 0, step, &eyes, &learner.stage.depths).unwrap();
         assert!(work.counted() > 0, "step {step}");
-        assert!(learned(&config, &wide, DType::F32, step).loss.is_finite(), "step {step}");
+        assert!(learned(&config, &wide, DType::F32, step).report.loss.is_finite(), "step {step}");
     }
 }

@@ -3,6 +3,7 @@
 use crate::base::{Error, Result};
 use crate::losses::{LossTerm, WeightedTerm};
 use crate::methods::learner::{Learner, LogColumns, StepResult, StopCheck, Term};
+use crate::methods::stepper::StepReport;
 
 use super::learner::FieldLearner;
 use super::results::ChunkResult;
@@ -62,14 +63,14 @@ impl Learner for FieldLearner {
         let ([coarse, fine, perturbed], extremes) = losses.read()?;
         let clean = self.coarse_weight(&self.fields) * coarse.unwrap_or(0.0) + fine.unwrap_or(0.0);
         let (terms, loss) = self.terms([coarse, fine, perturbed], regularizers);
-        Ok(StepResult {
-            gradients,
+        let report = StepReport {
             terms,
             loss,
             mse: fine.or(coarse).expect("every chunk has a pass that is evaluated"),
             extremes,
             sites: diagnostics.map_or_else(Vec::new, |sums| sums.finish(clean)),
-        })
+        };
+        Ok(StepResult { gradients, report })
     }
 }
 

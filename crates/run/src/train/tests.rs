@@ -1,0 +1,192 @@
+//! A trainer whose parameters are kept elsewhere, and what is refused there.
+
+use std::any::Any;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering};
+
+use candle_core::Tensor;
+
+use super::*;
+use crate::methods::{Extremes, StepReport, Term};
+use crate::run::load_scene;
+use crate::runtime::Accelerator;
+use crate::settings::{Preset, build, parse_assignment};
+
+/// Parameters and moments in memory of its own: each step adds 1 to all.
+struct Elsewhere {
+    kept: f64,
+    shown: Vec<candle_core::Var>,
+    moments: Vec<Moments>,
+    fetches: Arc<AtomicU64>,
+}
+
+impl Elsewhere {
+    fn new(model: &Model, fetches: &Arc<AtomicU64>) -> Elsewhere {
+        let shown: Vec<_> = model.variables().into_iter().map(|(_, var)| var).collect();
+        let zero =
+            |var: &candle_core::Var| Moments { first: var.zeros_like().unwrap(), second: var.zeros_like().unwrap() };
+        let moments = shown.iter().map(zero).collect();
+        Elsewhere { kept: 0.0, shown, moments, fetches: fetches.clone() }
+    }
+}
+
+impl Stepper for Elsewhere {
+    fn columns(&self) -> LogColumns {
+        LogColumns::default()
+    }
+
+    fn add_term(&mut self, term: LossTerm, _weight: f64) -> Result<()> {
+        Err(Error::Config(format!("no term {}", term.name())))
+    }
+
+    fn step(&mut self, at: StepAt, stop_check: &StopCheck) -> Result<StepReport> {
+        stop_check()?;
+        assert_eq!((at.step as f64, at.updates as f64), (self.kept, self.kept + 1.0));
+        self.kept += 1.0;
+        let term = Term { name: "loss".into(), described: "loss".into(), value: 0.5, weight: 1.0 };
+        Ok(StepReport { terms: vec![term], loss: 0.5, mse: 0.25, extremes: Extremes::none(1.0), sites: Vec::new() })
+    }
+
+    fn try_step(&mut self, step: u64, stop_check: &StopCheck) -> Result<()> {
+        assert_eq!(step as f64, self.kept);
+        stop_check()
+    }
+
+    fn fetch(&mut self) -> Result<()> {
+        self.fetches.fetch_add(1, Ordering::SeqCst);
+        let all = |tensor: &Tensor| (tensor.zeros_like()? + self.kept).and_then(|tensor| tensor.contiguous());
+        for (var, moments) in self.shown.iter().zip(&mut self.moments) {
+            var.set(&all(var)?)?;
+            (moments.first, moments.second) = (all(var)?, all(var)?);
+        }
+        Ok(())
+    }
+
+    fn moments(&self) -> &[Moments] {
+        &self.moments
+    }
+}
+
+#[derive(Debug)]
+struct Card;
+
+impl Accelerator for Card {
+    fn description(&self) -> String {
+        "a card, driver 1".into()
+    }
+
+    fn synchronize(&self) -> Result<()> {
+        Ok(())
+    }
+
+    fn as_any(&self) -> &dyn Any {
+        self
+    }
+}
+
+fn gpu() -> Runtime {
+    Runtime::with_accelerator(Arc::new(Card), "gpu:1".into(), Some(1)).unwrap()
+}
+
+fn small(method: &str) -> (Resolved, Scene) {
+    let small = [method, "data.width=8", "field.width=16", "train.rays=16", "train.steps=9"];
+    let small = small.map(|text| parse_assignment(text).unwrap());
+    load_scene(build(Some(Preset::Smoke), None, &small).unwrap(), &()).unwrap()
+}
+
+/// The first value of the first variable, as the model shows it.
+fn shown(trainer: &Trainer) -> f32 {
+    let (_, var) = &trainer.model().unwrap().variables()[0];
+    var.flatten_all().unwrap().to_vec1::<f32>().unwrap()[0]
+}
+
+#[test]
+fn parameters_that_are_kept_elsewhere_are_fetched_when_they_are_looked_at() {
+    let (config, scene) = small("method=nerf");
+    let cpu = Runtime::new("cpu", Some(1)).unwrap();
+    let (model, fetches) = (Model::start(&config, &scene, DType::F32, cpu.device()).unwrap().model, Arc::default());
+    let stepper = Box::new(Elsewhere::new(&model, &fetches));
+    let gpu = gpu();
+    let inputs = Inputs { config: &config, scene: &scene, dtype: DType::F32, runtime: &gpu };
+    let mut trainer = inputs.trainer(model, stepper, State { redraws: vec![0; 2], ..State::default() });
+    let fetched = || fetches.load(Ordering::SeqCst);
+
+    // Its parameters are the model's until the first step.
+    assert!(trainer.model().is_ok());
+    trainer.time_step(&|| Ok(())).unwrap();
+    assert_eq!((fetched(), trainer.step_count()), (0, 0));
+    (0..3).for_each(|_| drop(trainer.step(false).unwrap()));
+    assert_eq!(fetched(), 0);
+    // Once, however often it is asked for.
+    assert_eq!((shown(&trainer), shown(&trainer), fetched()), (3.0, 3.0, 1));
+
+    // A stopped step does not count, and a checkpoint after it has what came before.
+    trainer.step(false).unwrap();
+    let stop = || Err(Error::Interrupted { signal: 15, message: String::new() });
+    assert!(trainer.step_unless(false, &stop).is_err());
+    let folder = tempfile::tempdir().unwrap();
+    let checkpoint = trainer.save(folder.path()).unwrap();
+    assert_eq!((fetched(), trainer.step_count()), (2, 4));
+    for (name, value, Moments { first, second }) in checkpoint::load_parameters(&checkpoint, &config).unwrap() {
+        for tensor in [value, first, second] {
+            let values = tensor.flatten_all().unwrap().to_vec1::<f32>().unwrap();
+            assert!(values.iter().all(|value| *value == 4.0), "{name}");
+        }
+    }
+    trainer.save(&folder.path().join("again")).unwrap();
+    assert_eq!((shown(&trainer), fetched()), (4.0, 2));
+
+    let state = checkpoint::load_state(&checkpoint).unwrap();
+    assert_eq!((state.devices, state.adapters), (vec!["gpu".to_string()], vec!["a card, driver 1".to_string()]));
+    assert!(state.instructions.is_empty());
+    // It goes on here, and both are named.
+    let mut resumed = Trainer::resume(&checkpoint, &config, &scene, DType::F32, &cpu).unwrap();
+    resumed.step(false).unwrap();
+    let state = resumed.state();
+    assert_eq!((state.step, state.devices.join(" "), state.adapters.len()), (5, "gpu cpu".into(), 1));
+}
+
+#[test]
+fn what_an_accelerator_cannot_train_is_refused() {
+    let gpu = gpu();
+    let refused = |method: &str| {
+        let (config, scene) = small(method);
+        let dtype = DType::F32;
+        Trainer::new(&config, &scene, dtype, &gpu).err().expect("it is refused").to_string()
+    };
+    // A card of no crate that this program knows.
+    let unknown = refused("method=nerf");
+    assert_eq!(unknown, "device gpu: this program cannot train or render on a card, driver 1; use --device cpu");
+    if cfg!(feature = "baselines") {
+        let method = refused("method=srn");
+        assert_eq!(method, "method srn: device gpu does not train or render it; use --device cpu");
+        let (config, scene) = small("method=srn");
+        assert!(Trainer::check(&config, &scene, DType::F32, &gpu).is_err());
+        let start = Model::start(&config, &scene, DType::F32, gpu.device()).unwrap();
+        assert_eq!(start.model.renderer(&config, &scene, &gpu).err().unwrap().to_string(), method);
+    }
+}
+
+#[test]
+fn states_of_cpus_name_no_adapter() {
+    let mut state = State::default();
+    state.touch(&Runtime::new("cpu", Some(1)).unwrap());
+    let text = serde_json::to_string(&state).unwrap();
+    assert!(!text.contains("adapters") && text.contains(r#""devices":["cpu"]"#), "{text}");
+    assert_eq!(serde_json::from_str::<State>(&text).unwrap(), state);
+    state.touch(&gpu());
+    state.touch(&gpu());
+    assert_eq!((state.devices.len(), state.adapters.len()), (2, 1));
+    assert_eq!(serde_json::from_str::<State>(&serde_json::to_string(&state).unwrap()).unwrap(), state);
+}
+
+#[cfg(not(feature = "gpu"))]
+#[test]
+fn a_gpu_needs_a_program_that_was_built_with_it() {
+    for device in ["gpu", "gpu:2"] {
+        let error = crate::open_runtime(device, None).unwrap_err().to_string();
+        let built = "this program was built without gpu; build it with --features gpu";
+        assert_eq!(error, format!("device {device}: {built}"));
+    }
+    assert_eq!(crate::open_runtime("cpu", Some(3)).unwrap().threads(), 3);
+}
