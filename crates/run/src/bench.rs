@@ -2,7 +2,7 @@
 
 use std::time::Instant;
 
-use candle_core::{DType, Device};
+use candle_core::DType;
 use serde::Serialize;
 
 use crate::base::{Error, Image, Result};
@@ -145,7 +145,7 @@ impl Workload {
     /// Returns the configuration: PyTorch's initial weights, Adam, no noise, otherwise the defaults. Methods without
     /// fields have the defaults of preset `cpu`; on an accelerator all their rays are one chunk. Further settings come
     /// last.
-    pub fn config(&self, device: &Device) -> Result<Resolved> {
+    pub fn config(&self, runtime: &Runtime) -> Result<Resolved> {
         let own = ["method", "train.rays", "sampling.coarse", "sampling.fine", "field.width", "srn.width"];
         if let Some((path, _)) = self.set.iter().find(|(path, _)| own.contains(&path.join(".").as_str())) {
             return Err(Error::Config(format!(
@@ -157,7 +157,7 @@ impl Workload {
             vec!["field.init=torch".to_string(), "train.collapse_steps=0".into(), setting_of(&self.method)?];
         let Workload { rays, .. } = self.filled()?;
         settings.extend(self.filled()?.settings());
-        if let Some(rays) = rays.filter(|_| !device.is_cpu()) {
+        if let Some(rays) = rays.filter(|_| !runtime.is_cpu()) {
             settings.push(format!("train.chunk={rays}"));
         }
         let mut all = settings.iter().map(|text| parse_assignment(text)).collect::<Result<Vec<_>>>()?;
@@ -222,8 +222,7 @@ impl Workload {
     }
 
     fn run_here(&self, runtime: &Runtime) -> Result<Timed> {
-        let device = runtime.device();
-        let config = self.config(device)?;
+        let config = self.config(runtime)?;
         let workload = self.filled()?;
         let rays = workload.rays.unwrap_or(config.llff.crop.pow(2));
         let mut trainer = Trainer::new(&config, &scene_of(config.method), DType::F32, runtime)?;

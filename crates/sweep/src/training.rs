@@ -221,6 +221,7 @@ impl Trainings<'_> {
         let timed = |index: usize| {
             let started = Instant::now();
             trainers[index].step(false)?;
+            self.runtime.synchronize()?;
             Ok(started.elapsed().as_secs_f64())
         };
         time_in_turns(&steps, timed, least)
