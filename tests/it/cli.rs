@@ -493,7 +493,10 @@ fn wrong_settings_are_refused_with_exit_code_2() {
     refuse(&["train", "--set", "train.steps"], 2, &["section.field=value"]);
     refuse(&["train", "--preset", "papr"], 2, &["papr", "paper-llff"]);
     refuse(&["train", "--method", "nerv"], 2, &["nerv", "aug-nerf"]);
-    refuse(&["train", "--device", "tpu"], 2, &["tpu", "cuda"]);
+    refuse(&["train", "--device", "tpu"], 2, &["tpu", "cuda", "gpu:N"]);
+    if cfg!(not(feature = "gpu")) {
+        refuse(&["train", "--device", "gpu:1"], 2, &["--device gpu:1", "--features gpu"]);
+    }
     refuse(
         &["train", "--preset", "smoke", "--method", "aug-nerf", "--set", "perturb.injection_layer=9"],
         2,

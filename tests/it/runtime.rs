@@ -73,7 +73,7 @@ fn two_trainings_at_once_give_the_bytes_of_one() {
 
 #[test]
 fn what_is_no_device_is_refused() {
-    for device in ["abacus", "cpu:1", "cuda:x"] {
+    for device in ["abacus", "cpu:1", "cuda:x", "gpu:x"] {
         let Err(Error::Config(message)) = Runtime::new(device, None) else { panic!("{device} is none") };
         assert!(message.starts_with(&format!("device {device}: ")), "{message}");
     }
