@@ -30,7 +30,7 @@ pub use corruption::Corrupted;
 pub use detect::detect;
 pub use formats::{Capture, FORMATS, Format, ReferenceDepth};
 pub use lookalikes::scene_of_file;
-pub use rays::{Footprint, RayBuffer, RayParts, Rays};
+pub use rays::{Footprint, RayBuffer, RayParts, Rays, tangents};
 pub use rig::{Rig, Subject};
 pub use scene_space::SceneSpace;
 pub use views::seen_views;

@@ -33,6 +33,18 @@ pub struct SiteDiagnostics {
 }
 
 impl SiteDiagnostics {
+    /// Returns the diagnostics of a site from its gain, its gain over random deltas and its shift, in this order, in a step
+    /// with this clean loss.
+    pub fn new(
+        site: Site,
+        [gain, gain_over_random, shift]: [f64; 3],
+        share_at_bound: Option<f64>,
+        clean_loss: f64,
+    ) -> SiteDiagnostics {
+        let inactive = gain < INACTIVE_SHARE * clean_loss;
+        SiteDiagnostics { site, gain, gain_over_random, share_at_bound, inactive, shift }
+    }
+
     /// Returns the numbers by their columns, without missing ones.
     pub fn columns(&self) -> Vec<(String, f64)> {
         let inactive = f64::from(u8::from(self.inactive));
@@ -195,13 +207,10 @@ impl Sums {
     }
 
     pub(super) fn finish(self, clean_loss: f64) -> Vec<SiteDiagnostics> {
-        let finish = |sums: SiteSums| SiteDiagnostics {
-            site: sums.site,
-            gain: sums.gain,
-            gain_over_random: sums.gain_over_random,
-            share_at_bound: (sums.bounded > 0.0).then(|| sums.at_bound / sums.bounded),
-            inactive: sums.gain < INACTIVE_SHARE * clean_loss,
-            shift: sums.shift / sums.passes,
+        let finish = |sums: SiteSums| {
+            let effect = [sums.gain, sums.gain_over_random, sums.shift / sums.passes];
+            let share = (sums.bounded > 0.0).then(|| sums.at_bound / sums.bounded);
+            SiteDiagnostics::new(sums.site, effect, share, clean_loss)
         };
         self.0.into_iter().map(finish).collect()
     }

@@ -17,7 +17,7 @@ mod renderer;
 mod stepper;
 
 pub use batches::{Batch, Batches};
-pub use diagnostics::{SiteDiagnostics, SiteSummary};
+pub use diagnostics::{SiteDiagnostics, SiteSummary, columns as site_columns};
 pub use extremes::Extremes;
 pub use fields::{Balance, FieldLearner, FieldRenderer, Fields, parts, step_over_radius};
 pub use gradients::Gradients;

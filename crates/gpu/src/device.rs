@@ -1,0 +1,413 @@
+//! The adapter, its buffers and its pipelines.
+
+use std::collections::HashMap;
+use std::fmt;
+use std::sync::{Arc, Mutex, PoisonError};
+
+use augnerf_core::base::{Error, Result};
+use pollster::block_on;
+use wgpu::{
+    AdapterInfo, Backends, BindGroupDescriptor, BindGroupEntry, Buffer, BufferDescriptor, BufferUsages, CommandEncoder,
+    CommandEncoderDescriptor, ComputePassDescriptor, ComputePipeline, ComputePipelineDescriptor, Device,
+    DeviceDescriptor, DeviceType, ErrorFilter, Features, Instance, InstanceDescriptor, Limits, MapMode,
+    PipelineCompilationOptions, PollType, Queue, ShaderModuleDescriptor, ShaderRuntimeChecks, ShaderSource,
+};
+
+use crate::kernels::Kernel;
+
+/// Storage buffers that the largest kernel binds.
+const STORAGE_BUFFERS: u32 = 12;
+
+/// An adapter that wgpu lists.
+#[derive(Clone, Debug)]
+pub struct Adapter {
+    /// Its number, for `gpu:N`.
+    pub index: usize,
+    /// Its name.
+    pub name: String,
+    /// The interface to its driver: vulkan, metal or dx12.
+    pub backend: String,
+    /// Driver and version.
+    pub driver: String,
+    /// Whether a processor plays it.
+    pub is_software: bool,
+    /// The largest buffer that a kernel can read, in bytes.
+    pub largest_buffer: u64,
+    /// What the kernels need and it lacks.
+    pub lacks: Vec<String>,
+}
+
+/// An open device.
+pub struct Gpu {
+    device: Device,
+    queue: Queue,
+    adapter: Adapter,
+    info: AdapterInfo,
+    limits: Limits,
+    pipelines: Mutex<HashMap<Kernel, ComputePipeline>>,
+    timestamps: bool,
+}
+
+impl fmt::Debug for Gpu {
+    fn fmt(&self, f: &mut fmt::Formatter) -> fmt::Result {
+        f.write_str(&self.description())
+    }
+}
+
+fn backends() -> Backends {
+    Backends::VULKAN | Backends::METAL | Backends::DX12
+}
+
+/// Lists the adapters that wgpu finds, hardware before software.
+fn found() -> Vec<wgpu::Adapter> {
+    let mut descriptor = InstanceDescriptor::new_without_display_handle();
+    descriptor.backends = backends();
+    let mut adapters = block_on(Instance::new(descriptor).enumerate_adapters(backends()));
+    adapters.sort_by_key(|adapter| match adapter.get_info().device_type {
+        DeviceType::DiscreteGpu => 0,
+        DeviceType::IntegratedGpu => 1,
+        DeviceType::VirtualGpu => 2,
+        DeviceType::Other => 3,
+        DeviceType::Cpu => 4,
+    });
+    adapters
+}
+
+/// Returns the adapters of this machine, in the order of their numbers.
+pub fn adapters() -> Vec<Adapter> {
+    found().iter().enumerate().map(|(index, adapter)| Adapter::of(index, adapter)).collect()
+}
+
+impl Adapter {
+    fn of(index: usize, adapter: &wgpu::Adapter) -> Adapter {
+        let (info, limits) = (adapter.get_info(), adapter.limits());
+        let mut lacks = Vec::new();
+        if limits.max_storage_buffers_per_shader_stage < STORAGE_BUFFERS {
+            let found = limits.max_storage_buffers_per_shader_stage;
+            lacks.push(format!("{STORAGE_BUFFERS} storage buffers a kernel (it has {found})"));
+        }
+        if limits.max_compute_invocations_per_workgroup < 256 {
+            lacks.push("groups of 256 threads".into());
+        }
+        Adapter {
+            index,
+            name: info.name,
+            backend: format!("{:?}", info.backend).to_lowercase(),
+            driver: [info.driver, info.driver_info].join(" ").trim().to_string(),
+            is_software: info.device_type == DeviceType::Cpu,
+            largest_buffer: limits.max_storage_buffer_binding_size as u64,
+            lacks,
+        }
+    }
+}
+
+/// A dispatch that is recorded once and submitted many times.
+pub(crate) struct Dispatch {
+    pub(crate) label: &'static str,
+    pipeline: ComputePipeline,
+    group: wgpu::BindGroup,
+    size: [u32; 3],
+}
+
+/// Groups an axis can have.
+pub(crate) const MOST_GROUPS: u32 = 65_535;
+
+/// Returns the groups of 64 threads for so many threads, in two dimensions.
+pub(crate) fn groups(threads: usize) -> [u32; 3] {
+    rows(threads.div_ceil(64))
+}
+
+/// Returns so many groups in two dimensions.
+pub(crate) fn rows(groups: usize) -> [u32; 3] {
+    let groups = groups as u32;
+    [groups.min(MOST_GROUPS), groups.div_ceil(MOST_GROUPS).max(1), 1]
+}
+
+impl Gpu {
+    /// Opens the adapter of a number.
+    ///
+    /// # Errors
+    /// [`Error::Config`]: there is none, or it lacks what the kernels need.
+    pub fn open(index: usize) -> Result<Gpu> {
+        let refuse = |found: String| Error::Config(format!("device gpu:{index}: {found}"));
+        let all = found();
+        let count = all.len();
+        let adapter = all.into_iter().nth(index).ok_or_else(|| {
+            refuse(match count {
+                0 => "no adapter found; install a driver for Vulkan (in containers of NVIDIA cards: the capability \
+                      graphics, and libvulkan1), or use --device cpu"
+                    .into(),
+                _ => format!("this machine has {count} (0 to {}); `augnerf devices` lists them", count - 1),
+            })
+        })?;
+        let (known, info, limits) = (Adapter::of(index, &adapter), adapter.get_info(), adapter.limits());
+        if !known.lacks.is_empty() {
+            return Err(refuse(format!("{} lacks {}; use --device cpu", known.name, known.lacks.join(", "))));
+        }
+        let timestamps = adapter.features().contains(Features::TIMESTAMP_QUERY);
+        let required = Limits {
+            max_storage_buffer_binding_size: limits.max_storage_buffer_binding_size,
+            max_buffer_size: limits.max_buffer_size,
+            max_storage_buffers_per_shader_stage: STORAGE_BUFFERS,
+            max_compute_workgroup_storage_size: limits.max_compute_workgroup_storage_size,
+            ..Limits::default()
+        };
+        let descriptor = DeviceDescriptor {
+            required_limits: required.clone(),
+            required_features: if timestamps { Features::TIMESTAMP_QUERY } else { Features::empty() },
+            ..DeviceDescriptor::default()
+        };
+        let (device, queue) = block_on(adapter.request_device(&descriptor))
+            .map_err(|e| refuse(format!("{} cannot be opened: {e}", known.name)))?;
+        let pipelines = Mutex::default();
+        Ok(Gpu { device, queue, adapter: known, info, limits: required, pipelines, timestamps })
+    }
+
+    /// Returns its adapter.
+    pub fn adapter(&self) -> &Adapter {
+        &self.adapter
+    }
+
+    /// Returns adapter, interface and driver in a line.
+    pub fn description(&self) -> String {
+        let Adapter { name, backend, driver, .. } = &self.adapter;
+        format!("{name}, {backend}, {driver}")
+    }
+
+    /// Returns the bytes of all of a step's samples that are kept at once.
+    pub(crate) fn budget(&self) -> usize {
+        match self.info.device_type {
+            DeviceType::DiscreteGpu => 6 << 30,
+            DeviceType::Cpu => 1 << 28,
+            _ => 1 << 30,
+        }
+    }
+
+    pub(crate) fn largest_buffer(&self) -> usize {
+        self.limits.max_storage_buffer_binding_size as usize
+    }
+
+    /// Returns an error if the closure's calls failed.
+    pub(crate) fn checked<T>(&self, what: &str, work: impl FnOnce() -> T) -> Result<T> {
+        let memory = self.device.push_error_scope(ErrorFilter::OutOfMemory);
+        let validation = self.device.push_error_scope(ErrorFilter::Validation);
+        let internal = self.device.push_error_scope(ErrorFilter::Internal);
+        let value = work();
+        let refused = |found: String| Error::Config(format!("device gpu ({}): {what}: {found}", self.adapter.name));
+        if let Some(error) = block_on(internal.pop()) {
+            return Err(refused(error.to_string()));
+        }
+        if let Some(error) = block_on(validation.pop()) {
+            return Err(refused(error.to_string()));
+        }
+        match block_on(memory.pop()) {
+            Some(_) => Err(refused("out of memory; lower train.rays or field.hash.log2_table".into())),
+            None => Ok(value),
+        }
+    }
+
+    pub(crate) fn buffer(&self, bytes: usize) -> Buffer {
+        let usage = BufferUsages::STORAGE | BufferUsages::COPY_DST | BufferUsages::COPY_SRC;
+        let size = bytes.max(16).next_multiple_of(16) as u64;
+        self.device.create_buffer(&BufferDescriptor { label: None, size, usage, mapped_at_creation: false })
+    }
+
+    /// Returns a buffer of so many numbers of 32 bits.
+    pub(crate) fn numbers(&self, count: usize) -> Buffer {
+        self.buffer(4 * count)
+    }
+
+    pub(crate) fn storage(&self, values: &[f32]) -> Buffer {
+        let buffer = self.numbers(values.len());
+        self.write(&buffer, bytemuck::cast_slice(values));
+        buffer
+    }
+
+    pub(crate) fn uniform(&self, words: &[u32]) -> Buffer {
+        let usage = BufferUsages::UNIFORM | BufferUsages::COPY_DST;
+        let size = (4 * words.len()).next_multiple_of(16) as u64;
+        let buffer =
+            self.device.create_buffer(&BufferDescriptor { label: None, size, usage, mapped_at_creation: false });
+        self.write(&buffer, bytemuck::cast_slice(words));
+        buffer
+    }
+
+    pub(crate) fn write(&self, buffer: &Buffer, bytes: &[u8]) {
+        if !bytes.is_empty() {
+            self.queue.write_buffer(buffer, 0, bytes);
+        }
+    }
+
+    /// Fills a buffer with zeros.
+    pub(crate) fn clear(&self, buffer: &Buffer) {
+        let mut encoder = self.encoder();
+        encoder.clear_buffer(buffer, 0, None);
+        self.queue.submit([encoder.finish()]);
+    }
+
+    fn pipeline(&self, kernel: &Kernel) -> ComputePipeline {
+        let mut known = self.pipelines.lock().unwrap_or_else(PoisonError::into_inner);
+        if let Some(pipeline) = known.get(kernel) {
+            return pipeline.clone();
+        }
+        let text = kernel.text();
+        let source = ShaderModuleDescriptor { label: Some(kernel.name), source: ShaderSource::Wgsl(text.into()) };
+        // lavapipe compiles some kernels without bounds checks for minutes.
+        let module = if self.adapter.is_software {
+            self.device.create_shader_module(source)
+        } else {
+            let checks = ShaderRuntimeChecks { force_loop_bounding: true, ..ShaderRuntimeChecks::unchecked() };
+            // SAFETY: the kernels check their bounds themselves, and tests run them with checks.
+            unsafe { self.device.create_shader_module_trusted(source, checks) }
+        };
+        let pipeline = self.device.create_compute_pipeline(&ComputePipelineDescriptor {
+            label: Some(kernel.name),
+            layout: None,
+            module: &module,
+            entry_point: Some("main"),
+            compilation_options: PipelineCompilationOptions {
+                zero_initialize_workgroup_memory: false,
+                ..PipelineCompilationOptions::default()
+            },
+            cache: None,
+        });
+        known.insert(kernel.clone(), pipeline.clone());
+        pipeline
+    }
+
+    /// Records a dispatch of so many groups with these buffers at their bindings.
+    pub(crate) fn dispatch(&self, kernel: &Kernel, buffers: &[(u32, &Buffer)], size: [u32; 3]) -> Dispatch {
+        let pipeline = self.pipeline(kernel);
+        let entries: Vec<BindGroupEntry> = buffers
+            .iter()
+            .map(|(binding, buffer)| BindGroupEntry { binding: *binding, resource: buffer.as_entire_binding() })
+            .collect();
+        let layout = pipeline.get_bind_group_layout(0);
+        let descriptor = BindGroupDescriptor { label: Some(kernel.name), layout: &layout, entries: &entries };
+        let group = self.device.create_bind_group(&descriptor);
+        Dispatch { label: kernel.name, pipeline, group, size }
+    }
+
+    fn encoder(&self) -> CommandEncoder {
+        self.device.create_command_encoder(&CommandEncoderDescriptor::default())
+    }
+
+    /// Submits dispatches in their order.
+    pub(crate) fn submit<'a>(&self, work: impl IntoIterator<Item = &'a Dispatch>) {
+        let mut encoder = self.encoder();
+        {
+            let mut pass = encoder.begin_compute_pass(&ComputePassDescriptor::default());
+            for Dispatch { pipeline, group, size: [x, y, z], .. } in work {
+                pass.set_pipeline(pipeline);
+                pass.set_bind_group(0, group, &[]);
+                pass.dispatch_workgroups(*x, *y, *z);
+            }
+        }
+        self.queue.submit([encoder.finish()]);
+    }
+
+    /// Waits until all submitted work is done.
+    ///
+    /// # Errors
+    /// The device was lost.
+    pub fn wait(&self) -> Result<()> {
+        self.device.poll(PollType::wait_indefinitely()).map_err(|e| self.lost(&e.to_string()))?;
+        Ok(())
+    }
+
+    fn lost(&self, found: &str) -> Error {
+        Error::Diverged(format!(
+            "device gpu ({}) was lost: {found}; `augnerf resume` continues from the last checkpoint",
+            self.adapter.name
+        ))
+    }
+
+    /// Reads buffers in one transfer.
+    pub(crate) fn read(&self, buffers: &[&Buffer]) -> Result<Vec<Vec<u8>>> {
+        let total: u64 = buffers.iter().map(|buffer| buffer.size()).sum();
+        let usage = BufferUsages::MAP_READ | BufferUsages::COPY_DST;
+        let staging =
+            self.device.create_buffer(&BufferDescriptor { label: None, size: total, usage, mapped_at_creation: false });
+        let mut encoder = self.encoder();
+        let mut at = 0;
+        for buffer in buffers {
+            encoder.copy_buffer_to_buffer(buffer, 0, &staging, at, buffer.size());
+            at += buffer.size();
+        }
+        self.queue.submit([encoder.finish()]);
+        let outcome = Arc::new(Mutex::new(None));
+        let told = outcome.clone();
+        staging.slice(..).map_async(MapMode::Read, move |result| {
+            *told.lock().unwrap_or_else(PoisonError::into_inner) = Some(result);
+        });
+        self.wait()?;
+        match outcome.lock().unwrap_or_else(PoisonError::into_inner).take() {
+            Some(Ok(())) => {}
+            Some(Err(error)) => return Err(self.lost(&error.to_string())),
+            None => return Err(self.lost("it does not answer")),
+        }
+        let view = staging.slice(..).get_mapped_range().map_err(|e| self.lost(&e.to_string()))?;
+        let mut parts = Vec::with_capacity(buffers.len());
+        let mut at = 0;
+        for buffer in buffers {
+            let size = buffer.size() as usize;
+            parts.push(view[at..at + size].to_vec());
+            at += size;
+        }
+        Ok(parts)
+    }
+
+    /// Reads the first numbers of a buffer.
+    pub(crate) fn read_f32(&self, buffer: &Buffer, count: usize) -> Result<Vec<f32>> {
+        let bytes = self.read(&[buffer])?.remove(0);
+        Ok(bytemuck::pod_collect_to_vec(&bytes[..4 * count]))
+    }
+
+    /// Whether it measures the time of kernels.
+    pub(crate) fn has_timestamps(&self) -> bool {
+        self.timestamps
+    }
+
+    /// Measures each dispatch in nanoseconds, one after another.
+    pub(crate) fn time(&self, work: &[Dispatch]) -> Result<Vec<f64>> {
+        let count = work.len() as u32;
+        let mut nanoseconds = Vec::new();
+        // A set of queries holds 4,096.
+        for part in work.chunks(2000) {
+            let queries = self.device.create_query_set(&wgpu::QuerySetDescriptor {
+                label: None,
+                ty: wgpu::QueryType::Timestamp,
+                count: 2 * part.len() as u32,
+            });
+            let size = 16 * part.len() as u64;
+            let resolved = self.device.create_buffer(&BufferDescriptor {
+                label: None,
+                size,
+                usage: BufferUsages::QUERY_RESOLVE | BufferUsages::COPY_SRC,
+                mapped_at_creation: false,
+            });
+            let mut encoder = self.encoder();
+            for (i, Dispatch { pipeline, group, size: [x, y, z], .. }) in part.iter().enumerate() {
+                let mut pass = encoder.begin_compute_pass(&ComputePassDescriptor {
+                    label: None,
+                    timestamp_writes: Some(wgpu::ComputePassTimestampWrites {
+                        query_set: &queries,
+                        beginning_of_pass_write_index: Some(2 * i as u32),
+                        end_of_pass_write_index: Some(2 * i as u32 + 1),
+                    }),
+                });
+                pass.set_pipeline(pipeline);
+                pass.set_bind_group(0, group, &[]);
+                pass.dispatch_workgroups(*x, *y, *z);
+            }
+            encoder.resolve_query_set(&queries, 0..2 * part.len() as u32, &resolved, 0);
+            self.queue.submit([encoder.finish()]);
+            let bytes = self.read(&[&resolved])?.remove(0);
+            let ticks: Vec<u64> = bytemuck::pod_collect_to_vec(&bytes);
+            let period = f64::from(self.queue.get_timestamp_period());
+            nanoseconds.extend(ticks.chunks(2).map(|pair| pair[1].wrapping_sub(pair[0]) as f64 * period));
+        }
+        debug_assert_eq!(nanoseconds.len(), count as usize);
+        Ok(nanoseconds)
+    }
+}

@@ -1,0 +1,159 @@
+//! Rendering of rays on the device.
+
+use std::sync::{Arc, Mutex, PoisonError};
+
+use augnerf_core::base::Result;
+use augnerf_core::data::{Rays, Scene};
+use augnerf_core::methods::{Fields, RenderedRays, Renderer};
+use augnerf_core::settings::Config;
+use candle_core::{DType, Device, Tensor};
+use wgpu::Buffer;
+
+use crate::device::{Dispatch, Gpu, groups};
+use crate::kernels::Kernel;
+use crate::network::{FieldBuffers, Shape};
+use crate::record::{DeltaBuffers, OUT, Outputs, PassAt, RAY, Recorder, Resampling, Scratch, Words, Work};
+use crate::step::bins;
+
+/// Rays that are rendered at once, at most.
+const MOST_RAYS: usize = 8192;
+/// The same on a processor that plays a device.
+const MOST_RAYS_IN_SOFTWARE: usize = 512;
+
+/// Renders rays through the coarse and the fine field, without randomness.
+pub struct GpuRenderer {
+    gpu: Arc<Gpu>,
+    rays: Buffer,
+    out: Buffer,
+    work: Vec<Dispatch>,
+    chunk: usize,
+    /// One thread at a time has the buffers.
+    turn: Mutex<()>,
+}
+
+impl GpuRenderer {
+    /// Copies the current weights of fields to the device.
+    ///
+    /// # Errors
+    /// The device has too little memory.
+    pub fn new(gpu: Arc<Gpu>, fields: &Fields, config: &Config, scene: &Scene) -> Result<GpuRenderer> {
+        let shape = Shape::of(&config.field);
+        let (coarse, fine) = config.samples();
+        let samples = coarse.max(fine);
+        let most = if gpu.adapter().is_software { MOST_RAYS_IN_SOFTWARE } else { MOST_RAYS };
+        let fits = (gpu.budget() / Scratch::bytes_per_sample(&shape)).min(gpu.largest_buffer() / (4 * (shape.width + 1)));
+        let chunk = (fits / samples).clamp(1, most);
+        gpu.checked("making a renderer", || GpuRenderer::record(&gpu, fields, config, scene, &shape, chunk))?
+    }
+
+    fn record(
+        gpu: &Arc<Gpu>,
+        fields: &Fields,
+        config: &Config,
+        scene: &Scene,
+        shape: &Shape,
+        chunk: usize,
+    ) -> Result<GpuRenderer> {
+        let copy = |field: &augnerf_core::field::Field| {
+            let values: Vec<Tensor> = field.variables().iter().map(|(_, var)| var.as_detached_tensor()).collect();
+            FieldBuffers::new(gpu, shape, &values, None)
+        };
+        let coarse_field = copy(&fields.coarse)?;
+        let fine_field = match fields.fine() {
+            Some(fine) if fields.by_role().iter().any(|(role, _)| *role == "fine") => Some(copy(fine)?),
+            _ => None,
+        };
+        let (coarse, fine) = config.samples();
+        let encoding = config.field.encoding;
+        let columns = encoding.t_vals(coarse);
+        let scratch = Scratch::new(gpu, shape, chunk, coarse.max(fine));
+        let (rays, out) = (gpu.numbers(chunk * RAY), gpu.numbers(chunk * OUT));
+        let rows = gpu.storage(&bins(config.sampling.spacing, scene.bounds(), columns, false));
+        let jitter = gpu.numbers(chunk * columns);
+        let t_vals = || gpu.numbers(chunk * (coarse.max(fine) + 1));
+        let (t_coarse, t_fine, flags) = (t_vals(), t_vals(), gpu.numbers(1));
+        let mut recorder = Recorder {
+            gpu,
+            shape,
+            outputs: Outputs::of(&config.field),
+            scratch: &scratch,
+            rays: &rays,
+            flags: &flags,
+            bounds: scene.bounds(),
+            background: scene.background,
+            large_tiles: shape.width >= 128 && !gpu.adapter().is_software,
+            dispatches: Vec::new(),
+            work: Work::default(),
+        };
+        let words = Words::default().u(chunk).u(columns).u(0).u(0);
+        let bound = [(1, &rows), (2, &jitter), (3, &t_coarse)];
+        recorder.run(Kernel::new("sample"), words, &bound, groups(chunk * columns));
+        let pass = PassAt {
+            field: &coarse_field,
+            ray0: 0,
+            rays: chunk,
+            samples: coarse,
+            columns,
+            t_vals: &t_coarse,
+            noise: None,
+            deltas: DeltaBuffers::default(),
+            out: &out,
+        };
+        if config.sampling.fine == 0 {
+            recorder.forward(&pass, None);
+        } else {
+            recorder.place_by_density(&pass);
+            let at = Resampling {
+                rays: chunk,
+                coarse,
+                columns,
+                fine: encoding.t_vals(config.sampling.fine),
+                intervals: encoding.at_intervals(),
+                padding: config.sampling.resample_padding,
+                mode: 2,
+                first: 0,
+            };
+            recorder.resample(at, &t_coarse, &jitter, &t_fine);
+            let field = fine_field.as_ref().unwrap_or(&coarse_field);
+            let fine = PassAt { field, samples: fine, columns: encoding.t_vals(fine), t_vals: &t_fine, ..pass };
+            recorder.forward(&fine, None);
+        }
+        let work = recorder.dispatches;
+        Ok(GpuRenderer { gpu: gpu.clone(), rays, out, work, chunk, turn: Mutex::default() })
+    }
+
+    /// Renders at most a chunk of rays: their colours, depths and accumulations, `OUT` numbers each.
+    fn render_chunk(&self, packed: &[f32]) -> Result<Vec<f32>> {
+        let _turn = self.turn.lock().unwrap_or_else(PoisonError::into_inner);
+        self.gpu.write(&self.rays, bytemuck::cast_slice(packed));
+        self.gpu.submit(&self.work);
+        self.gpu.read_f32(&self.out, packed.len() / RAY * OUT)
+    }
+}
+
+impl Renderer for GpuRenderer {
+    fn render(&self, rays: &Rays) -> Result<RenderedRays> {
+        let host = |tensor: &Tensor| tensor.to_dtype(DType::F32)?.flatten_all()?.to_vec1::<f32>();
+        let [origins, directions, views, norms] =
+            [&rays.origins, &rays.directions, &rays.viewdirs, &rays.direction_norm].map(host);
+        let (origins, directions, views, norms) = (origins?, directions?, views?, norms?);
+        let mut packed = vec![0f32; rays.len() * RAY];
+        for (ray, packed) in packed.chunks_exact_mut(RAY).enumerate() {
+            for (at, from) in [&origins, &directions, &views].into_iter().enumerate() {
+                packed[3 * at..3 * at + 3].copy_from_slice(&from[3 * ray..3 * ray + 3]);
+            }
+            packed[RAY - 2] = norms[ray];
+        }
+        let mut out = Vec::with_capacity(rays.len() * OUT);
+        for part in packed.chunks(self.chunk * RAY) {
+            out.extend(self.render_chunk(part)?);
+        }
+        let column = |at: usize| out.chunks_exact(OUT).map(|ray| ray[at]).collect::<Vec<f32>>();
+        let rgb: Vec<f32> = out.chunks_exact(OUT).flat_map(|ray| [ray[0], ray[1], ray[2]]).collect();
+        Ok(RenderedRays {
+            rgb: Tensor::from_vec(rgb, (rays.len(), 3), &Device::Cpu)?,
+            depth: Tensor::from_vec(column(3), rays.len(), &Device::Cpu)?,
+            acc: Tensor::from_vec(column(4), rays.len(), &Device::Cpu)?,
+        })
+    }
+}

@@ -1,0 +1,499 @@
+//! The constraint sets of a pass on the device: radii, random points, and steps of the search.
+
+use augnerf_core::augment::{
+    Draw, Epsilon, Geometry, Norm, PaperPass, PassGeometry, PerSite, PixelScale, Radius, SampleDensity, SetChoices,
+    Sets, Site, SiteNumbers, StepUnit,
+};
+use augnerf_core::base::Result;
+use augnerf_core::base::rng::Stream;
+use augnerf_core::data::Scene;
+use augnerf_core::settings::Resolved;
+use candle_core::{DType, Device, Tensor};
+use wgpu::Buffer;
+
+use crate::device::{Gpu, groups};
+use crate::kernels::Kernel;
+use crate::record::{DeltaBuffers, GradientAt, PassAt, Recorder, Words};
+
+/// A length of direction at which no cap shortens a pixel.
+const FAR: f64 = 1e30;
+
+/// The sets of a kind of pass, coarse or fine.
+pub(crate) struct PassSets {
+    sites: Vec<SiteSet>,
+    unit: StepUnit,
+}
+
+/// The set of one site.
+struct SiteSet {
+    site: Site,
+    numbers: SiteNumbers,
+    radius: SiteRadius,
+    /// Numbers of a vector.
+    size: usize,
+    /// Vectors of a ray.
+    per_ray: usize,
+    /// The last sample of a ray has no delta.
+    masks: bool,
+}
+
+enum SiteRadius {
+    /// One for all.
+    One(f64),
+    /// That of `t`: kind, share, coarse, drawn, coarse gap, reach, as in `t_radius.wgsl`.
+    OfGaps(usize, [f64; 5]),
+    /// That of `xyz`: a pixel, capped by a part of the ray; both times epsilon.
+    Pixel { pixel: f64, cap: f64 },
+}
+
+/// The sizes of a pass.
+#[derive(Clone, Copy)]
+pub(crate) struct PassSize {
+    pub(crate) is_coarse: bool,
+    pub(crate) samples: usize,
+    pub(crate) columns: usize,
+}
+
+impl PassSets {
+    /// Returns the sets of passes of this size.
+    pub(crate) fn new(config: &Resolved, scene: &Scene, size: PassSize) -> Result<PassSets> {
+        let geometry = Geometries::new(config, scene);
+        let perturb = &config.perturb;
+        let (numbers, choices) = (&perturb.numbers, perturb.set_choices());
+        let t_vals = Tensor::zeros((1, size.columns), DType::F64, &Device::Cpu)?;
+        let direction_norm = Tensor::full(FAR, (1, 1), &Device::Cpu)?;
+        let pass = geometry.pass(&t_vals, &direction_norm, size)?;
+        let sets = Sets::new(numbers, &choices, &pass)?;
+        let sites = sets.iter().map(|(site, set)| {
+            let one = || -> Result<f64> { Ok(set.radius.flatten_all()?.to_vec1::<f64>()?[0]) };
+            let radius = match site {
+                Site::T => of_gaps(&numbers[site], &pass),
+                Site::Xyz if is_capped(&numbers[site], &choices) => {
+                    let epsilon = numbers[site].radius(|epsilon| epsilon);
+                    let (near, far) = pass.bounds;
+                    let cap = (far - near) / (2.0 * (pass.cap_samples as f64 - 1.0)) * epsilon;
+                    SiteRadius::Pixel { pixel: one()?, cap }
+                }
+                _ => SiteRadius::One(one()?),
+            };
+            let (size_of, per_ray) = match site {
+                Site::T => (1, size.columns),
+                Site::View => (2, 1),
+                Site::Xyz | Site::Rgb => (3, size.samples),
+                Site::Feature => (config.field.width, size.samples),
+                Site::Density => (1, size.samples),
+            };
+            Ok(SiteSet { site, numbers: numbers[site], radius, size: size_of, per_ray, masks: set.mask.is_some() })
+        });
+        Ok(PassSets { sites: sites.collect::<Result<_>>()?, unit: perturb.step_unit })
+    }
+
+    /// Returns the sites that are on, with whether they move in a step of the search.
+    pub(crate) fn moving(&self, step: usize) -> Vec<Site> {
+        self.sites.iter().filter(|set| step < set.numbers.steps).map(|set| set.site).collect()
+    }
+
+    pub(crate) fn sites(&self) -> impl Iterator<Item = Site> {
+        self.sites.iter().map(|set| set.site)
+    }
+
+    /// Returns the number of steps of the search.
+    pub(crate) fn steps(&self) -> usize {
+        self.sites.iter().map(|set| set.numbers.steps).max().unwrap_or(0)
+    }
+
+    fn set(&self, site: Site) -> &SiteSet {
+        self.sites.iter().find(|set| set.site == site).expect("a site that is on")
+    }
+}
+
+/// Returns whether the radius of `xyz` depends on the length of a ray's direction.
+fn is_capped(numbers: &SiteNumbers, choices: &SetChoices) -> bool {
+    choices.xyz_radius == Radius::Pixel && matches!(numbers.epsilon, Epsilon::Units(_))
+}
+
+fn of_gaps(numbers: &SiteNumbers, pass: &PassGeometry) -> SiteRadius {
+    const LARGEST: f64 = 0.5;
+    let SampleDensity { coarse, drawn } = pass.density;
+    let (near, far) = pass.bounds;
+    let coarse_gap = (far - near) / (pass.coarse_samples as f64 - 1.0);
+    match (numbers.epsilon, pass.density.uniform()) {
+        (Epsilon::Units(epsilon), Some(density)) => {
+            SiteRadius::OfGaps(0, [(epsilon / density).min(LARGEST), coarse, drawn, coarse_gap, 0.0])
+        }
+        (Epsilon::Units(epsilon), None) => SiteRadius::OfGaps(1, [epsilon, coarse, drawn, coarse_gap, 0.0]),
+        (Epsilon::Reach, _) => {
+            SiteRadius::OfGaps(2, [LARGEST, coarse, drawn, coarse_gap, numbers.radius(|epsilon| epsilon)])
+        }
+    }
+}
+
+/// The geometry of a run's sets.
+struct Geometries {
+    bounds: (f64, f64),
+    pixel: PixelScale,
+    coarse_columns: usize,
+    width: usize,
+    paper: Option<PaperPass>,
+}
+
+impl Geometries {
+    fn new(config: &Resolved, scene: &Scene) -> Geometries {
+        let camera = &scene.train[0].camera;
+        let paper = PaperPass::of_scenes(config.data.kind.forward_facing());
+        Geometries {
+            bounds: scene.bounds(),
+            pixel: PixelScale {
+                width: camera.width as f64,
+                height: camera.height as f64,
+                focal: camera.focal[0],
+                ndc: scene.ndc.is_some(),
+            },
+            coarse_columns: config.field.encoding.t_vals(config.sampling.coarse),
+            width: config.field.width,
+            paper: (config.perturb.geometry == Geometry::Paper).then_some(paper),
+        }
+    }
+
+    fn pass<'a>(&self, t_vals: &'a Tensor, direction_norm: &'a Tensor, size: PassSize) -> Result<PassGeometry<'a>> {
+        let own = PassGeometry {
+            is_coarse: size.is_coarse,
+            t_vals,
+            samples: size.samples,
+            direction_norm,
+            bounds: self.bounds,
+            coarse_samples: self.coarse_columns,
+            cap_samples: self.coarse_columns,
+            width: self.width,
+            pixel: self.pixel,
+            density: SampleDensity::OWN,
+        };
+        self.paper.map_or(Ok(own), |paper| own.of_paper(&paper))
+    }
+}
+
+/// The buffers of a pass's sets for a chunk of rays.
+pub(crate) struct SetBuffers {
+    deltas: PerSite<Option<Buffer>>,
+    /// Random points, for the diagnostics.
+    random: PerSite<Option<Buffer>>,
+    t_radius: Buffer,
+    xyz_radius: Buffer,
+}
+
+impl SetBuffers {
+    pub(crate) fn new(gpu: &Gpu, sets: &PassSets, rays: usize) -> SetBuffers {
+        let of = |site: Site| {
+            let set = sets.sites.iter().find(|set| set.site == site)?;
+            Some(gpu.numbers(rays * set.per_ray * set.size))
+        };
+        let columns = sets.sites.iter().filter(|set| set.site == Site::T).map(|set| set.per_ray).max().unwrap_or(1);
+        SetBuffers {
+            deltas: PerSite::from_fn(of),
+            random: PerSite::from_fn(of),
+            t_radius: gpu.numbers(rays * columns),
+            xyz_radius: gpu.numbers(rays),
+        }
+    }
+
+    /// Returns the deltas of all sites, or random ones.
+    pub(crate) fn of_pass<'a>(&'a self, sets: &PassSets, random: bool, layer: usize, before: bool) -> DeltaBuffers<'a> {
+        let buffers = if random { &self.random } else { &self.deltas };
+        let of = |site: Site| buffers[site].as_ref();
+        let output = |site: Site| {
+            let buffer = of(site)?;
+            let set = sets.set(site);
+            let SiteRadius::One(radius) = set.radius else { unreachable!("one radius for all samples") };
+            Some((buffer, radius, if site == Site::Rgb { set.numbers.norm == Norm::L2 } else { set.masks }))
+        };
+        DeltaBuffers {
+            t: of(Site::T),
+            xyz: of(Site::Xyz),
+            view: of(Site::View),
+            feature: of(Site::Feature).map(|buffer| (buffer, layer)),
+            rgb: output(Site::Rgb),
+            density: output(Site::Density),
+            before,
+        }
+    }
+}
+
+/// Random numbers of a chunk of rays, in parts of the host's chunks.
+#[derive(Clone, Copy)]
+pub(crate) struct HostChunks {
+    /// Rays of a chunk of the host.
+    pub(crate) size: usize,
+    pub(crate) ray0: usize,
+    pub(crate) rays: usize,
+}
+
+impl HostChunks {
+    /// Returns complete chunks and their number, and the rays of a last smaller one.
+    fn split(self) -> (usize, usize) {
+        (self.rays / self.size, self.rays % self.size)
+    }
+
+    /// Returns chunks that a part of a step's rays has.
+    fn first(self) -> usize {
+        self.ray0 / self.size
+    }
+}
+
+impl Recorder<'_> {
+    /// Records so many words of a stream from an offset on: `count` of each of `chunks`.
+    pub(crate) fn random(&mut self, now: &Buffer, numbers: &Buffer, at: Stretch) {
+        let Stretch { stream, part, part_step, chunks, count, offset, first } = at;
+        if count == 0 || chunks == 0 {
+            return;
+        }
+        let blocks = (offset % 16 + count).div_ceil(16);
+        let words = Words::default().u(key(stream)).u(part).u(part_step).u(chunks);
+        let words = words.u(count).u(offset).u(blocks).u(first);
+        self.run(Kernel::new("random"), words, &[(1, now), (2, numbers)], groups(chunks * blocks));
+    }
+
+    /// Records the map of uniform numbers to normal ones: `count` (even) of each of `chunks`.
+    pub(crate) fn normal(&mut self, numbers: &Buffer, chunks: usize, count: usize, scale: f64, first: usize) {
+        if count * chunks > 0 {
+            let words = Words::default().u(chunks).u(count).f(scale).u(first);
+            self.run(Kernel::new("normal"), words, &[(1, numbers)], groups(chunks * count / 2));
+        }
+    }
+
+    /// Records the radii that depend on samples and rays.
+    pub(crate) fn radii(&mut self, sets: &PassSets, buffers: &SetBuffers, pass: &PassAt) {
+        for set in &sets.sites {
+            match set.radius {
+                SiteRadius::One(_) => {}
+                SiteRadius::OfGaps(kind, [share, coarse, drawn, gap, reach]) => {
+                    let count = pass.rays * pass.columns;
+                    let words = Words::default().u(pass.rays).u(pass.columns).u(kind).f(share);
+                    let words = words.f(coarse).f(drawn).f(gap).f(reach);
+                    let bound = [(1, pass.t_vals), (2, &buffers.t_radius)];
+                    self.run(Kernel::new("t_radius"), words, &bound, groups(count));
+                }
+                SiteRadius::Pixel { pixel, cap } => {
+                    let words = Words::default().u(pass.rays).u(pass.ray0).u(0).u(0);
+                    let words = words.f(pixel).f(cap).f(1.0).u(0);
+                    let rays = self.rays;
+                    self.run(
+                        Kernel::new("xyz_radius"),
+                        words,
+                        &[(1, rays), (2, &buffers.xyz_radius)],
+                        groups(pass.rays),
+                    );
+                }
+            }
+        }
+    }
+
+    /// The parameters of a set's kernels.
+    fn set_words(&self, sets: &PassSets, set: &SiteSet, pass: &PassAt, rest: SetWords) -> Words {
+        let every = match set.radius {
+            SiteRadius::One(_) => 0,
+            SiteRadius::OfGaps(..) => 1,
+            SiteRadius::Pixel { .. } => set.per_ray,
+        };
+        let radius = if let SiteRadius::One(radius) = set.radius { radius } else { 0.0 };
+        let (near, far) = rest.range.unwrap_or(self.bounds);
+        let is = |on: bool| usize::from(on);
+        Words::default()
+            .u(pass.rays * set.per_ray)
+            .u(set.size)
+            .u(is(set.numbers.norm == Norm::L2))
+            .u(every)
+            .f(radius)
+            .u(is(set.site == Site::T))
+            .f(near)
+            .f(far)
+            .u(if set.masks { pass.samples } else { 0 })
+            .f(set.numbers.step_size)
+            .u(is(sets.unit == StepUnit::Relative))
+            .u(rest.stride)
+            .u(rest.offset)
+            .u(is(rest.gaussian))
+            .u(rest.chunk)
+            .u(rest.normals)
+            .u(rest.first)
+            .u(rest.first_distance)
+            .u(0)
+            .u(0)
+    }
+
+    fn set_kernel(&self, name: &'static str, set: &SiteSet) -> Kernel {
+        let has_radii = !matches!(set.radius, SiteRadius::One(_));
+        Kernel::new(name).with("RADII", has_radii).with("BOUNDED", set.site == Site::T)
+    }
+
+    /// The buffers of a set's kernels: the delta, its radii, the positions that bound it.
+    fn set_buffers<'b>(
+        set: &SiteSet,
+        delta: &'b Buffer,
+        buffers: &'b SetBuffers,
+        pass: &PassAt<'b>,
+    ) -> Vec<(u32, &'b Buffer)> {
+        let mut bound = vec![(1, delta)];
+        match set.radius {
+            SiteRadius::One(_) => {}
+            SiteRadius::OfGaps(..) => bound.push((2, &buffers.t_radius)),
+            SiteRadius::Pixel { .. } => bound.push((2, &buffers.xyz_radius)),
+        }
+        if set.site == Site::T {
+            bound.push((3, pass.t_vals));
+        }
+        bound
+    }
+
+    /// Records a random point of every set of a pass.
+    pub(crate) fn draw(&mut self, at: &DrawAt) {
+        let DrawAt { sets, buffers, pass, draw, stream, chunks, now, numbers, .. } = *at;
+        let (whole, rest) = chunks.split();
+        for set in &sets.sites {
+            let number = 2 * chunks.first() as u64 + u64::from(at.is_coarse);
+            let part = set.site.part(number) as usize;
+            let part_step = (set.site.part(number + 2) - set.site.part(number)) as usize;
+            let of_ray = set.per_ray * set.size;
+            let per_chunk = chunks.size * of_ray;
+            let gaussian = draw == Draw::Gaussian;
+            let ball = set.numbers.norm == Norm::L2 && !gaussian;
+            let normals = if gaussian || ball { per_chunk.next_multiple_of(2) } else { per_chunk };
+            let distances = (whole + 1) * normals;
+            let vectors = chunks.size * set.per_ray;
+            let stretch = |chunks: usize, chunk: usize, count: usize, offset: usize, first: usize| Stretch {
+                stream,
+                part: part + chunk * part_step,
+                part_step,
+                chunks,
+                count,
+                offset,
+                first,
+            };
+            let of_rest = (rest * of_ray).next_multiple_of(if gaussian || ball { 2 } else { 1 });
+            self.random(now, numbers, stretch(whole, 0, normals, 0, 0));
+            self.random(now, numbers, stretch(1, whole, of_rest, 0, whole * normals));
+            if gaussian || ball {
+                self.normal(numbers, whole, normals, 1.0, 0);
+                self.normal(numbers, 1, of_rest, 1.0, whole * normals);
+            }
+            if ball {
+                self.random(now, numbers, stretch(whole, 0, vectors, normals, distances));
+                let first = distances + whole * vectors;
+                self.random(now, numbers, stretch(1, whole, rest * set.per_ray, of_rest, first));
+            }
+            let words = SetWords { gaussian, chunk: vectors, normals, first_distance: distances, ..SetWords::default() };
+            let words = self.set_words(sets, set, pass, words);
+            let to = if at.random { &buffers.random } else { &buffers.deltas };
+            let delta = to[set.site].as_ref().expect("a site that is on");
+            let mut bound = Recorder::set_buffers(set, delta, buffers, pass);
+            bound.push((4, numbers));
+            let threads = groups(pass.rays * set.per_ray);
+            self.run(self.set_kernel("draw", set), words, &bound, threads);
+        }
+    }
+
+    /// Records a step of the search of one site, from where the pass put its delta.
+    pub(crate) fn ascend(
+        &mut self,
+        sets: &PassSets,
+        buffers: &SetBuffers,
+        pass: &PassAt,
+        site: Site,
+        (gradient, stride, offset): GradientAt,
+    ) {
+        let set = sets.set(site);
+        let words = self.set_words(sets, set, pass, SetWords { stride, offset, ..SetWords::default() });
+        let delta = buffers.deltas[site].as_ref().expect("a site that is on");
+        let mut bound = Recorder::set_buffers(set, delta, buffers, pass);
+        bound.push((4, gradient));
+        let used = self.used(site);
+        bound.extend(used.map(|used| (5, used)));
+        let kernel = self.set_kernel("ascend", set).with("USED", used.is_some());
+        self.run(kernel, words, &bound, groups(pass.rays * set.per_ray));
+    }
+
+    /// Records the count of numbers on the edge of a site's set, after the pass that used them. `range` is that of
+    /// colours or densities.
+    pub(crate) fn at_bound(
+        &mut self,
+        sets: &PassSets,
+        buffers: &SetBuffers,
+        pass: &PassAt,
+        site: Site,
+        (counts, first): (&Buffer, usize),
+        range: (f64, f64),
+    ) {
+        let set = sets.set(site);
+        let is_output = matches!(site, Site::Rgb | Site::Density) && !pass.deltas.before;
+        let offset = if site == Site::Density { 3 } else { 0 };
+        let range = is_output.then_some(range);
+        let words = self.set_words(sets, set, pass, SetWords { offset, first, range, ..SetWords::default() });
+        let delta = match self.used(site) {
+            Some(used) => used,
+            None => buffers.deltas[site].as_ref().expect("a site that is on"),
+        };
+        let mut bound = Recorder::set_buffers(set, delta, buffers, pass);
+        bound.push((4, counts));
+        if is_output {
+            bound.push((5, &self.scratch.values));
+        }
+        let kernel = self.set_kernel("at_bound", set).with("OUTPUT", is_output);
+        self.run(kernel, words, &bound, groups(pass.rays * set.per_ray));
+    }
+}
+
+/// The stream's word in the generator's key.
+fn key(stream: Stream) -> usize {
+    match stream {
+        Stream::Jitter => 3,
+        Stream::Search => 4,
+        Stream::Diagnostics => 5,
+        _ => unreachable!("a stream of the passes"),
+    }
+}
+
+/// A stretch of random words: `count` of each of `chunks`, from `offset` on, to `first`.
+#[derive(Clone, Copy)]
+pub(crate) struct Stretch {
+    pub(crate) stream: Stream,
+    pub(crate) part: usize,
+    pub(crate) part_step: usize,
+    pub(crate) chunks: usize,
+    pub(crate) count: usize,
+    pub(crate) offset: usize,
+    pub(crate) first: usize,
+}
+
+/// What is drawn, and where to.
+#[derive(Clone, Copy)]
+pub(crate) struct DrawAt<'a> {
+    pub(crate) sets: &'a PassSets,
+    pub(crate) buffers: &'a SetBuffers,
+    pub(crate) pass: &'a PassAt<'a>,
+    pub(crate) draw: Draw,
+    pub(crate) stream: Stream,
+    pub(crate) is_coarse: bool,
+    /// Into the random deltas, not the search's.
+    pub(crate) random: bool,
+    pub(crate) chunks: HostChunks,
+    pub(crate) now: &'a Buffer,
+    pub(crate) numbers: &'a Buffer,
+}
+
+/// Parameters that only some of the sets' kernels read.
+#[derive(Clone, Copy, Default)]
+struct SetWords {
+    stride: usize,
+    offset: usize,
+    gaussian: bool,
+    chunk: usize,
+    normals: usize,
+    first: usize,
+    first_distance: usize,
+    range: Option<(f64, f64)>,
+}
+
+/// Returns the numbers that drawing needs for a chunk of rays.
+pub(crate) fn numbers_to_draw(sets: &PassSets, rays: usize, chunk: usize) -> usize {
+    let of = |set: &SiteSet| (rays.next_multiple_of(chunk) + chunk) * set.per_ray * (set.size + 1) + 2 * rays / chunk + 4;
+    sets.sites.iter().map(of).max().unwrap_or(1)
+}

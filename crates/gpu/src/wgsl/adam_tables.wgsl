@@ -1,0 +1,24 @@
+// A thread an entry. Entries that no gradient reached stay; the sums are made 0 for the next step.
+@group(0) @binding(6) var<storage, read_write> sums: array<u32>;
+const F: u32 = {FEATURES}u;
+@compute @workgroup_size(64)
+fn main(@builtin(global_invocation_id) id: vec3<u32>) {
+    let entry = thread_of(id);
+    if (F * entry >= p.numbers) { return; }
+    var any = 0u;
+    for (var i = 2u * F * entry; i < 2u * F * (entry + 1u); i++) { any |= sums[i]; }
+    if (any == 0u) { return; }
+    for (var f = 0u; f < F; f++) {
+        let i = F * entry + f;
+        // Two's complement in two words to f32, by its magnitude.
+        var low = sums[2u * i];
+        var high = sums[2u * i + 1u];
+        let negative = (high >> 31u) == 1u;
+        if (negative) { low = ~low + 1u; high = ~high + select(0u, 1u, low == 0u); }
+        var g = (f32(high) + f32(low) * (1.0 / 4294967296.0)) * p.unit;
+        if (negative) { g = -g; }
+        sums[2u * i] = 0u;
+        sums[2u * i + 1u] = 0u;
+        move_by(i, g);
+    }
+}

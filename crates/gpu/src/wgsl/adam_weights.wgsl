@@ -1,0 +1,10 @@
+// A thread a number. The gradient is made 0 for the next step.
+@group(0) @binding(6) var<storage, read_write> gradient: array<f32>;
+@compute @workgroup_size(64)
+fn main(@builtin(global_invocation_id) id: vec3<u32>) {
+    let i = thread_of(id);
+    if (i >= p.numbers) { return; }
+    let g = gradient[i];
+    gradient[i] = 0.0;
+    move_by(i, g);
+}
