@@ -18,6 +18,7 @@ mod answer;
 mod bench;
 mod compare;
 mod data;
+mod devices;
 mod eval;
 mod exchange;
 mod experiment;
@@ -179,6 +180,9 @@ enum Command {
     /// List settings with their values, defaults and effects
     #[command(after_help = settings::EXAMPLES)]
     Settings(settings::SettingsArguments),
+    /// List the devices that --device can name
+    #[command(after_help = devices::EXAMPLES)]
+    Devices(devices::DevicesArguments),
     /// Time training steps on synthetic rays, as one line of JSON
     #[command(after_help = bench::EXAMPLES)]
     Bench(bench::BenchArguments),
@@ -316,6 +320,7 @@ pub fn main() -> ExitCode {
         Command::Measure(arguments) => arguments.run(),
         Command::Balance(arguments) => arguments.run(),
         Command::Bench(arguments) => arguments.run(),
+        Command::Devices(arguments) => arguments.run(),
         Command::Render(arguments) => arguments.run(),
         Command::Export(arguments) => arguments.run(),
         Command::Import(arguments) => arguments.run(),

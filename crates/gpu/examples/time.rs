@@ -4,7 +4,6 @@
 //! cargo run --release -p augnerf-gpu --example time -- [gpu number] [STEPS] [SETTING=VALUE ...]
 //! ```
 
-use std::sync::Arc;
 use std::time::Instant;
 
 use augnerf_core::base::Image;
@@ -12,6 +11,7 @@ use augnerf_core::data::{Camera, Scene, View};
 use augnerf_core::methods::FieldLearner;
 use augnerf_core::settings::{DataKind, Extent, build, parse_assignment};
 use augnerf_gpu::{Gpu, Steps};
+use augnerf_core::runtime::Accelerator as _;
 use candle_core::{DType, Device};
 
 fn scene() -> Scene {
@@ -48,11 +48,11 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let settings = given.iter().map(|text| parse_assignment(text)).collect::<Result<Vec<_>, _>>()?;
     let config = build(None, None, &settings)?;
     let config = config.resolve(DataKind::Blender, Extent { near: 2.0, far: 6.0, domain: None, pixels: 64 })?;
-    let (scene, gpu) = (scene(), Arc::new(Gpu::open(index)?));
+    let (scene, gpu) = (scene(), Gpu::open(index)?);
     println!("{}: {}", gpu.description(), given[4..].join(" "));
     let (learner, _) = FieldLearner::start(&config, &scene, DType::F32, &Device::Cpu)?;
     let started = Instant::now();
-    let mut steps = Steps::new(gpu, &config, &scene, learner.fields(), None)?;
+    let mut steps = Steps::new(&gpu, &config, &scene, learner.fields(), None)?;
     println!("ready after {:.2} s", started.elapsed().as_secs_f64());
     let mut seconds = Vec::new();
     for step in 0..count + 3 {

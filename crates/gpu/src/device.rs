@@ -1,10 +1,12 @@
 //! The adapter, its buffers and its pipelines.
 
+use std::any::Any;
 use std::collections::HashMap;
 use std::fmt;
 use std::sync::{Arc, Mutex, PoisonError};
 
 use augnerf_core::base::{Error, Result};
+use augnerf_core::runtime::Accelerator;
 use pollster::block_on;
 use wgpu::{
     AdapterInfo, Backends, BindGroupDescriptor, BindGroupEntry, Buffer, BufferDescriptor, BufferUsages, CommandEncoder,
@@ -37,8 +39,11 @@ pub struct Adapter {
     pub lacks: Vec<String>,
 }
 
-/// An open device.
-pub struct Gpu {
+/// An open device. A clone is the same device.
+#[derive(Clone)]
+pub struct Gpu(Arc<Opened>);
+
+struct Opened {
     device: Device,
     queue: Queue,
     adapter: Adapter,
@@ -160,23 +165,17 @@ impl Gpu {
         let (device, queue) = block_on(adapter.request_device(&descriptor))
             .map_err(|e| refuse(format!("{} cannot be opened: {e}", known.name)))?;
         let pipelines = Mutex::default();
-        Ok(Gpu { device, queue, adapter: known, info, limits: required, pipelines, timestamps })
+        Ok(Gpu(Arc::new(Opened { device, queue, adapter: known, info, limits: required, pipelines, timestamps })))
     }
 
     /// Returns its adapter.
     pub fn adapter(&self) -> &Adapter {
-        &self.adapter
-    }
-
-    /// Returns adapter, interface and driver in a line.
-    pub fn description(&self) -> String {
-        let Adapter { name, backend, driver, .. } = &self.adapter;
-        format!("{name}, {backend}, {driver}")
+        &self.0.adapter
     }
 
     /// Returns the bytes of all of a step's samples that are kept at once.
     pub(crate) fn budget(&self) -> usize {
-        match self.info.device_type {
+        match self.0.info.device_type {
             DeviceType::DiscreteGpu => 6 << 30,
             DeviceType::Cpu => 1 << 28,
             _ => 1 << 30,
@@ -184,16 +183,16 @@ impl Gpu {
     }
 
     pub(crate) fn largest_buffer(&self) -> usize {
-        self.limits.max_storage_buffer_binding_size as usize
+        self.0.limits.max_storage_buffer_binding_size as usize
     }
 
     /// Returns an error if the closure's calls failed.
     pub(crate) fn checked<T>(&self, what: &str, work: impl FnOnce() -> T) -> Result<T> {
-        let memory = self.device.push_error_scope(ErrorFilter::OutOfMemory);
-        let validation = self.device.push_error_scope(ErrorFilter::Validation);
-        let internal = self.device.push_error_scope(ErrorFilter::Internal);
+        let memory = self.0.device.push_error_scope(ErrorFilter::OutOfMemory);
+        let validation = self.0.device.push_error_scope(ErrorFilter::Validation);
+        let internal = self.0.device.push_error_scope(ErrorFilter::Internal);
         let value = work();
-        let refused = |found: String| Error::Config(format!("device gpu ({}): {what}: {found}", self.adapter.name));
+        let refused = |found: String| Error::Config(format!("device gpu ({}): {what}: {found}", self.0.adapter.name));
         if let Some(error) = block_on(internal.pop()) {
             return Err(refused(error.to_string()));
         }
@@ -209,7 +208,7 @@ impl Gpu {
     pub(crate) fn buffer(&self, bytes: usize) -> Buffer {
         let usage = BufferUsages::STORAGE | BufferUsages::COPY_DST | BufferUsages::COPY_SRC;
         let size = bytes.max(16).next_multiple_of(16) as u64;
-        self.device.create_buffer(&BufferDescriptor { label: None, size, usage, mapped_at_creation: false })
+        self.0.device.create_buffer(&BufferDescriptor { label: None, size, usage, mapped_at_creation: false })
     }
 
     /// Returns a buffer of so many numbers of 32 bits.
@@ -227,14 +226,14 @@ impl Gpu {
         let usage = BufferUsages::UNIFORM | BufferUsages::COPY_DST;
         let size = (4 * words.len()).next_multiple_of(16) as u64;
         let buffer =
-            self.device.create_buffer(&BufferDescriptor { label: None, size, usage, mapped_at_creation: false });
+            self.0.device.create_buffer(&BufferDescriptor { label: None, size, usage, mapped_at_creation: false });
         self.write(&buffer, bytemuck::cast_slice(words));
         buffer
     }
 
     pub(crate) fn write(&self, buffer: &Buffer, bytes: &[u8]) {
         if !bytes.is_empty() {
-            self.queue.write_buffer(buffer, 0, bytes);
+            self.0.queue.write_buffer(buffer, 0, bytes);
         }
     }
 
@@ -242,25 +241,25 @@ impl Gpu {
     pub(crate) fn clear(&self, buffer: &Buffer) {
         let mut encoder = self.encoder();
         encoder.clear_buffer(buffer, 0, None);
-        self.queue.submit([encoder.finish()]);
+        self.0.queue.submit([encoder.finish()]);
     }
 
     fn pipeline(&self, kernel: &Kernel) -> ComputePipeline {
-        let mut known = self.pipelines.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut known = self.0.pipelines.lock().unwrap_or_else(PoisonError::into_inner);
         if let Some(pipeline) = known.get(kernel) {
             return pipeline.clone();
         }
         let text = kernel.text();
         let source = ShaderModuleDescriptor { label: Some(kernel.name), source: ShaderSource::Wgsl(text.into()) };
         // lavapipe compiles some kernels without bounds checks for minutes.
-        let module = if self.adapter.is_software {
-            self.device.create_shader_module(source)
+        let module = if self.0.adapter.is_software {
+            self.0.device.create_shader_module(source)
         } else {
             let checks = ShaderRuntimeChecks { force_loop_bounding: true, ..ShaderRuntimeChecks::unchecked() };
             // SAFETY: the kernels check their bounds themselves, and tests run them with checks.
-            unsafe { self.device.create_shader_module_trusted(source, checks) }
+            unsafe { self.0.device.create_shader_module_trusted(source, checks) }
         };
-        let pipeline = self.device.create_compute_pipeline(&ComputePipelineDescriptor {
+        let pipeline = self.0.device.create_compute_pipeline(&ComputePipelineDescriptor {
             label: Some(kernel.name),
             layout: None,
             module: &module,
@@ -284,12 +283,12 @@ impl Gpu {
             .collect();
         let layout = pipeline.get_bind_group_layout(0);
         let descriptor = BindGroupDescriptor { label: Some(kernel.name), layout: &layout, entries: &entries };
-        let group = self.device.create_bind_group(&descriptor);
+        let group = self.0.device.create_bind_group(&descriptor);
         Dispatch { label: kernel.name, pipeline, group, size }
     }
 
     fn encoder(&self) -> CommandEncoder {
-        self.device.create_command_encoder(&CommandEncoderDescriptor::default())
+        self.0.device.create_command_encoder(&CommandEncoderDescriptor::default())
     }
 
     /// Submits dispatches in their order.
@@ -303,22 +302,19 @@ impl Gpu {
                 pass.dispatch_workgroups(*x, *y, *z);
             }
         }
-        self.queue.submit([encoder.finish()]);
+        self.0.queue.submit([encoder.finish()]);
     }
 
     /// Waits until all submitted work is done.
-    ///
-    /// # Errors
-    /// The device was lost.
-    pub fn wait(&self) -> Result<()> {
-        self.device.poll(PollType::wait_indefinitely()).map_err(|e| self.lost(&e.to_string()))?;
+    fn wait(&self) -> Result<()> {
+        self.0.device.poll(PollType::wait_indefinitely()).map_err(|e| self.lost(&e.to_string()))?;
         Ok(())
     }
 
     fn lost(&self, found: &str) -> Error {
         Error::Diverged(format!(
             "device gpu ({}) was lost: {found}; `augnerf resume` continues from the last checkpoint",
-            self.adapter.name
+            self.0.adapter.name
         ))
     }
 
@@ -327,14 +323,14 @@ impl Gpu {
         let total: u64 = buffers.iter().map(|buffer| buffer.size()).sum();
         let usage = BufferUsages::MAP_READ | BufferUsages::COPY_DST;
         let staging =
-            self.device.create_buffer(&BufferDescriptor { label: None, size: total, usage, mapped_at_creation: false });
+            self.0.device.create_buffer(&BufferDescriptor { label: None, size: total, usage, mapped_at_creation: false });
         let mut encoder = self.encoder();
         let mut at = 0;
         for buffer in buffers {
             encoder.copy_buffer_to_buffer(buffer, 0, &staging, at, buffer.size());
             at += buffer.size();
         }
-        self.queue.submit([encoder.finish()]);
+        self.0.queue.submit([encoder.finish()]);
         let outcome = Arc::new(Mutex::new(None));
         let told = outcome.clone();
         staging.slice(..).map_async(MapMode::Read, move |result| {
@@ -365,7 +361,7 @@ impl Gpu {
 
     /// Whether it measures the time of kernels.
     pub(crate) fn has_timestamps(&self) -> bool {
-        self.timestamps
+        self.0.timestamps
     }
 
     /// Measures each dispatch in nanoseconds, one after another.
@@ -374,13 +370,13 @@ impl Gpu {
         let mut nanoseconds = Vec::new();
         // A set of queries holds 4,096.
         for part in work.chunks(2000) {
-            let queries = self.device.create_query_set(&wgpu::QuerySetDescriptor {
+            let queries = self.0.device.create_query_set(&wgpu::QuerySetDescriptor {
                 label: None,
                 ty: wgpu::QueryType::Timestamp,
                 count: 2 * part.len() as u32,
             });
             let size = 16 * part.len() as u64;
-            let resolved = self.device.create_buffer(&BufferDescriptor {
+            let resolved = self.0.device.create_buffer(&BufferDescriptor {
                 label: None,
                 size,
                 usage: BufferUsages::QUERY_RESOLVE | BufferUsages::COPY_SRC,
@@ -401,13 +397,28 @@ impl Gpu {
                 pass.dispatch_workgroups(*x, *y, *z);
             }
             encoder.resolve_query_set(&queries, 0..2 * part.len() as u32, &resolved, 0);
-            self.queue.submit([encoder.finish()]);
+            self.0.queue.submit([encoder.finish()]);
             let bytes = self.read(&[&resolved])?.remove(0);
             let ticks: Vec<u64> = bytemuck::pod_collect_to_vec(&bytes);
-            let period = f64::from(self.queue.get_timestamp_period());
+            let period = f64::from(self.0.queue.get_timestamp_period());
             nanoseconds.extend(ticks.chunks(2).map(|pair| pair[1].wrapping_sub(pair[0]) as f64 * period));
         }
         debug_assert_eq!(nanoseconds.len(), count as usize);
         Ok(nanoseconds)
+    }
+}
+
+impl Accelerator for Gpu {
+    fn description(&self) -> String {
+        let Adapter { name, backend, driver, .. } = &self.0.adapter;
+        format!("{name}, {backend}, {driver}")
+    }
+
+    fn synchronize(&self) -> Result<()> {
+        self.wait()
+    }
+
+    fn as_any(&self) -> &dyn Any {
+        self
     }
 }

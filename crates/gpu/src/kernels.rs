@@ -94,9 +94,6 @@ impl Kernel {
         found.expect("a constant of the kernel").1
     }
 
-    fn has(&self, flag: &str) -> bool {
-        self.flags.contains(&flag)
-    }
 }
 
 /// Keeps the parts between `//#if FLAG`, `//#else` and `//#end` that are switched on.
@@ -131,6 +128,12 @@ pub(crate) struct Tile {
 impl Tile {
     /// Returns the tile of a product with so many columns.
     pub(crate) fn of(columns: usize, large: bool) -> Tile {
+        if let Ok(text) = std::env::var("TILE")
+            && columns > 32
+        {
+            let v: Vec<usize> = text.split(',').map(|x| x.parse().unwrap()).collect();
+            return Tile { rows: v[0], columns: v[1], of_thread: v[2] };
+        }
         match columns {
             0..=4 => Tile { rows: 64, columns: 4, of_thread: 4 },
             5..=16 => Tile { rows: 64, columns: 16, of_thread: 4 },
@@ -149,8 +152,8 @@ impl Tile {
 /// Depth of a tile.
 const DEPTH: usize = 16;
 
-/// Writes the text of a product: a group computes a tile, a thread a square of it, the depth passes through shared
-/// memory.
+/// Writes the text of a product: a group computes a tile and a thread a square of it. The depth passes through shared
+/// memory, and the next part of it is fetched while this one is multiplied.
 ///
 /// - `product`: C = A W + b, with A = [A1 | A2], by ReLU if asked, and C + X beside it with flag DELTA.
 /// - `product_back`: C = D W^T over some rows of W, where the ReLU let it pass (MASK), added to C (ADD), and beside it
@@ -158,171 +161,94 @@ const DEPTH: usize = 16;
 /// - `weights`: a part of A^T D over some rows, with the sum of D below it.
 fn product(kernel: &Kernel) -> String {
     let [rows, columns, side] = ["ROWS", "COLUMNS", "SIDE"].map(|name| kernel.constant(name));
-    let threads = rows * columns / side / side;
-    let (left_row, right_row) = (rows + 1, columns + 1);
-    let mut s = String::new();
-    let back = kernel.name == "product_back";
-    let weights = kernel.name == "weights";
-    s.push_str(
-        "struct Product {\n    m: u32, n: u32, k1: u32, k2: u32, lda1: u32, lda2: u32, every2: u32, ldw: u32,\n    w_from: u32, \
-         ldc: u32, c_from: u32, relu: u32, ldx: u32, part_rows: u32, parameters: u32, to: u32,\n}\n\
-         @group(0) @binding(0) var<uniform> p: Product;\n\
-         @group(0) @binding(1) var<storage, read> a1: array<f32>;\n",
-    );
-    if kernel.has("SECOND") {
-        s.push_str("@group(0) @binding(2) var<storage, read> a2: array<f32>;\n");
-    }
-    s.push_str("@group(0) @binding(3) var<storage, read> w: array<f32>;\n");
-    s.push_str("@group(0) @binding(4) var<storage, read_write> c: array<f32>;\n");
-    if kernel.has("DELTA") || kernel.has("MASK") {
-        s.push_str("@group(0) @binding(5) var<storage, read> x: array<f32>;\n");
-    }
-    if kernel.has("DELTA") || kernel.has("OPEN") {
-        s.push_str("@group(0) @binding(6) var<storage, read_write> y: array<f32>;\n");
-    }
-    let _ = writeln!(s, "var<workgroup> left: array<f32, {}>;", DEPTH * left_row);
-    let _ = writeln!(s, "var<workgroup> right: array<f32, {}>;", DEPTH * right_row);
-    let second = if kernel.has("SECOND") {
-        "    if (k < p.k1 + p.k2) { return a2[(row / p.every2) * p.lda2 + (k - p.k1)]; }\n"
-    } else {
-        ""
+    let (threads, fours) = (rows * columns / side / side, side / 4);
+    // In fours, and one more that keeps neighbours in different banks.
+    let (left_row, right_row) = (rows / 4 + 1, columns / 4 + 1);
+    let of_weights = kernel.name == "weights";
+    let depth = if of_weights { "p.part_rows" } else { "(p.k1 + p.k2)" };
+    let mut s = PARAMETERS.to_string();
+    let _ = writeln!(s, "var<workgroup> left: array<vec4<f32>, {}>;", DEPTH * left_row);
+    let _ = writeln!(s, "var<workgroup> right: array<vec4<f32>, {}>;", DEPTH * right_row);
+    s.push_str(match kernel.name {
+        "weights" => WEIGHTS,
+        "product_back" => BACK,
+        _ => FORWARD,
+    });
+    // Each thread fetches some fours of both tiles: along the depth first, or along the tile, as they are in memory.
+    let fetch = |side_name: &str, slot: usize, size: usize, along_depth: bool| {
+        let index = format!("(thread + {}u)", slot * threads);
+        let (k, at) = match along_depth {
+            true => (format!("{index} % {DEPTH}u"), format!("{index} / {DEPTH}u")),
+            false => (format!("{index} / {}u", size / 4), format!("{index} % {}u", size / 4)),
+        };
+        (format!("let k = {k}; let at = {at};"), format!("{side_name}{slot}"))
     };
-    let _ = writeln!(
-        s,
-        "fn a_of(row: u32, k: u32) -> f32 {{\n    if (k < p.k1) {{ return a1[row * p.lda1 + k]; }}\n{second}    return 0.0;\n}}"
-    );
+    let lefts: Vec<_> = (0..rows / 4 * DEPTH / threads).map(|i| fetch("a", i, rows, !of_weights)).collect();
+    let rights: Vec<_> =
+        (0..columns / 4 * DEPTH / threads).map(|i| fetch("d", i, columns, kernel.name == "product_back")).collect();
     let _ = writeln!(
         s,
         "@compute @workgroup_size({threads})\nfn main(@builtin(workgroup_id) group: vec3<u32>, \
-         @builtin(local_invocation_index) thread: u32) {{"
+         @builtin(local_invocation_index) thread: u32) {{\n\
+         let across = {}u; let ty = thread / across; let tx = thread % across;\n\
+         let row0 = group.x * {rows}u; let col0 = group.y * {columns}u; let part = group.z;",
+        columns / side
     );
-    let across = columns / side;
-    let _ = writeln!(s, "let ty = thread / {across}u; let tx = thread % {across}u;");
-    let _ = writeln!(s, "let row0 = group.x * {rows}u; let col0 = group.y * {columns}u;");
-    for i in 0..side {
-        for q in 0..side / 4 {
-            let _ = writeln!(s, "var s{i}_{q} = vec4<f32>(0.0);");
-        }
+    let accumulators = (0..side).flat_map(|i| (0..fours).map(move |q| format!("s{i}_{q}")));
+    let biases = (0..if of_weights { fours } else { 0 }).map(|q| format!("b{q}"));
+    for name in accumulators.chain(biases).chain(lefts.iter().chain(&rights).map(|(_, name)| name.clone())) {
+        let _ = writeln!(s, "var {name} = vec4<f32>(0.0);");
     }
-    if weights {
-        for q in 0..side / 4 {
-            let _ = writeln!(s, "var b{q} = vec4<f32>(0.0);");
+    let fetch_all = |s: &mut String, k0: &str| {
+        for ((place, name), of) in lefts.iter().map(|x| (x, "left_four")).chain(rights.iter().map(|x| (x, "right_four"))) {
+            let first = if of == "left_four" { "row0" } else { "col0" };
+            let _ = writeln!(s, "{{ {place} {name} = {of}({first} + 4u * at, {k0} + k, part); }}");
         }
-    }
-    let depth = match kernel.name {
-        "weights" => "p.part_rows",
-        _ => "(p.k1 + p.k2)",
     };
+    fetch_all(&mut s, "0u");
     let _ = writeln!(s, "for (var k0 = 0u; k0 < {depth}; k0 += {DEPTH}u) {{");
-    // The left tile: left[k][row].
-    let _ = writeln!(s, "for (var i = thread; i < {}u; i += {threads}u) {{", rows * DEPTH);
-    if weights {
-        let _ = writeln!(
-            s,
-            "let k = i / {rows}u; let at = i % {rows}u; let row = group.z * p.part_rows + k0 + k; let col = row0 + at;\n\
-             var value = 0.0; if (row < p.m && k0 + k < p.part_rows && col < p.k1 + p.k2) {{ value = a_of(row, col); }}\n\
-             left[k * {left_row}u + at] = value; }}"
-        );
-    } else {
-        let _ = writeln!(
-            s,
-            "let k = i % {DEPTH}u; let at = i / {DEPTH}u; let row = row0 + at;\n\
-             var value = 0.0; if (row < p.m && k0 + k < {depth}) {{ value = a_of(row, k0 + k); }}\n\
-             left[k * {left_row}u + at] = value; }}"
-        );
+    for ((place, name), (tile, row)) in
+        lefts.iter().map(|x| (x, ("left", left_row))).chain(rights.iter().map(|x| (x, ("right", right_row))))
+    {
+        let _ = writeln!(s, "{{ {place} {tile}[k * {row}u + at] = {name}; }}");
     }
-    // The right tile: right[k][column].
-    let _ = writeln!(s, "for (var i = thread; i < {}u; i += {threads}u) {{", columns * DEPTH);
-    if weights {
-        let _ = writeln!(
-            s,
-            "let k = i / {columns}u; let at = i % {columns}u; let row = group.z * p.part_rows + k0 + k; let col = col0 + at;\n\
-             var value = 0.0; if (row < p.m && k0 + k < p.part_rows && col < p.n) {{ value = w[row * p.ldw + col]; }}"
-        );
-    } else if back {
-        let _ = writeln!(
-            s,
-            "let k = i % {DEPTH}u; let at = i / {DEPTH}u; let col = col0 + at;\n\
-             var value = 0.0; if (k0 + k < {depth} && col < p.n) {{ value = w[p.w_from + col * p.ldw + k0 + k]; }}"
-        );
-    } else {
-        let _ = writeln!(
-            s,
-            "let k = i / {columns}u; let at = i % {columns}u; let col = col0 + at;\n\
-             var value = 0.0; if (k0 + k < {depth} && col < p.n) {{ value = w[p.w_from + (k0 + k) * p.ldw + col]; }}"
-        );
-    }
-    let _ = writeln!(s, "right[k * {right_row}u + at] = value; }}\nworkgroupBarrier();");
-    let _ = writeln!(s, "for (var k = 0u; k < {DEPTH}u; k++) {{");
-    let _ = writeln!(s, "let l = k * {left_row}u + {side}u * ty; let r = k * {right_row}u + {side}u * tx;");
-    for q in 0..side / 4 {
-        let at = |j: usize| 4 * q + j;
-        let _ = writeln!(
-            s,
-            "let r{q} = vec4<f32>(right[r + {}u], right[r + {}u], right[r + {}u], right[r + {}u]);",
-            at(0),
-            at(1),
-            at(2),
-            at(3)
-        );
+    let _ = writeln!(s, "workgroupBarrier();\nif (k0 + {DEPTH}u < {depth}) {{");
+    fetch_all(&mut s, &format!("k0 + {DEPTH}u"));
+    let _ = writeln!(s, "}}\nfor (var k = 0u; k < {DEPTH}u; k++) {{");
+    let _ = writeln!(s, "let l = k * {left_row}u + {fours}u * ty; let r = k * {right_row}u + {fours}u * tx;");
+    for q in 0..fours {
+        let _ = writeln!(s, "let l{q} = left[l + {q}u]; let r{q} = right[r + {q}u];");
     }
     for i in 0..side {
-        let _ = writeln!(s, "let l{i} = vec4<f32>(left[l + {i}u]);");
-        for q in 0..side / 4 {
-            let _ = writeln!(s, "s{i}_{q} = fma(l{i}, r{q}, s{i}_{q});");
+        for q in 0..fours {
+            let _ = writeln!(s, "s{i}_{q} = fma(vec4<f32>(l{}[{}]), r{q}, s{i}_{q});", i / 4, i % 4);
         }
     }
-    if weights {
-        for q in 0..side / 4 {
-            let _ = writeln!(s, "b{q} += r{q};");
-        }
+    for q in 0..if of_weights { fours } else { 0 } {
+        let _ = writeln!(s, "b{q} += r{q};");
     }
-    let _ = writeln!(s, "}}\nworkgroupBarrier();\n}}");
+    s.push_str("}\nworkgroupBarrier();\n}\n");
     for i in 0..side {
-        let _ = writeln!(s, "{{ let row = row0 + {side}u * ty + {i}u;");
-        for q in 0..side / 4 {
-            for j in 0..4 {
-                let _ = writeln!(s, "store(row, col0 + {side}u * tx + {}u, s{i}_{q}[{j}], group.z);", 4 * q + j);
-            }
+        for q in 0..fours {
+            let _ = writeln!(
+                s,
+                "store_four(row0 + {side}u * ty + {i}u, col0 + {side}u * tx + {}u, s{i}_{q}, part);",
+                4 * q
+            );
         }
-        s.push_str("}\n");
     }
-    if weights {
+    if of_weights {
         s.push_str("if (ty == 0u && group.x == 0u) {\n");
-        for q in 0..side / 4 {
-            for j in 0..4 {
-                let _ = writeln!(s, "store_bias(col0 + {side}u * tx + {}u, b{q}[{j}], group.z);", 4 * q + j);
-            }
+        for q in 0..fours {
+            let _ = writeln!(s, "store_bias(col0 + {side}u * tx + {}u, b{q}, part);", 4 * q);
         }
         s.push_str("}\n");
     }
     s.push_str("}\n");
-    s.push_str(match kernel.name {
-        "weights" => {
-            "fn store(row: u32, col: u32, value: f32, part: u32) {\n\
-             if (row >= p.k1 + p.k2 || col >= p.n) { return; }\n\
-             c[part * p.parameters + p.to + row * p.n + col] = value;\n}\n\
-             fn store_bias(col: u32, value: f32, part: u32) {\n\
-             if (col < p.n) { c[part * p.parameters + p.to + (p.k1 + p.k2) * p.n + col] = value; }\n}\n"
-        }
-        "product_back" => {
-            "fn store(row: u32, col: u32, value: f32, part: u32) {\n\
-             if (row >= p.m || col >= p.n) { return; }\n\
-             let at = p.c_from + row * p.ldc + col;\n\
-             var v = value;\n\
-             //#if ADD\nv += c[at];\n//#end\n\
-             //#if OPEN\ny[row * p.ldx + col] = v;\n//#end\n\
-             //#if MASK\nif (x[row * p.ldx + col] <= 0.0) { v = 0.0; }\n//#end\n\
-             c[at] = v;\n}\n"
-        }
-        _ => {
-            "fn store(row: u32, col: u32, value: f32, part: u32) {\n\
-             if (row >= p.m || col >= p.n) { return; }\n\
-             var v = value + w[p.w_from + (p.k1 + p.k2) * p.ldw + col];\n\
-             if (p.relu == 1u && v < 0.0) { v = 0.0; }\n\
-             c[p.c_from + row * p.ldc + col] = v;\n\
-             //#if DELTA\ny[row * p.ldx + col] = v + x[row * p.ldx + col];\n//#end\n}\n"
-        }
-    });
     s
 }
+
+const PARAMETERS: &str = include_str!("wgsl/product.wgsl");
+const FORWARD: &str = include_str!("wgsl/product_forward.wgsl");
+const BACK: &str = include_str!("wgsl/product_back.wgsl");
+const WEIGHTS: &str = include_str!("wgsl/product_weights.wgsl");

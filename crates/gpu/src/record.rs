@@ -17,7 +17,7 @@ pub(crate) const OUT: usize = 8;
 /// Numbers of a slot of results; `loss.wgsl` says which.
 pub(crate) const SLOT: usize = 16;
 /// Parts of a gradient of weights, at most.
-const MOST_PARTS: usize = 48;
+const MOST_PARTS: usize = 128;
 /// Fewest rows of a part.
 const PART: usize = 512;
 

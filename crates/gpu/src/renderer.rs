@@ -1,6 +1,6 @@
 //! Rendering of rays on the device.
 
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Mutex, PoisonError};
 
 use augnerf_core::base::Result;
 use augnerf_core::data::{Rays, Scene};
@@ -22,7 +22,7 @@ const MOST_RAYS_IN_SOFTWARE: usize = 512;
 
 /// Renders rays through the coarse and the fine field, without randomness.
 pub struct GpuRenderer {
-    gpu: Arc<Gpu>,
+    gpu: Gpu,
     rays: Buffer,
     out: Buffer,
     work: Vec<Dispatch>,
@@ -36,18 +36,18 @@ impl GpuRenderer {
     ///
     /// # Errors
     /// The device has too little memory.
-    pub fn new(gpu: Arc<Gpu>, fields: &Fields, config: &Config, scene: &Scene) -> Result<GpuRenderer> {
+    pub fn new(gpu: &Gpu, fields: &Fields, config: &Config, scene: &Scene) -> Result<GpuRenderer> {
         let shape = Shape::of(&config.field);
         let (coarse, fine) = config.samples();
         let samples = coarse.max(fine);
         let most = if gpu.adapter().is_software { MOST_RAYS_IN_SOFTWARE } else { MOST_RAYS };
         let fits = (gpu.budget() / Scratch::bytes_per_sample(&shape)).min(gpu.largest_buffer() / (4 * (shape.width + 1)));
         let chunk = (fits / samples).clamp(1, most);
-        gpu.checked("making a renderer", || GpuRenderer::record(&gpu, fields, config, scene, &shape, chunk))?
+        gpu.checked("making a renderer", || GpuRenderer::record(gpu, fields, config, scene, &shape, chunk))?
     }
 
     fn record(
-        gpu: &Arc<Gpu>,
+        gpu: &Gpu,
         fields: &Fields,
         config: &Config,
         scene: &Scene,
@@ -132,6 +132,10 @@ impl GpuRenderer {
 }
 
 impl Renderer for GpuRenderer {
+    fn chunk(&self) -> Option<usize> {
+        Some(self.chunk)
+    }
+
     fn render(&self, rays: &Rays) -> Result<RenderedRays> {
         let host = |tensor: &Tensor| tensor.to_dtype(DType::F32)?.flatten_all()?.to_vec1::<f32>();
         let [origins, directions, views, norms] =

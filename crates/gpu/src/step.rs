@@ -1,12 +1,11 @@
 //! Training steps of NeRF and Aug-NeRF on the device.
 
-use std::sync::Arc;
-
 use augnerf_core::augment::{Draw, Site};
 use augnerf_core::base::rng::Stream;
 use augnerf_core::base::{Error, Result};
 use augnerf_core::data::{RayParts, Scene, tangents};
-use augnerf_core::methods::{Batch, Batches, Extremes, Fields, LogColumns, SiteDiagnostics, Term, site_columns};
+use augnerf_core::methods::{Batch, Batches, Extremes, Fields, LogColumns, SiteDiagnostics, StepReport, Term, not_finite, site_columns};
+use augnerf_core::runtime::Accelerator;
 use augnerf_core::settings::{
     DeltaSource, Encoding, Objective, OutputPlace, PerturbField, Precision, Regularizer, RegularizedFields, Resample,
     Resolved, SecondPass, Spacing,
@@ -42,21 +41,6 @@ const FLAGS: usize = 8;
 /// Counts of a pass's and site's numbers at their bound, and of those that may move.
 const COUNTS: usize = 2 * 2 * Site::ALL.len();
 
-/// What a step reports.
-#[derive(Debug)]
-pub struct Report {
-    /// The terms of the loss.
-    pub terms: Vec<Term>,
-    /// Their weighted sum.
-    pub loss: f64,
-    /// Mean squared error of the evaluated pass.
-    pub mse: f64,
-    /// Extremes of accumulation and colours.
-    pub extremes: Extremes,
-    /// Diagnostics of each site, if asked for.
-    pub sites: Vec<SiteDiagnostics>,
-}
-
 /// Returns an error that names what a configuration asks for and the device does not do.
 ///
 /// # Errors
@@ -86,7 +70,7 @@ pub fn check(config: &Resolved) -> Result<()> {
 
 /// A run's parameters and the recorded work of its steps.
 pub struct Steps {
-    gpu: Arc<Gpu>,
+    gpu: Gpu,
     config: Resolved,
     scene_bounds: (f64, f64),
     background: Option<[f32; 3]>,
@@ -135,7 +119,7 @@ impl Steps {
     /// # Errors
     /// [`Error::Config`]: the device does not do what the configuration asks for, or has too little memory.
     pub fn new(
-        gpu: Arc<Gpu>,
+        gpu: &Gpu,
         config: &Resolved,
         scene: &Scene,
         fields: &Fields,
@@ -154,7 +138,7 @@ impl Steps {
                 let part = start..start + values.len();
                 let of_field = moments.as_ref().map(|pair| [pair[0][part.clone()].to_vec(), pair[1][part.clone()].to_vec()]);
                 start = part.end;
-                learned.push(FieldBuffers::new(&gpu, &shape, &values, of_field)?);
+                learned.push(FieldBuffers::new(gpu, &shape, &values, of_field)?);
             }
             Ok(learned)
         })??;
@@ -167,10 +151,10 @@ impl Steps {
             }
         }
         let buffers = gpu.checked("making the buffers of a step", || {
-            StepBuffers::new(&gpu, config, scene, &shape, &sets)
+            StepBuffers::new(gpu, config, scene, &shape, &sets)
         })?;
         let mut steps = Steps {
-            gpu,
+            gpu: gpu.clone(),
             config: config.clone(),
             scene_bounds: scene.bounds(),
             background: scene.background,
@@ -226,7 +210,7 @@ impl Steps {
     ///
     /// # Errors
     /// [`Error::Diverged`]: something is not finite, or the device was lost.
-    pub fn step(&mut self, step: u64, updates: u64, learning_rate: f64, log: bool) -> Result<Report> {
+    pub fn step(&mut self, step: u64, updates: u64, learning_rate: f64, log: bool) -> Result<StepReport> {
         self.compute(step, updates, learning_rate, log, true)
     }
 
@@ -234,13 +218,13 @@ impl Steps {
     ///
     /// # Errors
     /// Those of [`Steps::step`].
-    pub fn try_step(&mut self, step: u64, log: bool) -> Result<Report> {
+    pub fn try_step(&mut self, step: u64, log: bool) -> Result<StepReport> {
         let report = self.compute(step, 1, 0.0, log, false)?;
         self.clear_gradients();
         Ok(report)
     }
 
-    fn compute(&mut self, step: u64, updates: u64, rate: f64, log: bool, moves: bool) -> Result<Report> {
+    fn compute(&mut self, step: u64, updates: u64, rate: f64, log: bool, moves: bool) -> Result<StepReport> {
         self.send(step, updates, rate);
         let gpu = self.gpu.clone();
         let diagnoses = log && self.sets.iter().any(Option::is_some);
@@ -260,18 +244,13 @@ impl Steps {
         let counts: Vec<u32> = bytemuck::pod_collect_to_vec(&read[2]);
         let report = self.report(&results, diagnoses.then_some(&counts[..]));
         if let Some(what) = self.broken(&report, &flags) {
-            return Err(Error::Diverged(format!(
-                "training diverged at step {}: the {what} is not a number; lower train.learning_rate ({}), or step sizes \
-                 and weights in sections perturb or regularizer, and start a new run",
-                step + 1,
-                self.config.train.learning_rate
-            )));
+            return Err(not_finite(step + 1, &what, self.config.train.learning_rate));
         }
         Ok(report)
     }
 
     /// Names what is not finite.
-    fn broken(&self, report: &Report, flags: &[u32]) -> Option<String> {
+    fn broken(&self, report: &StepReport, flags: &[u32]) -> Option<String> {
         if let Some(term) = report.terms.iter().find(|term| !term.value.is_finite()) {
             return Some(term.described.clone());
         }
@@ -334,7 +313,7 @@ impl Steps {
 
     /// Returns gradients of the last [`Steps::try_step`] in the host's order, for tests.
     #[doc(hidden)]
-    pub fn gradients(&mut self, step: u64) -> Result<(Report, Vec<Tensor>)> {
+    pub fn gradients(&mut self, step: u64) -> Result<(StepReport, Vec<Tensor>)> {
         let report = self.compute(step, 1, 0.0, false, false)?;
         let mut gradients = Vec::new();
         for learned in &self.learned {
@@ -342,6 +321,11 @@ impl Steps {
         }
         self.clear_gradients();
         Ok((report, gradients))
+    }
+
+    /// Whether the device measures the time of kernels.
+    pub fn has_timestamps(&self) -> bool {
+        self.gpu.has_timestamps()
     }
 
     /// Measures each kernel of a step, summed by name: milliseconds and dispatches.
@@ -596,7 +580,7 @@ impl Steps {
     }
 
     /// Makes the report of a step from its results.
-    fn report(&self, results: &[f32], counts: Option<&[u32]>) -> Report {
+    fn report(&self, results: &[f32], counts: Option<&[u32]>) -> StepReport {
         let value = |slot: usize, what: usize| f64::from(results[slot * SLOT + what]);
         let slots = self.slots(false);
         let mse_of = |slot: usize| slots.contains(&slot).then(|| value(slot, 0));
@@ -627,7 +611,7 @@ impl Steps {
             terms.push(Term { name, described, value, weight });
         }
         let extremes: Vec<f64> = (1..14).map(|what| value(evaluated, what)).collect();
-        Report {
+        StepReport {
             terms,
             loss,
             mse: value(evaluated, 0),

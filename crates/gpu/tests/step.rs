@@ -1,6 +1,6 @@
 //! Whole steps on a device against the host's, which are checked against f64 and finite differences.
 
-use std::sync::{Arc, OnceLock};
+use std::sync::OnceLock;
 
 use augnerf_core::base::Image;
 use augnerf_core::data::{Camera, Scene, View};
@@ -9,9 +9,9 @@ use augnerf_core::settings::{DataKind, Extent, Resolved, build, parse_assignment
 use augnerf_gpu::{Gpu, Steps};
 use candle_core::{DType, Device, Tensor};
 
-fn gpu() -> Arc<Gpu> {
-    static GPU: OnceLock<Arc<Gpu>> = OnceLock::new();
-    GPU.get_or_init(|| Arc::new(Gpu::open(0).expect("a device; install mesa-vulkan-drivers and libvulkan1"))).clone()
+fn gpu() -> &'static Gpu {
+    static GPU: OnceLock<Gpu> = OnceLock::new();
+    GPU.get_or_init(|| Gpu::open(0).expect("a device; install mesa-vulkan-drivers and libvulkan1"))
 }
 
 /// Two views of 16 x 16 of a smooth picture, from two sides.
@@ -92,13 +92,13 @@ fn compare(settings: &[&str]) {
     let expected = learner.step(7, true, &|| Ok(())).unwrap();
     let (report, gradients) = steps.gradients(7).unwrap();
     let names: Vec<String> = learner.fields().variables().into_iter().map(|(name, _)| name).collect();
-    for (found, expected) in report.terms.iter().zip(&expected.terms) {
+    for (found, expected) in report.terms.iter().zip(&expected.report.terms) {
         assert_eq!(found.name, expected.name);
         let difference = (found.value / expected.value - 1.0).abs();
         println!("{:20} {:.7} {:.7} {difference:.1e}", found.name, found.value, expected.value);
         assert!(difference < 1e-3, "{}: {} against {}", found.name, found.value, expected.value);
     }
-    assert_eq!(report.terms.len(), expected.terms.len());
+    assert_eq!(report.terms.len(), expected.report.terms.len());
     let mut worst = 0f64;
     for ((name, found), expected) in names.iter().zip(&gradients).zip(&expected.gradients.0) {
         let expected = expected.as_ref().map_or_else(|| vec![0.0; found.elem_count()], flat);
@@ -107,7 +107,7 @@ fn compare(settings: &[&str]) {
         worst = worst.max(difference);
         println!("{name:28} {difference:.1e}  norm {:.3e}", norm(expected.iter().copied()));
     }
-    let (logged, expected_sites) = (steps.try_step(7, true).unwrap(), expected.sites);
+    let (logged, expected_sites) = (steps.try_step(7, true).unwrap(), expected.report.sites);
     for (found, expected) in logged.sites.iter().zip(&expected_sites) {
         println!("{found:?}\n{expected:?}");
     }

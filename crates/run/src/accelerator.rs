@@ -1,11 +1,15 @@
 //! Devices by their names. This is the one module that knows the crate behind `--device gpu`.
 
+use std::sync::Arc;
+
+use serde::Serialize;
+
 use crate::base::{Error, Result};
 use crate::data::Scene;
 use crate::methods::{Fields, Renderer, Stepper};
 use crate::model::Model;
 use crate::optimizer::Moments;
-use crate::runtime::{Accelerator, Runtime};
+use crate::runtime::{Accelerator, Runtime, instructions};
 use crate::settings::{Config, Resolved};
 
 /// Opens `device` (`cpu`, `gpu`, `gpu:N`, `cuda`, `cuda:N`, `cuda-tf32` or `metal`) with this many threads. `None` is one
@@ -26,11 +30,73 @@ pub fn open_runtime(device: &str, threads: Option<usize>) -> Result<Runtime> {
     }
 }
 
-/// Returns an error for a method that no accelerator trains or renders.
-pub(crate) fn check_method(config: &Config, runtime: &Runtime) -> Result<()> {
-    match config.representation().is_field() || runtime.accelerator().is_none() {
-        true => Ok(()),
-        false => Err(refused(config)),
+/// A device that `--device` can name.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct ListedDevice {
+    /// Its name for `--device`.
+    pub device: String,
+    /// The hardware.
+    pub name: String,
+    /// Interface and driver; empty for the processor.
+    pub driver: String,
+    /// A processor plays the device: for tests, far slower than `cpu`.
+    pub is_software: bool,
+    /// The largest buffer that a kernel reads, in bytes.
+    pub largest_buffer: Option<u64>,
+    /// What the kernels need and it lacks.
+    pub lacks: Vec<String>,
+}
+
+/// Lists the processor and the adapters for `--device gpu:N`. Devices of candle (`cuda`, `metal`) are not listed.
+pub fn list_devices() -> Vec<ListedDevice> {
+    let threads = std::thread::available_parallelism().map_or(1, usize::from);
+    let processor = ListedDevice {
+        device: "cpu".into(),
+        name: format!("{threads} threads, {}", instructions()),
+        driver: String::new(),
+        is_software: false,
+        largest_buffer: None,
+        lacks: Vec::new(),
+    };
+    std::iter::once(processor).chain(gpu::list()).collect()
+}
+
+/// What a step does on an accelerator.
+#[derive(Clone, Debug, Default, PartialEq, Serialize)]
+pub struct DeviceWork {
+    /// Dispatches of kernels.
+    pub dispatches: usize,
+    /// Multiply-adds of matrix products.
+    pub multiply_adds: f64,
+    /// Bytes sent to the device.
+    pub bytes_sent: usize,
+    /// Each kind of kernel, the longest first, measured one after another. Empty if the device has no timestamps.
+    pub kernels: Vec<KernelTime>,
+}
+
+/// The dispatches of a kernel in a step.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct KernelTime {
+    /// The kernel.
+    pub kernel: String,
+    /// Their number.
+    pub dispatches: usize,
+    /// Their time together.
+    pub milliseconds: f64,
+}
+
+/// Counts and measures what a step does on the runtime's accelerator. `None` without one.
+pub(crate) fn work(runtime: &Runtime, config: &Resolved, scene: &Scene, model: &Model) -> Result<Option<DeviceWork>> {
+    let of = |accelerator: &Arc<dyn Accelerator>| gpu::work(&**accelerator, config, scene, fields(model, config)?);
+    runtime.accelerator().map(of).transpose()
+}
+
+/// Returns an error for what no accelerator trains.
+pub(crate) fn check(config: &Resolved, runtime: &Runtime) -> Result<()> {
+    match runtime.accelerator() {
+        None => Ok(()),
+        Some(_) if !config.representation().is_field() => Err(refused(config)),
+        Some(_) => gpu::check(config),
     }
 }
 
@@ -76,12 +142,44 @@ fn unknown(accelerator: &dyn Accelerator) -> Error {
 /// WGSL kernels on any GPU.
 #[cfg(feature = "gpu")]
 mod gpu {
-    use std::sync::Arc;
-
     use super::*;
 
     pub(super) fn open(_device: &str, index: usize) -> Result<Arc<dyn Accelerator>> {
         Ok(Arc::new(augnerf_gpu::Gpu::open(index)?))
+    }
+
+    pub(super) fn list() -> Vec<ListedDevice> {
+        let listed = |adapter: augnerf_gpu::Adapter| ListedDevice {
+            device: format!("gpu:{}", adapter.index),
+            name: adapter.name,
+            driver: [adapter.backend, adapter.driver].join(", "),
+            is_software: adapter.is_software,
+            largest_buffer: Some(adapter.largest_buffer),
+            lacks: adapter.lacks,
+        };
+        augnerf_gpu::adapters().into_iter().map(listed).collect()
+    }
+
+    pub(super) fn check(config: &Resolved) -> Result<()> {
+        augnerf_gpu::check(config)
+    }
+
+    pub(super) fn work(
+        accelerator: &dyn Accelerator,
+        config: &Resolved,
+        scene: &Scene,
+        fields: &Fields,
+    ) -> Result<DeviceWork> {
+        let mut steps = augnerf_gpu::Steps::new(own(accelerator)?, config, scene, fields, None)?;
+        steps.try_step(0, false)?;
+        let (dispatches, multiply_adds, bytes_sent) = steps.work();
+        let times = if steps.has_timestamps() { steps.profile(0)? } else { Vec::new() };
+        let of_kernel = |(kernel, milliseconds, dispatches): (&str, f64, usize)| KernelTime {
+            kernel: kernel.into(),
+            dispatches,
+            milliseconds,
+        };
+        Ok(DeviceWork { dispatches, multiply_adds, bytes_sent, kernels: times.into_iter().map(of_kernel).collect() })
     }
 
     pub(super) fn stepper(
@@ -111,13 +209,28 @@ mod gpu {
 /// A program without GPUs.
 #[cfg(not(feature = "gpu"))]
 mod gpu {
-    use std::sync::Arc;
-
     use super::*;
 
     pub(super) fn open(device: &str, _index: usize) -> Result<Arc<dyn Accelerator>> {
         let built = "this program was built without gpu; build it with --features gpu";
         Err(Error::Config(format!("device {device}: {built}")))
+    }
+
+    pub(super) fn list() -> Vec<ListedDevice> {
+        Vec::new()
+    }
+
+    pub(super) fn check(_config: &Resolved) -> Result<()> {
+        Ok(())
+    }
+
+    pub(super) fn work(
+        accelerator: &dyn Accelerator,
+        _config: &Resolved,
+        _scene: &Scene,
+        _fields: &Fields,
+    ) -> Result<DeviceWork> {
+        Err(unknown(accelerator))
     }
 
     pub(super) fn stepper(

@@ -5,6 +5,7 @@ use std::time::Instant;
 use candle_core::DType;
 use serde::Serialize;
 
+use crate::accelerator::{self, DeviceWork};
 use crate::base::{Error, Image, Result};
 use crate::data::{Camera, Scene, View};
 use crate::field::peak_gflops;
@@ -93,6 +94,9 @@ pub struct Timed {
     pub share_of_peak: Option<f64>,
     /// Highest resident memory of the process.
     pub peak_memory_mib: Option<f64>,
+    /// What a step does on an accelerator, or `None` on other devices.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub on_device: Option<DeviceWork>,
 }
 
 /// Extent of [`scene`].
@@ -261,6 +265,7 @@ impl Workload {
             gemm_peak_gflops: peak,
             share_of_peak: peak.map(|peak| gflops / peak),
             peak_memory_mib: memory,
+            on_device: accelerator::work(runtime, &config, &scene_of(config.method), &*trainer.model()?)?,
         })
     }
 }

@@ -31,6 +31,11 @@ pub trait Renderer: Send + Sync {
         Ok(())
     }
 
+    /// Returns the number of rays that it renders best at once, if that is not the configuration's.
+    fn chunk(&self) -> Option<usize> {
+        None
+    }
+
     /// Renders `rays`, whose origins are prepared.
     fn render(&self, rays: &Rays) -> Result<RenderedRays>;
 }

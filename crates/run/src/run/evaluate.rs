@@ -133,7 +133,8 @@ impl Viewer<'_> {
             Ok([host(&out.rgb)?, host(&(out.depth / &out.acc)?)?, host(&out.acc)?])
         };
         let mut rendered: [Vec<f32>; 3] = Default::default();
-        for part in runtime.over_parts(pixels, config.eval.chunk, render)? {
+        let chunk = renderer.chunk().unwrap_or(config.eval.chunk);
+        for part in runtime.over_parts(pixels, chunk, render)? {
             rendered.iter_mut().zip(part).for_each(|(whole, part)| whole.extend(part));
         }
         Ok(rendered)

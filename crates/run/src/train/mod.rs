@@ -130,7 +130,7 @@ impl Trainer {
             )));
         }
         check_memory(config, scene, runtime)?;
-        accelerator::check_method(config, runtime)?;
+        accelerator::check(config, runtime)?;
         let inputs = Inputs { config, scene, dtype, runtime };
         runtime.install(|| {
             let Start { model, learner, redraws } = Model::start(config, scene, dtype, runtime.device())?;
@@ -144,7 +144,7 @@ impl Trainer {
     /// # Errors
     /// Those of [`Trainer::new`].
     pub fn check(config: &Resolved, scene: &Scene, dtype: DType, runtime: &Runtime) -> Result<()> {
-        accelerator::check_method(config, runtime)?;
+        accelerator::check(config, runtime)?;
         runtime.install(|| Model::start(config, scene, dtype, runtime.device()).map(drop))
     }
 

@@ -1,0 +1,29 @@
+// The operands of a product, in tiles.
+struct Product {
+    m: u32, n: u32,             // rows and columns of C
+    k1: u32, k2: u32,           // columns of A1 and A2
+    lda1: u32, lda2: u32,       // numbers between their rows
+    every2: u32,                // rows that share a row of A2
+    ldw: u32, w_from: u32,
+    ldc: u32, c_from: u32,
+    relu: u32,
+    ldx: u32,
+    part_rows: u32,             // rows of a part of a gradient
+    parameters: u32,            // numbers of a part
+    to: u32,                    // the layer's first number in it
+}
+@group(0) @binding(0) var<uniform> p: Product;
+@group(0) @binding(1) var<storage, read> a1: array<f32>;
+//#if SECOND
+@group(0) @binding(2) var<storage, read> a2: array<f32>;
+//#end
+@group(0) @binding(3) var<storage, read> w: array<f32>;
+@group(0) @binding(4) var<storage, read_write> c: array<f32>;
+
+fn a_of(row: u32, k: u32) -> f32 {
+    if (k < p.k1) { return a1[row * p.lda1 + k]; }
+    //#if SECOND
+    if (k < p.k1 + p.k2) { return a2[(row / p.every2) * p.lda2 + (k - p.k1)]; }
+    //#end
+    return 0.0;
+}
