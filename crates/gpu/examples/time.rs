@@ -9,9 +9,9 @@ use std::time::Instant;
 use augnerf_core::base::Image;
 use augnerf_core::data::{Camera, Scene, View};
 use augnerf_core::methods::FieldLearner;
+use augnerf_core::runtime::Accelerator as _;
 use augnerf_core::settings::{DataKind, Extent, build, parse_assignment};
 use augnerf_gpu::{Gpu, Steps};
-use augnerf_core::runtime::Accelerator as _;
 use candle_core::{DType, Device};
 
 fn scene() -> Scene {

@@ -7,6 +7,7 @@ use std::sync::{Arc, Mutex, PoisonError};
 
 use augnerf_core::base::{Error, Result};
 use augnerf_core::runtime::Accelerator;
+use augnerf_core::settings::Precision;
 use pollster::block_on;
 use wgpu::{
     AdapterInfo, Backends, BindGroupDescriptor, BindGroupEntry, Buffer, BufferDescriptor, BufferUsages, CommandEncoder,
@@ -15,7 +16,7 @@ use wgpu::{
     PipelineCompilationOptions, PollType, Queue, ShaderModuleDescriptor, ShaderRuntimeChecks, ShaderSource,
 };
 
-use crate::kernels::Kernel;
+use crate::kernels::{Kernel, Tiles};
 
 /// Storage buffers that the largest kernel binds.
 const STORAGE_BUFFERS: u32 = 12;
@@ -35,6 +36,8 @@ pub struct Adapter {
     pub is_software: bool,
     /// The largest buffer that a kernel can read, in bytes.
     pub largest_buffer: u64,
+    /// Whether its matrix units multiply f16 with sums in f32, for `field.precision = "f16"`.
+    pub has_matrices: bool,
     /// What the kernels need and it lacks.
     pub lacks: Vec<String>,
 }
@@ -100,10 +103,28 @@ impl Adapter {
             backend: format!("{:?}", info.backend).to_lowercase(),
             driver: [info.driver, info.driver_info].join(" ").trim().to_string(),
             is_software: info.device_type == DeviceType::Cpu,
+            has_matrices: has_matrices(adapter),
             largest_buffer: limits.max_storage_buffer_binding_size as u64,
             lacks,
         }
     }
+}
+
+/// Features of f16 products by matrix units.
+const MATRICES: Features = Features::SHADER_F16.union(Features::EXPERIMENTAL_COOPERATIVE_MATRIX);
+
+/// Returns whether subgroups of 32 multiply matrices of 16 x 16 in f16, with sums in f32.
+fn has_matrices(adapter: &wgpu::Adapter) -> bool {
+    let info = adapter.get_info();
+    let is_wanted = |found: &wgpu::CooperativeMatrixProperties| {
+        [found.m_size, found.n_size, found.k_size] == [16; 3]
+            && found.ab_type == wgpu::CooperativeScalarType::F16
+            && found.cr_type == wgpu::CooperativeScalarType::F32
+    };
+    adapter.features().contains(MATRICES)
+        && info.subgroup_min_size == 32
+        && info.subgroup_max_size == 32
+        && adapter.cooperative_matrix_properties().iter().any(is_wanted)
 }
 
 /// A dispatch that is recorded once and submitted many times.
@@ -150,6 +171,10 @@ impl Gpu {
             return Err(refuse(format!("{} lacks {}; use --device cpu", known.name, known.lacks.join(", "))));
         }
         let timestamps = adapter.features().contains(Features::TIMESTAMP_QUERY);
+        let mut features = if timestamps { Features::TIMESTAMP_QUERY } else { Features::empty() };
+        if known.has_matrices {
+            features |= MATRICES;
+        }
         let required = Limits {
             max_storage_buffer_binding_size: limits.max_storage_buffer_binding_size,
             max_buffer_size: limits.max_buffer_size,
@@ -159,7 +184,12 @@ impl Gpu {
         };
         let descriptor = DeviceDescriptor {
             required_limits: required.clone(),
-            required_features: if timestamps { Features::TIMESTAMP_QUERY } else { Features::empty() },
+            required_features: features,
+            // SAFETY: kernels with matrix units run only if field.precision = "f16" asks for them.
+            experimental_features: match known.has_matrices {
+                true => unsafe { wgpu::ExperimentalFeatures::enabled() },
+                false => wgpu::ExperimentalFeatures::disabled(),
+            },
             ..DeviceDescriptor::default()
         };
         let (device, queue) = block_on(adapter.request_device(&descriptor))
@@ -179,6 +209,15 @@ impl Gpu {
             DeviceType::DiscreteGpu => 6 << 30,
             DeviceType::Cpu => 1 << 28,
             _ => 1 << 30,
+        }
+    }
+
+    /// Returns the tiles of wide layers. A software device compiles large ones slowly.
+    pub(crate) fn tiles(&self, precision: Precision) -> Tiles {
+        match precision {
+            Precision::F16 => Tiles::Matrices,
+            _ if self.0.adapter.is_software => Tiles::Small,
+            _ => Tiles::Large,
         }
     }
 
@@ -322,8 +361,12 @@ impl Gpu {
     pub(crate) fn read(&self, buffers: &[&Buffer]) -> Result<Vec<Vec<u8>>> {
         let total: u64 = buffers.iter().map(|buffer| buffer.size()).sum();
         let usage = BufferUsages::MAP_READ | BufferUsages::COPY_DST;
-        let staging =
-            self.0.device.create_buffer(&BufferDescriptor { label: None, size: total, usage, mapped_at_creation: false });
+        let staging = self.0.device.create_buffer(&BufferDescriptor {
+            label: None,
+            size: total,
+            usage,
+            mapped_at_creation: false,
+        });
         let mut encoder = self.encoder();
         let mut at = 0;
         for buffer in buffers {

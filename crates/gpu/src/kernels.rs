@@ -2,6 +2,8 @@
 
 use std::fmt::Write;
 
+mod matrices;
+
 /// A kernel with its choices. Equal ones are compiled once.
 #[derive(Clone, Debug, PartialEq, Eq, Hash)]
 pub(crate) struct Kernel {
@@ -30,6 +32,7 @@ texts! {
     "sample": "common", "sample";
     "resample": "resample";
     "add": "common", "add";
+    "copy": "common", "copy";
     "points": "common", "rays", "points";
     "frequency": "common", "waves", "frequency";
     "frequency_back": "common", "waves_back", "frequency_back";
@@ -80,6 +83,7 @@ impl Kernel {
     /// Returns the text in WGSL.
     pub(crate) fn text(&self) -> String {
         let mut text = match self.name {
+            "product" | "product_back" | "weights" if self.flags.contains(&"F16") => matrices::product(self),
             "product" | "product_back" | "weights" => product(self),
             name => parts(name).concat(),
         };
@@ -93,7 +97,6 @@ impl Kernel {
         let found = self.constants.iter().find(|(known, _)| *known == name);
         found.expect("a constant of the kernel").1
     }
-
 }
 
 /// Keeps the parts between `//#if FLAG`, `//#else` and `//#end` that are switched on.
@@ -117,29 +120,38 @@ fn chosen(text: &str, flags: &[&str]) -> String {
     kept
 }
 
+/// The kinds of tiles that an adapter has for wide layers.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Tiles {
+    /// 64 x 64 in f32.
+    Small,
+    /// 128 x 128 in f32, which needs many registers.
+    Large,
+    /// Matrix units: operands in f16.
+    Matrices,
+}
+
 /// Rows and columns of a tile, and those of a thread.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct Tile {
     pub(crate) rows: usize,
     pub(crate) columns: usize,
-    pub(crate) of_thread: usize,
+    of_thread: usize,
+    pub(crate) in_f16: bool,
 }
 
 impl Tile {
     /// Returns the tile of a product with so many columns.
-    pub(crate) fn of(columns: usize, large: bool) -> Tile {
-        if let Ok(text) = std::env::var("TILE")
-            && columns > 32
-        {
-            let v: Vec<usize> = text.split(',').map(|x| x.parse().unwrap()).collect();
-            return Tile { rows: v[0], columns: v[1], of_thread: v[2] };
-        }
-        match columns {
-            0..=4 => Tile { rows: 64, columns: 4, of_thread: 4 },
-            5..=16 => Tile { rows: 64, columns: 16, of_thread: 4 },
-            17..=32 => Tile { rows: 64, columns: 32, of_thread: 4 },
-            128.. if large => Tile { rows: 128, columns: 128, of_thread: 8 },
-            _ => Tile { rows: 64, columns: 64, of_thread: 4 },
+    pub(crate) fn of(columns: usize, tiles: Tiles) -> Tile {
+        let tile = |rows: usize, columns: usize, of_thread: usize| Tile { rows, columns, of_thread, in_f16: false };
+        match (columns, tiles) {
+            (0..=4, _) => tile(64, 4, 4),
+            (5..=16, _) => tile(64, 16, 4),
+            (17..=32, _) => tile(64, 32, 4),
+            (33..=64, Tiles::Matrices) => Tile { in_f16: true, ..tile(matrices::ROWS, 64, 4) },
+            (_, Tiles::Matrices) => Tile { in_f16: true, ..tile(matrices::ROWS, 128, 8) },
+            (128.., Tiles::Large) => tile(128, 128, 8),
+            _ => tile(64, 64, 4),
         }
     }
 
@@ -200,7 +212,9 @@ fn product(kernel: &Kernel) -> String {
         let _ = writeln!(s, "var {name} = vec4<f32>(0.0);");
     }
     let fetch_all = |s: &mut String, k0: &str| {
-        for ((place, name), of) in lefts.iter().map(|x| (x, "left_four")).chain(rights.iter().map(|x| (x, "right_four"))) {
+        for ((place, name), of) in
+            lefts.iter().map(|x| (x, "left_four")).chain(rights.iter().map(|x| (x, "right_four")))
+        {
             let first = if of == "left_four" { "row0" } else { "col0" };
             let _ = writeln!(s, "{{ {place} {name} = {of}({first} + 4u * at, {k0} + k, part); }}");
         }
@@ -252,3 +266,41 @@ const PARAMETERS: &str = include_str!("wgsl/product.wgsl");
 const FORWARD: &str = include_str!("wgsl/product_forward.wgsl");
 const BACK: &str = include_str!("wgsl/product_back.wgsl");
 const WEIGHTS: &str = include_str!("wgsl/product_weights.wgsl");
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use naga::valid::{Capabilities, ValidationFlags, Validator};
+
+    /// Compiles a text to SPIR-V, as for Vulkan. Returns its words.
+    fn compile(kernel: &Kernel) -> usize {
+        let text = kernel.text();
+        let module = naga::front::wgsl::parse_str(&text).unwrap_or_else(|e| panic!("{}", e.emit_to_string(&text)));
+        let info = Validator::new(ValidationFlags::all(), Capabilities::all())
+            .validate(&module)
+            .unwrap_or_else(|e| panic!("{:?}: {}", kernel, e.emit_to_string(&text)));
+        let options = naga::back::spv::Options { lang_version: (1, 6), ..naga::back::spv::Options::default() };
+        naga::back::spv::write_vec(&module, &info, &options, None).unwrap().len()
+    }
+
+    /// Matrix units are not on the machines that run the tests.
+    #[test]
+    fn products_by_matrix_units_compile() {
+        for name in ["product", "product_back", "weights"] {
+            for columns in [64, 256] {
+                let kernel = Tile::of(columns, Tiles::Matrices).kernel(name).with("F16", true);
+                assert!(compile(&kernel) > 1000);
+                let of_two =
+                    kernel.with("SECOND", true).with("DELTA", name == "product").with("MASK", name != "product");
+                assert!(compile(&of_two.with("OPEN", true).with("ADD", true)) > 1000);
+            }
+        }
+    }
+
+    #[test]
+    fn large_tiles_compile() {
+        for name in ["product", "product_back", "weights"] {
+            assert!(compile(&Tile::of(256, Tiles::Large).kernel(name).with("SECOND", true)) > 1000);
+        }
+    }
+}

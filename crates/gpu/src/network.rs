@@ -225,16 +225,18 @@ impl FieldBuffers {
     }
 
     /// Reads the gradients that were summed, in the host's order and shapes.
-    pub(crate) fn gradients(&self, gpu: &Gpu, shape: &Shape) -> Result<Vec<Tensor>> {
+    pub(crate) fn gradients(&self, gpu: &Gpu, shape: &Shape, loss_scale: f64) -> Result<Vec<Tensor>> {
         let mut read = Vec::new();
         if let (Some(tables), Some(grid)) = (&self.tables, &shape.grid) {
             let bytes = gpu.read(&[&tables.gradient])?.remove(0);
             let sums: Vec<[u32; 2]> = bytemuck::pod_collect_to_vec(&bytes[..8 * tables.count]);
-            let value = |[low, high]: [u32; 2]| ((u64::from(high) << 32 | u64::from(low)) as i64 as f64 / 2f64.powi(56)) as f32;
+            let value =
+                |[low, high]: [u32; 2]| ((u64::from(high) << 32 | u64::from(low)) as i64 as f64 / 2f64.powi(56)) as f32;
             let values = sums.into_iter().map(value).collect();
             read.push(Tensor::from_vec(values, (grid.entries(), grid.features), &Device::Cpu)?);
         }
-        read.extend(shape.to_host(&gpu.read_f32(&self.weights.gradient, self.weights.count)?)?);
+        let scaled = gpu.read_f32(&self.weights.gradient, self.weights.count)?;
+        read.extend(shape.to_host(&scaled.iter().map(|g| g / loss_scale as f32).collect::<Vec<f32>>())?);
         Ok(read)
     }
 }

@@ -7,7 +7,7 @@ use augnerf_core::settings::{DensityActivation, FieldConfig, OutputPlace};
 use wgpu::Buffer;
 
 use crate::device::{Dispatch, Gpu, groups, rows};
-use crate::kernels::{Kernel, Tile};
+use crate::kernels::{Kernel, Tile, Tiles};
 use crate::network::{FieldBuffers, Layer, Shape};
 
 /// Numbers of a ray in the rays' buffer; `rays.wgsl` says which.
@@ -260,7 +260,9 @@ pub(crate) struct Recorder<'a> {
     pub(crate) flags: &'a Buffer,
     pub(crate) bounds: (f64, f64),
     pub(crate) background: Option<[f32; 3]>,
-    pub(crate) large_tiles: bool,
+    pub(crate) tiles: Tiles,
+    /// Factor of all gradients up to Adam, which keeps them in the range of f16.
+    pub(crate) loss_scale: f64,
     pub(crate) dispatches: Vec<Dispatch>,
     pub(crate) work: Work,
 }
@@ -274,8 +276,10 @@ impl<'a> Recorder<'a> {
         self.work.dispatches += 1;
     }
 
-    fn tile(&self, columns: usize) -> Tile {
-        Tile::of(columns, self.large_tiles)
+    /// Returns the tile and the kernel of a product with so many columns.
+    fn tiled(&self, name: &'static str, columns: usize) -> (Tile, Kernel) {
+        let tile = Tile::of(columns, self.tiles);
+        (tile, tile.kernel(name).with("F16", tile.in_f16))
     }
 
     fn product_words(m: usize, n: usize, a: Matrix, second: Option<Matrix>) -> Words {
@@ -297,8 +301,8 @@ impl<'a> Recorder<'a> {
         delta: Option<(&Buffer, &Buffer)>,
     ) {
         let n = columns.len();
-        let tile = self.tile(n);
-        let kernel = tile.kernel("product").with("SECOND", second.is_some()).with("DELTA", delta.is_some());
+        let (tile, kernel) = self.tiled("product", n);
+        let kernel = kernel.with("SECOND", second.is_some()).with("DELTA", delta.is_some());
         let words = Recorder::product_words(m, n, a, second).u(layer.outputs).u(layer.offset + columns.start);
         let words = words.u(c.1).u(c.2).flag(relu).u(n).u(0).u(0).u(0);
         let mut buffers = vec![(1, a.buffer), (3, &field.weights.values), (4, c.0)];
@@ -327,8 +331,8 @@ impl<'a> Recorder<'a> {
         open: Option<&Buffer>,
     ) {
         let n = inputs.len();
-        let tile = self.tile(n);
-        let kernel = tile.kernel("product_back").with("ADD", adds).with("MASK", mask.is_some());
+        let (tile, kernel) = self.tiled("product_back", n);
+        let kernel = kernel.with("ADD", adds).with("MASK", mask.is_some());
         let kernel = kernel.with("OPEN", open.is_some());
         let words = Recorder::product_words(m, n, d, None).u(layer.outputs);
         let words = words.u(layer.offset + inputs.start * layer.outputs).u(c.1).u(0).u(0).u(n).u(0).u(0).u(0);
@@ -348,9 +352,9 @@ impl<'a> Recorder<'a> {
 
     /// Records the parts of a layer's gradient.
     fn dense_weights(&mut self, m: usize, layer: Layer, (a, second): (Matrix, Option<Matrix>), d: Matrix) {
-        let tile = self.tile(layer.outputs);
+        let (tile, kernel) = self.tiled("weights", layer.outputs);
         let (part_rows, parts) = Recorder::parts(m);
-        let kernel = tile.kernel("weights").with("SECOND", second.is_some());
+        let kernel = kernel.with("SECOND", second.is_some());
         let words = Recorder::product_words(m, layer.outputs, a, second).u(d.stride).u(0).u(0).u(0).u(0).u(0);
         let words = words.u(part_rows).u(self.shape.weights()).u(layer.offset).u(0);
         let scratch = self.scratch;
@@ -369,12 +373,7 @@ impl<'a> Recorder<'a> {
         if let Some(delta) = pass.deltas.t {
             let count = pass.rays * pass.columns;
             let words = Words::default().u(count).u(0).u(0).u(0);
-            self.run(
-                Kernel::new("add"),
-                words,
-                &[(1, t_vals), (2, delta), (3, &scratch.t_moved)],
-                groups(count),
-            );
+            self.run(Kernel::new("add"), words, &[(1, t_vals), (2, delta), (3, &scratch.t_moved)], groups(count));
             t_vals = &scratch.t_moved;
         }
         let words = Words::default().u(pass.rays).u(pass.samples).u(pass.columns).u(pass.ray0);
@@ -383,12 +382,7 @@ impl<'a> Recorder<'a> {
         self.run(Kernel::new("points").with("SHIFT", pass.deltas.xyz.is_some()), words, &buffers, groups(n));
         let Some(grid) = &self.shape.grid else {
             let words = Words::default().u(n).u((self.shape.channels - 3) / 6).u(self.shape.channels).u(0);
-            self.run(
-                Kernel::new("frequency"),
-                words,
-                &[(1, &scratch.points), (2, &scratch.encoded)],
-                groups(3 * n),
-            );
+            self.run(Kernel::new("frequency"), words, &[(1, &scratch.points), (2, &scratch.encoded)], groups(3 * n));
             return t_vals;
         };
         let words = self.domain(n);
@@ -411,7 +405,8 @@ impl<'a> Recorder<'a> {
 
     fn grid(&self, points: usize) -> Words {
         let grid = self.shape.grid.as_ref().expect("a grid");
-        let mut words = Words::default().u(points).u(grid.levels.len()).f(FIXED_SCALE).flag(grid.smooth);
+        let mut words =
+            Words::default().u(points).u(grid.levels.len()).f(FIXED_SCALE / self.loss_scale).flag(grid.smooth);
         for level in 0..32 {
             for word in grid.levels.get(level).copied().unwrap_or([1, 1, 0, 1]) {
                 words = words.u(word as usize);
@@ -557,9 +552,8 @@ impl<'a> Recorder<'a> {
         let PassLoss { weight, distortion } = loss.unwrap_or(PassLoss { weight: 0.0, distortion: 0.0 });
         let words = Words::default().u(pass.rays).u(pass.samples).u(pass.columns).u(pass.ray0);
         let words = background.into_iter().fold(words, Words::f).flag(self.background.is_some());
-        let words = words.f(weight).f(distortion).f(self.bounds.0).f(self.bounds.1);
-        let mut buffers =
-            vec![(1, self.rays), (2, t_vals), (3, &scratch.values), (4, &scratch.weights), (5, pass.out)];
+        let words = words.f(weight * self.loss_scale).f(distortion * self.loss_scale).f(self.bounds.0).f(self.bounds.1);
+        let mut buffers = vec![(1, self.rays), (2, t_vals), (3, &scratch.values), (4, &scratch.weights), (5, pass.out)];
         if loss.is_some() {
             buffers.extend([(6, &scratch.before), (7, &scratch.d_values), (8, &scratch.d_t)]);
         }
@@ -646,13 +640,8 @@ impl<'a> Recorder<'a> {
             let words = Words::default().u(pass.rays).u((shape.view_channels - 3) / 6).u(shape.view_channels);
             let words = words.u(pass.ray0).u(pass.samples).u(0).u(0).u(0);
             let tilt = pass.deltas.view.expect("a gradient of a delta that is there");
-            let buffers = [
-                (1, self.rays),
-                (2, &scratch.view_encoded),
-                (3, &scratch.d_view),
-                (4, tilt),
-                (5, &scratch.d_tilt),
-            ];
+            let buffers =
+                [(1, self.rays), (2, &scratch.view_encoded), (3, &scratch.d_view), (4, tilt), (5, &scratch.d_tilt)];
             self.run(Kernel::new("view_back"), words, &buffers, groups(pass.rays));
         }
     }
@@ -708,8 +697,7 @@ impl<'a> Recorder<'a> {
             let of_grid = |name| Kernel::new(name).set("FEATURES", grid.features);
             if wanted.weights {
                 let words = self.grid(n);
-                let buffers =
-                    [(1, &scratch.unit), (2, &scratch.d_encoded), (3, &tables.gradient), (4, self.flags)];
+                let buffers = [(1, &scratch.unit), (2, &scratch.d_encoded), (3, &tables.gradient), (4, self.flags)];
                 self.run(of_grid("scatter"), words, &buffers, groups(n * grid.levels.len()));
             }
             if wanted.points() {

@@ -5,7 +5,7 @@ use std::sync::{Mutex, PoisonError};
 use augnerf_core::base::Result;
 use augnerf_core::data::{Rays, Scene};
 use augnerf_core::methods::{Fields, RenderedRays, Renderer};
-use augnerf_core::settings::Config;
+use augnerf_core::settings::{Config, Precision};
 use candle_core::{DType, Device, Tensor};
 use wgpu::Buffer;
 
@@ -41,7 +41,8 @@ impl GpuRenderer {
         let (coarse, fine) = config.samples();
         let samples = coarse.max(fine);
         let most = if gpu.adapter().is_software { MOST_RAYS_IN_SOFTWARE } else { MOST_RAYS };
-        let fits = (gpu.budget() / Scratch::bytes_per_sample(&shape)).min(gpu.largest_buffer() / (4 * (shape.width + 1)));
+        let fits =
+            (gpu.budget() / Scratch::bytes_per_sample(&shape)).min(gpu.largest_buffer() / (4 * (shape.width + 1)));
         let chunk = (fits / samples).clamp(1, most);
         gpu.checked("making a renderer", || GpuRenderer::record(gpu, fields, config, scene, &shape, chunk))?
     }
@@ -81,7 +82,8 @@ impl GpuRenderer {
             flags: &flags,
             bounds: scene.bounds(),
             background: scene.background,
-            large_tiles: shape.width >= 128 && !gpu.adapter().is_software,
+            tiles: gpu.tiles(Precision::F32),
+            loss_scale: 1.0,
             dispatches: Vec::new(),
             work: Work::default(),
         };

@@ -177,6 +177,8 @@ pub(crate) struct SetBuffers {
     deltas: PerSite<Option<Buffer>>,
     /// Random points, for the diagnostics.
     random: PerSite<Option<Buffer>>,
+    /// Deltas of the output level as the complete pass used them, for the diagnostics.
+    used: PerSite<Option<Buffer>>,
     t_radius: Buffer,
     xyz_radius: Buffer,
 }
@@ -191,15 +193,19 @@ impl SetBuffers {
         SetBuffers {
             deltas: PerSite::from_fn(of),
             random: PerSite::from_fn(of),
+            used: PerSite::from_fn(|site| of(site).filter(|_| matches!(site, Site::Rgb | Site::Density))),
             t_radius: gpu.numbers(rays * columns),
             xyz_radius: gpu.numbers(rays),
         }
     }
 
-    /// Returns the deltas of all sites, or random ones.
-    pub(crate) fn of_pass<'a>(&'a self, sets: &PassSets, random: bool, layer: usize, before: bool) -> DeltaBuffers<'a> {
-        let buffers = if random { &self.random } else { &self.deltas };
-        let of = |site: Site| buffers[site].as_ref();
+    /// Returns some deltas of all sites.
+    pub(crate) fn of_pass<'a>(&'a self, sets: &PassSets, which: Which, layer: usize, before: bool) -> DeltaBuffers<'a> {
+        let of = |site: Site| match which {
+            Which::Searched => self.deltas[site].as_ref(),
+            Which::Random => self.random[site].as_ref(),
+            Which::Used => self.used[site].as_ref().or(self.deltas[site].as_ref()),
+        };
         let output = |site: Site| {
             let buffer = of(site)?;
             let set = sets.set(site);
@@ -216,6 +222,17 @@ impl SetBuffers {
             before,
         }
     }
+}
+
+/// The deltas of a pass.
+#[derive(Clone, Copy, PartialEq)]
+pub(crate) enum Which {
+    /// Those of the search.
+    Searched,
+    /// The same, with those of the output level as the complete pass used them.
+    Used,
+    /// Random ones, for the diagnostics.
+    Random,
 }
 
 /// Random numbers of a chunk of rays, in parts of the host's chunks.
@@ -380,7 +397,8 @@ impl Recorder<'_> {
                 let first = distances + whole * vectors;
                 self.random(now, numbers, stretch(1, whole, rest * set.per_ray, of_rest, first));
             }
-            let words = SetWords { gaussian, chunk: vectors, normals, first_distance: distances, ..SetWords::default() };
+            let words =
+                SetWords { gaussian, chunk: vectors, normals, first_distance: distances, ..SetWords::default() };
             let words = self.set_words(sets, set, pass, words);
             let to = if at.random { &buffers.random } else { &buffers.deltas };
             let delta = to[set.site].as_ref().expect("a site that is on");
@@ -409,6 +427,17 @@ impl Recorder<'_> {
         bound.extend(used.map(|used| (5, used)));
         let kernel = self.set_kernel("ascend", set).with("USED", used.is_some());
         self.run(kernel, words, &bound, groups(pass.rays * set.per_ray));
+    }
+
+    /// Keeps the deltas of the output level as the last pass used them.
+    pub(crate) fn keep_used(&mut self, sets: &PassSets, buffers: &SetBuffers, pass: &PassAt) {
+        for set in &sets.sites {
+            if let (Some(from), Some(to)) = (self.used(set.site), &buffers.used[set.site]) {
+                let count = pass.rays * set.per_ray * set.size;
+                let words = Words::default().u(count).u(0).u(0).u(0);
+                self.run(Kernel::new("copy"), words, &[(1, from), (2, to)], groups(count));
+            }
+        }
     }
 
     /// Records the count of numbers on the edge of a site's set, after the pass that used them. `range` is that of
@@ -494,6 +523,7 @@ struct SetWords {
 
 /// Returns the numbers that drawing needs for a chunk of rays.
 pub(crate) fn numbers_to_draw(sets: &PassSets, rays: usize, chunk: usize) -> usize {
-    let of = |set: &SiteSet| (rays.next_multiple_of(chunk) + chunk) * set.per_ray * (set.size + 1) + 2 * rays / chunk + 4;
+    let of =
+        |set: &SiteSet| (rays.next_multiple_of(chunk) + chunk) * set.per_ray * (set.size + 1) + 2 * rays / chunk + 4;
     sets.sites.iter().map(of).max().unwrap_or(1)
 }

@@ -4,10 +4,12 @@ use augnerf_core::augment::{Draw, Site};
 use augnerf_core::base::rng::Stream;
 use augnerf_core::base::{Error, Result};
 use augnerf_core::data::{RayParts, Scene, tangents};
-use augnerf_core::methods::{Batch, Batches, Extremes, Fields, LogColumns, SiteDiagnostics, StepReport, Term, not_finite, site_columns};
+use augnerf_core::methods::{
+    Batch, Batches, Extremes, Fields, LogColumns, SiteDiagnostics, StepReport, Term, not_finite, site_columns,
+};
 use augnerf_core::runtime::Accelerator;
 use augnerf_core::settings::{
-    DeltaSource, Encoding, Objective, OutputPlace, PerturbField, Precision, Regularizer, RegularizedFields, Resample,
+    DeltaSource, Encoding, Objective, OutputPlace, PerturbField, Precision, RegularizedFields, Regularizer, Resample,
     Resolved, SecondPass, Spacing,
 };
 use candle_core::Tensor;
@@ -17,9 +19,10 @@ use crate::device::{Dispatch, Gpu};
 use crate::kernels::Kernel;
 use crate::network::{FieldBuffers, Shape};
 use crate::record::{
-    DeltaBuffers, OUT, Outputs, PassAt, PassLoss, RAY, Recorder, Resampling, SLOT, Scratch, Wanted, Words, Work,
+    DeltaBuffers, FIXED_SCALE, OUT, Outputs, PassAt, PassLoss, RAY, Recorder, Resampling, SLOT, Scratch, Wanted, Words,
+    Work,
 };
-use crate::sets::{DrawAt, HostChunks, PassSets, PassSize, SetBuffers, Stretch, numbers_to_draw};
+use crate::sets::{DrawAt, HostChunks, PassSets, PassSize, SetBuffers, Stretch, Which, numbers_to_draw};
 
 const BETA1: f64 = 0.9;
 const EIGHT_BIT: f64 = 255.0;
@@ -55,7 +58,7 @@ pub fn check(config: &Resolved) -> Result<()> {
             return refuse(&format!("with regularizer {}", term.name()));
         }
     }
-    if config.field.precision != Precision::F32 {
+    if config.field.precision == Precision::Bf16 {
         return refuse("in field.precision = \"bf16\"");
     }
     let (coarse, fine) = config.samples();
@@ -126,6 +129,12 @@ impl Steps {
         moments: Option<[Vec<Tensor>; 2]>,
     ) -> Result<Steps> {
         check(config)?;
+        if config.field.precision == Precision::F16 && !gpu.adapter().has_matrices {
+            return Err(Error::Config(format!(
+                "field.precision = \"f16\" needs matrix units with f16, which {} lacks; choose \"f32\"",
+                gpu.adapter().name
+            )));
+        }
         let shape = Shape::of(&config.field);
         let tangents = config.method.is_augmented() && config.perturb.sites[Site::View].on();
         let batches = Batches::new(config, scene, RayParts { tangents, ..RayParts::default() })?;
@@ -136,7 +145,8 @@ impl Steps {
             for field in &of_roles {
                 let values: Vec<Tensor> = field.variables().iter().map(|(_, var)| var.as_detached_tensor()).collect();
                 let part = start..start + values.len();
-                let of_field = moments.as_ref().map(|pair| [pair[0][part.clone()].to_vec(), pair[1][part.clone()].to_vec()]);
+                let of_field =
+                    moments.as_ref().map(|pair| [pair[0][part.clone()].to_vec(), pair[1][part.clone()].to_vec()]);
                 start = part.end;
                 learned.push(FieldBuffers::new(gpu, &shape, &values, of_field)?);
             }
@@ -150,9 +160,8 @@ impl Steps {
                 *set = size.map(|size| PassSets::new(config, scene, size)).transpose()?;
             }
         }
-        let buffers = gpu.checked("making the buffers of a step", || {
-            StepBuffers::new(gpu, config, scene, &shape, &sets)
-        })?;
+        let buffers =
+            gpu.checked("making the buffers of a step", || StepBuffers::new(gpu, config, scene, &shape, &sets))?;
         let mut steps = Steps {
             gpu: gpu.clone(),
             config: config.clone(),
@@ -317,7 +326,7 @@ impl Steps {
         let report = self.compute(step, 1, 0.0, false, false)?;
         let mut gradients = Vec::new();
         for learned in &self.learned {
-            gradients.extend(learned.gradients(&self.gpu, &self.shape)?);
+            gradients.extend(learned.gradients(&self.gpu, &self.shape, loss_scale(&self.config))?);
         }
         self.clear_gradients();
         Ok((report, gradients))
@@ -349,6 +358,14 @@ impl Steps {
         }
         sums.sort_by(|a, b| b.1.total_cmp(&a.1));
         Ok(sums)
+    }
+}
+
+/// Returns the factor of gradients. In f16 typical ones of a ray's colours are then near 1.
+fn loss_scale(config: &Resolved) -> f64 {
+    match config.field.precision {
+        Precision::F16 => ((64 * 3 * config.train.rays) as f64).log2().round().exp2(),
+        _ => 1.0,
     }
 }
 
@@ -469,7 +486,8 @@ impl Steps {
             flags: &self.buffers.flags,
             bounds: self.scene_bounds,
             background: self.background,
-            large_tiles: self.shape.width >= 128 && !self.gpu.adapter().is_software,
+            tiles: self.gpu.tiles(self.config.field.precision),
+            loss_scale: loss_scale(&self.config),
             dispatches: Vec::new(),
             work: Work::default(),
         }
@@ -559,7 +577,8 @@ impl Steps {
         for (index, field) in self.learned.iter().enumerate() {
             for (part, learned) in std::iter::once(&field.weights).chain(&field.tables).enumerate() {
                 let words = Words::default().u(learned.count).f(BETA1).f(train.adam_beta2).f(train.adam_epsilon);
-                let words = words.f(1.0 / crate::record::FIXED_SCALE).u(2 * index + part).u(0).u(0);
+                let unit = if part == 0 { loss_scale(&self.config) } else { FIXED_SCALE };
+                let words = words.f(1.0 / unit).u(2 * index + part).u(0).u(0);
                 let features = self.shape.grid.as_ref().map_or(1, |grid| grid.features);
                 let (kernel, threads) = match part {
                     0 => (Kernel::new("adam_weights"), learned.count),
@@ -587,8 +606,7 @@ impl Steps {
         let (coarse, fine) = (mse_of(COARSE), mse_of(FINE));
         let coarse_weight = self.coarse_weight();
         let second = [mse_of(SECOND_COARSE).map(|loss| coarse_weight * loss), mse_of(SECOND_FINE)];
-        let perturbed =
-            self.config.method.is_augmented().then(|| second.into_iter().flatten().sum::<f64>());
+        let perturbed = self.config.method.is_augmented().then(|| second.into_iter().flatten().sum::<f64>());
         let (clean_weight, perturbed_weight) = self.mixing();
         let clean = coarse_weight * coarse.unwrap_or(0.0) + fine.unwrap_or(0.0);
         let mut loss = clean_weight * clean + perturbed.map_or(0.0, |loss| perturbed_weight * loss);
@@ -893,7 +911,7 @@ impl<'a> ChunkRecorder<'a> {
         let draw = if source == DeltaSource::Gaussian { Draw::Gaussian } else { Draw::Uniform };
         let at = self.draw_at(index, &pass, draw, Stream::Search, false);
         recorder.draw(&at);
-        let deltas = buffers.of_pass(sets, false, perturb.injection_layer, before);
+        let deltas = buffers.of_pass(sets, Which::Searched, perturb.injection_layer, before);
         let pass = PassAt { deltas, ..pass };
         let loss = PassLoss { weight: self.weight(weight), distortion: 0.0 };
         if source == DeltaSource::WorstCase {
@@ -937,7 +955,11 @@ impl<'a> ChunkRecorder<'a> {
             stream,
             is_coarse: index == 0,
             random,
-            chunks: HostChunks { size: self.config().train.chunk.min(self.config().train.rays), ray0: self.ray0, rays: self.rays },
+            chunks: HostChunks {
+                size: self.config().train.chunk.min(self.config().train.rays),
+                ray0: self.ray0,
+                rays: self.rays,
+            },
             now: &steps.buffers.now,
             numbers: &steps.buffers.numbers,
         }
@@ -961,13 +983,15 @@ impl<'a> ChunkRecorder<'a> {
             recorder.at_bound(sets, buffers, pass, site, counts, range);
         }
         let first = DIAGNOSED + index * OF_PASS;
-        let random = buffers.of_pass(sets, true, perturb.injection_layer, before);
+        recorder.keep_used(sets, buffers, pass);
+        let [used, random] =
+            [Which::Used, Which::Random].map(|which| buffers.of_pass(sets, which, perturb.injection_layer, before));
         let render = |recorder: &mut Recorder<'a>, deltas: DeltaBuffers<'a>, slot: usize| {
             recorder.forward(&PassAt { deltas, out: &steps.buffers.outs[slot], ..*pass }, None);
         };
         render(recorder, DeltaBuffers { before, ..DeltaBuffers::default() }, first);
         for site in sets.sites() {
-            render(recorder, pass.deltas.only(site), with(first, site));
+            render(recorder, used.only(site), with(first, site));
             render(recorder, random.only(site), with_random(first, site));
         }
     }

@@ -29,9 +29,10 @@ impl GpuStepper {
             [of(|m| &m.first), of(|m| &m.second)]
         });
         let zero = || -> Result<Vec<Moments>> {
-            let zeros = fields.variables().into_iter().map(|(_, var)| {
-                Ok(Moments { first: var.zeros_like()?, second: var.zeros_like()? })
-            });
+            let zeros = fields
+                .variables()
+                .into_iter()
+                .map(|(_, var)| Ok(Moments { first: var.zeros_like()?, second: var.zeros_like()? }));
             zeros.collect()
         };
         let steps = Steps::new(gpu, config, scene, fields, of_device)?;
@@ -45,7 +46,10 @@ impl Stepper for GpuStepper {
     }
 
     fn add_term(&mut self, term: LossTerm, _weight: f64) -> Result<()> {
-        Err(Error::Config(format!("the term '{}' is your own, which device gpu does not compute; use cpu", term.name())))
+        Err(Error::Config(format!(
+            "the term '{}' is your own, which device gpu does not compute; use cpu",
+            term.name()
+        )))
     }
 
     fn step(&mut self, at: StepAt, stop_check: &StopCheck) -> Result<StepReport> {

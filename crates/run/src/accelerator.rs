@@ -10,7 +10,7 @@ use crate::methods::{Fields, Renderer, Stepper};
 use crate::model::Model;
 use crate::optimizer::Moments;
 use crate::runtime::{Accelerator, Runtime, instructions};
-use crate::settings::{Config, Resolved};
+use crate::settings::{Config, Precision, Resolved};
 
 /// Opens `device` (`cpu`, `gpu`, `gpu:N`, `cuda`, `cuda:N`, `cuda-tf32` or `metal`) with this many threads. `None` is one
 /// thread per CPU of the process.
@@ -94,6 +94,11 @@ pub(crate) fn work(runtime: &Runtime, config: &Resolved, scene: &Scene, model: &
 /// Returns an error for what no accelerator trains.
 pub(crate) fn check(config: &Resolved, runtime: &Runtime) -> Result<()> {
     match runtime.accelerator() {
+        None if config.field.precision == Precision::F16 => Err(Error::Config(
+            "field.precision = \"f16\" needs --device gpu with matrix units; on other devices choose \"f32\" or, with --device \
+             cpu, \"bf16\""
+                .into(),
+        )),
         None => Ok(()),
         Some(_) if !config.representation().is_field() => Err(refused(config)),
         Some(_) => gpu::check(config),

@@ -4,7 +4,7 @@
 fn main(@builtin(global_invocation_id) id: vec3<u32>) {
     let i = thread_of(id);
     if (i >= p.numbers) { return; }
-    let g = gradient[i];
+    let g = gradient[i] * p.unit;
     gradient[i] = 0.0;
     move_by(i, g);
 }

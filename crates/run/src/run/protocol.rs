@@ -216,6 +216,7 @@ fn of_state(config: &Resolved, state: &State) -> Found {
     };
     let precision = match config.field.precision {
         Precision::Bf16 => "bf16".into(),
+        Precision::F16 => "f16".into(),
         Precision::F32 => by_device(|device| if device == "cuda-tf32" { "tf32" } else { "f32" }),
     };
     vec![
