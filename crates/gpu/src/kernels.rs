@@ -164,6 +164,73 @@ impl Tile {
 /// Depth of a tile.
 const DEPTH: usize = 16;
 
+/// How a tile is fetched: four numbers at a time, along the depth or along the tile's rows or columns. Shared memory has it
+/// along the latter, so squares of the former are transposed.
+struct Lines {
+    along_depth: bool,
+    size: usize,
+}
+
+impl Lines {
+    /// Fours, or squares, of the tile.
+    fn pieces(&self) -> usize {
+        if self.along_depth { self.size / 4 * DEPTH / 4 } else { self.size / 4 * DEPTH }
+    }
+
+    fn slots(&self, threads: usize) -> usize {
+        self.pieces().div_ceil(threads)
+    }
+
+    /// The variables of a thread.
+    fn names(&self, name: &str, threads: usize) -> Vec<String> {
+        let each = if self.along_depth { 4 } else { 1 };
+        (0..self.slots(threads)).flat_map(|slot| (0..each).map(move |j| format!("{name}{slot}_{j}"))).collect()
+    }
+
+    /// Depth and place of a thread's piece. A square's are those of its corner.
+    fn place(&self, slot: usize, threads: usize) -> String {
+        let index = format!("(thread + {}u)", slot * threads);
+        let place = match self.along_depth {
+            true => format!("let k = 4u * ({index} % {}u); let at = {index} / {}u;", DEPTH / 4, DEPTH / 4),
+            false => format!("let k = {index} / {}u; let at = {index} % {}u;", self.size / 4, self.size / 4),
+        };
+        match self.pieces() % threads {
+            0 => place,
+            _ => format!("if ({index} < {}u) {{ {place}", self.pieces()),
+        }
+    }
+
+    fn end(&self, threads: usize) -> &'static str {
+        if self.pieces().is_multiple_of(threads) { "" } else { "}" }
+    }
+
+    fn fetch(&self, s: &mut String, (name, line, first): (&str, &str, &str), threads: usize, k0: &str) {
+        for slot in 0..self.slots(threads) {
+            let _ = writeln!(s, "{{ {}", self.place(slot, threads));
+            for j in 0..if self.along_depth { 4 } else { 1 } {
+                let _ = writeln!(s, "{name}{slot}_{j} = {line}({first} + 4u * at + {j}u, {k0} + k, part);");
+            }
+            let _ = writeln!(s, "{} }}", self.end(threads));
+        }
+    }
+
+    fn keep(&self, s: &mut String, (name, tile, row): (&str, &str, usize), threads: usize) {
+        for slot in 0..self.slots(threads) {
+            let _ = writeln!(s, "{{ {}", self.place(slot, threads));
+            if self.along_depth {
+                for (k, part) in ["x", "y", "z", "w"].into_iter().enumerate() {
+                    let of = |j: usize| format!("{name}{slot}_{j}.{part}");
+                    let square = format!("vec4<f32>({}, {}, {}, {})", of(0), of(1), of(2), of(3));
+                    let _ = writeln!(s, "{tile}[(k + {k}u) * {row}u + at] = {square};");
+                }
+            } else {
+                let _ = writeln!(s, "{tile}[k * {row}u + at] = {name}{slot}_0;");
+            }
+            let _ = writeln!(s, "{} }}", self.end(threads));
+        }
+    }
+}
+
 /// Writes the text of a product: a group computes a tile and a thread a square of it. The depth passes through shared
 /// memory, and the next part of it is fetched while this one is multiplied.
 ///
@@ -186,18 +253,8 @@ fn product(kernel: &Kernel) -> String {
         "product_back" => BACK,
         _ => FORWARD,
     });
-    // Each thread fetches some fours of both tiles: along the depth first, or along the tile, as they are in memory.
-    let fetch = |side_name: &str, slot: usize, size: usize, along_depth: bool| {
-        let index = format!("(thread + {}u)", slot * threads);
-        let (k, at) = match along_depth {
-            true => (format!("{index} % {DEPTH}u"), format!("{index} / {DEPTH}u")),
-            false => (format!("{index} / {}u", size / 4), format!("{index} % {}u", size / 4)),
-        };
-        (format!("let k = {k}; let at = {at};"), format!("{side_name}{slot}"))
-    };
-    let lefts: Vec<_> = (0..rows / 4 * DEPTH / threads).map(|i| fetch("a", i, rows, !of_weights)).collect();
-    let rights: Vec<_> =
-        (0..columns / 4 * DEPTH / threads).map(|i| fetch("d", i, columns, kernel.name == "product_back")).collect();
+    let left = Lines { along_depth: !of_weights, size: rows };
+    let right = Lines { along_depth: kernel.name == "product_back", size: columns };
     let _ = writeln!(
         s,
         "@compute @workgroup_size({threads})\nfn main(@builtin(workgroup_id) group: vec3<u32>, \
@@ -208,26 +265,19 @@ fn product(kernel: &Kernel) -> String {
     );
     let accumulators = (0..side).flat_map(|i| (0..fours).map(move |q| format!("s{i}_{q}")));
     let biases = (0..if of_weights { fours } else { 0 }).map(|q| format!("b{q}"));
-    for name in accumulators.chain(biases).chain(lefts.iter().chain(&rights).map(|(_, name)| name.clone())) {
+    let fetched = left.names("a", threads).into_iter().chain(right.names("d", threads));
+    for name in accumulators.chain(biases).chain(fetched) {
         let _ = writeln!(s, "var {name} = vec4<f32>(0.0);");
     }
-    let fetch_all = |s: &mut String, k0: &str| {
-        for ((place, name), of) in
-            lefts.iter().map(|x| (x, "left_four")).chain(rights.iter().map(|x| (x, "right_four")))
-        {
-            let first = if of == "left_four" { "row0" } else { "col0" };
-            let _ = writeln!(s, "{{ {place} {name} = {of}({first} + 4u * at, {k0} + k, part); }}");
-        }
-    };
-    fetch_all(&mut s, "0u");
+    left.fetch(&mut s, ("a", "left_line", "row0"), threads, "0u");
+    right.fetch(&mut s, ("d", "right_line", "col0"), threads, "0u");
     let _ = writeln!(s, "for (var k0 = 0u; k0 < {depth}; k0 += {DEPTH}u) {{");
-    for ((place, name), (tile, row)) in
-        lefts.iter().map(|x| (x, ("left", left_row))).chain(rights.iter().map(|x| (x, ("right", right_row))))
-    {
-        let _ = writeln!(s, "{{ {place} {tile}[k * {row}u + at] = {name}; }}");
-    }
+    left.keep(&mut s, ("a", "left", left_row), threads);
+    right.keep(&mut s, ("d", "right", right_row), threads);
     let _ = writeln!(s, "workgroupBarrier();\nif (k0 + {DEPTH}u < {depth}) {{");
-    fetch_all(&mut s, &format!("k0 + {DEPTH}u"));
+    let next = format!("k0 + {DEPTH}u");
+    left.fetch(&mut s, ("a", "left_line", "row0"), threads, &next);
+    right.fetch(&mut s, ("d", "right_line", "col0"), threads, &next);
     let _ = writeln!(s, "}}\nfor (var k = 0u; k < {DEPTH}u; k++) {{");
     let _ = writeln!(s, "let l = k * {left_row}u + {fours}u * ty; let r = k * {right_row}u + {fours}u * tx;");
     for q in 0..fours {

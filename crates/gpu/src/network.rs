@@ -9,7 +9,12 @@ use wgpu::Buffer;
 
 use crate::device::Gpu;
 
-/// A layer's matrix.
+/// Returns the size that pads `numbers` to fours.
+pub(crate) fn padded(numbers: usize) -> usize {
+    numbers.next_multiple_of(4)
+}
+
+/// A layer's matrix. Inputs and outputs are padded to fours by weights that are 0 and stay so.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct Layer {
     pub(crate) offset: usize,
@@ -23,22 +28,47 @@ impl Layer {
     }
 }
 
-/// The sizes of a field's networks.
+/// One of the host's layers in a matrix of the device.
+struct HostLayer {
+    layer: Layer,
+    /// Its first column, and their number.
+    first: usize,
+    outputs: usize,
+    /// Inputs of its one or two operands.
+    inputs: [usize; 2],
+}
+
+impl HostLayer {
+    /// The row of one of the host's inputs.
+    fn row(&self, input: usize) -> usize {
+        if input < self.inputs[0] { input } else { padded(self.inputs[0]) + input - self.inputs[0] }
+    }
+
+    fn all_inputs(&self) -> usize {
+        self.inputs.iter().sum()
+    }
+}
+
+/// The sizes of a field's networks, padded to fours.
 #[derive(Clone, Debug)]
 pub(crate) struct Shape {
     /// Of a position's encoding.
     pub(crate) channels: usize,
+    pub(crate) octaves: usize,
     /// Of a view direction's encoding.
     pub(crate) view_channels: usize,
+    pub(crate) view_octaves: usize,
     pub(crate) width: usize,
     pub(crate) view_width: usize,
     pub(crate) skips: Vec<usize>,
     pub(crate) trunk: Vec<Layer>,
-    /// The feature for the colour's layers, and density in the last column.
+    /// The feature for the colour's layers, then density.
     pub(crate) head: Layer,
     pub(crate) view: Vec<Layer>,
     pub(crate) rgb: Layer,
     pub(crate) grid: Option<GridShape>,
+    /// Without padding: channels of positions and directions, and neurons between trunk and colour.
+    unpadded: [usize; 3],
 }
 
 /// The sizes of a hash grid.
@@ -80,9 +110,9 @@ impl GridShape {
 
 impl Shape {
     pub(crate) fn of(config: &FieldConfig) -> Shape {
-        let (width, view_width) = (config.width, config.view_neurons());
-        let channels = position_channels(config);
-        let view_channels = encoded_channels(config.view_octaves);
+        let unpadded = [position_channels(config), encoded_channels(config.view_octaves), config.view_neurons()];
+        let [channels, view_channels, view_width] = unpadded.map(padded);
+        let width = config.width;
         let mut offset = 0;
         let mut layer = |inputs: usize, outputs: usize| {
             let layer = Layer { offset, inputs, outputs };
@@ -94,16 +124,26 @@ impl Shape {
             i if config.skips.contains(&i) => channels + width,
             _ => width,
         };
-        let trunk = (0..config.depth).map(|i| layer(of_trunk(i), width)).collect();
-        let head = layer(width, width + 1);
-        let of_view = |i: usize| if i == 0 { width + view_channels } else { view_width };
-        let view = (0..config.view_depth).map(|i| layer(of_view(i), view_width)).collect();
-        let rgb = layer(view_width, 3);
-        let grid = GridShape::of(config);
-        Shape { channels, view_channels, width, view_width, skips: config.skips.clone(), trunk, head, view, rgb, grid }
+        Shape {
+            channels,
+            octaves: config.position_octaves,
+            view_channels,
+            view_octaves: config.view_octaves,
+            width,
+            view_width,
+            skips: config.skips.clone(),
+            trunk: (0..config.depth).map(|i| layer(of_trunk(i), width)).collect(),
+            head: layer(width, width + 4),
+            view: (0..config.view_depth)
+                .map(|i| layer(if i == 0 { width + view_channels } else { view_width }, view_width))
+                .collect(),
+            rgb: layer(view_width, 4),
+            grid: GridShape::of(config),
+            unpadded,
+        }
     }
 
-    /// Returns the number of weights and biases.
+    /// Returns the number of weights and biases, with padding.
     pub(crate) fn weights(&self) -> usize {
         self.rgb.end()
     }
@@ -113,23 +153,41 @@ impl Shape {
         i > 0 && self.skips.contains(&i)
     }
 
-    /// Returns where the host's layers are, in the order of its parameters: the matrix and the first of its columns.
-    fn host_layers(&self) -> Vec<(Layer, usize, usize)> {
-        let whole = |layer: &Layer| (*layer, 0, layer.outputs);
-        let heads = [(self.head, self.width, 1), (self.head, 0, self.width)];
-        self.trunk.iter().map(whole).chain(heads).chain(self.view.iter().map(whole)).chain([whole(&self.rgb)]).collect()
+    /// Returns the host's layers, in the order of its parameters.
+    fn host_layers(&self) -> Vec<HostLayer> {
+        let [channels, view_channels, view_width] = self.unpadded;
+        let width = self.width;
+        let at = |layer: &Layer, first: usize, outputs: usize, inputs: [usize; 2]| HostLayer {
+            layer: *layer,
+            first,
+            outputs,
+            inputs,
+        };
+        let of_trunk = |(i, layer): (usize, &Layer)| match i {
+            0 => at(layer, 0, width, [channels, 0]),
+            i if self.skips_to(i) => at(layer, 0, width, [channels, width]),
+            _ => at(layer, 0, width, [width, 0]),
+        };
+        let of_view = |(i, layer): (usize, &Layer)| {
+            at(layer, 0, view_width, if i == 0 { [width, view_channels] } else { [view_width, 0] })
+        };
+        let heads = [at(&self.head, width, 1, [width, 0]), at(&self.head, 0, width, [width, 0])];
+        let trunk = self.trunk.iter().enumerate().map(of_trunk);
+        let view = self.view.iter().enumerate().map(of_view);
+        trunk.chain(heads).chain(view).chain([at(&self.rgb, 0, 3, [view_width, 0])]).collect()
     }
 
     /// Returns the matrices of the host's weights `[outputs, inputs]` and biases, in the order of its parameters.
     pub(crate) fn to_device(&self, parameters: &[Tensor]) -> Result<Vec<f32>> {
         let mut values = vec![0f32; self.weights()];
-        for ((layer, first, outputs), pair) in self.host_layers().into_iter().zip(parameters.chunks(2)) {
+        for (host, pair) in self.host_layers().into_iter().zip(parameters.chunks(2)) {
             let [weight, bias] = [&pair[0], &pair[1]].map(|tensor| tensor.flatten_all()?.to_vec1::<f32>());
             let (weight, bias) = (weight?, bias?);
+            let HostLayer { layer, first, outputs, .. } = host;
             for output in 0..outputs {
                 let column = layer.offset + first + output;
-                for input in 0..layer.inputs {
-                    values[column + input * layer.outputs] = weight[output * layer.inputs + input];
+                for input in 0..host.all_inputs() {
+                    values[column + host.row(input) * layer.outputs] = weight[output * host.all_inputs() + input];
                 }
                 values[column + layer.inputs * layer.outputs] = bias[output];
             }
@@ -140,10 +198,14 @@ impl Shape {
     /// Returns the host's weights and biases, in the order of its parameters.
     pub(crate) fn to_host(&self, values: &[f32]) -> Result<Vec<Tensor>> {
         let mut parameters = Vec::new();
-        for (layer, first, outputs) in self.host_layers() {
-            let at = |input: usize, output: usize| values[layer.offset + input * layer.outputs + first + output];
-            let weight = (0..outputs).flat_map(|output| (0..layer.inputs).map(move |input| at(input, output)));
-            parameters.push(Tensor::from_vec(weight.collect(), (outputs, layer.inputs), &Device::Cpu)?);
+        for host in self.host_layers() {
+            let HostLayer { layer, first, outputs, .. } = host;
+            let at = |row: usize, output: usize| values[layer.offset + row * layer.outputs + first + output];
+            let mut weight = Vec::with_capacity(outputs * host.all_inputs());
+            for output in 0..outputs {
+                weight.extend((0..host.all_inputs()).map(|input| at(host.row(input), output)));
+            }
+            parameters.push(Tensor::from_vec(weight, (outputs, host.all_inputs()), &Device::Cpu)?);
             let bias = (0..outputs).map(|output| at(layer.inputs, output)).collect();
             parameters.push(Tensor::from_vec(bias, outputs, &Device::Cpu)?);
         }

@@ -101,10 +101,10 @@ impl Scratch {
             + 1
             + 2 * shape.channels
             + (shape.trunk.len() + 4) * shape.width
-            + 2 * (shape.width + 1)
+            + 2 * (shape.width + 4)
             + shape.view.len() * shape.view_width
             + shape.view_channels
-            + 30;
+            + 34;
         4 * numbers
     }
 
@@ -119,16 +119,16 @@ impl Scratch {
             encoded: f(n * shape.channels),
             trunk: shape.trunk.iter().map(|_| f(n * shape.width)).collect(),
             moved: f(n * shape.width),
-            head: f(n * (shape.width + 1)),
+            head: f(n * (shape.width + 4)),
             view: shape.view.iter().map(|_| f(n * shape.view_width)).collect(),
-            raw: f(3 * n),
+            raw: f(4 * n),
             values: f(4 * n),
             density: f(n),
             weights: f(n),
             before: f(n),
             d_values: f(4 * n),
-            d_raw: f(3 * n),
-            d_head: f(n * (shape.width + 1)),
+            d_raw: f(4 * n),
+            d_head: f(n * (shape.width + 4)),
             d_hidden: [f(hidden), f(hidden)],
             d_encoded: f(n * shape.channels),
             d_feature: f(n * shape.width),
@@ -381,7 +381,7 @@ impl<'a> Recorder<'a> {
         buffers.extend(pass.deltas.xyz.map(|shift| (4, shift)));
         self.run(Kernel::new("points").with("SHIFT", pass.deltas.xyz.is_some()), words, &buffers, groups(n));
         let Some(grid) = &self.shape.grid else {
-            let words = Words::default().u(n).u((self.shape.channels - 3) / 6).u(self.shape.channels).u(0);
+            let words = Words::default().u(n).u(self.shape.octaves).u(self.shape.channels).u(0);
             self.run(Kernel::new("frequency"), words, &[(1, &scratch.points), (2, &scratch.encoded)], groups(3 * n));
             return t_vals;
         };
@@ -405,8 +405,15 @@ impl<'a> Recorder<'a> {
 
     fn grid(&self, points: usize) -> Words {
         let grid = self.shape.grid.as_ref().expect("a grid");
-        let mut words =
-            Words::default().u(points).u(grid.levels.len()).f(FIXED_SCALE / self.loss_scale).flag(grid.smooth);
+        let mut words = Words::default()
+            .u(points)
+            .u(grid.levels.len())
+            .f(FIXED_SCALE / self.loss_scale)
+            .flag(grid.smooth)
+            .u(self.shape.channels)
+            .u(0)
+            .u(0)
+            .u(0);
         for level in 0..32 {
             for word in grid.levels.get(level).copied().unwrap_or([1, 1, 0, 1]) {
                 words = words.u(word as usize);
@@ -450,8 +457,8 @@ impl<'a> Recorder<'a> {
         let t_vals = self.place(pass);
         self.trunk(pass);
         let last = self.trunk_input(shape.trunk.len(), None).0;
-        let columns = shape.width..shape.width + 1;
-        let c = (&scratch.head, shape.width + 1, shape.width);
+        let columns = shape.width..shape.width + 4;
+        let c = (&scratch.head, shape.width + 4, shape.width);
         self.dense(n, pass.field, shape.head, columns, (last, None), c, false, None);
         self.density_of_head(pass);
         self.march(pass, t_vals, None);
@@ -462,7 +469,7 @@ impl<'a> Recorder<'a> {
         let deltas = &pass.deltas;
         let (rgb, ball) = deltas.rgb.map_or((0.0, false), |(_, radius, ball)| (radius, ball));
         let (density, masks) = deltas.density.map_or((0.0, false), |(_, radius, masks)| (radius, masks));
-        let words = Words::default().u(pass.points()).u(pass.samples).u(self.shape.width + 1).u(activation);
+        let words = Words::default().u(pass.points()).u(pass.samples).u(self.shape.width + 4).u(activation);
         let words = words.f(padding).f(limit).f(rgb).f(density).flag(ball).flag(masks).flag(deltas.before);
         words.u(pass.noise.map_or(0, |(_, first)| first))
     }
@@ -492,22 +499,22 @@ impl<'a> Recorder<'a> {
     pub(crate) fn forward(&mut self, pass: &PassAt<'a>, loss: Option<PassLoss>) {
         let (shape, scratch, n) = (self.shape, self.scratch, pass.points());
         let t_vals = self.place(pass);
-        let words = Words::default().u(pass.rays).u((shape.view_channels - 3) / 6).u(shape.view_channels).u(pass.ray0);
+        let words = Words::default().u(pass.rays).u(shape.view_octaves).u(shape.view_channels).u(pass.ray0);
         let mut buffers = vec![(1, self.rays), (2, &scratch.view_encoded)];
         buffers.extend(pass.deltas.view.map(|tilt| (3, tilt)));
         self.run(Kernel::new("view").with("TILT", pass.deltas.view.is_some()), words, &buffers, groups(pass.rays));
         self.trunk(pass);
         let injection = pass.deltas.feature.map(|(_, layer)| layer);
         let last = self.trunk_input(shape.trunk.len(), injection).0;
-        let head = (&scratch.head, shape.width + 1, 0);
-        self.dense(n, pass.field, shape.head, 0..shape.width + 1, (last, None), head, false, None);
+        let head = (&scratch.head, shape.width + 4, 0);
+        self.dense(n, pass.field, shape.head, 0..shape.width + 4, (last, None), head, false, None);
         for (i, layer) in shape.view.iter().enumerate() {
             let input = self.view_input(i, pass.samples);
             let c = (&scratch.view[i], shape.view_width, 0);
             self.dense(n, pass.field, *layer, 0..shape.view_width, input, c, true, None);
         }
         let last = (self.view_input(shape.view.len(), pass.samples).0, None);
-        self.dense(n, pass.field, shape.rgb, 0..3, last, (&scratch.raw, 3, 0), false, None);
+        self.dense(n, pass.field, shape.rgb, 0..4, last, (&scratch.raw, 4, 0), false, None);
         self.activate(pass);
         self.composite(pass, t_vals, loss);
         if pass.noise.is_some() {
@@ -522,7 +529,7 @@ impl<'a> Recorder<'a> {
         if i > 0 {
             return (Matrix::new(&scratch.view[i - 1], shape.view_width), None);
         }
-        let feature = Matrix { columns: shape.width, ..Matrix::new(&scratch.head, shape.width + 1) };
+        let feature = Matrix { columns: shape.width, ..Matrix::new(&scratch.head, shape.width + 4) };
         let view = Matrix { every: samples, ..Matrix::new(&scratch.view_encoded, shape.view_channels) };
         (feature, Some(view))
     }
@@ -611,7 +618,7 @@ impl<'a> Recorder<'a> {
     /// From the raw colour to the head, and to the encoding of view directions.
     fn colour_back(&mut self, pass: &PassAt<'a>, wanted: Wanted, below: bool) {
         let (shape, scratch, n) = (self.shape, self.scratch, pass.points());
-        let mut d = Matrix::new(&scratch.d_raw, 3);
+        let mut d = Matrix::new(&scratch.d_raw, 4);
         let mut layer = shape.rgb;
         let mut next = 0;
         for i in (0..=shape.view.len()).rev() {
@@ -630,14 +637,14 @@ impl<'a> Recorder<'a> {
             }
         }
         if below {
-            let c = (&scratch.d_head, shape.width + 1);
+            let c = (&scratch.d_head, shape.width + 4);
             self.dense_back(n, pass.field, layer, 0..shape.width, d, c, None, false, None);
         }
         if wanted.view {
             let inputs = shape.width..shape.width + shape.view_channels;
             let c = (&scratch.d_view, shape.view_channels);
             self.dense_back(n, pass.field, layer, inputs, d, c, None, false, None);
-            let words = Words::default().u(pass.rays).u((shape.view_channels - 3) / 6).u(shape.view_channels);
+            let words = Words::default().u(pass.rays).u(shape.view_octaves).u(shape.view_channels);
             let words = words.u(pass.ray0).u(pass.samples).u(0).u(0).u(0);
             let tilt = pass.deltas.view.expect("a gradient of a delta that is there");
             let buffers =
@@ -651,7 +658,7 @@ impl<'a> Recorder<'a> {
         let (shape, scratch, n) = (self.shape, self.scratch, pass.points());
         let injection = pass.deltas.feature.map(|(_, layer)| layer);
         let lowest = if wanted.weights || of_encoding { 0 } else { injection.unwrap_or(0) };
-        let mut d = Matrix::new(&scratch.d_head, shape.width + 1);
+        let mut d = Matrix::new(&scratch.d_head, shape.width + 4);
         let mut layer = shape.head;
         let mut next = 0;
         let mut added = false;
@@ -710,7 +717,7 @@ impl<'a> Recorder<'a> {
                 self.run(Kernel::new("domain_back"), words, &buffers, groups(n));
             }
         } else if wanted.points() {
-            let words = Words::default().u(n).u((shape.channels - 3) / 6).u(shape.channels).u(0);
+            let words = Words::default().u(n).u(shape.octaves).u(shape.channels).u(0);
             let buffers = [(1, &scratch.encoded), (2, &scratch.d_encoded), (3, &scratch.d_points)];
             self.run(Kernel::new("frequency_back"), words, &buffers, groups(3 * n));
         }
@@ -731,8 +738,8 @@ impl<'a> Recorder<'a> {
             (Site::Feature, _) => (&scratch.d_feature, width, 0),
             (Site::Rgb, OutputPlace::After) => (&scratch.d_values, 4, 0),
             (Site::Density, OutputPlace::After) => (&scratch.d_values, 4, 3),
-            (Site::Rgb, OutputPlace::Before) => (&scratch.d_raw, 3, 0),
-            (Site::Density, OutputPlace::Before) => (&scratch.d_head, width + 1, width),
+            (Site::Rgb, OutputPlace::Before) => (&scratch.d_raw, 4, 0),
+            (Site::Density, OutputPlace::Before) => (&scratch.d_head, width + 4, width),
         }
     }
 

@@ -42,7 +42,7 @@ impl GpuRenderer {
         let samples = coarse.max(fine);
         let most = if gpu.adapter().is_software { MOST_RAYS_IN_SOFTWARE } else { MOST_RAYS };
         let fits =
-            (gpu.budget() / Scratch::bytes_per_sample(&shape)).min(gpu.largest_buffer() / (4 * (shape.width + 1)));
+            (gpu.budget() / Scratch::bytes_per_sample(&shape)).min(gpu.largest_buffer() / (4 * (shape.width + 4)));
         let chunk = (fits / samples).clamp(1, most);
         gpu.checked("making a renderer", || GpuRenderer::record(gpu, fields, config, scene, &shape, chunk))?
     }

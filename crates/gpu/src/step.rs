@@ -61,6 +61,9 @@ pub fn check(config: &Resolved) -> Result<()> {
     if config.field.precision == Precision::Bf16 {
         return refuse("in field.precision = \"bf16\"");
     }
+    if config.field.width % 4 != 0 {
+        return refuse(&format!("networks of width {}, which is no multiple of 4,", config.field.width));
+    }
     let (coarse, fine) = config.samples();
     if (coarse + 1).max(fine + 1) > MOST_POSITIONS {
         return refuse(&format!("more than {MOST_POSITIONS} samples of a ray"));
@@ -469,7 +472,7 @@ impl StepBuffers {
 /// Returns the rays whose samples fit into the device's memory at once: whole chunks of the host, an even number.
 fn rays_of_chunk(gpu: &Gpu, config: &Resolved, shape: &Shape, samples: usize) -> usize {
     let bytes = Scratch::bytes_per_sample(shape) + 8 * shape.width * usize::from(config.method.is_augmented());
-    let widest = 4 * (shape.width + 1).max(shape.channels);
+    let widest = 4 * (shape.width + 4).max(shape.channels);
     let fits = (gpu.budget() / bytes).min(gpu.largest_buffer() / widest) / samples;
     let unit = config.train.chunk.min(config.train.rays).next_multiple_of(2);
     (fits / unit * unit).clamp(unit, config.train.rays.max(unit)).min(config.train.rays)

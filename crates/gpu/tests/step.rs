@@ -171,6 +171,7 @@ steps! {
     nerf_with_distortion_of_the_fine_field: "method=nerf", "regularizer.kind=distortion", "regularizer.weight=0.1",
         "regularizer.fields=fine", "train.coarse_weight=0.3";
     nerf_deep_with_two_skips: "method=nerf", "field.depth=6", "field.skips=[2,4]", "field.view_depth=3", "field.width=40";
+    nerf_wide: "method=nerf", "field.width=136";
     hash: "method=nerf", "field.encoding=hash";
     hash_smoothstep_in_a_ball: "method=nerf", "field.encoding=hash", "field.hash.interpolation=smoothstep",
         "field.hash.contraction=ball", "field.hash.bounds=[[-0.5,-0.4,1.0],[0.5,0.6,2.0]]", "field.hash.features=4";

@@ -104,17 +104,13 @@ pub(super) fn product(kernel: &Kernel) -> String {
     }
     let fetch = |s: &mut String, k0: &str| {
         for (slot, name) in lefts.iter().enumerate() {
-            let call = match of_weights {
-                true => format!("left_four(row0 + place, {k0} + line, part)"),
-                false => format!("left_line(row0 + line, {k0} + place)"),
-            };
+            let (at, k) = if left.along_depth { ("line", "place") } else { ("place", "line") };
+            let call = format!("left_line(row0 + {at}, {k0} + {k}, part)");
             let _ = writeln!(s, "{{ {} {name} = {call}; }}", left.place(slot));
         }
         for (slot, name) in rights.iter().enumerate() {
-            let call = match right.along_depth {
-                true => format!("right_line(col0 + line, {k0} + place)"),
-                false => format!("right_four(col0 + place, {k0} + line, part)"),
-            };
+            let (at, k) = if right.along_depth { ("line", "place") } else { ("place", "line") };
+            let call = format!("right_line(col0 + {at}, {k0} + {k}, part)");
             let _ = writeln!(s, "{{ {} {name} = {call}; }}", right.place(slot));
         }
     };

@@ -19,8 +19,8 @@
 fn main(@builtin(global_invocation_id) id: vec3<u32>) {
     let i = thread_of(id);
     if (i >= p.points) { return; }
-    var colour = vec3<f32>(raw[3u * i], raw[3u * i + 1u], raw[3u * i + 2u]);
-    var density = head[p.columns * i + p.columns - 1u];
+    var colour = vec3<f32>(raw[4u * i], raw[4u * i + 1u], raw[4u * i + 2u]);
+    var density = head[density_at(i)];
     //#if INSIDE
     if (inside[i] == 0u) { density = -1e4; }
     //#end

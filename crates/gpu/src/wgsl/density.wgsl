@@ -7,7 +7,7 @@
 fn main(@builtin(global_invocation_id) id: vec3<u32>) {
     let i = thread_of(id);
     if (i >= p.points) { return; }
-    var value = head[p.columns * i + p.columns - 1u];
+    var value = head[density_at(i)];
     //#if INSIDE
     if (inside[i] == 0u) { value = -1e4; }
     //#end

@@ -15,5 +15,6 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>) {
         let at = F * entry(level, cell.vertex + corner(k));
         for (var f = 0u; f < F; f++) { sum[f] += w.x * w.y * w.z * tables[at + f]; }
     }
-    for (var f = 0u; f < F; f++) { encoded[F * i + f] = sum[f]; }
+    let to = g.stride * point + F * (i % g.levels);
+    for (var f = 0u; f < F; f++) { encoded[to + f] = sum[f]; }
 }

@@ -2,7 +2,7 @@
 struct Output {
     points: u32,
     samples: u32,        // of a ray
-    columns: u32,        // of the density's buffer
+    columns: u32,        // of the density's buffer: the feature, density and what pads it to a multiple of 4
     activation: u32,     // 0 relu, 1 softplus, 2 exp
     padding: f32,
     limit: f32,          // of raw colours
@@ -14,8 +14,8 @@ struct Output {
     noise_first: u32,
 }
 @group(0) @binding(0) var<uniform> p: Output;
-@group(0) @binding(1) var<storage, read> raw: array<f32>;              // [points, 3]
-@group(0) @binding(2) var<storage, {HEAD_ACCESS}> head: array<f32>;    // [points, columns], density in the last one
+@group(0) @binding(1) var<storage, read> raw: array<f32>;              // [points, 4]
+@group(0) @binding(2) var<storage, {HEAD_ACCESS}> head: array<f32>;    // [points, columns]
 
 const LARGEST_EXPONENT: f32 = 11.0;
 fn density_of(raw: f32) -> f32 {
@@ -34,4 +34,6 @@ fn density_slope(raw: f32) -> f32 {
     return select(0.0, exp(x), x < LARGEST_EXPONENT);
 }
 fn sigmoid(raw: f32) -> f32 { return 1.0 / (exp(-clamp(raw, -p.limit, p.limit)) + 1.0); }
+// The place of a point's density.
+fn density_at(i: u32) -> u32 { return p.columns * i + p.columns - 4u; }
 fn last_sample(i: u32) -> bool { return i % p.samples == p.samples - 1u; }

@@ -1,4 +1,4 @@
-// The operands of a product, in tiles.
+// The operands of a product, in fours: all sizes and strides are multiples of 4, and what pads them is 0.
 struct Product {
     m: u32, n: u32,             // rows and columns of C
     k1: u32, k2: u32,           // columns of A1 and A2
@@ -13,17 +13,18 @@ struct Product {
     to: u32,                    // the layer's first number in it
 }
 @group(0) @binding(0) var<uniform> p: Product;
-@group(0) @binding(1) var<storage, read> a1: array<f32>;
+@group(0) @binding(1) var<storage, read> a1: array<vec4<f32>>;
 //#if SECOND
-@group(0) @binding(2) var<storage, read> a2: array<f32>;
+@group(0) @binding(2) var<storage, read> a2: array<vec4<f32>>;
 //#end
-@group(0) @binding(3) var<storage, read> w: array<f32>;
-@group(0) @binding(4) var<storage, read_write> c: array<f32>;
+@group(0) @binding(3) var<storage, read> w: array<vec4<f32>>;
+@group(0) @binding(4) var<storage, read_write> c: array<vec4<f32>>;
 
-fn a_of(row: u32, k: u32) -> f32 {
-    if (k < p.k1) { return a1[row * p.lda1 + k]; }
+// Four numbers of a row of A.
+fn a_four(row: u32, k: u32) -> vec4<f32> {
+    if (k < p.k1) { return a1[(row * p.lda1 + k) / 4u]; }
     //#if SECOND
-    if (k < p.k1 + p.k2) { return a2[(row / p.every2) * p.lda2 + (k - p.k1)]; }
+    if (k < p.k1 + p.k2) { return a2[((row / p.every2) * p.lda2 + (k - p.k1)) / 4u]; }
     //#end
-    return 0.0;
+    return vec4<f32>(0.0);
 }

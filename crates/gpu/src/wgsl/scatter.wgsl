@@ -24,7 +24,8 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>) {
     if (point >= g.points) { return; }
     var d: array<f32, {FEATURES}>;
     var largest = 0.0;
-    for (var f = 0u; f < F; f++) { d[f] = d_encoded[F * i + f]; largest = max(largest, abs(d[f])); }
+    let at_point = g.stride * point + F * (i % g.levels);
+    for (var f = 0u; f < F; f++) { d[f] = d_encoded[at_point + f]; largest = max(largest, abs(d[f])); }
     // Not a number is not 0.
     if (largest == 0.0) { return; }
     let level = g.level[i % g.levels];

@@ -18,7 +18,7 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>) {
             let sign = select(vec3<f32>(-1.0), vec3<f32>(1.0), c == vec3<u32>(1u));
             let at = F * entry(level, cell.vertex + c);
             var value = 0.0;
-            for (var f = 0u; f < F; f++) { value += tables[at + f] * d_encoded[(point * g.levels + l) * F + f]; }
+            for (var f = 0u; f < F; f++) { value += tables[at + f] * d_encoded[g.stride * point + l * F + f]; }
             of_level += value * sign * vec3<f32>(w.y * w.z, w.x * w.z, w.x * w.y);
         }
         sum += f32(level.x) * slope_of(cell.f) * of_level;
