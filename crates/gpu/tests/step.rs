@@ -1,81 +1,11 @@
 //! Whole steps on a device against the host's, which are checked against f64 and finite differences.
 
-use std::sync::OnceLock;
+mod common;
 
-use augnerf_core::base::Image;
-use augnerf_core::data::{Camera, Scene, View};
 use augnerf_core::methods::{FieldLearner, Learner};
-use augnerf_core::settings::{DataKind, Extent, Resolved, build, parse_assignment};
-use augnerf_gpu::{Gpu, Steps};
+use augnerf_gpu::Steps;
 use candle_core::{DType, Device, Tensor};
-
-fn gpu() -> &'static Gpu {
-    static GPU: OnceLock<Gpu> = OnceLock::new();
-    GPU.get_or_init(|| Gpu::open(0).expect("a device; install mesa-vulkan-drivers and libvulkan1"))
-}
-
-/// Two views of 16 x 16 of a smooth picture, from two sides.
-fn scene() -> Scene {
-    let view = |index: usize| {
-        let shift = 0.4 * index as f64;
-        let camera = Camera {
-            width: 16,
-            height: 16,
-            focal: [20.0, 20.0],
-            centre: [8.0, 8.0],
-            pose: [[1.0, 0.0, 0.0, shift], [0.0, 1.0, 0.0, 0.1], [0.0, 0.0, 1.0, 4.0]],
-        };
-        let pixel = |i: usize, c: usize| 0.5 + 0.4 * (0.3 * i as f32 + c as f32 + index as f32).sin();
-        let pixels = (0..256).flat_map(|i| [pixel(i, 0), pixel(i, 1), pixel(i, 2)]).collect();
-        let image = Image { width: 16, height: 16, channels: 3, pixels };
-        View { name: format!("view {index}"), camera, image: image.into(), depth: None, mask: None }
-    };
-    Scene {
-        name: "waves".into(),
-        kind: "blender",
-        train: vec![view(0), view(1)],
-        test: vec![],
-        near: 2.0,
-        far: 6.0,
-        ndc: None,
-        background: Some([1.0, 0.5, 0.25]),
-        path: vec![],
-        corrupted: None,
-        space: Default::default(),
-    }
-}
-
-fn config(settings: &[&str]) -> Resolved {
-    let small = [
-        "train.rays=64",
-        "train.chunk=16",
-        "sampling.coarse=12",
-        "sampling.fine=10",
-        "field.width=24",
-        "field.depth=4",
-        "field.skips=[2]",
-        "field.position_octaves=4",
-        "field.view_octaves=2",
-        "perturb.injection_layer=2",
-        "field.init=torch",
-        "field.hash.levels=6",
-        "field.hash.log2_table=10",
-        "field.hash.finest=64",
-        "train.dead_start_share=0",
-        "field.density_activation=softplus",
-    ];
-    let all: Vec<_> = small.iter().chain(settings).map(|text| parse_assignment(text).unwrap()).collect();
-    let config = build(None, None, &all).unwrap();
-    config.resolve(DataKind::Blender, Extent { near: 2.0, far: 6.0, domain: None, pixels: 16 }).unwrap()
-}
-
-fn flat(tensor: &Tensor) -> Vec<f64> {
-    tensor.to_dtype(DType::F64).unwrap().flatten_all().unwrap().to_vec1().unwrap()
-}
-
-fn norm(values: impl Iterator<Item = f64>) -> f64 {
-    values.map(|x| x * x).sum::<f64>().sqrt()
-}
+use common::{config, flat, gpu, norm, scene};
 
 /// How much a step on the device may differ, relatively.
 struct Allowed {

@@ -74,7 +74,8 @@ fn main(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index
         let upper = min(begin, bins);
         let below = (wanted - high[lower]) + (rest - low[lower]);
         let width = (high[upper] - high[lower]) + (low[upper] - low[lower]);
-        let fraction = select(below / width, below / total, width < p.narrowest * total);
+        // Devices may take the smallest numbers as 0.
+        let fraction = select(below / width, below / total, width <= p.narrowest * total);
         let start = edge(ray, lower);
         positions[j] = start + fraction * (edge(ray, upper) - start);
     }
