@@ -766,7 +766,7 @@ impl<'a> Recorder<'a> {
     /// Records the inverse of the CDF of the weights that the last pass left.
     pub(crate) fn resample(&mut self, at: Resampling, t_vals: &Buffer, u: &Buffer, out: &Buffer) {
         let Resampling { rays, coarse, columns, fine, intervals, padding, mode, first } = at;
-        let narrowest = if intervals { f64::from(f32::MIN_POSITIVE) } else { FLOOR };
+        let narrowest = if intervals { 0.0 } else { FLOOR };
         let padding = if intervals { padding } else { FLOOR };
         let words = Words::default().u(coarse).u(columns).u(fine).flag(intervals).f(padding).f(narrowest);
         let words = words.u(mode).u(first);

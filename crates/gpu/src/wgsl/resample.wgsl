@@ -6,7 +6,7 @@ struct Resample {
     fine: u32,       // new positions
     intervals: u32,  // 1: new edges from blurred weights; 0: new points, merged with the coarse ones
     padding: f32,    // added to each weight
-    narrowest: f32,  // bins with a smaller probability count as of width 1
+    narrowest: f32,  // bins with at most this probability count as of width 1
     mode: u32,       // of u: 0 uniform, 1 uniform in equal parts, 2 evenly spaced
     first: u32,      // place of the first ray's u
 }
@@ -74,7 +74,7 @@ fn main(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index
         let upper = min(begin, bins);
         let below = (wanted - high[lower]) + (rest - low[lower]);
         let width = (high[upper] - high[lower]) + (low[upper] - low[lower]);
-        // Devices may take the smallest numbers as 0.
+        // Not below 0: at u = 1 there is no bin, and devices may take the smallest positive numbers as 0.
         let fraction = select(below / width, below / total, width <= p.narrowest * total);
         let start = edge(ray, lower);
         positions[j] = start + fraction * (edge(ray, upper) - start);
