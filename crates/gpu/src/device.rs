@@ -104,7 +104,7 @@ impl Adapter {
             driver: [info.driver, info.driver_info].join(" ").trim().to_string(),
             is_software: info.device_type == DeviceType::Cpu,
             has_matrices: has_matrices(adapter),
-            largest_buffer: limits.max_storage_buffer_binding_size as u64,
+            largest_buffer: limits.max_storage_buffer_binding_size,
             lacks,
         }
     }

@@ -744,7 +744,7 @@ impl<'a> Recorder<'a> {
     }
 
     /// The positions of the last pass with a delta of `t`.
-    pub(crate) fn moved(&self) -> &'a Buffer {
+    pub(crate) fn moved_t_vals(&self) -> &'a Buffer {
         &self.scratch.t_moved
     }
 

@@ -61,14 +61,14 @@ pub fn check(config: &Resolved) -> Result<()> {
     if config.field.precision == Precision::Bf16 {
         return refuse("in field.precision = \"bf16\"");
     }
-    if config.field.width % 4 != 0 {
+    if !config.field.width.is_multiple_of(4) {
         return refuse(&format!("networks of width {}, which is no multiple of 4,", config.field.width));
     }
     let (coarse, fine) = config.samples();
     if (coarse + 1).max(fine + 1) > MOST_POSITIONS {
         return refuse(&format!("more than {MOST_POSITIONS} samples of a ray"));
     }
-    if config.train.chunk % 2 == 1 && config.train.chunk < config.train.rays {
+    if !config.train.chunk.is_multiple_of(2) && config.train.chunk < config.train.rays {
         return refuse("an odd train.chunk");
     }
     Ok(())
@@ -883,7 +883,7 @@ impl<'a> ChunkRecorder<'a> {
         let mut t_vals = &buffers.t_fine;
         if self.config().perturb.resample == Resample::Perturbed && has_coarse_loss(self.config()) {
             let t_coarse = match steps.sets[0].as_ref().is_some_and(|sets| sets.sites().any(|site| site == Site::T)) {
-                true => recorder.moved(),
+                true => recorder.moved_t_vals(),
                 false => &buffers.t_coarse,
             };
             let kinds = self.kinds();

@@ -31,11 +31,7 @@ fn differences(settings: &[&str]) -> [f64; 3] {
         pairs.map(|(a, b)| (a - b).abs()).fold(0.0, |m: f64, d| if d <= m { m } else { d })
     };
     assert_eq!(found.rgb.dims(), [256, 3]);
-    [
-        largest(&found.rgb, &on_host.rgb),
-        largest(&found.depth, &on_host.depth),
-        largest(&found.acc, &on_host.acc),
-    ]
+    [largest(&found.rgb, &on_host.rgb), largest(&found.depth, &on_host.depth), largest(&found.acc, &on_host.acc)]
 }
 
 /// Thin air, in which a ray's weights add up to far less than 1, and a solid.

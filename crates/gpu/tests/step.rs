@@ -5,7 +5,11 @@ mod common;
 use augnerf_core::methods::{FieldLearner, Learner};
 use augnerf_gpu::Steps;
 use candle_core::{DType, Device, Tensor};
-use common::{config, flat, gpu, norm, scene};
+use common::{config, flat, gpu, scene};
+
+fn norm(values: impl Iterator<Item = f64>) -> f64 {
+    values.map(|x| x * x).sum::<f64>().sqrt()
+}
 
 /// How much a step on the device may differ, relatively.
 struct Allowed {

@@ -265,7 +265,7 @@ impl Workload {
             gemm_peak_gflops: peak,
             share_of_peak: peak.map(|peak| gflops / peak),
             peak_memory_mib: memory,
-            on_device: accelerator::work(runtime, &config, &scene_of(config.method), &*trainer.model()?)?,
+            on_device: accelerator::work(runtime, &config, &scene_of(config.method), trainer.model()?)?,
         })
     }
 }
