@@ -43,6 +43,9 @@ fn line(device: &ListedDevice) -> String {
     if let Some(bytes) = device.largest_buffer {
         line += &format!(", buffers to {:.1} GiB", bytes as f64 / GIB);
     }
+    if device.has_f16 {
+        line += ", f16";
+    }
     if device.is_software {
         line += ", software: for tests, slower than cpu";
     }

@@ -343,7 +343,7 @@ fn an_object_on_black_is_learned_or_said_to_be_lost() {
         settings.iter().for_each(|setting| arguments.extend(["--set", setting]));
         program::augnerf(&arguments)
     };
-    let said = demand(&mut train(&["train.steps=260", "field.rgb_limit=0"]), 6);
+    let said = demand(&mut train(&["train.steps=160", "field.rgb_limit=0", "train.collapse_steps=60"]), 6);
     assert_says(&said, &["training collapsed", "all rays had one colour, and the photos had not"]);
     let said = demand(&mut train(&["train.steps=160", "field.rgb_limit=0", "train.collapse_steps=0"]), 6);
     assert_says(&said, &["nothing was learned", "no better than one colour", "field.rgb_limit = 8"]);

@@ -10,7 +10,7 @@ use augnerf_core::runtime::Accelerator;
 use augnerf_core::settings::Precision;
 use pollster::block_on;
 use wgpu::{
-    AdapterInfo, Backends, BindGroupDescriptor, BindGroupEntry, Buffer, BufferDescriptor, BufferUsages, CommandEncoder,
+    Backends, BindGroupDescriptor, BindGroupEntry, Buffer, BufferDescriptor, BufferUsages, CommandEncoder,
     CommandEncoderDescriptor, ComputePassDescriptor, ComputePipeline, ComputePipelineDescriptor, Device,
     DeviceDescriptor, DeviceType, ErrorFilter, Features, Instance, InstanceDescriptor, Limits, MapMode,
     PipelineCompilationOptions, PollType, Queue, ShaderModuleDescriptor, ShaderRuntimeChecks, ShaderSource,
@@ -19,7 +19,9 @@ use wgpu::{
 use crate::kernels::{Kernel, Tiles};
 
 /// Storage buffers that the largest kernel binds.
-const STORAGE_BUFFERS: u32 = 12;
+const STORAGE_BUFFERS: u32 = 10;
+/// Bytes that the threads of a group share in the sort of a ray's samples.
+const SHARED_BYTES: u32 = 24_576;
 
 /// An adapter that wgpu lists.
 #[derive(Clone, Debug)]
@@ -44,13 +46,12 @@ pub struct Adapter {
 
 /// An open device. A clone is the same device.
 #[derive(Clone)]
-pub struct Gpu(Arc<Opened>);
+pub struct Gpu(Arc<Opened>, usize);
 
 struct Opened {
     device: Device,
     queue: Queue,
     adapter: Adapter,
-    info: AdapterInfo,
     limits: Limits,
     pipelines: Mutex<HashMap<Kernel, ComputePipeline>>,
     timestamps: bool,
@@ -96,6 +97,10 @@ impl Adapter {
         }
         if limits.max_compute_invocations_per_workgroup < 256 {
             lacks.push("groups of 256 threads".into());
+        }
+        if limits.max_compute_workgroup_storage_size < SHARED_BYTES {
+            let found = limits.max_compute_workgroup_storage_size;
+            lacks.push(format!("{SHARED_BYTES} bytes shared by the threads of a group (it has {found})"));
         }
         Adapter {
             index,
@@ -195,7 +200,12 @@ impl Gpu {
         let (device, queue) = block_on(adapter.request_device(&descriptor))
             .map_err(|e| refuse(format!("{} cannot be opened: {e}", known.name)))?;
         let pipelines = Mutex::default();
-        Ok(Gpu(Arc::new(Opened { device, queue, adapter: known, info, limits: required, pipelines, timestamps })))
+        let budget = match info.device_type {
+            DeviceType::DiscreteGpu => 6 << 30,
+            DeviceType::Cpu => 1 << 28,
+            _ => 1 << 30,
+        };
+        Ok(Gpu(Arc::new(Opened { device, queue, adapter: known, limits: required, pipelines, timestamps }), budget))
     }
 
     /// Returns its adapter.
@@ -205,11 +215,13 @@ impl Gpu {
 
     /// Returns the bytes of all of a step's samples that are kept at once.
     pub(crate) fn budget(&self) -> usize {
-        match self.0.info.device_type {
-            DeviceType::DiscreteGpu => 6 << 30,
-            DeviceType::Cpu => 1 << 28,
-            _ => 1 << 30,
-        }
+        self.1
+    }
+
+    /// Returns the same device with another budget, for tests.
+    #[doc(hidden)]
+    pub fn with_budget(&self, bytes: usize) -> Gpu {
+        Gpu(self.0.clone(), bytes)
     }
 
     /// Returns the tiles of wide layers. A software device compiles large ones slowly.
@@ -232,14 +244,13 @@ impl Gpu {
         let internal = self.0.device.push_error_scope(ErrorFilter::Internal);
         let value = work();
         let refused = |found: String| Error::Config(format!("device gpu ({}): {what}: {found}", self.0.adapter.name));
-        if let Some(error) = block_on(internal.pop()) {
-            return Err(refused(error.to_string()));
+        let [internal, validation, memory] = [internal, validation, memory].map(|scope| block_on(scope.pop()));
+        // Work on a buffer that could not be made is wrong as well.
+        if memory.is_some() {
+            return Err(refused("out of memory; lower train.rays, field.width or field.hash.log2_table".into()));
         }
-        if let Some(error) = block_on(validation.pop()) {
-            return Err(refused(error.to_string()));
-        }
-        match block_on(memory.pop()) {
-            Some(_) => Err(refused("out of memory; lower train.rays or field.hash.log2_table".into())),
+        match internal.or(validation) {
+            Some(error) => Err(refused(error.to_string())),
             None => Ok(value),
         }
     }
@@ -351,10 +362,10 @@ impl Gpu {
     }
 
     fn lost(&self, found: &str) -> Error {
-        Error::Diverged(format!(
-            "device gpu ({}) was lost: {found}; `augnerf resume` continues from the last checkpoint",
-            self.0.adapter.name
-        ))
+        let name = &self.0.adapter.name;
+        let lost =
+            format!("device gpu ({name}) was lost: {found}; `augnerf resume` continues from the last checkpoint");
+        candle_core::Error::Msg(lost).into()
     }
 
     /// Reads buffers in one transfer.

@@ -108,9 +108,11 @@ impl Scratch {
         4 * numbers
     }
 
-    pub(crate) fn new(gpu: &Gpu, shape: &Shape, rays: usize, samples: usize) -> Scratch {
+    /// Makes the buffers of so many rays, those of the way back if `trains`.
+    pub(crate) fn new(gpu: &Gpu, shape: &Shape, rays: usize, samples: usize, trains: bool) -> Scratch {
         let n = rays * samples;
         let f = |numbers: usize| gpu.numbers(numbers);
+        let back = |numbers: usize| gpu.numbers(if trains { numbers } else { 1 });
         let hidden = n * shape.width.max(shape.view_width);
         Scratch {
             points: f(3 * n),
@@ -118,29 +120,29 @@ impl Scratch {
             inside: f(n),
             encoded: f(n * shape.channels),
             trunk: shape.trunk.iter().map(|_| f(n * shape.width)).collect(),
-            moved: f(n * shape.width),
+            moved: back(n * shape.width),
             head: f(n * (shape.width + 4)),
             view: shape.view.iter().map(|_| f(n * shape.view_width)).collect(),
             raw: f(4 * n),
             values: f(4 * n),
             density: f(n),
             weights: f(n),
-            before: f(n),
-            d_values: f(4 * n),
-            d_raw: f(4 * n),
-            d_head: f(n * (shape.width + 4)),
-            d_hidden: [f(hidden), f(hidden)],
-            d_encoded: f(n * shape.channels),
-            d_feature: f(n * shape.width),
-            d_view: f(n * shape.view_channels),
-            d_points: f(3 * n),
-            d_t: f(rays * (samples + 1)),
-            d_tilt: f(2 * rays),
-            t_moved: f(rays * (samples + 1)),
+            before: back(n),
+            d_values: back(4 * n),
+            d_raw: back(4 * n),
+            d_head: back(n * (shape.width + 4)),
+            d_hidden: [back(hidden), back(hidden)],
+            d_encoded: back(n * shape.channels),
+            d_feature: back(n * shape.width),
+            d_view: back(n * shape.view_channels),
+            d_points: back(3 * n),
+            d_t: back(rays * (samples + 1)),
+            d_tilt: back(2 * rays),
+            t_moved: back(rays * (samples + 1)),
             view_encoded: f(rays * shape.view_channels),
-            parts: f(MOST_PARTS * shape.weights()),
-            used_rgb: f(3 * n),
-            used_density: f(n),
+            parts: back(Recorder::parts(n).1 * shape.weights()),
+            used_rgb: back(3 * n),
+            used_density: back(n),
         }
     }
 }
@@ -765,11 +767,11 @@ impl<'a> Recorder<'a> {
 
     /// Records the inverse of the CDF of the weights that the last pass left.
     pub(crate) fn resample(&mut self, at: Resampling, t_vals: &Buffer, u: &Buffer, out: &Buffer) {
-        let Resampling { rays, coarse, columns, fine, intervals, padding, mode, first } = at;
+        let Resampling { rays, coarse, columns, fine, intervals, padding, mode } = at;
         let narrowest = if intervals { 0.0 } else { FLOOR };
         let padding = if intervals { padding } else { FLOOR };
         let words = Words::default().u(coarse).u(columns).u(fine).flag(intervals).f(padding).f(narrowest);
-        let words = words.u(mode).u(first);
+        let words = words.u(mode).u(rays);
         let most = (coarse + 1).max(if intervals { fine } else { coarse + fine }).next_power_of_two();
         let buffers = [(1, t_vals), (2, &self.scratch.weights), (3, u), (4, out)];
         self.run(Kernel::new("resample").set("MOST", most), words, &buffers, rows(rays));
@@ -792,5 +794,4 @@ pub(crate) struct Resampling {
     pub(crate) intervals: bool,
     pub(crate) padding: f64,
     pub(crate) mode: usize,
-    pub(crate) first: usize,
 }

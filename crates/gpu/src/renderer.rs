@@ -13,10 +13,10 @@ use crate::device::{Dispatch, Gpu, groups};
 use crate::kernels::Kernel;
 use crate::network::{FieldBuffers, Shape};
 use crate::record::{DeltaBuffers, OUT, Outputs, PassAt, RAY, Recorder, Resampling, Scratch, Words, Work};
-use crate::step::bins;
+use crate::step::{MOST_POINTS, bins, check_fields};
 
 /// Rays that are rendered at once, at most.
-const MOST_RAYS: usize = 8192;
+const MOST_RAYS: usize = 2048;
 /// The same on a processor that plays a device.
 const MOST_RAYS_IN_SOFTWARE: usize = 512;
 
@@ -37,12 +37,14 @@ impl GpuRenderer {
     /// # Errors
     /// The device has too little memory.
     pub fn new(gpu: &Gpu, fields: &Fields, config: &Config, scene: &Scene) -> Result<GpuRenderer> {
+        check_fields(config)?;
         let shape = Shape::of(&config.field);
         let (coarse, fine) = config.samples();
         let samples = coarse.max(fine);
         let most = if gpu.adapter().is_software { MOST_RAYS_IN_SOFTWARE } else { MOST_RAYS };
+        let widest = 4 * (shape.width + 4).max(shape.channels);
         let fits =
-            (gpu.budget() / Scratch::bytes_per_sample(&shape)).min(gpu.largest_buffer() / (4 * (shape.width + 4)));
+            (gpu.budget() / Scratch::bytes_per_sample(&shape)).min(gpu.largest_buffer() / widest).min(MOST_POINTS);
         let chunk = (fits / samples).clamp(1, most);
         gpu.checked("making a renderer", || GpuRenderer::record(gpu, fields, config, scene, &shape, chunk))?
     }
@@ -67,7 +69,7 @@ impl GpuRenderer {
         let (coarse, fine) = config.samples();
         let encoding = config.field.encoding;
         let columns = encoding.t_vals(coarse);
-        let scratch = Scratch::new(gpu, shape, chunk, coarse.max(fine));
+        let scratch = Scratch::new(gpu, shape, chunk, coarse.max(fine), false);
         let (rays, out) = (gpu.numbers(chunk * RAY), gpu.numbers(chunk * OUT));
         let rows = gpu.storage(&bins(config.sampling.spacing, scene.bounds(), columns, false));
         let jitter = gpu.numbers(chunk * columns);
@@ -113,7 +115,6 @@ impl GpuRenderer {
                 intervals: encoding.at_intervals(),
                 padding: config.sampling.resample_padding,
                 mode: 2,
-                first: 0,
             };
             recorder.resample(at, &t_coarse, &jitter, &t_fine);
             let field = fine_field.as_ref().unwrap_or(&coarse_field);

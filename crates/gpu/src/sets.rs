@@ -88,7 +88,7 @@ impl PassSets {
         Ok(PassSets { sites: sites.collect::<Result<_>>()?, unit: perturb.step_unit })
     }
 
-    /// Returns the sites that are on, with whether they move in a step of the search.
+    /// Returns the sites that move in a step of the search.
     pub(crate) fn moving(&self, step: usize) -> Vec<Site> {
         self.sites.iter().filter(|set| step < set.numbers.steps).map(|set| set.site).collect()
     }
@@ -250,7 +250,7 @@ impl HostChunks {
         (self.rays / self.size, self.rays % self.size)
     }
 
-    /// Returns chunks that a part of a step's rays has.
+    /// Returns the number of the first chunk.
     fn first(self) -> usize {
         self.ray0 / self.size
     }

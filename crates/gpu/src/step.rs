@@ -9,8 +9,8 @@ use augnerf_core::methods::{
 };
 use augnerf_core::runtime::Accelerator;
 use augnerf_core::settings::{
-    DeltaSource, Encoding, Objective, OutputPlace, PerturbField, Precision, RegularizedFields, Regularizer, Resample,
-    Resolved, SecondPass, Spacing,
+    Config, DeltaSource, Encoding, Objective, OutputPlace, PerturbField, Precision, RegularizedFields, Regularizer,
+    Resample, Resolved, SecondPass, Spacing,
 };
 use candle_core::Tensor;
 use wgpu::Buffer;
@@ -26,6 +26,8 @@ use crate::sets::{DrawAt, HostChunks, PassSets, PassSize, SetBuffers, Stretch, W
 
 const BETA1: f64 = 0.9;
 const EIGHT_BIT: f64 = 255.0;
+/// Samples that the groups of one dispatch of a product reach.
+pub(crate) const MOST_POINTS: usize = 64 * 65_535;
 /// Positions of a ray that a group can sort.
 const MOST_POSITIONS: usize = 2048;
 
@@ -49,10 +51,8 @@ const COUNTS: usize = 2 * 2 * Site::ALL.len();
 /// # Errors
 /// [`Error::Config`].
 pub fn check(config: &Resolved) -> Result<()> {
+    check_fields(config)?;
     let refuse = |what: &str| Err(Error::Config(format!("device gpu does not train {what} yet; use --device cpu")));
-    if !config.representation().is_field() || config.field.encoding == Encoding::Integrated {
-        return refuse(&format!("method {}", config.method.name()));
-    }
     for (term, _) in config.regularizer.terms() {
         if term != Regularizer::Distortion {
             return refuse(&format!("with regularizer {}", term.name()));
@@ -61,15 +61,25 @@ pub fn check(config: &Resolved) -> Result<()> {
     if config.field.precision == Precision::Bf16 {
         return refuse("in field.precision = \"bf16\"");
     }
+    if !config.train.chunk.is_multiple_of(2) && config.train.chunk < config.train.rays {
+        return refuse("an odd train.chunk");
+    }
+    Ok(())
+}
+
+/// Returns an error for fields that the device neither trains nor renders.
+pub(crate) fn check_fields(config: &Config) -> Result<()> {
+    let refuse =
+        |what: &str| Err(Error::Config(format!("device gpu does not train or render {what} yet; use --device cpu")));
+    if !config.representation().is_field() || config.field.encoding == Encoding::Integrated {
+        return refuse(&format!("method {}", config.method.name()));
+    }
     if !config.field.width.is_multiple_of(4) {
         return refuse(&format!("networks of width {}, which is no multiple of 4,", config.field.width));
     }
     let (coarse, fine) = config.samples();
-    if (coarse + 1).max(fine + 1) > MOST_POSITIONS {
-        return refuse(&format!("more than {MOST_POSITIONS} samples of a ray"));
-    }
-    if !config.train.chunk.is_multiple_of(2) && config.train.chunk < config.train.rays {
-        return refuse("an odd train.chunk");
+    if coarse.max(fine) + 1 > MOST_POSITIONS {
+        return refuse(&format!("{} samples of a ray (at most {})", coarse.max(fine), MOST_POSITIONS - 1));
     }
     Ok(())
 }
@@ -163,8 +173,10 @@ impl Steps {
                 *set = size.map(|size| PassSets::new(config, scene, size)).transpose()?;
             }
         }
+        let (coarse, fine) = config.samples();
+        let chunk = rays_of_chunk(gpu, config, &shape, coarse.max(fine))?;
         let buffers =
-            gpu.checked("making the buffers of a step", || StepBuffers::new(gpu, config, scene, &shape, &sets))?;
+            gpu.checked("making the buffers of a step", || StepBuffers::new(gpu, config, scene, &shape, &sets, chunk))?;
         let mut steps = Steps {
             gpu: gpu.clone(),
             config: config.clone(),
@@ -231,9 +243,9 @@ impl Steps {
     /// # Errors
     /// Those of [`Steps::step`].
     pub fn try_step(&mut self, step: u64, log: bool) -> Result<StepReport> {
-        let report = self.compute(step, 1, 0.0, log, false)?;
+        let report = self.compute(step, 1, 0.0, log, false);
         self.clear_gradients();
-        Ok(report)
+        report
     }
 
     fn compute(&mut self, step: u64, updates: u64, rate: f64, log: bool, moves: bool) -> Result<StepReport> {
@@ -279,7 +291,7 @@ impl Steps {
         });
         Some(match name {
             Some(name) => format!("{what} of {name}"),
-            None => "gradient of a table (it is beyond 128)".into(),
+            None => "gradient of a table, which must be below 64,".into(),
         })
     }
 
@@ -323,7 +335,7 @@ impl Steps {
         Ok(moments)
     }
 
-    /// Returns gradients of the last [`Steps::try_step`] in the host's order, for tests.
+    /// Computes a step without an update, and returns its gradients in the host's order, for tests.
     #[doc(hidden)]
     pub fn gradients(&mut self, step: u64) -> Result<(StepReport, Vec<Tensor>)> {
         let report = self.compute(step, 1, 0.0, false, false)?;
@@ -425,15 +437,25 @@ pub(crate) fn bins(spacing: Spacing, bounds: (f64, f64), columns: usize, jitter:
 }
 
 impl StepBuffers {
-    fn new(gpu: &Gpu, config: &Resolved, scene: &Scene, shape: &Shape, sets: &[Option<PassSets>; 2]) -> StepBuffers {
+    fn new(
+        gpu: &Gpu,
+        config: &Resolved,
+        scene: &Scene,
+        shape: &Shape,
+        sets: &[Option<PassSets>; 2],
+        chunk: usize,
+    ) -> StepBuffers {
         let rays = config.train.rays;
         let (coarse, fine) = config.samples();
         let samples = coarse.max(fine);
         let encoding = config.field.encoding;
         let columns = encoding.t_vals(coarse);
         let fine_columns = encoding.t_vals(config.sampling.fine);
-        let chunk = rays_of_chunk(gpu, config, shape, samples);
-        let numbers = sets.iter().flatten().map(|sets| numbers_to_draw(sets, chunk, config.train.chunk)).max();
+        let numbers = sets
+            .iter()
+            .flatten()
+            .map(|sets| numbers_to_draw(sets, chunk, config.train.chunk.min(config.train.rays)))
+            .max();
         let f = |count: usize| gpu.numbers(count);
         let t_vals = || f(chunk * (samples + 1));
         let pair = |i: usize| sets[i].as_ref().map(|sets| SetBuffers::new(gpu, sets, chunk));
@@ -452,7 +474,7 @@ impl StepBuffers {
             results: f(SLOTS * SLOT),
             flags: f(FLAGS),
             counts: f(COUNTS),
-            scratch: Scratch::new(gpu, shape, chunk, samples),
+            scratch: Scratch::new(gpu, shape, chunk, samples, true),
             sets: [pair(0), pair(1)],
             chunk,
         }
@@ -470,12 +492,25 @@ impl StepBuffers {
 }
 
 /// Returns the rays whose samples fit into the device's memory at once: whole chunks of the host, an even number.
-fn rays_of_chunk(gpu: &Gpu, config: &Resolved, shape: &Shape, samples: usize) -> usize {
-    let bytes = Scratch::bytes_per_sample(shape) + 8 * shape.width * usize::from(config.method.is_augmented());
+///
+/// # Errors
+/// A single chunk does not fit.
+fn rays_of_chunk(gpu: &Gpu, config: &Resolved, shape: &Shape, samples: usize) -> Result<usize> {
+    // Deltas of both passes, random ones, and the numbers that they are drawn from.
+    let deltas = 4 * 5 * (shape.width + 8) * usize::from(config.method.is_augmented());
+    let bytes = Scratch::bytes_per_sample(shape) + deltas;
     let widest = 4 * (shape.width + 4).max(shape.channels);
-    let fits = (gpu.budget() / bytes).min(gpu.largest_buffer() / widest) / samples;
+    let fits = (gpu.budget() / bytes).min(gpu.largest_buffer() / widest).min(MOST_POINTS) / samples;
     let unit = config.train.chunk.min(config.train.rays).next_multiple_of(2);
-    (fits / unit * unit).clamp(unit, config.train.rays.max(unit)).min(config.train.rays)
+    if fits < unit {
+        return Err(Error::Config(format!(
+            "device gpu ({}) has memory for {fits} rays of {samples} samples at once, which is less than a chunk; lower \
+             train.chunk ({}) or field.width",
+            gpu.adapter().name,
+            config.train.chunk
+        )));
+    }
+    Ok((fits / unit * unit).min(config.train.rays))
 }
 
 impl Steps {
@@ -863,7 +898,6 @@ impl<'a> ChunkRecorder<'a> {
                 (true, true) => 1,
                 (true, false) => 0,
             },
-            first: 0,
         }
     }
 

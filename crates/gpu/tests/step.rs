@@ -136,6 +136,36 @@ steps! {
     aug_of_output_alone: "method=aug-nerf", "perturb.attack=calibrated", "perturb.levels=[\"output\"]", "field.encoding=hash";
 }
 
+/// A device with little memory takes the rays in parts, with the same random numbers.
+#[test]
+fn rays_in_parts_have_the_numbers_of_all_at_once() {
+    for settings in [
+        ["method=aug-nerf", "perturb.attack=calibrated", "train.rays=56", "sampling.density_noise=0.5"],
+        ["method=aug-nerf", "perturb.kind=fresh-jitter", "field.encoding=hash", "sampling.density_noise=0.5"],
+        ["method=aug-nerf", "perturb.kind=gaussian", "perturb.rgb.norm=l2", "perturb.resample=perturbed"],
+    ] {
+        let (config, scene) = (config(&settings), scene());
+        let (learner, _) = FieldLearner::start(&config, &scene, DType::F32, &Device::Cpu).unwrap();
+        let step = |budget: usize| {
+            let gpu = gpu().with_budget(budget);
+            let mut steps = Steps::new(&gpu, &config, &scene, learner.fields(), None).unwrap();
+            let dispatches = steps.work().0;
+            let (report, gradients) = steps.gradients(3).unwrap();
+            (dispatches, report.loss, gradients.iter().flat_map(flat).collect::<Vec<f64>>())
+        };
+        let ((few, loss, all), (many, same, parts)) = (step(1 << 28), step(900_000));
+        assert!(many > 2 * few, "{many} dispatches in parts, {few} at once");
+        assert!((same / loss - 1.0).abs() < 1e-6);
+        let difference = norm(all.iter().zip(&parts).map(|(a, b)| a - b));
+        assert!(difference < 1e-4 * norm(all.iter().copied()), "{settings:?}: {difference:.1e}");
+    }
+    let (config, scene) = (config(&["method=nerf"]), scene());
+    let (learner, _) = FieldLearner::start(&config, &scene, DType::F32, &Device::Cpu).unwrap();
+    let refused = Steps::new(&gpu().with_budget(1000), &config, &scene, learner.fields(), None);
+    let error = refused.err().unwrap().to_string();
+    assert!(error.contains("lower train.chunk (16)"), "{error}");
+}
+
 /// By matrix units, where a device has them.
 #[test]
 fn products_in_f16() {
@@ -202,6 +232,8 @@ fn what_is_not_there_is_refused_by_name() {
         (["method=mip-nerf", "field.encoding=integrated"], "method mip-nerf"),
         (["method=nerf", "regularizer.kind=tv"], "regularizer tv"),
         (["method=nerf", "field.precision=bf16"], "bf16"),
+        (["method=nerf", "field.width=30"], "width 30"),
+        (["method=nerf", "sampling.fine=4000"], "4012 samples"),
     ] {
         let error = augnerf_gpu::check(&config(&settings)).unwrap_err().to_string();
         assert!(error.contains(named) && error.contains("--device cpu"), "{error}");

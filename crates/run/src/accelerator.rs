@@ -43,6 +43,8 @@ pub struct ListedDevice {
     pub is_software: bool,
     /// The largest buffer that a kernel reads, in bytes.
     pub largest_buffer: Option<u64>,
+    /// Whether it trains with `field.precision = "f16"`.
+    pub has_f16: bool,
     /// What the kernels need and it lacks.
     pub lacks: Vec<String>,
 }
@@ -56,6 +58,7 @@ pub fn list_devices() -> Vec<ListedDevice> {
         driver: String::new(),
         is_software: false,
         largest_buffer: None,
+        has_f16: false,
         lacks: Vec::new(),
     };
     std::iter::once(processor).chain(gpu::list()).collect()
@@ -160,6 +163,7 @@ mod gpu {
             driver: [adapter.backend, adapter.driver].join(", "),
             is_software: adapter.is_software,
             largest_buffer: Some(adapter.largest_buffer),
+            has_f16: adapter.has_matrices,
             lacks: adapter.lacks,
         };
         augnerf_gpu::adapters().into_iter().map(listed).collect()

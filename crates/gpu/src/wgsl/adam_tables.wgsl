@@ -16,6 +16,8 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>) {
         let negative = (high >> 31u) == 1u;
         if (negative) { low = ~low + 1u; high = ~high + select(0u, 1u, low == 0u); }
         var g = (f32(high) + f32(low) * (1.0 / 4294967296.0)) * p.unit;
+        // Half of the range: larger sums may have run over.
+        if (abs(g) >= 64.0) { atomicOr(&flags[0], 2u); }
         if (negative) { g = -g; }
         sums[2u * i] = 0u;
         sums[2u * i + 1u] = 0u;

@@ -8,7 +8,7 @@ struct Resample {
     padding: f32,    // added to each weight
     narrowest: f32,  // bins with at most this probability count as of width 1
     mode: u32,       // of u: 0 uniform, 1 uniform in equal parts, 2 evenly spaced
-    first: u32,      // place of the first ray's u
+    rays: u32,
 }
 @group(0) @binding(0) var<uniform> p: Resample;
 @group(0) @binding(1) var<storage, read> t_vals: array<f32>;
@@ -43,7 +43,7 @@ fn edge(ray: u32, i: u32) -> f32 {
 @compute @workgroup_size(64)
 fn main(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index) thread: u32) {
     let ray = group.x + group.y * 65535u;
-    if (ray * p.coarse >= arrayLength(&weights)) { return; }
+    if (ray >= p.rays) { return; }
     let bins = select(p.coarse - 2u, p.coarse, p.intervals == 1u);
     if (thread == 0u) {
         var sum = vec2<f32>(0.0);
@@ -59,7 +59,7 @@ fn main(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index
     let total_rest = low[bins];
     for (var j = thread; j < p.fine; j += 64u) {
         var share = 0.0;
-        if (p.mode == 2u) { share = f32(j) / f32(max(p.fine, 2u) - 1u); } else { share = u[p.first + ray * p.fine + j]; }
+        if (p.mode == 2u) { share = f32(j) / f32(max(p.fine, 2u) - 1u); } else { share = u[ray * p.fine + j]; }
         if (p.mode == 1u) { share = (share + f32(j)) / f32(p.fine); }
         let wanted = share * total;
         let rest = share * total_rest;

@@ -10,6 +10,7 @@ use std::path::{Path, PathBuf};
 use candle_core::{DType, Device, Tensor};
 use serde::{Deserialize, Serialize};
 
+use crate::accelerator;
 use crate::base::files::{AtomicDir, clean_temporaries, discard, json_bytes};
 use crate::base::{Error, Result, tensor_sentence};
 use crate::data::Scene;
@@ -374,6 +375,7 @@ impl Trainer {
         dtype: DType,
         runtime: &Runtime,
     ) -> Result<Trainer> {
+        accelerator::check(config, runtime)?;
         let inputs = Inputs { config, scene, dtype, runtime };
         runtime.install(|| {
             let state = load_state(checkpoint)?;

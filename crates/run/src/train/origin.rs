@@ -6,6 +6,7 @@ use candle_core::{DType, Tensor};
 
 use super::checkpoint::{State, Tensors, load_state};
 use super::{Inputs, Moments, Trainer, check_memory};
+use crate::accelerator;
 use crate::base::Result;
 use crate::data::Scene;
 use crate::model::Model;
@@ -44,6 +45,7 @@ impl Trainer {
         runtime: &Runtime,
     ) -> Result<Trainer> {
         check_memory(config, scene, runtime)?;
+        accelerator::check(config, runtime)?;
         let inputs = Inputs { config, scene, dtype, runtime };
         runtime.install(|| match origin {
             Origin::Checkpoint { folder, goes_on } => {
