@@ -62,3 +62,13 @@ has() {
 slow_tests() {
   sed -n '/#\[ignore = "slow"\]/{n;s/^fn \([a-z0-9_]*\).*/\1/p}' tests/it/*.rs
 }
+
+# device: is there one for `--device gpu`? Mesa's driver plays one on the processor. A machine with a card sets AUGNERF_GPU=1, and
+# then must have it.
+device() {
+  local driver
+  [[ -n ${AUGNERF_GPU:-} ]] && return
+  for driver in /usr/share/vulkan/icd.d/*.json /etc/vulkan/icd.d/*.json; do [[ -e $driver ]] && return; done
+  [[ $EUID == 0 ]] && command -v apt-get > /dev/null || return
+  (apt-get update && apt-get install -y mesa-vulkan-drivers libvulkan1) > "$scratch/mesa" 2>&1 || return
+}

@@ -17,6 +17,8 @@ mod exchange;
 mod fused;
 mod fuzz;
 mod geometry;
+#[cfg(feature = "gpu")]
+mod gpu;
 mod hash_runs;
 mod hostile;
 #[cfg(target_os = "linux")]

@@ -57,8 +57,9 @@ texts! {
     "ascend": "common", "set", "ascend";
     "at_bound": "common", "set", "at_bound";
     "reduce": "common", "reduce";
-    "adam_weights": "common", "adam", "adam_weights";
-    "adam_tables": "common", "adam", "adam_tables";
+    "check": "common", "finite", "check";
+    "adam_weights": "common", "finite", "adam", "adam_weights";
+    "adam_tables": "common", "finite", "adam", "adam_tables";
 }
 
 impl Kernel {

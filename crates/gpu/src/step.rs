@@ -608,10 +608,16 @@ impl Steps {
         }
     }
 
-    /// Records Adam's update of all fields.
+    /// Records the check of what is finite, and Adam's update of all fields.
     fn record_update(&self) -> Vec<Dispatch> {
         let mut recorder = self.recorder();
         let train = &self.config.train;
+        for (index, field) in self.learned.iter().enumerate() {
+            let weights = &field.weights;
+            let words = Words::default().u(weights.count).u(DIAGNOSED).u(2 * index).u(0);
+            let buffers = [(1, &weights.gradient), (2, &self.buffers.results), (3, &self.buffers.flags)];
+            recorder.run(Kernel::new("check"), words, &buffers, crate::device::groups(weights.count));
+        }
         for (index, field) in self.learned.iter().enumerate() {
             for (part, learned) in std::iter::once(&field.weights).chain(&field.tables).enumerate() {
                 let words = Words::default().u(learned.count).f(BETA1).f(train.adam_beta2).f(train.adam_epsilon);

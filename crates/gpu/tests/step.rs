@@ -216,14 +216,24 @@ fn the_same_bytes_twice_and_after_a_fetch() {
 fn what_is_not_finite_is_reported() {
     let (config, scene) = (config(&["method=nerf"]), scene());
     let (learner, _) = FieldLearner::start(&config, &scene, DType::F32, &Device::Cpu).unwrap();
-    let (_, var) = learner.fields().variables().pop().unwrap();
+    let variables = learner.fields().variables();
+    let (_, var) = variables.iter().find(|(name, _)| name == "fine.trunk.0.bias").unwrap();
     var.set(&(var.as_tensor() * f64::NAN).unwrap()).unwrap();
     let mut steps = Steps::new(gpu(), &config, &scene, learner.fields(), None).unwrap();
+    let values = || -> Vec<Vec<f64>> {
+        learner.fields().variables().into_iter().map(|(_, var)| flat(var.as_tensor())).collect()
+    };
+    let before = values();
     let error = steps.step(4, 5, 0.01, false).unwrap_err().to_string();
     assert!(
         error.contains("diverged at step 5: the ") && error.contains(" fine") && error.contains("not a number"),
         "{error}"
     );
+    // The step is lost, and the parameters are those before it.
+    steps.fetch().unwrap();
+    for (after, before) in values().iter().flatten().zip(before.iter().flatten()) {
+        assert!(after == before || after.is_nan() && before.is_nan());
+    }
 }
 
 #[test]

@@ -1,4 +1,5 @@
-// Adam (Kingma and Ba 2015). Flags say that something is not finite: 1 a gradient, 4 a parameter; and where.
+// Adam (Kingma and Ba 2015). Flags say what is not finite: 1 a gradient, 2 a sum of a table, 4 a parameter, 8 a loss; and where.
+// With a flag nothing moves: the step is lost, and the parameters are those before it.
 struct Adam { numbers: u32, beta1: f32, beta2: f32, epsilon: f32, unit: f32, field: u32, pad0: u32, pad1: u32 }
 @group(0) @binding(0) var<uniform> p: Adam;
 @group(0) @binding(1) var<uniform> now: Now;
@@ -6,9 +7,7 @@ struct Adam { numbers: u32, beta1: f32, beta2: f32, epsilon: f32, unit: f32, fie
 @group(0) @binding(3) var<storage, read_write> first: array<f32>;
 @group(0) @binding(4) var<storage, read_write> second: array<f32>;
 @group(0) @binding(5) var<storage, read_write> flags: array<atomic<u32>>;
-fn broken(x: f32) -> bool { return (bitcast<u32>(x) & 0x7f800000u) == 0x7f800000u; }
 fn move_by(i: u32, g: f32) {
-    if (broken(g)) { atomicOr(&flags[0], 1u); atomicMin(&flags[1u + p.field], i); return; }
     let m = p.beta1 * first[i] + (1.0 - p.beta1) * g;
     let v = p.beta2 * second[i] + (1.0 - p.beta2) * (g * g);
     first[i] = m; second[i] = v;
