@@ -20,7 +20,7 @@ const SWEEP: &str = "title = \"tiny\"\npreset = \"smoke\"\nscenes = [\"builtin\"
     \"train.chunk\" = 32\n\"train.steps\" = 4\n\"eval.pictures\" = 0\n\"regularizer.points_per_step\" = 64\n";
 
 /// The commands, in an order in which each finds what it works on; `TINY` stands for the settings of a run.
-const COMMANDS: [&str; 29] = [
+const COMMANDS: [&str; 30] = [
     "train --out a TINY",
     "train --out b --seed 1 TINY",
     "resume a",
@@ -39,6 +39,7 @@ const COMMANDS: [&str; 29] = [
     "data corrupt noisy --set data.corruption.kind=pepper --set data.width=16",
     "data export-builtin scene --width 16",
     "settings steps",
+    "devices",
     "sweep new fresh.toml",
     "sweep plan tiny.toml",
     "sweep begin tiny.toml",
