@@ -3,7 +3,8 @@
 use std::any::Any;
 use std::collections::HashMap;
 use std::fmt;
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Arc, Mutex, PoisonError, mpsc};
+use std::time::Duration;
 
 use augnerf_core::base::{Error, Result};
 use augnerf_core::runtime::Accelerator;
@@ -18,6 +19,8 @@ use wgpu::{
 
 use crate::kernels::{Kernel, Tiles};
 
+/// After a wait a device answers at once.
+const ANSWERS_WITHIN: Duration = Duration::from_secs(60);
 /// Storage buffers that the largest kernel binds.
 const STORAGE_BUFFERS: u32 = 10;
 /// Bytes that the threads of a group share in the sort of a ray's samples.
@@ -385,16 +388,14 @@ impl Gpu {
             at += buffer.size();
         }
         self.0.queue.submit([encoder.finish()]);
-        let outcome = Arc::new(Mutex::new(None));
-        let told = outcome.clone();
-        staging.slice(..).map_async(MapMode::Read, move |result| {
-            *told.lock().unwrap_or_else(PoisonError::into_inner) = Some(result);
-        });
+        // Another thread's wait may call back for this one.
+        let (told, outcome) = mpsc::channel();
+        staging.slice(..).map_async(MapMode::Read, move |result| drop(told.send(result)));
         self.wait()?;
-        match outcome.lock().unwrap_or_else(PoisonError::into_inner).take() {
-            Some(Ok(())) => {}
-            Some(Err(error)) => return Err(self.lost(&error.to_string())),
-            None => return Err(self.lost("it does not answer")),
+        match outcome.recv_timeout(ANSWERS_WITHIN) {
+            Ok(Ok(())) => {}
+            Ok(Err(error)) => return Err(self.lost(&error.to_string())),
+            Err(_) => return Err(self.lost("it does not answer")),
         }
         let view = staging.slice(..).get_mapped_range().map_err(|e| self.lost(&e.to_string()))?;
         let mut parts = Vec::with_capacity(buffers.len());
