@@ -35,10 +35,17 @@ fn watched(command: &mut Command) -> (i32, String, f64) {
 /// Demands that a file is refused with these words, and with less memory than is promised.
 #[track_caller]
 fn refused_within_memory(arguments: &[&str], code: i32, words: &[&str]) {
-    let (found, said, most) = watched(&mut augnerf(arguments));
-    assert_eq!(found, code, "{said}");
-    assert_says(&said, words);
-    assert!(most > 1.0 && most < 1024.0, "{most} MiB: {said}");
+    // A program that ends between two looks is not seen: it runs again.
+    for _ in 0..20 {
+        let (found, said, most) = watched(&mut augnerf(arguments));
+        assert_eq!(found, code, "{said}");
+        assert_says(&said, words);
+        assert!(most < 1024.0, "{most} MiB: {said}");
+        if most > 1.0 {
+            return;
+        }
+    }
+    panic!("{arguments:?} was never seen at work");
 }
 
 /// A results' folder with a file of its own.
