@@ -35,18 +35,23 @@ texts! {
     "copy": "common", "copy";
     "points": "common", "rays", "points";
     "frequency": "common", "waves", "frequency";
+    "frequency_jets": "common", "waves", "frequency_jets";
     "frequency_back": "common", "waves_back", "frequency_back";
     "view": "common", "rays", "waves", "view";
     "view_back": "common", "rays", "waves_back", "view_back";
     "t_back": "common", "rays", "t_back";
-    "domain": "common", "domain";
-    "domain_back": "common", "domain_back";
+    "domain": "common", "contraction", "domain";
+    "domain_back": "common", "contraction", "domain_back";
     "encode": "common", "cell", "encode";
-    "scatter": "common", "cell", "scatter";
+    "encode_jets": "common", "cell", "contraction", "encode_jets";
+    "scatter": "common", "cell", "contraction", "scatter";
     "slope": "common", "cell", "slope";
-    "activate": "common", "output", "activate";
-    "activate_back": "common", "output", "activate_back";
-    "density": "common", "output", "density";
+    "activate": "common", "output", "activation", "activate";
+    "activate_back": "common", "output", "activation", "activate_back";
+    "density": "common", "activation", "density";
+    "space": "common", "activation", "space_point", "space";
+    "space_back": "common", "activation", "space_point", "space_back";
+    "integrals": "integrals";
     "march": "common", "rays", "march";
     "composite": "common", "rays", "composite";
     "loss": "rays", "loss";
@@ -84,14 +89,18 @@ impl Kernel {
     /// Returns the text in WGSL.
     pub(crate) fn text(&self) -> String {
         let mut text = match self.name {
-            "product" | "product_back" | "weights" if self.flags.contains(&"F16") => matrices::product(self),
+            "product" | "product_back" | "weights" if self.has("F16") => matrices::product(self),
             "product" | "product_back" | "weights" => product(self),
             name => parts(name).concat(),
         };
         for (name, value) in &self.constants {
             text = text.replace(&format!("{{{name}}}"), &value.to_string());
         }
-        chosen(&text.replace("{HEAD_ACCESS}", "read"), &self.flags)
+        chosen(&text, &self.flags)
+    }
+
+    fn has(&self, flag: &str) -> bool {
+        self.flags.contains(&flag)
     }
 
     fn constant(&self, name: &str) -> usize {
@@ -289,17 +298,20 @@ fn product(kernel: &Kernel) -> String {
             let _ = writeln!(s, "s{i}_{q} = fma(vec4<f32>(l{}[{}]), r{q}, s{i}_{q});", i / 4, i % 4);
         }
     }
+    // A bias has no part in derivatives.
+    let counts = if kernel.has("JETS") { "if (k % 4u == 0u) " } else { "" };
     for q in 0..if of_weights { fours } else { 0 } {
-        let _ = writeln!(s, "b{q} += r{q};");
+        let _ = writeln!(s, "{counts}{{ b{q} += r{q}; }}");
     }
     s.push_str("}\nworkgroupBarrier();\n}\n");
+    let is_jet = kernel.name == "product" && kernel.has("JETS");
     for i in 0..side {
         for q in 0..fours {
-            let _ = writeln!(
-                s,
-                "store_four(row0 + {side}u * ty + {i}u, col0 + {side}u * tx + {}u, s{i}_{q}, part);",
-                4 * q
-            );
+            let place = format!("row0 + {side}u * ty + {i}u, col0 + {side}u * tx + {}u, s{i}_{q}", 4 * q);
+            let _ = match is_jet {
+                true => writeln!(s, "store_jet({place}, s{}_{q}, part);", i - i % 4),
+                false => writeln!(s, "store_four({place}, part);"),
+            };
         }
     }
     if of_weights {

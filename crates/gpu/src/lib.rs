@@ -12,7 +12,9 @@ use augnerf_core::settings::{Config, Resolved};
 
 mod device;
 mod kernels;
+mod limits;
 mod network;
+mod rays;
 mod record;
 mod renderer;
 mod sets;
@@ -20,7 +22,8 @@ mod step;
 mod stepper;
 
 pub use device::{Adapter, Gpu, adapters};
-pub use step::{Steps, check};
+pub use limits::check;
+pub use step::Steps;
 
 /// Returns what trains fields on a device, with the moments of their parameters, or with 0.
 ///

@@ -23,7 +23,8 @@ pub(crate) struct Layer {
 }
 
 impl Layer {
-    fn end(&self) -> usize {
+    /// Returns the place after its last number.
+    pub(crate) fn end(&self) -> usize {
         self.offset + (self.inputs + 1) * self.outputs
     }
 }

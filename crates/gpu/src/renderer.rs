@@ -11,9 +11,10 @@ use wgpu::Buffer;
 
 use crate::device::{Dispatch, Gpu, groups};
 use crate::kernels::Kernel;
+use crate::limits::{check_fields, samples_at_once};
 use crate::network::{FieldBuffers, Shape};
-use crate::record::{DeltaBuffers, OUT, Outputs, PassAt, RAY, Recorder, Resampling, Scratch, Words, Work};
-use crate::step::{MOST_POINTS, bins, check_fields};
+use crate::rays::{RAY, bins};
+use crate::record::{DeltaBuffers, OUT, Outputs, PassAt, Recorder, Resampling, Scratch, Words, Work};
 
 /// Rays that are rendered at once, at most.
 const MOST_RAYS: usize = 2048;
@@ -42,9 +43,7 @@ impl GpuRenderer {
         let (coarse, fine) = config.samples();
         let samples = coarse.max(fine);
         let most = if gpu.adapter().is_software { MOST_RAYS_IN_SOFTWARE } else { MOST_RAYS };
-        let widest = 4 * (shape.width + 4).max(shape.channels);
-        let fits =
-            (gpu.budget() / Scratch::bytes_per_sample(&shape)).min(gpu.largest_buffer() / widest).min(MOST_POINTS);
+        let fits = samples_at_once(gpu, &shape, Scratch::bytes_per_sample(&shape));
         let chunk = (fits / samples).clamp(1, most);
         gpu.checked("making a renderer", || GpuRenderer::record(gpu, fields, config, scene, &shape, chunk))?
     }

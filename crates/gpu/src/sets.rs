@@ -1,12 +1,12 @@
 //! The constraint sets of a pass on the device: radii, random points, and steps of the search.
 
 use augnerf_core::augment::{
-    Draw, Epsilon, Geometry, Norm, PaperPass, PassGeometry, PerSite, PixelScale, Radius, SampleDensity, SetChoices,
-    Sets, Site, SiteNumbers, StepUnit,
+    Draw, Epsilon, Norm, PassGeometry, PerSite, Radius, SampleDensity, SetChoices, Sets, Site, SiteNumbers, StepUnit,
 };
 use augnerf_core::base::Result;
 use augnerf_core::base::rng::Stream;
 use augnerf_core::data::Scene;
+use augnerf_core::methods::AttackGeometry;
 use augnerf_core::settings::Resolved;
 use candle_core::{DType, Device, Tensor};
 use wgpu::Buffer;
@@ -57,12 +57,12 @@ pub(crate) struct PassSize {
 impl PassSets {
     /// Returns the sets of passes of this size.
     pub(crate) fn new(config: &Resolved, scene: &Scene, size: PassSize) -> Result<PassSets> {
-        let geometry = Geometries::new(config, scene);
+        let geometry = AttackGeometry::new(config, scene);
         let perturb = &config.perturb;
         let (numbers, choices) = (&perturb.numbers, perturb.set_choices());
         let t_vals = Tensor::zeros((1, size.columns), DType::F64, &Device::Cpu)?;
         let direction_norm = Tensor::full(FAR, (1, 1), &Device::Cpu)?;
-        let pass = geometry.pass(&t_vals, &direction_norm, size)?;
+        let pass = geometry.pass(&t_vals, size.samples, &direction_norm, size.is_coarse)?;
         let sets = Sets::new(numbers, &choices, &pass)?;
         let sites = sets.iter().map(|(site, set)| {
             let one = || -> Result<f64> { Ok(set.radius.flatten_all()?.to_vec1::<f64>()?[0]) };
@@ -128,50 +128,6 @@ fn of_gaps(numbers: &SiteNumbers, pass: &PassGeometry) -> SiteRadius {
     }
 }
 
-/// The geometry of a run's sets.
-struct Geometries {
-    bounds: (f64, f64),
-    pixel: PixelScale,
-    coarse_columns: usize,
-    width: usize,
-    paper: Option<PaperPass>,
-}
-
-impl Geometries {
-    fn new(config: &Resolved, scene: &Scene) -> Geometries {
-        let camera = &scene.train[0].camera;
-        let paper = PaperPass::of_scenes(config.data.kind.forward_facing());
-        Geometries {
-            bounds: scene.bounds(),
-            pixel: PixelScale {
-                width: camera.width as f64,
-                height: camera.height as f64,
-                focal: camera.focal[0],
-                ndc: scene.ndc.is_some(),
-            },
-            coarse_columns: config.field.encoding.t_vals(config.sampling.coarse),
-            width: config.field.width,
-            paper: (config.perturb.geometry == Geometry::Paper).then_some(paper),
-        }
-    }
-
-    fn pass<'a>(&self, t_vals: &'a Tensor, direction_norm: &'a Tensor, size: PassSize) -> Result<PassGeometry<'a>> {
-        let own = PassGeometry {
-            is_coarse: size.is_coarse,
-            t_vals,
-            samples: size.samples,
-            direction_norm,
-            bounds: self.bounds,
-            coarse_samples: self.coarse_columns,
-            cap_samples: self.coarse_columns,
-            width: self.width,
-            pixel: self.pixel,
-            density: SampleDensity::OWN,
-        };
-        self.paper.map_or(Ok(own), |paper| own.of_paper(&paper))
-    }
-}
-
 /// The buffers of a pass's sets for a chunk of rays.
 pub(crate) struct SetBuffers {
     deltas: PerSite<Option<Buffer>>,
@@ -200,11 +156,17 @@ impl SetBuffers {
     }
 
     /// Returns some deltas of all sites.
-    pub(crate) fn of_pass<'a>(&'a self, sets: &PassSets, which: Which, layer: usize, before: bool) -> DeltaBuffers<'a> {
+    pub(crate) fn of_pass<'a>(
+        &'a self,
+        sets: &PassSets,
+        which: Deltas,
+        layer: usize,
+        before: bool,
+    ) -> DeltaBuffers<'a> {
         let of = |site: Site| match which {
-            Which::Searched => self.deltas[site].as_ref(),
-            Which::Random => self.random[site].as_ref(),
-            Which::Used => self.used[site].as_ref().or(self.deltas[site].as_ref()),
+            Deltas::Searched => self.deltas[site].as_ref(),
+            Deltas::Random => self.random[site].as_ref(),
+            Deltas::Used => self.used[site].as_ref().or(self.deltas[site].as_ref()),
         };
         let output = |site: Site| {
             let buffer = of(site)?;
@@ -226,7 +188,7 @@ impl SetBuffers {
 
 /// The deltas of a pass.
 #[derive(Clone, Copy, PartialEq)]
-pub(crate) enum Which {
+pub(crate) enum Deltas {
     /// Those of the search.
     Searched,
     /// The same, with those of the output level as the complete pass used them.

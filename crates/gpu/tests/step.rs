@@ -3,6 +3,7 @@
 mod common;
 
 use augnerf_core::methods::{FieldLearner, Learner};
+use augnerf_core::settings::DensityActivation;
 use augnerf_gpu::Steps;
 use candle_core::{DType, Device, Tensor};
 use common::{config, flat, gpu, scene};
@@ -34,6 +35,10 @@ fn compare_within(settings: &[&str], allowed: Allowed) {
         if name.ends_with("table") {
             let moved: Vec<f32> = (0..var.elem_count()).map(|i| 0.5 * (i as f32 * 0.7).sin()).collect();
             var.set(&Tensor::from_vec(moved, var.shape(), &Device::Cpu).unwrap()).unwrap();
+        }
+        // A ReLU that is open at some points.
+        if name.ends_with("density.bias") && config.field.density_activation == DensityActivation::Relu {
+            var.set(&Tensor::full(0.1f32, var.shape(), &Device::Cpu).unwrap()).unwrap();
         }
     }
     let mut steps = Steps::new(gpu(), &config, &scene, learner.fields(), None).unwrap();
@@ -113,6 +118,25 @@ steps! {
         "field.hash.bounds=[[-0.5,-0.4,1.0],[0.5,0.6,2.0]]", "field.density_activation=exp";
     hash_in_a_small_box: "method=nerf", "field.encoding=hash", "field.hash.contraction=none", "field.hash.features=3",
         "field.hash.bounds=[[-0.2,-0.2,0.0],[0.2,0.2,1.5]]", "regularizer.kind=distortion", "regularizer.weight=0.1";
+    nerf_with_l1: "method=nerf", "regularizer.kind=l1", "regularizer.weight=0.3", "regularizer.points_per_step=130";
+    nerf_with_tv_and_l1: "method=nerf", "regularizer.kind=[\"tv\",\"l1\"]", "regularizer.weight=[0.1,0.2]",
+        "regularizer.points_per_step=1000", "field.depth=6", "field.skips=[2,4]";
+    nerf_with_tv_of_the_fine_field: "method=nerf", "regularizer.kind=tv", "regularizer.weight=0.1",
+        "regularizer.fields=fine", "regularizer.points=full", "regularizer.lattice=10";
+    nerf_with_tv_of_exp: "method=nerf", "regularizer.kind=[\"distortion\",\"tv\"]", "regularizer.weight=[0.1,0.1]",
+        "field.density_activation=exp", "regularizer.jitter=false", "sampling.fine=0";
+    hash_with_tv: "method=nerf", "field.encoding=hash", "regularizer.kind=[\"tv\",\"l1\"]", "regularizer.weight=[0.1,0.1]",
+        "regularizer.points_per_step=500", "field.hash.features=3", "field.density_activation=relu";
+    hash_with_l1_in_a_small_box: "method=nerf", "field.encoding=hash", "regularizer.kind=l1", "regularizer.weight=0.1",
+        "field.hash.contraction=none", "field.hash.bounds=[[-0.5,-0.4,-0.3],[0.5,0.6,0.7]]";
+    hash_with_tv_in_a_ball: "method=nerf", "field.encoding=hash", "field.hash.interpolation=smoothstep",
+        "field.hash.contraction=ball", "field.hash.bounds=[[-0.5,-0.4,-0.3],[0.5,0.6,0.7]]", "regularizer.kind=tv",
+        "regularizer.weight=0.1";
+    hash_with_tv_in_axes: "method=nerf", "field.encoding=hash", "field.hash.contraction=axes",
+        "field.hash.bounds=[[-0.5,-0.4,-0.3],[0.5,0.6,0.7]]", "regularizer.kind=tv", "regularizer.weight=0.1";
+    hash_with_tv_in_a_small_box: "method=nerf", "field.encoding=hash", "regularizer.kind=tv", "regularizer.weight=0.1",
+        "field.hash.contraction=none", "field.hash.bounds=[[-0.5,-0.4,-0.3],[0.5,0.6,0.7]]";
+    aug_with_tv: "method=aug-nerf", "perturb.attack=calibrated", "regularizer.kind=tv", "regularizer.weight=0.1";
     aug: "method=aug-nerf", "perturb.attack=calibrated";
     aug_paper: "method=aug-nerf", "perturb.attack=paper";
     aug_paper_geometry: "method=aug-nerf", "perturb.attack=calibrated", "perturb.geometry=paper";
@@ -140,11 +164,12 @@ steps! {
 #[test]
 fn rays_in_parts_have_the_numbers_of_all_at_once() {
     for settings in [
-        ["method=aug-nerf", "perturb.attack=calibrated", "train.rays=56", "sampling.density_noise=0.5"],
-        ["method=aug-nerf", "perturb.kind=fresh-jitter", "field.encoding=hash", "sampling.density_noise=0.5"],
-        ["method=aug-nerf", "perturb.kind=gaussian", "perturb.rgb.norm=l2", "perturb.resample=perturbed"],
+        &["method=aug-nerf", "perturb.attack=calibrated", "train.rays=56", "sampling.density_noise=0.5"][..],
+        &["method=aug-nerf", "perturb.kind=fresh-jitter", "field.encoding=hash", "sampling.density_noise=0.5"],
+        &["method=aug-nerf", "perturb.kind=gaussian", "perturb.rgb.norm=l2", "perturb.resample=perturbed"],
+        &["method=nerf", "field.encoding=hash", "regularizer.kind=tv", "regularizer.weight=0.1"],
     ] {
-        let (config, scene) = (config(&settings), scene());
+        let (config, scene) = (config(settings), scene());
         let (learner, _) = FieldLearner::start(&config, &scene, DType::F32, &Device::Cpu).unwrap();
         let step = |budget: usize| {
             let gpu = gpu().with_budget(budget);
@@ -240,7 +265,7 @@ fn what_is_not_finite_is_reported() {
 fn what_is_not_there_is_refused_by_name() {
     for (settings, named) in [
         (["method=mip-nerf", "field.encoding=integrated"], "method mip-nerf"),
-        (["method=nerf", "regularizer.kind=tv"], "regularizer tv"),
+        (["method=nerf", "regularizer.kind=laplacian"], "regularizer laplacian"),
         (["method=nerf", "field.precision=bf16"], "bf16"),
         (["method=nerf", "field.width=30"], "width 30"),
         (["method=nerf", "sampling.fine=4000"], "4012 samples"),

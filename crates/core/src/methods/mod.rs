@@ -19,7 +19,10 @@ mod stepper;
 pub use batches::{Batch, Batches};
 pub use diagnostics::{SiteDiagnostics, SiteSummary, columns as site_columns};
 pub use extremes::Extremes;
-pub use fields::{Balance, FieldLearner, FieldRenderer, Fields, parts, step_over_radius};
+pub use fields::{
+    AttackGeometry, Balance, FieldLearner, FieldRenderer, Fields, StepLosses, coarse_weight, is_regularized,
+    log_columns, loss_weights, parts, step_over_radius,
+};
 pub use gradients::Gradients;
 pub use host_stepper::HostStepper;
 pub use learner::{Learner, LogColumns, StepResult, StopCheck, Term};

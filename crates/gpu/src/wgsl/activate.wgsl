@@ -40,7 +40,7 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>) {
     if (p.before == 1u) { density += e; used_density[i] = e; }
     //#end
     //#if NOISE
-    density += noise[p.noise_first + i];
+    density += noise[i];
     //#end
     var shown = vec3<f32>(sigmoid(colour.x), sigmoid(colour.y), sigmoid(colour.z));
     // Broken colours stay broken.

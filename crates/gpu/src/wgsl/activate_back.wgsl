@@ -35,7 +35,7 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>) {
     density += delta_density[i];
     //#end
     //#if NOISE
-    density += noise[p.noise_first + i];
+    density += noise[i];
     //#end
     var d_density = d_values[4u * i + 3u] * density_slope(density);
     //#if INSIDE

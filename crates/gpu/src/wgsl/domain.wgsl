@@ -1,5 +1,4 @@
 // Places points in the unit cube of a hash grid, and says which are in its box. A thread a point.
-struct Domain { low: vec3<f32>, points: u32, high: vec3<f32>, contraction: u32 }   // 0 none, 1 axes, 2 ball
 @group(0) @binding(0) var<uniform> p: Domain;
 @group(0) @binding(1) var<storage, read> points: array<f32>;
 @group(0) @binding(2) var<storage, read_write> unit: array<f32>;

@@ -11,28 +11,12 @@ struct Output {
     rgb_ball: u32,
     masks_last: u32,     // the last sample's density has no delta
     before: u32,         // deltas are added before the activations
-    noise_first: u32,
+    pad0: u32,
 }
 @group(0) @binding(0) var<uniform> p: Output;
 @group(0) @binding(1) var<storage, read> raw: array<f32>;              // [points, 4]
-@group(0) @binding(2) var<storage, {HEAD_ACCESS}> head: array<f32>;    // [points, columns]
+@group(0) @binding(2) var<storage, read> head   : array<f32>;             // [points, columns]
 
-const LARGEST_EXPONENT: f32 = 11.0;
-fn density_of(raw: f32) -> f32 {
-    if (p.activation == 0u) { return max(raw, 0.0) + raw * 0.0; }
-    let x = raw - 1.0;
-    if (p.activation == 1u) { return max(x, 0.0) + log(exp(-abs(x)) + 1.0); }
-    return exp(min(x, LARGEST_EXPONENT)) + raw * 0.0;
-}
-fn density_slope(raw: f32) -> f32 {
-    if (p.activation == 0u) { return select(0.0, 1.0, raw >= 0.0); }
-    let x = raw - 1.0;
-    if (p.activation == 1u) {
-        let decay = exp(-abs(x));
-        return select(decay / (decay + 1.0), 1.0 - decay / (decay + 1.0), x >= 0.0);
-    }
-    return select(0.0, exp(x), x < LARGEST_EXPONENT);
-}
 fn sigmoid(raw: f32) -> f32 { return 1.0 / (exp(-clamp(raw, -p.limit, p.limit)) + 1.0); }
 // The place of a point's density.
 fn density_at(i: u32) -> u32 { return p.columns * i + p.columns - 4u; }

@@ -25,7 +25,12 @@ fn store_four(row: u32, col: u32, four: vec4<f32>, part: u32) {
     y[(row * p.ldx + col) / 4u] = value;
     //#end
     //#if MASK
-    value = select(value, vec4<f32>(0.0), x[(row * p.ldx + col) / 4u] <= vec4<f32>(0.0));
+    //#if JETS
+    let mask_row = row & 0xfffffffcu;
+    //#else
+    let mask_row = row;
+    //#end
+    value = select(value, vec4<f32>(0.0), x[(mask_row * p.ldx + col) / 4u] <= vec4<f32>(0.0));
     //#end
     c[at] = value;
 }

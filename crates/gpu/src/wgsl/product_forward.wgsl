@@ -22,3 +22,13 @@ fn store_four(row: u32, col: u32, four: vec4<f32>, part: u32) {
     y[(row * p.ldx + col) / 4u] = value + x[(row * p.ldx + col) / 4u];
     //#end
 }
+//#if JETS
+// A row of a point's jet, with the value's product.
+fn store_jet(row: u32, col: u32, four: vec4<f32>, of_value: vec4<f32>, part: u32) {
+    if (row >= p.m || col >= p.n) { return; }
+    let before = of_value + w[(p.w_from + (p.k1 + p.k2) * p.ldw + col) / 4u];
+    var value = select(four, before, row % 4u == 0u);
+    if (p.relu == 1u) { value = select(value, vec4<f32>(0.0), before <= vec4<f32>(0.0)); }
+    c[(p.c_from + row * p.ldc + col) / 4u] = value;
+}
+//#end

@@ -3,6 +3,10 @@
 @group(0) @binding(2) var<storage, read> d_encoded: array<f32>;
 @group(0) @binding(3) var<storage, read_write> sums: array<atomic<u32>>;   // [entries, features, low and high]
 @group(0) @binding(4) var<storage, read_write> flags: array<atomic<u32>>;
+//#if JETS
+@group(0) @binding(5) var<uniform> domain: Domain;
+@group(0) @binding(6) var<storage, read> points: array<f32>;
+//#end
 
 fn add_fixed(at: u32, value: f32) {
     let a = abs(value) * g.scale;
@@ -24,16 +28,46 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>) {
     if (point >= g.points) { return; }
     var d: array<f32, {FEATURES}>;
     var largest = 0.0;
+    //#if JETS
+    // The gradients of a feature's derivatives along x, y and z come after its own.
+    let at_point = 4u * g.stride * point + F * (i % g.levels);
+    var slope: array<vec3<f32>, {FEATURES}>;
+    //#else
     let at_point = g.stride * point + F * (i % g.levels);
-    for (var f = 0u; f < F; f++) { d[f] = d_encoded[at_point + f]; largest = max(largest, abs(d[f])); }
+    //#end
+    for (var f = 0u; f < F; f++) {
+        d[f] = d_encoded[at_point + f];
+        largest = max(largest, abs(d[f]));
+        //#if JETS
+        for (var axis = 0u; axis < 3u; axis++) {
+            slope[f][axis] = d_encoded[at_point + (1u + axis) * g.stride + f];
+            largest = max(largest, abs(slope[f][axis]));
+        }
+        //#end
+    }
     // Not a number is not 0.
     if (largest == 0.0) { return; }
     let level = g.level[i % g.levels];
     let cell = cell_of(point, level.x);
     let share = upper(cell.f);
+    //#if JETS
+    let place = vec3<f32>(points[3u * point], points[3u * point + 1u], points[3u * point + 2u]);
+    let of_cube = f32(level.x) * slope_of(cell.f);
+    for (var f = 0u; f < F; f++) {
+        slope[f] = of_cube * cube_slope(domain, place, slope[f] / (domain.high - domain.low));
+    }
+    //#end
     for (var k = 0u; k < 8u; k++) {
-        let w = shares(corner(k), share);
-        let at = F * entry(level, cell.vertex + corner(k));
-        for (var f = 0u; f < F; f++) { add_fixed(at + f, w.x * w.y * w.z * d[f]); }
+        let c = corner(k);
+        let w = shares(c, share);
+        let at = F * entry(level, cell.vertex + c);
+        for (var f = 0u; f < F; f++) {
+            var value = w.x * w.y * w.z * d[f];
+            //#if JETS
+            let sign = select(vec3<f32>(-1.0), vec3<f32>(1.0), c == vec3<u32>(1u));
+            value += dot(sign * vec3<f32>(w.y * w.z, w.x * w.z, w.x * w.y), slope[f]);
+            //#end
+            add_fixed(at + f, value);
+        }
     }
 }

@@ -12,7 +12,7 @@ use crate::settings::{Resolved, Spacing};
 const SHORTEST: [f64; 2] = [1.0, 2.0];
 
 /// Everything that the sets of a pass depend on, except its samples.
-pub(super) struct AttackGeometry {
+pub struct AttackGeometry {
     /// Near and far, in the units of `t_vals`.
     bounds: (f64, f64),
     /// A pixel's size.
@@ -26,7 +26,8 @@ pub(super) struct AttackGeometry {
 }
 
 impl AttackGeometry {
-    pub(super) fn new(config: &Resolved, scene: &Scene) -> AttackGeometry {
+    /// Returns that of a run on its scene.
+    pub fn new(config: &Resolved, scene: &Scene) -> AttackGeometry {
         let paper = PaperPass::of_scenes(config.data.kind.forward_facing());
         AttackGeometry {
             bounds: scene.bounds(),
@@ -38,7 +39,10 @@ impl AttackGeometry {
     }
 
     /// Returns the geometry of a pass with `samples` at `t_vals`.
-    pub(super) fn pass<'a>(
+    ///
+    /// # Errors
+    /// Those of candle.
+    pub fn pass<'a>(
         &self,
         t_vals: &'a Tensor,
         samples: usize,

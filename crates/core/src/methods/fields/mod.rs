@@ -11,14 +11,16 @@ mod passes;
 mod perturbed;
 mod regularized;
 mod renderer;
+mod report;
 mod results;
 mod start;
 mod step;
 mod terms;
 
-pub use geometry::step_over_radius;
+pub use geometry::{AttackGeometry, step_over_radius};
 pub use learner::FieldLearner;
 pub use networks::Fields;
 pub use passes::parts;
-pub use regularized::Balance;
+pub use regularized::{Balance, is_regularized};
 pub use renderer::FieldRenderer;
+pub use report::{StepLosses, coarse_weight, log_columns, loss_weights};

@@ -14,6 +14,7 @@ use crate::runtime::over_parts;
 use super::chunk::Chunk;
 use super::learner::FieldLearner;
 use super::networks::Fields;
+use super::report::coarse_weight;
 use super::results::ChunkResult;
 use super::terms::{Counts, StepLoss};
 
@@ -100,8 +101,8 @@ impl FieldLearner {
             let t_vals = place(&placing, &chunk.rays, &chunk.t_coarse, &self.config.sampling, u)?;
             return self.clean_fine(field, chunk, t_vals, step_loss, result).map(Some);
         }
-        let coarse_weight = self.coarse_weight(fields);
-        let counts = Counts { weight: weight * coarse_weight, share: *share, is_evaluated: fields.fine().is_none() };
+        let weight = weight * coarse_weight(&self.config);
+        let counts = Counts { weight, share: *share, is_evaluated: fields.fine().is_none() };
         let (loss, coarse) =
             self.descend_clean(&fields.coarse, self.coarse_pass(chunk), target, step_loss, counts, result)?;
         result.losses.coarse = Some(loss);
@@ -138,11 +139,6 @@ impl FieldLearner {
     /// Returns whether the coarse pass has a loss. Otherwise it only places samples.
     pub(super) fn has_coarse_loss(&self) -> bool {
         self.config.representation().has_coarse_loss()
-    }
-
-    /// Returns the weight of the coarse pass's loss, which is 1 if it is the only pass.
-    pub(super) fn coarse_weight(&self, fields: &Fields) -> f64 {
-        if fields.fine().is_some() { self.config.train.coarse_weight } else { 1.0 }
     }
 
     pub(super) fn coarse_pass<'a>(&self, chunk: &'a Chunk) -> Pass<'a> {

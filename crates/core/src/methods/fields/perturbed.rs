@@ -16,6 +16,7 @@ use crate::settings::{DeltaSource, Resample, SecondPass};
 use super::chunk::Chunk;
 use super::learner::FieldLearner;
 use super::networks::Fields;
+use super::report::coarse_weight;
 use super::results::ChunkResult;
 use super::terms::StepLoss;
 use crate::methods::diagnostics::{SiteEffect, Sums};
@@ -66,7 +67,7 @@ impl FieldLearner {
         let alone = StepLoss { clean: weight, terms: &[], ..self.step_loss() };
         self.clean(fields, &fresh, alone, &mut second)?;
         gradients.merge(second.gradients)?;
-        Ok(second.losses.clean(self.coarse_weight(fields))?.expect("every chunk has a clean pass"))
+        Ok(second.losses.clean(coarse_weight(&self.config))?.expect("every chunk has a clean pass"))
     }
 
     /// Runs the perturbed passes of a chunk on the clean pass's samples.
@@ -83,7 +84,7 @@ impl FieldLearner {
         let own = adversarial.unwrap_or(&fields.coarse);
         let coarse = if self.has_coarse_loss() {
             let coarse = self.perturbed_pass(chunk, own, self.coarse_pass(chunk), true)?;
-            let coarse = PerturbedPass { loss_weight: self.coarse_weight(fields), ..coarse };
+            let coarse = PerturbedPass { loss_weight: coarse_weight(&self.config), ..coarse };
             Some(self.descend_perturbed(source, &coarse, weight, result)?)
         } else {
             None

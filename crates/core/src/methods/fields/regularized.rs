@@ -38,6 +38,15 @@ pub(super) fn lattice(config: &RegularizerConfig) -> Lattice {
     Lattice { domain: config.domain, side: config.lattice }
 }
 
+/// Returns whether terms in space count for the field of this role, in a step with a fine pass or without.
+pub fn is_regularized(config: &RegularizerConfig, has_fine: bool, role: &str) -> bool {
+    let evaluated = if has_fine { "fine" } else { "coarse" };
+    match config.fields {
+        RegularizedFields::Both => role != "adversarial",
+        RegularizedFields::Fine => role == evaluated,
+    }
+}
+
 impl FieldLearner {
     /// Returns unweighted values (f64 `[terms]`) and gradients of the weighted terms in space after `step` finished
     /// steps. `None` if there are no such terms.
@@ -67,11 +76,7 @@ impl FieldLearner {
     }
 
     fn regularizes(&self, config: &RegularizerConfig, role: &str) -> bool {
-        let evaluated = if self.fields.fine().is_some() { "fine" } else { "coarse" };
-        match config.fields {
-            RegularizedFields::Both => role != "adversarial",
-            RegularizedFields::Fine => role == evaluated,
-        }
+        is_regularized(config, self.fields.fine().is_some(), role)
     }
 
     /// Returns an error for terms in space whose points would take this machine too long in `steps` steps.

@@ -7,9 +7,10 @@ use crate::base::tensors::sum;
 use crate::field::Field;
 use crate::losses::{LossTerm, RayPass, RayTerm, SpaceTerm, WeightedTerm};
 use crate::render::{Pass, PassLoss, clean_pass, clean_pass_loss, photometric_loss};
-use crate::settings::{Config, Objective, RegularizedFields};
+use crate::settings::RegularizedFields;
 
 use super::learner::FieldLearner;
+use super::report::loss_weights;
 use super::results::ChunkResult;
 
 /// What the passes of a step minimize.
@@ -70,20 +71,10 @@ pub(super) fn in_order(terms: &[WeightedTerm], on_rays: &[f64], in_space: &[f64]
     terms.iter().map(value).collect()
 }
 
-/// Weights of clean and perturbed loss.
-pub(super) fn mixing(config: &Config) -> (f64, f64) {
-    let lambda = config.perturb.lambda;
-    match (config.method.is_augmented(), config.perturb.objective) {
-        (false, _) => (1.0, 0.0),
-        (true, Objective::Paper) => (1.0, lambda),
-        (true, Objective::Released) => (1.0 - lambda, lambda),
-    }
-}
-
 impl FieldLearner {
     /// What a step of this run minimizes.
     pub(super) fn step_loss(&self) -> StepLoss<'_> {
-        let (clean, perturbed) = mixing(&self.config);
+        let (clean, perturbed) = loss_weights(&self.config);
         StepLoss { clean, perturbed, terms: &self.terms, fields: self.config.regularizer.fields }
     }
 

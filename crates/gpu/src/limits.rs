@@ -1,0 +1,89 @@
+//! What the device does not do, and how much it does at once.
+
+use augnerf_core::base::{Error, Result};
+use augnerf_core::settings::{Config, Encoding, Precision, Regularizer, Resolved};
+
+use crate::device::Gpu;
+use crate::network::Shape;
+use crate::record::Scratch;
+
+/// Samples that the groups of one dispatch of a product reach.
+const MOST_POINTS: usize = 64 * 65_535;
+/// Positions of a ray that a group can sort.
+const MOST_POSITIONS: usize = 2048;
+
+/// Returns an error that names what a configuration asks for and the device does not do.
+///
+/// # Errors
+/// [`Error::Config`].
+pub fn check(config: &Resolved) -> Result<()> {
+    check_fields(config)?;
+    let refuse = |what: &str| Err(Error::Config(format!("device gpu does not train {what} yet; use --device cpu")));
+    for (term, _) in config.regularizer.terms() {
+        if term == Regularizer::Laplacian {
+            return refuse(&format!("with regularizer {}", term.name()));
+        }
+    }
+    if config.field.precision == Precision::Bf16 {
+        return refuse("in field.precision = \"bf16\"");
+    }
+    if !config.train.chunk.is_multiple_of(2) && config.train.chunk < config.train.rays {
+        return refuse("an odd train.chunk");
+    }
+    Ok(())
+}
+
+/// Returns an error for an adapter that lacks a configuration's precision.
+pub(crate) fn check_precision(gpu: &Gpu, config: &Config) -> Result<()> {
+    if config.field.precision != Precision::F16 || gpu.adapter().has_matrices {
+        return Ok(());
+    }
+    Err(Error::Config(format!(
+        "field.precision = \"f16\" needs matrix units with f16, which {} lacks; choose \"f32\"",
+        gpu.adapter().name
+    )))
+}
+
+/// Returns an error for fields that the device neither trains nor renders.
+pub(crate) fn check_fields(config: &Config) -> Result<()> {
+    let refuse =
+        |what: &str| Err(Error::Config(format!("device gpu does not train or render {what} yet; use --device cpu")));
+    if !config.representation().is_field() || config.field.encoding == Encoding::Integrated {
+        return refuse(&format!("method {}", config.method.name()));
+    }
+    if !config.field.width.is_multiple_of(4) {
+        return refuse(&format!("networks of width {}, which is no multiple of 4,", config.field.width));
+    }
+    let (coarse, fine) = config.samples();
+    if coarse.max(fine) + 1 > MOST_POSITIONS {
+        return refuse(&format!("{} samples of a ray (at most {})", coarse.max(fine), MOST_POSITIONS - 1));
+    }
+    Ok(())
+}
+
+/// Returns the samples whose numbers, so many bytes each, fit into the device's memory at once.
+pub(crate) fn samples_at_once(gpu: &Gpu, shape: &Shape, bytes: usize) -> usize {
+    let widest = 4 * (shape.width + 4).max(shape.channels);
+    (gpu.budget() / bytes).min(gpu.largest_buffer() / widest).min(MOST_POINTS)
+}
+
+/// Returns the rays whose samples fit into the device's memory at once: whole chunks of the host, an even number.
+///
+/// # Errors
+/// A single chunk does not fit.
+pub(crate) fn rays_of_chunk(gpu: &Gpu, config: &Resolved, shape: &Shape, samples: usize) -> Result<usize> {
+    // Deltas of both passes, random ones, and the numbers that they are drawn from.
+    let deltas = 4 * 5 * (shape.width + 8) * usize::from(config.method.is_augmented());
+    let bytes = Scratch::bytes_per_sample(shape) + deltas;
+    let fits = samples_at_once(gpu, shape, bytes) / samples;
+    let unit = config.train.chunk.min(config.train.rays).next_multiple_of(2);
+    if fits < unit {
+        return Err(Error::Config(format!(
+            "device gpu ({}) has memory for {fits} rays of {samples} samples at once, which is less than a chunk; lower \
+             train.chunk ({}) or field.width",
+            gpu.adapter().name,
+            config.train.chunk
+        )));
+    }
+    Ok((fits / unit * unit).min(config.train.rays))
+}

@@ -1,0 +1,173 @@
+//! The way back of a pass.
+
+use augnerf_core::augment::Site;
+use augnerf_core::settings::OutputPlace;
+use wgpu::Buffer;
+
+use crate::device::groups;
+use crate::kernels::Kernel;
+use crate::network::FieldBuffers;
+
+use super::products::{Matrix, Rows, Through};
+use super::{GradientAt, PassAt, Recorder, Wanted, Words};
+
+impl<'a> Recorder<'a> {
+    /// Records the way back of the pass that was just recorded forward.
+    pub(crate) fn back(&mut self, pass: &PassAt<'a>, wanted: Wanted) {
+        let rows = Rows::Samples(pass.points());
+        let of_tables = wanted.weights && self.shape.grid.is_some();
+        let of_encoding = of_tables || wanted.points();
+        self.activate_back(pass);
+        let below = wanted.weights || wanted.points() || wanted.feature;
+        if !(below || wanted.view) {
+            return;
+        }
+        self.colour_back(pass, wanted, below);
+        if below {
+            let injection = pass.deltas.feature.map(|(_, layer)| layer);
+            self.trunk_back(rows, pass.field, injection, wanted, of_encoding);
+        }
+        if wanted.weights {
+            self.reduce(rows, pass.field, self.shape.weights());
+        }
+        if of_encoding {
+            self.encoding_back(pass, wanted);
+        }
+    }
+
+    fn activate_back(&mut self, pass: &PassAt<'a>) {
+        let (scratch, deltas) = (self.scratch, pass.deltas);
+        let words = self.output_words(pass);
+        let mut buffers = vec![
+            (1, &scratch.raw),
+            (2, &scratch.head),
+            (3, &scratch.d_values),
+            (4, &scratch.d_raw),
+            (5, &scratch.d_head),
+        ];
+        let [rgb, density] = [deltas.rgb.is_some(), deltas.density.is_some()].map(|on| on && deltas.before);
+        if self.has_outside() {
+            buffers.push((6, &scratch.inside));
+        }
+        buffers.extend(pass.noise.map(|noise| (7, noise)));
+        if rgb {
+            buffers.push((8, &scratch.used_rgb));
+        }
+        if density {
+            buffers.push((9, &scratch.used_density));
+        }
+        let kernel = Kernel::new("activate_back").with("INSIDE", self.has_outside());
+        let kernel = kernel.with("NOISE", pass.noise.is_some()).with("BEFORE_RGB", rgb).with("BEFORE_DENSITY", density);
+        self.run(kernel, words, &buffers, groups(pass.points()));
+    }
+
+    /// From the raw colour to the head, and to the encoding of view directions.
+    fn colour_back(&mut self, pass: &PassAt<'a>, wanted: Wanted, below: bool) {
+        let (shape, scratch, rows) = (self.shape, self.scratch, Rows::Samples(pass.points()));
+        let mut d = Matrix::new(&scratch.d_raw, 4);
+        let mut layer = shape.rgb;
+        let mut next = 0;
+        for i in (0..=shape.view.len()).rev() {
+            let input = self.view_input(i, pass.samples);
+            if wanted.weights {
+                self.dense_weights(rows, layer, input, d);
+            }
+            if i > 0 {
+                let to = &scratch.d_hidden[next];
+                let c = (to, shape.view_width);
+                let through = Through { mask: Some(&scratch.view[i - 1]), ..Through::default() };
+                self.dense_back(rows, pass.field, layer, 0..shape.view_width, d, c, through);
+                d = Matrix::new(to, shape.view_width);
+                next = 1 - next;
+                layer = shape.view[i - 1];
+            }
+        }
+        if below {
+            let c = (&scratch.d_head, shape.width + 4);
+            self.dense_back(rows, pass.field, layer, 0..shape.width, d, c, Through::default());
+        }
+        if wanted.view {
+            let inputs = shape.width..shape.width + shape.view_channels;
+            let c = (&scratch.d_view, shape.view_channels);
+            self.dense_back(rows, pass.field, layer, inputs, d, c, Through::default());
+            let words = Words::default().u(pass.rays).u(shape.view_octaves).u(shape.view_channels);
+            let words = words.u(pass.ray0).u(pass.samples).u(0).u(0).u(0);
+            let tilt = pass.deltas.view.expect("a gradient of a delta that is there");
+            let buffers =
+                [(1, self.rays), (2, &scratch.view_encoded), (3, &scratch.d_view), (4, tilt), (5, &scratch.d_tilt)];
+            self.run(Kernel::new("view_back"), words, &buffers, groups(pass.rays));
+        }
+    }
+
+    /// From the head down the trunk: to the layer of a delta, or to the encoding.
+    pub(super) fn trunk_back(
+        &mut self,
+        rows: Rows,
+        field: &FieldBuffers,
+        injection: Option<usize>,
+        wanted: Wanted,
+        of_encoding: bool,
+    ) {
+        let (shape, scratch) = (self.shape, self.scratch);
+        let lowest = if wanted.weights || of_encoding { 0 } else { injection.unwrap_or(0) };
+        let mut d = Matrix::new(&scratch.d_head, shape.width + 4);
+        let mut layer = shape.head;
+        let mut next = 0;
+        let mut adds = false;
+        for i in (0..=shape.trunk.len()).rev() {
+            let input = self.trunk_input(i, injection);
+            if wanted.weights {
+                self.dense_weights(rows, layer, input, d);
+            }
+            if of_encoding && (i == 0 || i < shape.trunk.len() && shape.skips_to(i)) {
+                let c = (&scratch.d_encoded, shape.channels);
+                let through = Through { adds, ..Through::default() };
+                self.dense_back(rows, field, layer, 0..shape.channels, d, c, through);
+                adds = true;
+            }
+            if i == 0 {
+                break;
+            }
+            let from = if i < shape.trunk.len() && shape.skips_to(i) { shape.channels } else { 0 };
+            let to = &scratch.d_hidden[next];
+            let open = (wanted.feature && injection == Some(i)).then_some(&scratch.d_feature);
+            let through = Through { mask: Some(&scratch.trunk[i - 1]), adds: false, open };
+            self.dense_back(rows, field, layer, from..from + shape.width, d, (to, shape.width), through);
+            if lowest == i {
+                break;
+            }
+            d = Matrix::new(to, shape.width);
+            next = 1 - next;
+            layer = shape.trunk[i - 1];
+        }
+    }
+
+    /// Where the gradient of a site's delta is after the way back.
+    pub(crate) fn gradient_of(&self, site: Site, place: OutputPlace) -> GradientAt<'a> {
+        let (scratch, width) = (self.scratch, self.shape.width);
+        match (site, place) {
+            (Site::T, _) => (&scratch.d_t, 1, 0),
+            (Site::Xyz, _) => (&scratch.d_points, 3, 0),
+            (Site::View, _) => (&scratch.d_tilt, 2, 0),
+            (Site::Feature, _) => (&scratch.d_feature, width, 0),
+            (Site::Rgb, OutputPlace::After) => (&scratch.d_values, 4, 0),
+            (Site::Density, OutputPlace::After) => (&scratch.d_values, 4, 3),
+            (Site::Rgb, OutputPlace::Before) => (&scratch.d_raw, 4, 0),
+            (Site::Density, OutputPlace::Before) => (&scratch.d_head, width + 4, width),
+        }
+    }
+
+    /// The positions of the last pass with a delta of `t`.
+    pub(crate) fn moved_t_vals(&self) -> &'a Buffer {
+        &self.scratch.t_moved
+    }
+
+    /// Where the deltas of the output level are as the last pass used them.
+    pub(crate) fn used(&self, site: Site) -> Option<&'a Buffer> {
+        match site {
+            Site::Rgb => Some(&self.scratch.used_rgb),
+            Site::Density => Some(&self.scratch.used_density),
+            _ => None,
+        }
+    }
+}

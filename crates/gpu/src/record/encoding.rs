@@ -1,0 +1,119 @@
+//! Points of samples, their encoding, and the way back from it.
+
+use wgpu::Buffer;
+
+use crate::device::groups;
+use crate::kernels::Kernel;
+use crate::network::{FieldBuffers, GridShape};
+
+use super::products::Rows;
+use super::{FIXED_SCALE, PassAt, Recorder, Wanted, Words};
+
+impl<'a> Recorder<'a> {
+    /// Records positions, points and their encoding. Returns the positions along rays.
+    pub(super) fn place(&mut self, pass: &PassAt<'a>) -> &'a Buffer {
+        let (n, scratch) = (pass.points(), self.scratch);
+        let mut t_vals = pass.t_vals;
+        if let Some(delta) = pass.deltas.t {
+            let count = pass.rays * pass.columns;
+            let words = Words::default().u(count).u(0).u(0).u(0);
+            self.run(Kernel::new("add"), words, &[(1, t_vals), (2, delta), (3, &scratch.t_moved)], groups(count));
+            t_vals = &scratch.t_moved;
+        }
+        let words = Words::default().u(pass.rays).u(pass.samples).u(pass.columns).u(pass.ray0);
+        let mut buffers = vec![(1, self.rays), (2, t_vals), (3, &scratch.points)];
+        buffers.extend(pass.deltas.xyz.map(|shift| (4, shift)));
+        self.run(Kernel::new("points").with("SHIFT", pass.deltas.xyz.is_some()), words, &buffers, groups(n));
+        self.encode(Rows::Samples(n), &scratch.points, pass.field);
+        t_vals
+    }
+
+    /// Records the encoding of points, with its derivatives in jets.
+    pub(super) fn encode(&mut self, rows: Rows, points: &Buffer, field: &FieldBuffers) {
+        let (n, scratch) = (rows.points(), self.scratch);
+        let Some(grid) = &self.shape.grid else {
+            let words = Words::default().u(n).u(self.shape.octaves).u(self.shape.channels).u(0);
+            let kernel = Kernel::new(if rows.are_jets() { "frequency_jets" } else { "frequency" });
+            self.run(kernel, words, &[(1, points), (2, &scratch.encoded)], groups(3 * n));
+            return;
+        };
+        let words = self.domain(n);
+        let buffers = [(1, points), (2, &scratch.unit), (3, &scratch.inside)];
+        self.run(Kernel::new("domain"), words, &buffers, groups(n));
+        let tables = &tables(field).values;
+        let domain = rows.are_jets().then(|| self.gpu.uniform(self.domain(n).words()));
+        let mut buffers = vec![(1, &scratch.unit), (2, tables), (3, &scratch.encoded)];
+        buffers.extend(domain.iter().flat_map(|domain| [(4, domain), (5, points)]));
+        let kernel = of_grid(grid, if rows.are_jets() { "encode_jets" } else { "encode" });
+        self.run(kernel, self.grid(n), &buffers, groups(n * grid.levels.len()));
+    }
+
+    fn domain(&self, points: usize) -> Words {
+        let grid = self.shape.grid.as_ref().expect("a grid");
+        let corner = |words: Words, [x, y, z]: [f64; 3]| words.f(x).f(y).f(z);
+        corner(corner(Words::default(), grid.low).u(points), grid.high).u(grid.contraction as usize)
+    }
+
+    fn grid(&self, points: usize) -> Words {
+        let grid = self.shape.grid.as_ref().expect("a grid");
+        let mut words = Words::default()
+            .u(points)
+            .u(grid.levels.len())
+            .f(FIXED_SCALE / self.loss_scale)
+            .flag(grid.smooth)
+            .u(self.shape.channels)
+            .u(0)
+            .u(0)
+            .u(0);
+        for level in 0..32 {
+            for word in grid.levels.get(level).copied().unwrap_or([1, 1, 0, 1]) {
+                words = words.u(word as usize);
+            }
+        }
+        words
+    }
+
+    /// Records the gradient of a field's tables from that of the encoding.
+    pub(super) fn tables_back(&mut self, rows: Rows, points: &Buffer, field: &FieldBuffers) {
+        let Some(grid) = &self.shape.grid else { return };
+        let (n, scratch) = (rows.points(), self.scratch);
+        let gradient = &tables(field).gradient;
+        let domain = rows.are_jets().then(|| self.gpu.uniform(self.domain(n).words()));
+        let mut buffers = vec![(1, &scratch.unit), (2, &scratch.d_encoded), (3, gradient), (4, self.flags)];
+        buffers.extend(domain.iter().flat_map(|domain| [(5, domain), (6, points)]));
+        let kernel = of_grid(grid, "scatter").with("JETS", rows.are_jets());
+        self.run(kernel, self.grid(n), &buffers, groups(n * grid.levels.len()));
+    }
+
+    /// From the encoding of a pass to tables, points and positions along rays.
+    pub(super) fn encoding_back(&mut self, pass: &PassAt<'a>, wanted: Wanted) {
+        let (shape, scratch, n) = (self.shape, self.scratch, pass.points());
+        if wanted.weights {
+            self.tables_back(Rows::Samples(n), &scratch.points, pass.field);
+        }
+        if let (Some(grid), true) = (&shape.grid, wanted.points()) {
+            let tables = &tables(pass.field).values;
+            let buffers = [(1, &scratch.unit), (2, tables), (3, &scratch.d_encoded), (4, &scratch.d_points)];
+            self.run(of_grid(grid, "slope"), self.grid(n), &buffers, groups(n));
+            let buffers = [(1, &scratch.points), (2, &scratch.inside), (3, &scratch.d_points)];
+            self.run(Kernel::new("domain_back"), self.domain(n), &buffers, groups(n));
+        } else if wanted.points() {
+            let words = Words::default().u(n).u(shape.octaves).u(shape.channels).u(0);
+            let buffers = [(1, &scratch.encoded), (2, &scratch.d_encoded), (3, &scratch.d_points)];
+            self.run(Kernel::new("frequency_back"), words, &buffers, groups(3 * n));
+        }
+        if wanted.t {
+            let words = Words::default().u(pass.rays).u(pass.samples).u(pass.columns).u(pass.ray0);
+            let buffers = [(1, self.rays), (2, &scratch.d_points), (3, &scratch.d_t)];
+            self.run(Kernel::new("t_back"), words, &buffers, groups(pass.rays * pass.columns));
+        }
+    }
+}
+
+fn of_grid(grid: &GridShape, name: &'static str) -> Kernel {
+    Kernel::new(name).set("FEATURES", grid.features)
+}
+
+fn tables(field: &FieldBuffers) -> &crate::network::Learned {
+    field.tables.as_ref().expect("a grid has tables")
+}

@@ -1,0 +1,165 @@
+//! A pass forward.
+
+use wgpu::Buffer;
+
+use crate::device::groups;
+use crate::kernels::Kernel;
+use crate::network::FieldBuffers;
+
+use super::products::{Matrix, Output, Rows};
+use super::{Outputs, PassAt, PassLoss, Recorder, Words};
+
+impl<'a> Recorder<'a> {
+    /// Whether points can be outside of where density is.
+    pub(super) fn has_outside(&self) -> bool {
+        self.shape.grid.as_ref().is_some_and(|grid| grid.contraction == 0)
+    }
+
+    /// The input of layer `i` of the trunk, from 0, with the layer below as a delta after layer `injection` moved it.
+    pub(super) fn trunk_input(&self, i: usize, injection: Option<usize>) -> (Matrix<'a>, Option<Matrix<'a>>) {
+        let (scratch, shape) = (self.scratch, self.shape);
+        let encoded = Matrix::new(&scratch.encoded, shape.channels);
+        if i == 0 {
+            return (encoded, None);
+        }
+        let below = if injection == Some(i) { &scratch.moved } else { &scratch.trunk[i - 1] };
+        let hidden = Matrix::new(below, shape.width);
+        if i < shape.trunk.len() && shape.skips_to(i) { (encoded, Some(hidden)) } else { (hidden, None) }
+    }
+
+    /// Records the trunk, with a delta after a layer.
+    pub(super) fn trunk(&mut self, rows: Rows, field: &FieldBuffers, feature: Option<(&Buffer, usize)>) {
+        let (shape, scratch) = (self.shape, self.scratch);
+        let injection = feature.map(|(_, layer)| layer);
+        for (i, layer) in shape.trunk.iter().enumerate() {
+            let input = self.trunk_input(i, injection);
+            let delta = feature.filter(|(_, at)| *at == i + 1).map(|(delta, _)| (delta, &scratch.moved));
+            let c = Output { buffer: &scratch.trunk[i], stride: shape.width, first: 0 };
+            self.dense(rows, field, *layer, 0..shape.width, input, c, true, delta);
+        }
+    }
+
+    /// Records the trunk and the head's density alone.
+    pub(super) fn raw_density(&mut self, rows: Rows, field: &FieldBuffers) {
+        let (shape, scratch) = (self.shape, self.scratch);
+        self.trunk(rows, field, None);
+        let last = self.trunk_input(shape.trunk.len(), None).0;
+        let columns = shape.width..shape.width + 4;
+        let c = Output { buffer: &scratch.head, stride: shape.width + 4, first: shape.width };
+        self.dense(rows, field, shape.head, columns, (last, None), c, false, None);
+    }
+
+    /// Records the weights of samples from the field's density alone.
+    pub(crate) fn place_by_density(&mut self, pass: &PassAt<'a>) {
+        let t_vals = self.place(pass);
+        self.raw_density(Rows::Samples(pass.points()), pass.field);
+        self.density_of_head(pass.points());
+        self.march(pass, t_vals, None);
+    }
+
+    pub(super) fn output_words(&self, pass: &PassAt) -> Words {
+        let Outputs { activation, padding, limit } = self.outputs;
+        let deltas = &pass.deltas;
+        let (rgb, ball) = deltas.rgb.map_or((0.0, false), |(_, radius, ball)| (radius, ball));
+        let (density, masks) = deltas.density.map_or((0.0, false), |(_, radius, masks)| (radius, masks));
+        let words = Words::default().u(pass.points()).u(pass.samples).u(self.shape.width + 4).u(activation);
+        let words = words.f(padding).f(limit).f(rgb).f(density).flag(ball).flag(masks).flag(deltas.before);
+        words.u(0)
+    }
+
+    /// Records density without noise and deltas.
+    pub(super) fn density_of_head(&mut self, points: usize) {
+        let scratch = self.scratch;
+        let words = Words::default().u(points).u(self.shape.width + 4).u(self.outputs.activation).u(0);
+        let mut buffers = vec![(2, &scratch.head), (3, &scratch.density)];
+        if self.has_outside() {
+            buffers.push((4, &scratch.inside));
+        }
+        let kernel = Kernel::new("density").with("INSIDE", self.has_outside());
+        self.run(kernel, words, &buffers, groups(points));
+    }
+
+    /// Records weights, or accumulation without noise into `out`.
+    fn march(&mut self, pass: &PassAt<'a>, t_vals: &Buffer, out: Option<&Buffer>) {
+        let scratch = self.scratch;
+        let words = Words::default().u(pass.rays).u(pass.samples).u(pass.columns).u(pass.ray0).u(0).u(0).u(0).u(0);
+        let kernel = Kernel::new("march").with("WEIGHTS", out.is_none()).with("ACC", out.is_some());
+        let mut buffers = vec![(1, self.rays), (2, t_vals), (3, &scratch.density)];
+        buffers.push(out.map_or((4, &scratch.weights), |out| (5, out)));
+        self.run(kernel, words, &buffers, [pass.rays.div_ceil(32) as u32, 1, 1]);
+    }
+
+    /// Records a pass forward, and its loss with what the way back starts from.
+    pub(crate) fn forward(&mut self, pass: &PassAt<'a>, loss: Option<PassLoss>) {
+        let (shape, scratch, rows) = (self.shape, self.scratch, Rows::Samples(pass.points()));
+        let t_vals = self.place(pass);
+        let words = Words::default().u(pass.rays).u(shape.view_octaves).u(shape.view_channels).u(pass.ray0);
+        let mut buffers = vec![(1, self.rays), (2, &scratch.view_encoded)];
+        buffers.extend(pass.deltas.view.map(|tilt| (3, tilt)));
+        self.run(Kernel::new("view").with("TILT", pass.deltas.view.is_some()), words, &buffers, groups(pass.rays));
+        self.trunk(rows, pass.field, pass.deltas.feature);
+        let injection = pass.deltas.feature.map(|(_, layer)| layer);
+        let last = self.trunk_input(shape.trunk.len(), injection).0;
+        let head = Output { buffer: &scratch.head, stride: shape.width + 4, first: 0 };
+        self.dense(rows, pass.field, shape.head, 0..shape.width + 4, (last, None), head, false, None);
+        for (i, layer) in shape.view.iter().enumerate() {
+            let input = self.view_input(i, pass.samples);
+            let c = Output { buffer: &scratch.view[i], stride: shape.view_width, first: 0 };
+            self.dense(rows, pass.field, *layer, 0..shape.view_width, input, c, true, None);
+        }
+        let last = (self.view_input(shape.view.len(), pass.samples).0, None);
+        let raw = Output { buffer: &scratch.raw, stride: 4, first: 0 };
+        self.dense(rows, pass.field, shape.rgb, 0..4, last, raw, false, None);
+        self.activate(pass);
+        self.composite(pass, t_vals, loss);
+        if pass.noise.is_some() {
+            self.density_of_head(pass.points());
+            self.march(pass, t_vals, Some(pass.out));
+        }
+    }
+
+    /// The input of layer `i` between trunk and colour.
+    pub(super) fn view_input(&self, i: usize, samples: usize) -> (Matrix<'a>, Option<Matrix<'a>>) {
+        let (scratch, shape) = (self.scratch, self.shape);
+        if i > 0 {
+            return (Matrix::new(&scratch.view[i - 1], shape.view_width), None);
+        }
+        let feature = Matrix { columns: shape.width, ..Matrix::new(&scratch.head, shape.width + 4) };
+        let view = Matrix { every: samples, ..Matrix::new(&scratch.view_encoded, shape.view_channels) };
+        (feature, Some(view))
+    }
+
+    fn activate(&mut self, pass: &PassAt<'a>) {
+        let (scratch, deltas) = (self.scratch, pass.deltas);
+        let words = self.output_words(pass);
+        let mut buffers = vec![(1, &scratch.raw), (2, &scratch.head), (3, &scratch.values)];
+        if self.has_outside() {
+            buffers.push((4, &scratch.inside));
+        }
+        buffers.extend(pass.noise.map(|noise| (5, noise)));
+        if let Some((delta, ..)) = deltas.rgb {
+            buffers.extend([(6, delta), (8, &scratch.used_rgb)]);
+        }
+        if let Some((delta, ..)) = deltas.density {
+            buffers.extend([(7, delta), (9, &scratch.used_density)]);
+        }
+        let kernel = Kernel::new("activate").with("INSIDE", self.has_outside()).with("NOISE", pass.noise.is_some());
+        let kernel = kernel.with("RGB", deltas.rgb.is_some()).with("DENSITY", deltas.density.is_some());
+        self.run(kernel, words, &buffers, groups(pass.points()));
+    }
+
+    fn composite(&mut self, pass: &PassAt<'a>, t_vals: &Buffer, loss: Option<PassLoss>) {
+        let scratch = self.scratch;
+        let background = self.background.unwrap_or_default().map(f64::from);
+        let PassLoss { weight, distortion } = loss.unwrap_or(PassLoss { weight: 0.0, distortion: 0.0 });
+        let words = Words::default().u(pass.rays).u(pass.samples).u(pass.columns).u(pass.ray0);
+        let words = background.into_iter().fold(words, Words::f).flag(self.background.is_some());
+        let words = words.f(weight * self.loss_scale).f(distortion * self.loss_scale).f(self.bounds.0).f(self.bounds.1);
+        let mut buffers = vec![(1, self.rays), (2, t_vals), (3, &scratch.values), (4, &scratch.weights), (5, pass.out)];
+        if loss.is_some() {
+            buffers.extend([(6, &scratch.before), (7, &scratch.d_values), (8, &scratch.d_t)]);
+        }
+        let kernel = Kernel::new("composite").with("BACK", loss.is_some()).with("DISTORTION", distortion != 0.0);
+        self.run(kernel, words, &buffers, [pass.rays.div_ceil(32) as u32, 1, 1]);
+    }
+}

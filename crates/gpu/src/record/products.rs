@@ -1,0 +1,178 @@
+//! Products of the layers, forward and back.
+
+use std::ops::Range;
+
+use wgpu::Buffer;
+
+use crate::device::groups;
+use crate::kernels::{Kernel, Tile, Tiles};
+use crate::network::{FieldBuffers, Layer};
+
+use super::{Recorder, Words};
+
+/// Parts of a gradient of weights, at most.
+const MOST_PARTS: usize = 128;
+/// Fewest rows of a part.
+const PART: usize = 512;
+
+/// The rows of products.
+#[derive(Clone, Copy)]
+pub(crate) enum Rows {
+    /// A row a sample.
+    Samples(usize),
+    /// Four rows a point: its value, and its derivatives along x, y and z. Layers are linear in derivatives, without
+    /// biases, and the value's ReLU is that of its derivatives.
+    Jets(usize),
+}
+
+impl Rows {
+    /// Returns the number of rows.
+    pub(super) fn count(self) -> usize {
+        match self {
+            Rows::Samples(samples) => samples,
+            Rows::Jets(points) => 4 * points,
+        }
+    }
+
+    /// Returns the number of samples or points.
+    pub(super) fn points(self) -> usize {
+        match self {
+            Rows::Samples(points) | Rows::Jets(points) => points,
+        }
+    }
+
+    pub(super) fn are_jets(self) -> bool {
+        matches!(self, Rows::Jets(_))
+    }
+}
+
+/// A matrix in a buffer: numbers between rows, columns that are read.
+#[derive(Clone, Copy)]
+pub(super) struct Matrix<'a> {
+    pub(super) buffer: &'a Buffer,
+    pub(super) stride: usize,
+    pub(super) columns: usize,
+    /// Rows that share one of its rows.
+    pub(super) every: usize,
+}
+
+impl<'a> Matrix<'a> {
+    pub(super) fn new(buffer: &'a Buffer, stride: usize) -> Matrix<'a> {
+        Matrix { buffer, stride, columns: stride, every: 1 }
+    }
+}
+
+/// What a product leaves: the buffer, numbers between rows, the first column.
+pub(super) struct Output<'a> {
+    pub(super) buffer: &'a Buffer,
+    pub(super) stride: usize,
+    pub(super) first: usize,
+}
+
+/// How the way back goes on from a layer's inputs.
+#[derive(Clone, Copy, Default)]
+pub(super) struct Through<'a> {
+    /// The ReLU's outputs that let gradients pass.
+    pub(super) mask: Option<&'a Buffer>,
+    /// The product is added to what is there.
+    pub(super) adds: bool,
+    /// Gets the gradient before the mask.
+    pub(super) open: Option<&'a Buffer>,
+}
+
+/// Returns the rows of a part of a gradient of weights over `rows` rows, and the number of parts.
+pub(super) fn parts(rows: usize) -> (usize, usize) {
+    let of_part = rows.div_ceil(MOST_PARTS).max(PART).next_multiple_of(16);
+    (of_part, rows.div_ceil(of_part))
+}
+
+impl<'a> Recorder<'a> {
+    /// Returns the tile and the kernel of a product with so many columns. Derivatives are computed in f32.
+    fn tiled(&self, name: &'static str, columns: usize, rows: Rows) -> (Tile, Kernel) {
+        let tiles = if rows.are_jets() && self.tiles == Tiles::Matrices { Tiles::Large } else { self.tiles };
+        let tile = Tile::of(columns, tiles);
+        (tile, tile.kernel(name).with("F16", tile.in_f16).with("JETS", rows.are_jets()))
+    }
+
+    fn product_words(rows: Rows, n: usize, a: Matrix, second: Option<Matrix>) -> Words {
+        let b = second.unwrap_or(Matrix { columns: 0, stride: 1, every: 1, ..a });
+        Words::default().u(rows.count()).u(n).u(a.columns).u(b.columns).u(a.stride).u(b.stride).u(b.every)
+    }
+
+    /// Records C = [A1 | A2] W + b over some columns of a layer, by ReLU if asked. A delta is added to what the next layer
+    /// reads.
+    #[expect(clippy::too_many_arguments, reason = "the operands of a product")]
+    pub(super) fn dense(
+        &mut self,
+        rows: Rows,
+        field: &FieldBuffers,
+        layer: Layer,
+        columns: Range<usize>,
+        (a, second): (Matrix, Option<Matrix>),
+        c: Output,
+        relu: bool,
+        delta: Option<(&Buffer, &Buffer)>,
+    ) {
+        let n = columns.len();
+        let (tile, kernel) = self.tiled("product", n, rows);
+        let kernel = kernel.with("SECOND", second.is_some()).with("DELTA", delta.is_some());
+        let words = Recorder::product_words(rows, n, a, second).u(layer.outputs).u(layer.offset + columns.start);
+        let words = words.u(c.stride).u(c.first).flag(relu).u(n).u(0).u(0).u(0);
+        let mut buffers = vec![(1, a.buffer), (3, &field.weights.values), (4, c.buffer)];
+        buffers.extend(second.map(|second| (2, second.buffer)));
+        if let Some((delta, moved)) = delta {
+            buffers.extend([(5, delta), (6, moved)]);
+        }
+        let size = [rows.count().div_ceil(tile.rows) as u32, n.div_ceil(tile.columns) as u32, 1];
+        self.run(kernel, words, &buffers, size);
+        self.work.multiply_adds += (rows.count() * n * layer.inputs) as f64;
+    }
+
+    /// Records C = D W^T over some of a layer's inputs.
+    #[expect(clippy::too_many_arguments, reason = "the operands of a product")]
+    pub(super) fn dense_back(
+        &mut self,
+        rows: Rows,
+        field: &FieldBuffers,
+        layer: Layer,
+        inputs: Range<usize>,
+        d: Matrix,
+        c: (&Buffer, usize),
+        Through { mask, adds, open }: Through,
+    ) {
+        let n = inputs.len();
+        let (tile, kernel) = self.tiled("product_back", n, rows);
+        let kernel = kernel.with("ADD", adds).with("MASK", mask.is_some());
+        let kernel = kernel.with("OPEN", open.is_some());
+        let words = Recorder::product_words(rows, n, d, None).u(layer.outputs);
+        let words = words.u(layer.offset + inputs.start * layer.outputs).u(c.1).u(0).u(0).u(n).u(0).u(0).u(0);
+        let mut buffers = vec![(1, d.buffer), (3, &field.weights.values), (4, c.0)];
+        buffers.extend(mask.map(|mask| (5, mask)));
+        buffers.extend(open.map(|open| (6, open)));
+        let size = [rows.count().div_ceil(tile.rows) as u32, n.div_ceil(tile.columns) as u32, 1];
+        self.run(kernel, words, &buffers, size);
+        self.work.multiply_adds += (rows.count() * n * layer.outputs) as f64;
+    }
+
+    /// Records the parts of a layer's gradient.
+    pub(super) fn dense_weights(&mut self, rows: Rows, layer: Layer, (a, second): (Matrix, Option<Matrix>), d: Matrix) {
+        let (tile, kernel) = self.tiled("weights", layer.outputs, rows);
+        let (part_rows, parts) = parts(rows.count());
+        let kernel = kernel.with("SECOND", second.is_some());
+        let words = Recorder::product_words(rows, layer.outputs, a, second).u(d.stride).u(0).u(0).u(0).u(0).u(0);
+        let words = words.u(part_rows).u(self.shape.weights()).u(layer.offset).u(0);
+        let mut buffers = vec![(1, a.buffer), (3, d.buffer), (4, &self.scratch.parts)];
+        buffers.extend(second.map(|second| (2, second.buffer)));
+        let tiles = |size: usize, tile: usize| size.div_ceil(tile) as u32;
+        let size = [tiles(layer.inputs, tile.rows), tiles(layer.outputs, tile.columns), parts as u32];
+        self.run(kernel, words, &buffers, size);
+        self.work.multiply_adds += (rows.count() * layer.inputs * layer.outputs) as f64;
+    }
+
+    /// Records the sum of the parts of a field's gradient, up to this number of weights.
+    pub(super) fn reduce(&mut self, rows: Rows, field: &FieldBuffers, weights: usize) {
+        let words = Words::default().u(weights).u(parts(rows.count()).1).u(self.shape.weights()).u(0);
+        let buffers = [(1, &self.scratch.parts), (2, &field.weights.gradient)];
+        self.run(Kernel::new("reduce"), words, &buffers, groups(weights));
+    }
+}

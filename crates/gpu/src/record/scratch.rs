@@ -1,0 +1,94 @@
+//! The buffers of samples.
+
+use wgpu::Buffer;
+
+use crate::device::Gpu;
+use crate::network::Shape;
+
+use super::products::parts;
+
+/// Buffers of the samples of a chunk of rays, used by one pass after another.
+pub(crate) struct Scratch {
+    pub(super) points: Buffer,
+    pub(super) unit: Buffer,
+    pub(super) inside: Buffer,
+    pub(super) encoded: Buffer,
+    pub(super) trunk: Vec<Buffer>,
+    /// The injection layer's output with its delta.
+    pub(super) moved: Buffer,
+    pub(super) head: Buffer,
+    pub(super) view: Vec<Buffer>,
+    pub(super) raw: Buffer,
+    pub(crate) values: Buffer,
+    pub(crate) density: Buffer,
+    pub(super) weights: Buffer,
+    pub(super) before: Buffer,
+    pub(super) d_values: Buffer,
+    pub(super) d_raw: Buffer,
+    pub(super) d_head: Buffer,
+    pub(super) d_hidden: [Buffer; 2],
+    pub(super) d_encoded: Buffer,
+    pub(super) d_feature: Buffer,
+    pub(super) d_view: Buffer,
+    pub(super) d_points: Buffer,
+    pub(super) d_t: Buffer,
+    pub(super) d_tilt: Buffer,
+    pub(super) t_moved: Buffer,
+    pub(super) view_encoded: Buffer,
+    pub(super) parts: Buffer,
+    pub(super) used_rgb: Buffer,
+    pub(super) used_density: Buffer,
+}
+
+impl Scratch {
+    /// Bytes of a sample.
+    pub(crate) fn bytes_per_sample(shape: &Shape) -> usize {
+        let numbers = 3 * 4
+            + 1
+            + 2 * shape.channels
+            + (shape.trunk.len() + 4) * shape.width
+            + 2 * (shape.width + 4)
+            + shape.view.len() * shape.view_width
+            + shape.view_channels
+            + 34;
+        4 * numbers
+    }
+
+    /// Makes the buffers of so many rays, those of the way back if `trains`.
+    pub(crate) fn new(gpu: &Gpu, shape: &Shape, rays: usize, samples: usize, trains: bool) -> Scratch {
+        let n = rays * samples;
+        let f = |numbers: usize| gpu.numbers(numbers);
+        let back = |numbers: usize| gpu.numbers(if trains { numbers } else { 1 });
+        let hidden = n * shape.width.max(shape.view_width);
+        Scratch {
+            points: f(3 * n),
+            unit: f(3 * n),
+            inside: f(n),
+            encoded: f(n * shape.channels),
+            trunk: shape.trunk.iter().map(|_| f(n * shape.width)).collect(),
+            moved: back(n * shape.width),
+            head: f(n * (shape.width + 4)),
+            view: shape.view.iter().map(|_| f(n * shape.view_width)).collect(),
+            raw: f(4 * n),
+            values: f(4 * n),
+            density: f(n),
+            weights: f(n),
+            before: back(n),
+            d_values: back(4 * n),
+            d_raw: back(4 * n),
+            d_head: back(n * (shape.width + 4)),
+            d_hidden: [back(hidden), back(hidden)],
+            d_encoded: back(n * shape.channels),
+            d_feature: back(n * shape.width),
+            d_view: back(n * shape.view_channels),
+            d_points: back(3 * n),
+            d_t: back(rays * (samples + 1)),
+            d_tilt: back(2 * rays),
+            t_moved: back(rays * (samples + 1)),
+            view_encoded: f(rays * shape.view_channels),
+            parts: back(parts(n).1 * shape.weights()),
+            used_rgb: back(3 * n),
+            used_density: back(n),
+        }
+    }
+}

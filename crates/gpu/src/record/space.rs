@@ -1,0 +1,80 @@
+//! Density and its gradient at points in space, and the gradients of what is integrated there.
+
+use wgpu::Buffer;
+
+use crate::device::groups;
+use crate::kernels::Kernel;
+use crate::network::FieldBuffers;
+
+use super::products::Rows;
+use super::{Recorder, Wanted, Words};
+
+/// Points at which a field is queried.
+#[derive(Clone, Copy)]
+pub(crate) struct SpaceAt<'a> {
+    pub(crate) field: &'a FieldBuffers,
+    pub(crate) points: &'a Buffer,
+    pub(crate) count: usize,
+    pub(crate) has_gradient: bool,
+    /// Density and its gradient: `[.., 4]`, from row `first` on.
+    pub(crate) out: &'a Buffer,
+    pub(crate) first: usize,
+}
+
+/// Weights of density and of its gradient's length at one point.
+#[derive(Clone, Copy, Default)]
+pub(crate) struct Integrand {
+    pub(crate) l1: f64,
+    pub(crate) tv: f64,
+}
+
+impl SpaceAt<'_> {
+    fn rows(&self) -> Rows {
+        if self.has_gradient { Rows::Jets(self.count) } else { Rows::Samples(self.count) }
+    }
+}
+
+impl Recorder<'_> {
+    fn space_words(&self, at: &SpaceAt, integrand: Integrand) -> Words {
+        let words = Words::default().u(at.count).u(self.shape.width + 4).u(self.outputs.activation).u(at.first);
+        words.f(integrand.l1 * self.loss_scale).f(integrand.tv * self.loss_scale).u(0).u(0)
+    }
+
+    fn space_kernel(&mut self, name: &'static str, at: &SpaceAt, words: Words, to: &Buffer, threads: usize) {
+        let mut buffers = vec![(1, &self.scratch.head), (2, to)];
+        if self.has_outside() {
+            buffers.push((3, &self.scratch.inside));
+        }
+        let kernel = Kernel::new(name).with("INSIDE", self.has_outside()).with("JETS", at.has_gradient);
+        self.run(kernel, words, &buffers, groups(threads));
+    }
+
+    /// Records density at points, and its gradient if asked.
+    pub(crate) fn space(&mut self, at: &SpaceAt) {
+        self.encode(at.rows(), at.points, at.field);
+        self.raw_density(at.rows(), at.field);
+        let words = self.space_words(at, Integrand::default());
+        self.space_kernel("space", at, words, at.out, at.count);
+    }
+
+    /// Records the gradients of an integrand at the points that were just queried.
+    pub(crate) fn space_back(&mut self, at: &SpaceAt, integrand: Integrand) {
+        let (scratch, rows) = (self.scratch, at.rows());
+        let words = self.space_words(at, integrand);
+        self.space_kernel("space_back", at, words, &scratch.d_head, rows.count() * (self.shape.width + 4));
+        let wanted = Wanted { weights: true, ..Wanted::default() };
+        let has_tables = self.shape.grid.is_some();
+        self.trunk_back(rows, at.field, None, wanted, has_tables);
+        // Colour's layers come after the head.
+        self.reduce(rows, at.field, self.shape.head.end());
+        if has_tables {
+            self.tables_back(rows, at.points, at.field);
+        }
+    }
+
+    /// Records the integrals of density and of its gradient's length over `points` points into a slot of results.
+    pub(crate) fn integrals(&mut self, points: usize, volume: f64, from: &Buffer, slot: usize, results: &Buffer) {
+        let words = Words::default().u(points).u(slot).f(volume).u(0);
+        self.run(Kernel::new("integrals"), words, &[(1, from), (2, results)], [1, 1, 1]);
+    }
+}

@@ -1,0 +1,160 @@
+//! The buffers of a step.
+
+use augnerf_core::base::Result;
+use augnerf_core::data::Scene;
+use augnerf_core::settings::{LatticePoints, Regularizer, Resolved};
+use augnerf_core::space::Quadrature;
+use candle_core::{DType, Device};
+use wgpu::Buffer;
+
+use crate::device::Gpu;
+use crate::network::Shape;
+use crate::rays::{RAY, bins};
+use crate::record::{OUT, Scratch};
+use crate::sets::{PassSets, PassSize, SetBuffers, numbers_to_draw};
+
+use super::results::{COUNTS, DIAGNOSED, FLAGS, SLOT, SLOTS};
+
+pub(super) struct StepBuffers {
+    pub(super) now: Buffer,
+    pub(super) rays: Buffer,
+    pub(super) rows: Buffer,
+    pub(super) jitter: Buffer,
+    pub(super) noise: Buffer,
+    pub(super) u: Buffer,
+    pub(super) numbers: Buffer,
+    pub(super) t_coarse: Buffer,
+    pub(super) t_fine: Buffer,
+    pub(super) t_second: Buffer,
+    pub(super) outs: Vec<Buffer>,
+    pub(super) results: Buffer,
+    pub(super) flags: Buffer,
+    pub(super) counts: Buffer,
+    pub(super) scratch: Scratch,
+    pub(super) sets: [Option<SetBuffers>; 2],
+    pub(super) space: Option<SpaceBuffers>,
+    /// Rays of a chunk.
+    pub(super) chunk: usize,
+}
+
+impl StepBuffers {
+    pub(super) fn new(
+        gpu: &Gpu,
+        config: &Resolved,
+        scene: &Scene,
+        shape: &Shape,
+        sets: &[Option<PassSets>; 2],
+        chunk: usize,
+    ) -> Result<StepBuffers> {
+        let rays = config.train.rays;
+        let (coarse, fine) = config.samples();
+        let samples = coarse.max(fine);
+        let encoding = config.field.encoding;
+        let columns = encoding.t_vals(coarse);
+        let fine_columns = encoding.t_vals(config.sampling.fine);
+        let numbers = sets
+            .iter()
+            .flatten()
+            .map(|sets| numbers_to_draw(sets, chunk, config.train.chunk.min(config.train.rays)))
+            .max();
+        let f = |count: usize| gpu.numbers(count);
+        let t_vals = || f(chunk * (samples + 1));
+        let pair = |i: usize| sets[i].as_ref().map(|sets| SetBuffers::new(gpu, sets, chunk));
+        let buffers = StepBuffers {
+            now: gpu.uniform(&[0; 8]),
+            rays: f(rays * RAY),
+            rows: gpu.storage(&bins(config.sampling.spacing, scene.bounds(), columns, config.sampling.jitter)),
+            jitter: f(chunk * columns),
+            noise: f(chunk * samples + 2),
+            u: f(chunk * fine_columns),
+            numbers: f(numbers.unwrap_or(1)),
+            t_coarse: t_vals(),
+            t_fine: t_vals(),
+            t_second: t_vals(),
+            outs: (0..SLOTS).map(|_| f(1)).collect(),
+            results: f(SLOTS * SLOT),
+            flags: f(FLAGS),
+            counts: f(COUNTS),
+            scratch: Scratch::new(gpu, shape, chunk, samples, true),
+            sets: [pair(0), pair(1)],
+            space: SpaceBuffers::new(gpu, config, chunk * samples)?,
+            chunk,
+        };
+        Ok(buffers.with_outs(gpu, config))
+    }
+
+    /// Makes the outputs of the passes that a run has.
+    fn with_outs(mut self, gpu: &Gpu, config: &Resolved) -> StepBuffers {
+        let used = if config.method.is_augmented() { SLOTS } else { DIAGNOSED };
+        for out in &mut self.outs[..used] {
+            *out = gpu.numbers(config.train.rays * OUT);
+        }
+        self
+    }
+}
+
+/// Returns the sizes of a step's perturbed passes, coarse and fine.
+pub(super) fn pass_sizes(config: &Resolved) -> [Option<PassSize>; 2] {
+    let (coarse, fine) = config.samples();
+    let size = |is_coarse: bool, samples: usize| PassSize {
+        is_coarse,
+        samples,
+        columns: config.field.encoding.t_vals(samples),
+    };
+    [config.representation().has_coarse_loss().then(|| size(true, coarse)), (fine > 0).then(|| size(false, fine))]
+}
+
+/// The points of the terms in space.
+pub(super) struct SpaceBuffers {
+    /// Points that are queried at once, and their number.
+    pub(super) parts: Vec<(Buffer, usize)>,
+    /// Density and its gradient at all of them.
+    pub(super) at: Buffer,
+    pub(super) has_gradient: bool,
+    /// The volume that a point stands for.
+    pub(super) volume_each: f64,
+}
+
+impl SpaceBuffers {
+    /// Makes the buffers for terms whose points are queried through so many rows of samples. `None` without such terms.
+    fn new(gpu: &Gpu, config: &Resolved, rows: usize) -> Result<Option<SpaceBuffers>> {
+        if !config.regularizer.terms().any(|(term, _)| term.in_space()) {
+            return Ok(None);
+        }
+        let has_gradient = config.regularizer.terms().any(|(term, _)| term == Regularizer::Tv);
+        let points = Quadrature::draw(&config.regularizer, config.seed, 0);
+        let most = if has_gradient { rows / 4 } else { rows };
+        let part = |first: usize| {
+            let count = most.min(points.count() - first);
+            (gpu.numbers(3 * count), count)
+        };
+        let space = SpaceBuffers {
+            parts: (0..points.count()).step_by(most).map(part).collect(),
+            at: gpu.numbers(4 * points.count()),
+            has_gradient,
+            volume_each: points.volume_each(),
+        };
+        space.write(gpu, &points)?;
+        Ok(Some(space))
+    }
+
+    fn write(&self, gpu: &Gpu, points: &Quadrature) -> Result<()> {
+        let mut first = 0;
+        for (buffer, count) in &self.parts {
+            let values = points.tensor(first, *count, DType::F32, &Device::Cpu)?.flatten_all()?.to_vec1::<f32>()?;
+            gpu.write(buffer, bytemuck::cast_slice(&values));
+            first += count;
+        }
+        Ok(())
+    }
+
+    /// Sends the points of a step. Returns their bytes. Midpoints of all cells are there already.
+    pub(super) fn send(&self, gpu: &Gpu, config: &Resolved, step: u64) -> Result<usize> {
+        if config.regularizer.points == LatticePoints::Full {
+            return Ok(0);
+        }
+        let points = Quadrature::draw(&config.regularizer, config.seed, step);
+        self.write(gpu, &points)?;
+        Ok(12 * points.count())
+    }
+}

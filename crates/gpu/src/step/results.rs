@@ -1,0 +1,195 @@
+//! What a step leaves to be read, and the report made of it.
+
+use augnerf_core::augment::Site;
+use augnerf_core::methods::{Extremes, SiteDiagnostics, StepLosses, StepReport, coarse_weight};
+use augnerf_core::settings::{RegularizedFields, Regularizer};
+
+use super::Steps;
+
+const EIGHT_BIT: f64 = 255.0;
+
+/// Numbers of a slot of results; `loss.wgsl` says which.
+pub(super) const SLOT: usize = 16;
+/// In a slot: mean squared error, 13 extremes, distortion.
+const MSE: usize = 0;
+const DISTORTION: usize = 14;
+/// In the slot of a field's terms in space; `integrals.wgsl` says which.
+const L1: usize = 0;
+const TV: usize = 1;
+
+/// Slots: clean passes, perturbed passes, terms in space of the coarse and the fine field, diagnostics.
+pub(super) const COARSE: usize = 0;
+pub(super) const FINE: usize = 1;
+pub(super) const SECOND_COARSE: usize = 2;
+pub(super) const SECOND_FINE: usize = 3;
+pub(super) const SPACE: usize = 4;
+pub(super) const DIAGNOSED: usize = 6;
+/// Slots of a pass's diagnostics: without deltas, and of each site with its deltas, their shift, and with random ones.
+const OF_PASS: usize = 1 + 3 * Site::ALL.len();
+pub(super) const SLOTS: usize = DIAGNOSED + 2 * OF_PASS;
+
+/// Words of the flags: what is broken, and the first broken number of each field's weights and tables.
+pub(super) const FLAGS: usize = 8;
+/// Counts of a pass's and site's numbers at their bound, and of those that may move.
+pub(super) const COUNTS: usize = 2 * 2 * Site::ALL.len();
+
+pub(super) fn no_flags() -> [u32; FLAGS] {
+    let mut flags = [u32::MAX; FLAGS];
+    flags[0] = 0;
+    flags
+}
+
+/// The slot of a pass (0 coarse, 1 fine) without deltas.
+pub(super) fn first_of(pass: usize) -> usize {
+    DIAGNOSED + pass * OF_PASS
+}
+
+/// The slot of a pass with one site's deltas alone.
+pub(super) fn alone(first: usize, site: Site) -> usize {
+    first + 1 + 3 * site as usize
+}
+
+/// The slot of a pass with random deltas of one site alone.
+pub(super) fn at_random(first: usize, site: Site) -> usize {
+    alone(first, site) + 1
+}
+
+/// The slot of the shift of colours by one site's deltas.
+pub(super) fn shift_of(first: usize, site: Site) -> usize {
+    alone(first, site) + 2
+}
+
+/// The place of a site's counts at bounds.
+pub(super) fn bounded(pass: usize, site: Site) -> usize {
+    2 * (pass * Site::ALL.len() + site as usize)
+}
+
+impl Steps {
+    /// The slots of passes that a step has.
+    pub(super) fn slots(&self, log: bool) -> Vec<usize> {
+        let augmented = self.config.method.is_augmented();
+        let (coarse, fine) = (self.config.representation().has_coarse_loss(), self.config.sampling.fine > 0);
+        let mut slots = Vec::new();
+        slots.extend(coarse.then_some(COARSE));
+        slots.extend(fine.then_some(FINE));
+        slots.extend((augmented && coarse).then_some(SECOND_COARSE));
+        slots.extend((augmented && fine).then_some(SECOND_FINE));
+        if log {
+            for (pass, sets) in self.sets.iter().enumerate() {
+                let Some(sets) = sets else { continue };
+                let first = first_of(pass);
+                slots.push(first);
+                slots.extend(sets.sites().flat_map(|site| [alone(first, site), at_random(first, site)]));
+            }
+        }
+        slots
+    }
+
+    /// Makes the report of a step from its results.
+    pub(super) fn report(&self, results: &[f32], counts: Option<&[u32]>) -> StepReport {
+        let config = &self.config;
+        let value = |slot: usize, what: usize| f64::from(results[slot * SLOT + what]);
+        let slots = self.slots(false);
+        let mse_of = |slot: usize| slots.contains(&slot).then(|| value(slot, MSE));
+        let second = [mse_of(SECOND_COARSE).map(|loss| coarse_weight(config) * loss), mse_of(SECOND_FINE)];
+        let losses = StepLosses {
+            coarse: mse_of(COARSE),
+            fine: mse_of(FINE),
+            perturbed: config.method.is_augmented().then(|| second.into_iter().flatten().sum::<f64>()),
+            further: config
+                .regularizer
+                .terms()
+                .map(|(term, weight)| (term.name(), weight, self.value_of(term, &value)))
+                .collect(),
+        };
+        let evaluated = self.evaluated();
+        let extremes: Vec<f64> = (1..DISTORTION).map(|what| value(evaluated, what)).collect();
+        let (terms, loss) = losses.terms(config);
+        let clean = losses.clean(config);
+        StepReport {
+            terms,
+            loss,
+            mse: losses.mse(),
+            extremes: Extremes::read(&extremes),
+            sites: counts.map_or_else(Vec::new, |counts| self.diagnose(&value, counts, clean)),
+        }
+    }
+
+    /// The slot of the pass that is evaluated.
+    fn evaluated(&self) -> usize {
+        if self.config.sampling.fine > 0 { FINE } else { COARSE }
+    }
+
+    /// The value of a regularizer, summed over its fields.
+    fn value_of(&self, term: Regularizer, value: &impl Fn(usize, usize) -> f64) -> f64 {
+        let in_space = |what: usize| self.regularized().map(|(role, _)| value(SPACE + role, what)).sum();
+        match term {
+            Regularizer::L1 => in_space(L1),
+            Regularizer::Tv => in_space(TV),
+            Regularizer::Distortion => {
+                let both = self.config.regularizer.fields == RegularizedFields::Both;
+                let counts = |slot: &usize| *slot == self.evaluated() || both && *slot == COARSE;
+                self.slots(false).iter().filter(|slot| counts(slot)).map(|slot| value(*slot, DISTORTION)).sum()
+            }
+            Regularizer::Laplacian => unreachable!("refused before"),
+        }
+    }
+
+    /// Makes the diagnostics of each site from the losses of its passes.
+    fn diagnose(&self, value: &impl Fn(usize, usize) -> f64, counts: &[u32], clean: f64) -> Vec<SiteDiagnostics> {
+        let mut found = Vec::new();
+        for (site, numbers) in self.config.perturb.numbers.iter() {
+            if !numbers.on() {
+                continue;
+            }
+            let (mut gain, mut over_random, mut shifts, mut passes) = (0.0, 0.0, 0.0, 0.0);
+            let mut shares = Vec::new();
+            for (pass, sets) in self.sets.iter().enumerate() {
+                let Some(sets) = sets else { continue };
+                if !sets.sites().any(|on| on == site) {
+                    // Switched on with a set of size 0: there is no perturbation, and no gain.
+                    passes += if numbers.perturbs() { 0.0 } else { 1.0 };
+                    continue;
+                }
+                let first = first_of(pass);
+                let weight = if pass == 0 { coarse_weight(&self.config) } else { 1.0 };
+                let loss = |slot: usize| weight * value(slot, MSE);
+                gain += loss(alone(first, site)) - loss(first);
+                over_random += loss(alone(first, site)) - loss(at_random(first, site));
+                shifts += EIGHT_BIT * value(shift_of(first, site), 0);
+                passes += 1.0;
+                let at = bounded(pass, site);
+                if counts[at + 1] > 0 {
+                    shares.push(f64::from(counts[at]) / f64::from(counts[at + 1]));
+                }
+            }
+            if passes > 0.0 {
+                let mean = shares.iter().sum::<f64>() / shares.len() as f64;
+                let share = (!shares.is_empty()).then_some(mean);
+                found.push(SiteDiagnostics::new(site, [gain, over_random, shifts / passes], share, clean));
+            }
+        }
+        found
+    }
+    /// Names what is not finite.
+    pub(super) fn broken(&self, report: &StepReport, flags: &[u32]) -> Option<String> {
+        if let Some(term) = report.terms.iter().find(|term| !term.value.is_finite()) {
+            return Some(term.described.clone());
+        }
+        if flags[0] == 0 {
+            return None;
+        }
+        let what = if flags[0] & 4 != 0 { "parameter" } else { "gradient" };
+        let name = (0..2 * self.roles.len()).find_map(|i| {
+            let at = flags[1 + i];
+            (at != u32::MAX).then(|| {
+                let part = if i % 2 == 0 { "weights" } else { "table" };
+                format!("{}.{part}", self.roles[i / 2])
+            })
+        });
+        Some(match name {
+            Some(name) => format!("{what} of {name}"),
+            None => "gradient of a table, which must be below 64,".into(),
+        })
+    }
+}

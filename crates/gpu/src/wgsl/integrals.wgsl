@@ -1,0 +1,21 @@
+// The integrals of density and of its gradient's length: sums over points of equal volume. One group.
+struct Integrals { points: u32, slot: u32, volume: f32, pad0: u32 }
+@group(0) @binding(0) var<uniform> p: Integrals;
+@group(0) @binding(1) var<storage, read> at: array<vec4<f32>>;         // [points, density and gradient]
+@group(0) @binding(2) var<storage, read_write> results: array<f32>;    // [slots, 16]
+var<workgroup> sums: array<vec2<f32>, 256>;
+@compute @workgroup_size(256)
+fn main(@builtin(local_invocation_index) thread: u32) {
+    var sum = vec2<f32>(0.0);
+    for (var i = thread; i < p.points; i += 256u) {
+        let here = at[i];
+        sum += vec2<f32>(abs(here.x), sqrt(dot(here.yzw, here.yzw)));
+    }
+    sums[thread] = sum;
+    workgroupBarrier();
+    for (var half = 128u; half > 0u; half /= 2u) {
+        if (thread < half) { sums[thread] += sums[thread + half]; }
+        workgroupBarrier();
+    }
+    if (thread < 2u) { results[16u * p.slot + thread] = p.volume * sums[0][thread]; }
+}
