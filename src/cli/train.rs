@@ -281,7 +281,7 @@ fn summarize(Finished { report, model, seconds, .. }: &Finished, folder: &Path, 
     for picture in first.iter().filter(|picture| picture.is_file()) {
         console.say(&format!("picture: {}", picture.display()));
     }
-    console.say(&next_commands(folder, model.density().is_ok()));
+    console.say(&next_commands(folder, model.has_density()));
 }
 
 /// Names the commands that show a finished run: a mesh only of a method with `density`.

@@ -6,10 +6,12 @@
 
 use augnerf_core::base::Result;
 use augnerf_core::data::Scene;
+use augnerf_core::field::{Density, Field};
 use augnerf_core::methods::{Fields, Renderer, Stepper};
 use augnerf_core::optimizer::Moments;
 use augnerf_core::settings::{Config, Resolved};
 
+mod density;
 mod device;
 mod kernels;
 mod limits;
@@ -45,4 +47,12 @@ pub fn stepper(
 /// [`augnerf_core::base::Error::Config`]: the device does not render such fields, or has too little memory.
 pub fn renderer(gpu: &Gpu, fields: &Fields, config: &Config, scene: &Scene) -> Result<Box<dyn Renderer>> {
     Ok(Box::new(renderer::GpuRenderer::new(gpu, fields, config, scene)?))
+}
+
+/// Returns the density of a field with its current weights on a device.
+///
+/// # Errors
+/// [`augnerf_core::base::Error::Config`]: the device does not query such a field, or has too little memory.
+pub fn density(gpu: &Gpu, field: &Field) -> Result<Box<dyn Density>> {
+    Ok(Box::new(density::GpuDensity::new(gpu, field)?))
 }

@@ -1,7 +1,7 @@
 //! What the device does not do, and how much it does at once.
 
 use augnerf_core::base::{Error, Result};
-use augnerf_core::settings::{Config, Encoding, Precision, Regularizer, Resolved};
+use augnerf_core::settings::{Config, Encoding, FieldConfig, Precision, Regularizer, Resolved};
 
 use crate::device::Gpu;
 use crate::network::Shape;
@@ -46,19 +46,30 @@ pub(crate) fn check_precision(gpu: &Gpu, config: &Config) -> Result<()> {
 
 /// Returns an error for fields that the device neither trains nor renders.
 pub(crate) fn check_fields(config: &Config) -> Result<()> {
-    let refuse =
-        |what: &str| Err(Error::Config(format!("device gpu does not train or render {what} yet; use --device cpu")));
     if !config.representation().is_field() || config.field.encoding == Encoding::Integrated {
-        return refuse(&format!("method {}", config.method.name()));
+        return Err(refused(&format!("method {}", config.method.name())));
     }
-    if !config.field.width.is_multiple_of(4) {
-        return refuse(&format!("networks of width {}, which is no multiple of 4,", config.field.width));
-    }
+    check_field(&config.field)?;
     let (coarse, fine) = config.samples();
     if coarse.max(fine) + 1 > MOST_POSITIONS {
-        return refuse(&format!("{} samples of a ray (at most {})", coarse.max(fine), MOST_POSITIONS - 1));
+        return Err(refused(&format!("{} samples of a ray (at most {})", coarse.max(fine), MOST_POSITIONS - 1)));
     }
     Ok(())
+}
+
+/// Returns an error for a field that the device does not query.
+pub(crate) fn check_field(config: &FieldConfig) -> Result<()> {
+    if config.encoding == Encoding::Integrated {
+        return Err(refused("fields that are queried at Gaussians"));
+    }
+    if !config.width.is_multiple_of(4) {
+        return Err(refused(&format!("networks of width {}, which is no multiple of 4,", config.width)));
+    }
+    Ok(())
+}
+
+fn refused(what: &str) -> Error {
+    Error::Config(format!("device gpu does not train or render {what} yet; use --device cpu"))
 }
 
 /// Returns the samples whose numbers, so many bytes each, fit into the device's memory at once.

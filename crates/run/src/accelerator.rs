@@ -6,6 +6,7 @@ use serde::Serialize;
 
 use crate::base::{Error, Result};
 use crate::data::Scene;
+use crate::field::{Density, Field, FieldDensity};
 use crate::methods::{Fields, Renderer, Stepper};
 use crate::model::Model;
 use crate::optimizer::Moments;
@@ -129,6 +130,14 @@ pub(crate) fn renderer(
     gpu::renderer(accelerator, fields(model, config)?, config, scene)
 }
 
+/// Returns the density of a field, on the runtime's accelerator where it has one.
+pub(crate) fn density(runtime: &Runtime, field: &Field) -> Result<Box<dyn Density>> {
+    match runtime.accelerator() {
+        Some(accelerator) => gpu::density(&**accelerator, field),
+        None => Ok(Box::new(FieldDensity::new(field)?)),
+    }
+}
+
 fn fields<'a>(model: &'a Model, config: &Config) -> Result<&'a Fields> {
     match model {
         Model::Fields(fields) => Ok(fields),
@@ -210,6 +219,10 @@ mod gpu {
         augnerf_gpu::renderer(own(accelerator)?, fields, config, scene)
     }
 
+    pub(super) fn density(accelerator: &dyn Accelerator, field: &Field) -> Result<Box<dyn Density>> {
+        augnerf_gpu::density(own(accelerator)?, field)
+    }
+
     fn own(accelerator: &dyn Accelerator) -> Result<&augnerf_gpu::Gpu> {
         accelerator.as_any().downcast_ref().ok_or_else(|| unknown(accelerator))
     }
@@ -258,6 +271,9 @@ mod gpu {
         _config: &Config,
         _scene: &Scene,
     ) -> Result<Box<dyn Renderer>> {
+        Err(unknown(accelerator))
+    }
+    pub(super) fn density(accelerator: &dyn Accelerator, _field: &Field) -> Result<Box<dyn Density>> {
         Err(unknown(accelerator))
     }
 }

@@ -7,7 +7,7 @@ use candle_core::{DType, Device, Tensor, Var};
 use crate::accelerator;
 use crate::base::{Error, Result};
 use crate::data::Scene;
-use crate::field::{Density, FieldDensity};
+use crate::field::Density;
 use crate::methods::{Family, FieldLearner, FieldRenderer, Fields, Learner, Network, Renderer};
 use crate::runtime::Runtime;
 use crate::settings::{Capability, Config, Representation, Resolved};
@@ -133,13 +133,21 @@ impl Model {
         }
     }
 
-    /// Returns the density in space with the current parameters.
+    /// Returns whether the method has a density in space.
+    pub fn has_density(&self) -> bool {
+        match self {
+            Model::Fields(_) => true,
+            Model::Baseline(representation, _) => representation.lacks(Capability::Density).is_none(),
+        }
+    }
+
+    /// Returns the density in space on `runtime` with the current parameters.
     ///
     /// # Errors
-    /// The method has no density.
-    pub fn density(&self) -> Result<Box<dyn Density>> {
+    /// The method has no density; the runtime's accelerator does not compute it.
+    pub fn density(&self, runtime: &Runtime) -> Result<Box<dyn Density>> {
         match self {
-            Model::Fields(fields) => Ok(Box::new(FieldDensity::new(fields.evaluated())?)),
+            Model::Fields(fields) => accelerator::density(runtime, fields.evaluated()),
             Model::Baseline(representation, network) => {
                 let density = network.density()?;
                 density.ok_or_else(|| unsupported(*representation, Capability::Density, "no density"))

@@ -23,6 +23,11 @@ pub trait Density: Send + Sync {
 
     /// Returns the device of points.
     fn device(&self) -> &Device;
+
+    /// Returns the number of points that it takes at once, if it computes somewhere else, for one thread at a time.
+    fn at_once(&self) -> Option<usize> {
+        None
+    }
 }
 
 /// The density of a field with its current weights.

@@ -30,7 +30,7 @@ mod tv;
 pub use distortion::Distortion;
 pub use l1::L1;
 pub use laplacian::Laplacian;
-pub use smoothness::{Smoothness, measure};
+pub use smoothness::{Smoothness, measure, measure_density};
 pub use spatial::{Regularized, WeightedSpaceTerm, estimate_seconds, regularize, regularize_at, regularize_unless};
 pub use tv::Tv;
 

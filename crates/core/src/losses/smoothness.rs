@@ -4,8 +4,8 @@ use candle_core::DType;
 use serde::Serialize;
 
 use crate::base::{Error, Result};
-use crate::field::Field;
-use crate::space::{Lattice, Quadrature, over_chunks};
+use crate::field::{Density, Field};
+use crate::space::{Lattice, Quadrature, over_chunks, over_queries};
 
 use super::spatial::term_sum;
 use super::{L1, Laplacian, SpaceTerm, Tv};
@@ -47,15 +47,47 @@ pub fn measure(field: &Field, lattice: &Lattice, mut advance: impl FnMut()) -> R
             Ok(Smoothness { l1, tv, laplacian, largest_density, occupied: positive })
         },
         |chunk: Smoothness| {
-            sum.l1 += volume * chunk.l1;
-            sum.tv += volume * chunk.tv;
-            sum.laplacian = sum.laplacian.zip(chunk.laplacian).map(|(sum, chunk)| sum + volume * chunk);
-            sum.largest_density = sum.largest_density.max(chunk.largest_density);
-            sum.occupied += chunk.occupied;
+            sum.add(&chunk, volume);
             advance();
             Ok(())
         },
     )?;
     sum.occupied /= lattice.cells() as f64;
     Ok(sum)
+}
+
+/// Measures density and its gradient alone, wherever they are computed: without the Laplacian.
+pub fn measure_density(density: &dyn Density, lattice: &Lattice) -> Result<Smoothness> {
+    let cells: Vec<usize> = (0..lattice.cells()).collect();
+    let points = Quadrature::full(*lattice);
+    let variance = lattice.cell_variance();
+    let part = |cells: &[usize]| -> Result<Smoothness> {
+        let points = points.tensor(cells[0], cells.len(), density.dtype(), density.device())?;
+        let values = density.density(&points, variance)?.to_dtype(DType::F64)?.to_vec1::<f64>()?;
+        let slopes = density.gradient(&points, variance)?.to_dtype(DType::F64)?;
+        Ok(Smoothness {
+            l1: values.iter().map(|value| value.abs()).sum(),
+            tv: slopes.sqr()?.sum(1)?.sqrt()?.sum_all()?.to_scalar()?,
+            laplacian: None,
+            largest_density: values.iter().copied().fold(0.0, f64::max),
+            occupied: values.iter().filter(|value| **value > 0.0).count() as f64,
+        })
+    };
+    let mut sum = Smoothness::default();
+    for chunk in over_queries(density, &cells, 1, part)? {
+        sum.add(&chunk, points.volume_each());
+    }
+    sum.occupied /= lattice.cells() as f64;
+    Ok(sum)
+}
+
+impl Smoothness {
+    /// Adds the sums over some points of this volume each.
+    fn add(&mut self, chunk: &Smoothness, volume: f64) {
+        self.l1 += volume * chunk.l1;
+        self.tv += volume * chunk.tv;
+        self.laplacian = self.laplacian.zip(chunk.laplacian).map(|(sum, chunk)| sum + volume * chunk);
+        self.largest_density = self.largest_density.max(chunk.largest_density);
+        self.occupied += chunk.occupied;
+    }
 }

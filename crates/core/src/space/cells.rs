@@ -8,7 +8,7 @@ use crate::field::Density;
 use crate::runtime::over_parts;
 
 /// Points per thread. The activations of a trunk of 8 x 256 then stay in its core's cache.
-pub const CHUNK: usize = 1024;
+const CHUNK: usize = 1024;
 /// Points per chunk on an accelerator, which needs many.
 const DEVICE_CHUNK: usize = 65_536;
 /// Number of chunks whose gradients are in memory at once.
@@ -16,12 +16,37 @@ const CHUNKS_AT_ONCE: usize = 16;
 
 /// Computes densities at the midpoints of a sampling grid, in the order of the cells. `take` gets them in parts, so
 /// that memory does not grow with the grid.
-pub fn densities(density: &dyn Density, lattice: &Lattice, take: impl FnMut(Vec<f32>) -> Result<()>) -> Result<()> {
+pub fn densities(density: &dyn Density, lattice: &Lattice, mut take: impl FnMut(Vec<f32>) -> Result<()>) -> Result<()> {
     let query = |points: &Tensor| {
         let density = density.density(points, lattice.cell_variance())?;
         Ok(density.to_dtype(DType::F32)?.to_vec1::<f32>()?)
     };
-    over_chunks(&Quadrature::full(*lattice), density.dtype(), density.device(), query, take)
+    let points = Quadrature::full(*lattice);
+    match density.at_once() {
+        None => over_chunks(&points, density.dtype(), density.device(), query, take),
+        Some(size) => parts_of(&points, size, density.dtype(), density.device())
+            .map(|part| query(&part?))
+            .try_for_each(|values| take(values?)),
+    }
+}
+
+/// Returns points in parts of a size, in their order.
+fn parts_of(points: &Quadrature, size: usize, dtype: DType, device: &Device) -> impl Iterator<Item = Result<Tensor>> {
+    let count = points.count();
+    (0..count).step_by(size).map(move |start| points.tensor(start, size.min(count - start), dtype, device))
+}
+
+/// Processes items that each take `each` points of a density, in parts that suit it. Returns the results in order.
+pub fn over_queries<T: Sync, R: Send>(
+    density: &dyn Density,
+    items: &[T],
+    each: usize,
+    work: impl Fn(&[T]) -> Result<R> + Send + Sync,
+) -> Result<Vec<R>> {
+    match density.at_once() {
+        None => over_parts(density.device(), items, CHUNK.div_ceil(each), work),
+        Some(size) => items.chunks((size / each).max(1)).map(work).collect(),
+    }
 }
 
 /// Returns the number of chunks of a pass over `count` points.

@@ -7,8 +7,7 @@ use crate::base::{Error, Result};
 use crate::data::Ndc;
 use crate::data::vector::{Vec3, length, scale};
 use crate::field::Density;
-use crate::runtime::over_parts;
-use crate::space::{CHUNK, Lattice};
+use crate::space::{Lattice, over_queries};
 
 use super::Mesh;
 
@@ -71,7 +70,7 @@ pub fn finish_mesh(
         Ok((normals, rgb.into_iter().map(byte).collect(), flat.into_iter().filter(|&flat| flat).count()))
     };
     let mut flat = 0;
-    for (normals, colours, part_flat) in over_parts(device, &indices, CHUNK, one)? {
+    for (normals, colours, part_flat) in over_queries(density, &indices, 1, one)? {
         mesh.normals.extend(normals);
         mesh.colours.extend(colours);
         flat += part_flat;

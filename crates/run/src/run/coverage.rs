@@ -6,9 +6,8 @@ use serde::Serialize;
 use crate::base::Result;
 use crate::data::{Camera, RayBuffer, RayParts, Scene};
 use crate::field::Density;
-use crate::runtime::over_parts;
 use crate::settings::PixelOrigin;
-use crate::space::{CHUNK, Lattice, resized};
+use crate::space::{Lattice, over_queries, resized};
 
 /// Largest number of columns of the view.
 const COLUMNS: usize = 96;
@@ -37,7 +36,7 @@ impl Coverage {
         let rays = rays(&view.camera, scene);
         let span = |ray: usize| (&rays.origins[3 * ray..3 * ray + 3], &rays.directions[3 * ray..3 * ray + 3]);
         let all: Vec<usize> = (0..rays.len()).collect();
-        let peaks = over_parts(density.device(), &all, CHUNK.div_ceil(POINTS), |part| {
+        let peaks = over_queries(density, &all, POINTS, |part| {
             let spans: Vec<_> = part.iter().map(|&ray| span(ray)).collect();
             peaks(density, &spans, scene.bounds(), lattice)
         })?;

@@ -226,7 +226,7 @@ impl Trained {
         if options.largest {
             mesh = mesh.keep(&components[0]);
         }
-        let (density, ndc) = (self.model.density()?, self.scene.ndc.as_ref());
+        let (density, ndc) = (self.model.density(&self.runtime)?, self.scene.ndc.as_ref());
         let mut finished = finish_mesh(&*density, mesh, &drawing.lattice, ndc, options.normals)?;
         if let Some(picture) = &options.picture {
             let cameras = picture.cameras(&self.scene)?;
@@ -258,7 +258,7 @@ impl Trained {
             events.on(Event::Advanced);
             Ok(())
         };
-        let drawn = level_set(&*self.model.density()?, drawing, out, advance)?;
+        let drawn = level_set(&*self.model.density(&self.runtime)?, drawing, out, advance)?;
         events.on(Event::Finished);
         if let (Some(mut volume), Some(path)) = (volume, path) {
             volume.flush().map_err(|e| Error::unwritable(&path, &e))?;

@@ -3,14 +3,15 @@
 
 use std::path::Path;
 
-use candle_core::Device;
 use serde::Serialize;
 
+use crate::accelerator;
 use crate::base::csv::csv_of_named;
 use crate::base::files::write_atomic;
 use crate::base::{Error, Event, Listener, Result};
 use crate::data::Scene;
-use crate::losses::{Smoothness, estimate_seconds, measure};
+use crate::field::Field;
+use crate::losses::{Smoothness, estimate_seconds, measure, measure_density};
 use crate::model::Model;
 use crate::runtime::Runtime;
 use crate::settings::{Capability, Config};
@@ -68,7 +69,7 @@ impl SmoothnessReport {
         runtime: &Runtime,
         events: &dyn Listener,
     ) -> Result<SmoothnessReport> {
-        let fields = runtime.install(|| measure_fields(model, scene, lattice, runtime.device(), events))?;
+        let fields = runtime.install(|| measure_fields(model, scene, lattice, runtime, events))?;
         Ok(SmoothnessReport { fields, protocol })
     }
 
@@ -87,25 +88,26 @@ fn measure_fields(
     model: &Model,
     scene: &Scene,
     lattice: &Lattice,
-    device: &Device,
+    runtime: &Runtime,
     events: &dyn Listener,
 ) -> Result<Vec<FieldSmoothness>> {
     lattice.check_meets(scene, "the sampling grid of smoothness")?;
     let fields: Vec<_> = model.fields()?.by_role().into_iter().filter(|(role, _)| *role != "adversarial").collect();
-    let seconds = estimate_seconds(fields[0].1, lattice, lattice.cells(), &[])?;
-    let hours = seconds * fields.len() as f64 / 3600.0;
-    if hours > MOST_HOURS {
-        return Err(Error::Config(format!(
-            "a sampling grid of {} a side has {} points, which would take about {hours:.0} hours here (at most \
-             {MOST_HOURS} are allowed); choose fewer cells a side",
-            lattice.side,
-            lattice.cells()
-        )));
+    // Laplacians are the host's.
+    let on_accelerator = runtime.accelerator().is_some() && !fields[0].1.config().has_laplacian();
+    if !on_accelerator {
+        check_duration(fields[0].1, fields.len(), lattice)?;
     }
-    let parts = (fields.len() * chunk_count(lattice.cells(), device)) as u64;
-    events.on(Event::Started { what: "measuring", parts });
+    let parts = (fields.len() * chunk_count(lattice.cells(), runtime.device())) as u64;
+    events.on(Event::Started { what: "measuring", parts: if on_accelerator { fields.len() as u64 } else { parts } });
     let measured = fields.into_iter().map(|(role, field)| {
-        let smoothness = measure(field, lattice, || events.on(Event::Advanced))?;
+        let smoothness = if on_accelerator {
+            let smoothness = measure_density(&*accelerator::density(runtime, field)?, lattice)?;
+            events.on(Event::Advanced);
+            smoothness
+        } else {
+            measure(field, lattice, || events.on(Event::Advanced))?
+        };
         if !smoothness.l1.is_finite() || !smoothness.laplacian.is_none_or(f64::is_finite) {
             return Err(Error::Diverged(format!(
                 "the density of the {role} field is not a number, so its weights are broken"
@@ -116,6 +118,20 @@ fn measure_fields(
     let fields = measured.collect::<Result<Vec<_>>>()?;
     events.on(Event::Finished);
     Ok(fields)
+}
+
+/// Returns an error for a sampling grid that would take the host too long.
+fn check_duration(field: &Field, fields: usize, lattice: &Lattice) -> Result<()> {
+    let hours = estimate_seconds(field, lattice, lattice.cells(), &[])? * fields as f64 / 3600.0;
+    if hours <= MOST_HOURS {
+        return Ok(());
+    }
+    Err(Error::Config(format!(
+        "a sampling grid of {} a side has {} points, which would take about {hours:.0} hours here (at most \
+         {MOST_HOURS} are allowed); choose fewer cells a side",
+        lattice.side,
+        lattice.cells()
+    )))
 }
 
 /// Returns an error for a run without such numbers.

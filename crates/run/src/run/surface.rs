@@ -141,7 +141,7 @@ impl Viewer<'_> {
             most_mib: most_memory_mib(),
         };
         events.on(Event::Started { what: "surface", parts: mesh.resolution as u64 });
-        let drawn = level_set(&*model.density()?, &drawing, None, || {
+        let drawn = level_set(&*model.density(self.runtime)?, &drawing, None, || {
             events.on(Event::Advanced);
             stop_check()
         })?;
