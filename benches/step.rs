@@ -14,7 +14,7 @@ use augnerf::render::sampling::{importance, stratified};
 use augnerf::render::volume::{composite, composite_reference};
 use augnerf::runtime::Runtime;
 use augnerf::settings::{Config, Core, DataKind, FieldConfig, Method, RegularizerConfig, Spacing, TrainConfig};
-use augnerf::space::{CHUNK, Quadrature};
+use augnerf::space::{Quadrature, chunk_size};
 use augnerf::train::{Adam, AdamSettings, Trainer};
 use candle_core::{DType, Device, Tensor, Var};
 use criterion::{Criterion, criterion_group, criterion_main};
@@ -51,12 +51,19 @@ fn space(criterion: &mut Criterion) {
     let mut group = criterion.benchmark_group("space");
     group.sample_size(20).warm_up_time(Duration::from_secs(3)).measurement_time(Duration::from_secs(10));
     let plain = |start: usize| {
-        let points = points.tensor(start, CHUNK, DType::F32, &Device::Cpu).expect("points");
+        let points = points.tensor(start, chunk_size(&Device::Cpu), DType::F32, &Device::Cpu).expect("points");
         let sum = field.raw_density(&points).and_then(|raw| Ok(raw.sum_all()?)).expect("a trunk");
         sum.backward().expect("gradients")
     };
     group.bench_function("trunk", |bencher| {
-        bencher.iter(|| (0..8192).step_by(CHUNK).collect::<Vec<usize>>().into_par_iter().map(plain).collect::<Vec<_>>())
+        bencher.iter(|| {
+            (0..8192)
+                .step_by(chunk_size(&Device::Cpu))
+                .collect::<Vec<usize>>()
+                .into_par_iter()
+                .map(plain)
+                .collect::<Vec<_>>()
+        })
     });
     let terms: [(&str, &[WeightedSpaceTerm]); 3] =
         [("l1", &[(&L1, 1.0)]), ("tv", &[(&Tv, 1.0)]), ("tv-laplacian", &[(&Tv, 1.0), (&Laplacian, 1.0)])];
