@@ -34,6 +34,7 @@ mod page;
 mod paths;
 mod perturbations;
 mod pictures;
+mod plain;
 mod planes;
 mod reference;
 mod regularizers;

@@ -6,6 +6,7 @@ use candle_core::{CpuStorage, InplaceOp1, Layout, Storage, Tensor, Var, WithDTyp
 use rayon::prelude::*;
 
 use crate::base::Result;
+use crate::base::place::is_ours;
 use crate::base::simd::vectorized;
 use crate::field::hash::{Moving, SparseAdam};
 use crate::settings::{Located, Schedule, TrainConfig};
@@ -99,27 +100,37 @@ impl Adam {
         let correction1 = 1.0 - BETA1.powf(updates as f64);
         let AdamSettings { beta2, epsilon } = self.settings;
         let correction2 = 1.0 - beta2.powf(updates as f64);
-        if self.variables.iter().all(|(_, var)| var.device().is_cpu()) {
+        if self.variables.iter().all(|(_, var)| is_ours(var)) {
             let update = Update { settings: self.settings, rate: learning_rate / correction1, correction2 };
             let all = self.variables.par_iter().zip(&self.moments).zip(gradients);
             return all.try_for_each(|(((name, var), moments), gradient)| {
                 update.apply(var, moments, gradient.as_ref(), is_table(name))
             });
         }
-        for (((_, var), moments), gradient) in self.variables.iter().zip(&mut self.moments).zip(gradients) {
+        for (((name, var), moments), gradient) in self.variables.iter().zip(&mut self.moments).zip(gradients) {
             let zero;
             let gradient = match gradient {
                 Some(gradient) => gradient,
+                None if is_table(name) => continue,
                 None => {
                     zero = var.zeros_like()?;
                     &zero
                 }
             };
-            moments.first = ((&moments.first * BETA1)? + (gradient * (1.0 - BETA1))?)?;
-            moments.second = ((&moments.second * beta2)? + (gradient.sqr()? * (1.0 - beta2))?)?;
-            let scale = ((&moments.second / correction2)?.sqrt()? + epsilon)?;
-            let step = ((&moments.first * (learning_rate / correction1))? / scale)?;
-            var.set(&(var.as_tensor() - step)?)?;
+            let mut first = ((&moments.first * BETA1)? + (gradient * (1.0 - BETA1))?)?;
+            let mut second = ((&moments.second * beta2)? + (gradient.sqr()? * (1.0 - beta2))?)?;
+            let scale = ((&second / correction2)?.sqrt()? + epsilon)?;
+            let mut moved = (var.as_tensor() - ((&first * (learning_rate / correction1))? / scale)?)?;
+            if is_table(name) {
+                // An entry without a gradient keeps its values and its moments.
+                let has_gradient = gradient.ne(0f64)?.to_dtype(gradient.dtype())?.max_keepdim(1)?.gt(0f64)?;
+                let has_gradient = has_gradient.broadcast_as(gradient.shape())?;
+                first = has_gradient.where_cond(&first, &moments.first)?;
+                second = has_gradient.where_cond(&second, &moments.second)?;
+                moved = has_gradient.where_cond(&moved, var.as_tensor())?;
+            }
+            *moments = Moments { first, second };
+            var.set(&moved)?;
         }
         Ok(())
     }

@@ -4,6 +4,8 @@
 //! constant is LLFF's (Mildenhall et al. 2019, the authors' code), and keeps opaque planes from stopping all gradients.
 
 use candle_core::{CpuStorage, CustomOp1, DType, Layout, Result, Shape, Tensor, WithDType};
+
+use crate::base::place::is_ours;
 use rayon::prelude::*;
 
 use super::values::{Values, slice};
@@ -49,7 +51,7 @@ pub fn alpha_over(planes: &Tensor) -> Result<Tensor> {
     if channels != CHANNELS {
         candle_core::bail!("alpha over: planes have red, green, blue and alpha, not {channels} channels");
     }
-    if !planes.device().is_cpu() || !matches!(planes.dtype(), DType::F32 | DType::F64) {
+    if !is_ours(planes) {
         return plain(planes);
     }
     planes.contiguous()?.apply_op1(AlphaOver)

@@ -1,6 +1,8 @@
 //! The head of LLFF's network (Mildenhall et al. 2019): alpha, and a colour blended from the input views.
 
 use candle_core::{CpuStorage, CustomOp1, D, DType, Layout, Result, Shape, Tensor, WithDType};
+
+use crate::base::place::is_ours;
 use candle_nn::ops::{sigmoid, softmax};
 use rayon::prelude::*;
 
@@ -24,7 +26,7 @@ pub fn blend_views(raw: &Tensor, sweep: &Tensor) -> Result<Tensor> {
         candle_core::bail!("blend views: {:?} and {:?} do not fit", raw.shape(), sweep.shape());
     }
     let sweep = sweep.contiguous()?.detach();
-    if !raw.device().is_cpu() || !matches!(raw.dtype(), DType::F32 | DType::F64) {
+    if !is_ours(raw) {
         return plain(raw, &sweep);
     }
     raw.contiguous()?.apply_op1(BlendViews { sweep, inputs })

@@ -9,9 +9,10 @@ use std::ops::Range;
 use std::sync::Arc;
 
 use candle_core::backend::BackendStorage;
-use candle_core::{CpuStorage, CustomOp2, DType, Device, Layout, Result, Shape, Tensor, WithDType};
+use candle_core::{CpuStorage, CustomOp2, Device, Layout, Result, Shape, Tensor, WithDType};
 use rayon::prelude::*;
 
+use crate::base::place::is_ours;
 use crate::base::rng::{Random, Stream};
 
 use super::trilinear::{Corner, Lattice, Location, Outside, PARTS};
@@ -140,7 +141,7 @@ impl March {
             let warp = warp.map(Tensor::shape);
             candle_core::bail!("march: template {:?}, warp {warp:?} do not fit", template.shape());
         }
-        if !template.device().is_cpu() || !matches!(template.dtype(), DType::F32 | DType::F64) {
+        if !is_ours(template) {
             let most = (2.0 * 3f64.sqrt() / self.step).ceil() as usize + 1;
             return self.in_parts(template, warp, (PLAIN_SAMPLES / most).max(1));
         }

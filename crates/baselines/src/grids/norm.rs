@@ -9,6 +9,7 @@ use std::sync::{Mutex, PoisonError};
 use candle_core::{CpuStorage, CustomOp3, D, DType, Layout, Result, Shape, Tensor, WithDType};
 use rayon::prelude::*;
 
+use crate::base::place::is_ours;
 use crate::base::simd::vectorized;
 
 use super::values::{Values, slice};
@@ -49,7 +50,7 @@ impl LayerNorm {
                 shift.shape()
             );
         }
-        if !x.device().is_cpu() {
+        if !is_ours(x) {
             return self.reference(x, scale, shift);
         }
         let operation = Normalize { norm: *self, moments: Mutex::default() };

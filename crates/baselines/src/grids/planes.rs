@@ -6,6 +6,8 @@
 use std::sync::Arc;
 
 use candle_core::{CpuStorage, CustomOp1, DType, Layout, Result, Shape, Tensor, WithDType};
+
+use crate::base::place::is_ours;
 use rayon::prelude::*;
 
 use super::values::{Values, slice};
@@ -65,7 +67,7 @@ pub fn plane_sample(planes: &Tensor, places: Arc<Locations>) -> Result<Tensor> {
     if count != places.planes || !places.of_rays.len().is_multiple_of(count.max(1)) {
         candle_core::bail!("plane sample: {count} planes and places of {}", places.planes);
     }
-    if !planes.device().is_cpu() || !matches!(planes.dtype(), DType::F32 | DType::F64) {
+    if !is_ours(planes) {
         return plain(planes, &places);
     }
     planes.contiguous()?.apply_op1(PlaneSample { places })

@@ -1,7 +1,9 @@
 //! Softplus of scaled channels, which makes a decoder's numbers non-negative colours and opacity.
 
 use candle_core::backend::BackendStorage;
-use candle_core::{CpuStorage, CustomOp1, DType, Device, Layout, Result, Shape, Tensor, WithDType};
+use candle_core::{CpuStorage, CustomOp1, Device, Layout, Result, Shape, Tensor, WithDType};
+
+use crate::base::place::is_ours;
 use rayon::prelude::*;
 
 use super::values::{Values, each_kind, slice};
@@ -16,7 +18,7 @@ pub fn softplus<const C: usize>(x: &Tensor, scale: [f64; C], shift: [f64; C]) ->
     if x.dims().last() != Some(&C) {
         candle_core::bail!("softplus of {C} channels: {:?} does not fit", x.shape());
     }
-    if !x.device().is_cpu() || !matches!(x.dtype(), DType::F32 | DType::F64) {
+    if !is_ours(x) {
         return plain(x, scale, shift);
     }
     x.contiguous()?.apply_op1(Softplus { scale, shift })
@@ -84,7 +86,7 @@ impl<const C: usize> CustomOp1 for Softplus<C> {
 mod tests {
     use super::*;
     use crate::grids::reference::{check_differences, error, on_any_threads, ramp};
-    use candle_core::Var;
+    use candle_core::{DType, Var};
 
     #[test]
     fn values_and_gradients_are_the_plain_ones_and_those_of_differences() {

@@ -5,6 +5,8 @@
 
 use candle_core::backend::BackendStorage;
 use candle_core::{CpuStorage, CustomOp2, DType, Device, Layout, Result, Shape, Tensor, WithDType};
+
+use crate::base::place::is_ours;
 use rayon::prelude::*;
 
 use super::values::{Values, each_kind, slice, summed};
@@ -128,7 +130,7 @@ pub fn trilinear(grid: &Tensor, points: &Tensor, outside: Outside) -> Result<Ten
     if points.dims2()?.1 != 3 || lattice.cells() == 0 {
         candle_core::bail!("trilinear: grid {:?}, points {:?} do not fit", grid.shape(), points.shape());
     }
-    if !grid.device().is_cpu() || !matches!(grid.dtype(), DType::F32 | DType::F64) {
+    if !is_ours(grid) {
         return plain(grid, points, outside);
     }
     let operation = Sampled { lattice, wants_grid: grid.track_op(), wants_points: points.track_op() };

@@ -2,6 +2,8 @@
 
 use candle_core::backend::BackendStorage;
 use candle_core::{CpuStorage, CustomOp1, DType, Device, Layout, Result, Shape, Tensor, WithDType};
+
+use crate::base::place::is_ours;
 use rayon::prelude::*;
 
 use super::values::{Values, each_kind, slice};
@@ -17,7 +19,7 @@ pub fn log_variation(template: &Tensor) -> Result<Tensor> {
     if z < 2 || y < 2 || x < 2 || channels == 0 {
         candle_core::bail!("variation of {:?}: a lattice has at least two cells along each axis", template.shape());
     }
-    if !template.device().is_cpu() || !matches!(template.dtype(), DType::F32 | DType::F64) {
+    if !is_ours(template) {
         return plain(template);
     }
     template.contiguous()?.apply_op1(Variation { sides: [z, y, x], channels })

@@ -3,6 +3,7 @@
 
 use candle_core::{DType, Device, Tensor, Var};
 
+use crate::base::place::is_ours_in_f32;
 use crate::base::rng::{Random, Stream};
 use crate::base::{Error, Result};
 use crate::data::Rays;
@@ -187,7 +188,7 @@ impl Srn {
 
     /// Returns whether the march in f32 on packed weights supports the parameters.
     pub(super) fn is_fast(&self) -> bool {
-        self.tensors.iter().all(|tensor| tensor.device().is_cpu() && tensor.dtype() == DType::F32)
+        self.tensors.iter().all(is_ours_in_f32)
     }
 
     /// Returns the parameters in their fixed order.

@@ -1,11 +1,12 @@
 //! Constraint sets in f32 on the CPU: one pass over a delta instead of one per operation. The results equal those of
 //! [`DeltaSet`]'s tensor operations bit for bit. The latter serve f64 and other devices, and are the reference.
 
-use candle_core::{DType, Tensor};
+use candle_core::Tensor;
 
 use crate::augment::set::{DeltaSet, Draw, Norm};
 use crate::augment::site::StepUnit;
 use crate::base::Result;
+use crate::base::place::is_ours_in_f32;
 use crate::base::rng::Random;
 use crate::base::tensors::with_values;
 
@@ -84,7 +85,7 @@ impl<'a> Flat<'a> {
         let (radius, shape) = (&set.radius, &set.shape);
         let columns = *shape.last().expect("a delta has axes");
         let large = set.norm == Norm::L2 && columns > LARGEST_BALL;
-        if radius.dtype() != DType::F32 || !radius.device().is_cpu() || large {
+        if !is_ours_in_f32(radius) || large {
             return Ok(None);
         }
         let mut outer = shape.clone();
@@ -248,7 +249,7 @@ fn normalize(values: &mut [f32]) {
 mod tests {
     use super::*;
     use crate::base::rng::Stream;
-    use candle_core::Device;
+    use candle_core::{DType, Device};
 
     fn random(part: u64) -> Random {
         Random::part(3, Stream::Search, 5, part)

@@ -6,6 +6,7 @@ mod events;
 pub mod files;
 mod image;
 pub mod input;
+pub mod place;
 pub mod rng;
 pub mod simd;
 mod temporaries;

@@ -9,6 +9,8 @@ use candle_core::backend::BackendStorage;
 use candle_core::op::{Add, Relu};
 use candle_core::{CpuStorage, CudaStorage, CustomOp2, CustomOp3, Layout, MetalStorage, Result, Shape, Tensor};
 
+use crate::base::place::is_ours;
+
 /// Returns `activation(x @ weight^T + bias)`: x `[n, inputs]`, weight `[outputs, inputs]`, bias `[outputs]` ->
 /// `[n, outputs]`. The activation is ReLU or none; ReLU's derivative at 0 is 0. `trainable = false` skips the gradients
 /// of weight and bias.
@@ -144,7 +146,7 @@ impl CustomOp3 for Dense {
 
 /// Returns ReLU's backward pass: the gradient where `y > 0`, otherwise 0.
 pub(super) fn mask_where_zero(gradient: &Tensor, y: &Tensor) -> Result<Tensor> {
-    if y.device().is_cpu() {
+    if is_ours(y) {
         return gradient.contiguous()?.apply_op2_no_bwd(&y.contiguous()?, &ReluMask);
     }
     y.gt(0f64)?.where_cond(&gradient.contiguous()?, &gradient.zeros_like()?)

@@ -3,6 +3,7 @@
 
 use candle_core::{CpuStorage, CustomOp1, CustomOp2, Layout, Result, Shape, Tensor, WithDType};
 
+use crate::base::place::is_ours;
 use crate::settings::{Encoding, FieldConfig};
 
 use super::contiguous;
@@ -15,7 +16,7 @@ pub fn encoded_channels(octaves: usize) -> usize {
 /// Encodes `[n, 3]` -> `[n, 3 + 6 octaves]`: x, then for each frequency 2^0..2^(octaves-1) the sines and the cosines of
 /// its three components.
 pub fn encode(x: &Tensor, octaves: usize) -> Result<Tensor> {
-    if !x.device().is_cpu() {
+    if !is_ours(x) {
         return encode_reference(x, octaves);
     }
     x.contiguous()?.apply_op1(Encode(Code::Positional(octaves)))
@@ -77,7 +78,7 @@ pub fn integrated_channels(octaves: usize) -> usize {
 /// 2^0..2^(octaves-1) it returns the expectations of the sines and of the cosines of f x. These are
 /// exp(-f^2 variance / 2) times those of the mean (Barron et al. 2021, equation 14).
 pub fn encode_integrated(gaussians: &Tensor, octaves: usize) -> Result<Tensor> {
-    if !gaussians.device().is_cpu() {
+    if !is_ours(gaussians) {
         return encode_integrated_reference(gaussians, octaves);
     }
     gaussians.contiguous()?.apply_op1(Encode(Code::Integrated(octaves)))

@@ -12,6 +12,7 @@ use super::contiguous;
 use super::fused::Values;
 use super::hash::{Cotangents, Domain, HashGrid, Operator, Real, fetch_tables};
 use super::inside::Inside;
+use crate::base::place::is_ours;
 use crate::base::tensors::with_values;
 use crate::settings::{Contraction, Encoding, FieldConfig};
 
@@ -96,8 +97,8 @@ impl Grid {
 
     /// Returns features `[n, channels]` at points `[n, 3]`.
     pub(super) fn encode(&self, points: &Tensor) -> Result<Tensor> {
-        if !points.device().is_cpu() {
-            candle_core::bail!("hash grids need tensors on the CPU");
+        if !is_ours(points) {
+            return self.encode_plainly(points);
         }
         let points = points.contiguous()?;
         if points.dtype() != DType::F32 || self.table.track_op() {

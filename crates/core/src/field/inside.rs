@@ -4,6 +4,8 @@ use std::sync::Arc;
 
 use candle_core::{CpuStorage, CustomOp1, Layout, Result, Shape, Tensor, WithDType};
 
+use crate::base::place::is_ours;
+
 use super::contiguous;
 
 /// Raw density of empty space, for which every activation gives 0.
@@ -27,7 +29,16 @@ impl Inside {
     /// Returns raw density `[n]` with [`NOTHING`] at points outside, where it has no gradient. It also takes numbers
     /// that end with raw density, such as raw output `[4 n]`.
     pub(super) fn only(&self, raw: &Tensor) -> Result<Tensor> {
-        raw.contiguous()?.apply_op1(Replace { inside: self.clone(), by: NOTHING })
+        if is_ours(raw) {
+            return raw.contiguous()?.apply_op1(Replace { inside: self.clone(), by: NOTHING });
+        }
+        // 0 times NaN is NaN.
+        let mask = self.mask(raw)?;
+        let mask = match raw.elem_count() - self.0.len() {
+            0 => mask,
+            before => Tensor::cat(&[&Tensor::ones(before, raw.dtype(), raw.device())?, &mask], 0)?,
+        };
+        (raw * &mask)? + mask.affine(-NOTHING, NOTHING)?
     }
 }
 

@@ -13,6 +13,7 @@ use candle_core::{DType, Device, Layout, Tensor, Var};
 use std::sync::Arc;
 
 use crate::base::Result;
+use crate::base::place::is_ours_in_f32;
 use crate::base::rng::{Random, Stream};
 use crate::settings::{Core, Encoding, FieldConfig, Init, Precision};
 
@@ -22,6 +23,7 @@ mod density;
 mod encoding;
 pub mod fused;
 mod grid;
+mod grid_plain;
 pub mod hash;
 mod inside;
 mod peak;
@@ -208,8 +210,7 @@ impl Field {
         if values.len() != expected.len() {
             return Err(tensor_error(format!("{} parameters given, {} expected", values.len(), expected.len())));
         }
-        let is_fused = |value: &Tensor| value.device().is_cpu() && value.dtype() == DType::F32;
-        if config.precision == Precision::Bf16 && !(config.core == Core::Fused && values.iter().all(is_fused)) {
+        if config.precision == Precision::Bf16 && !(config.core == Core::Fused && values.iter().all(is_ours_in_f32)) {
             return Err(crate::base::Error::Config(
                 "field.precision = \"bf16\" needs the fused core, which needs f32 weights on the CPU: run with \
                  device cpu, or choose field.precision = \"f32\""
@@ -258,11 +259,7 @@ impl Field {
     /// derived from it share the copy. After an update of the weights it is out of date.
     pub fn prepared(&self) -> Result<Field> {
         let weight = &self.density.weight;
-        if self.network.is_some()
-            || self.config.core == Core::Plain
-            || !weight.device().is_cpu()
-            || weight.dtype() != DType::F32
-        {
+        if self.network.is_some() || self.config.core == Core::Plain || !is_ours_in_f32(weight) {
             return Ok(self.clone());
         }
         if let Some(grid) = &self.grid {

@@ -1,14 +1,19 @@
-//! The limit of raw colours, as a differentiable operation.
+//! The limit of raw colours, as a differentiable operation on any device.
 
-use candle_core::{CpuStorage, CustomOp1, Layout, Result, Shape, Tensor, WithDType};
-
-use super::contiguous;
+use candle_core::backend::BackendStorage;
+use candle_core::{CpuStorage, CudaStorage, CustomOp2, Layout, MetalStorage, Result, Shape, Tensor};
 
 /// Returns raw colours, of any shape, clamped to `-limit..=limit`. Beyond the limit a gradient passes if a step against it
 /// leads back. Without that part, a colour beyond its limit would be stuck. With the rest, a colour would run off as long as
 /// its pixel is not exactly black or white.
 pub(super) fn limited(raw: &Tensor, limit: f64) -> Result<Tensor> {
-    raw.contiguous()?.apply_op1(Clamp { limit })
+    let raw = raw.contiguous()?;
+    let free = raw.detach();
+    let bound = |bound: f64| free.zeros_like()? + bound;
+    // NaN is on neither side, and stays.
+    let clamped = free.gt(limit)?.where_cond(&bound(limit)?, &free)?;
+    let clamped = free.lt(-limit)?.where_cond(&bound(-limit)?, &clamped)?;
+    raw.apply_op2(&clamped, Instead { limit })
 }
 
 /// Returns whether a step against a gradient leads a raw colour away from `-limit..=limit`.
@@ -16,42 +21,49 @@ pub(crate) fn leads_away(raw: f32, gradient: f32, limit: f32) -> bool {
     raw > limit && gradient < 0.0 || raw < -limit && gradient > 0.0
 }
 
-struct Clamp {
+/// The second argument, with the gradient of the first.
+struct Instead {
     limit: f64,
 }
 
-impl Clamp {
-    fn clamped<T: WithDType>(&self, values: &[T]) -> Vec<T> {
-        let [low, high] = [-self.limit, self.limit].map(T::from_f64);
-        // NaN stays.
-        let clamped = |value: &T| match *value {
-            value if value > high => high,
-            value if value < low => low,
-            value => value,
-        };
-        values.iter().map(clamped).collect()
-    }
+fn second<S: BackendStorage>(clamped: &S, layout: &Layout) -> Result<(S, Shape)> {
+    Ok((clamped.try_clone(layout)?, layout.shape().clone()))
 }
 
-impl CustomOp1 for Clamp {
+impl CustomOp2 for Instead {
     fn name(&self) -> &'static str {
         "limit-raw-colours"
     }
 
-    fn cpu_fwd(&self, values: &CpuStorage, layout: &Layout) -> Result<(CpuStorage, Shape)> {
-        let clamped = match values {
-            CpuStorage::F32(values) => CpuStorage::F32(self.clamped(contiguous(values, layout)?)),
-            CpuStorage::F64(values) => CpuStorage::F64(self.clamped(contiguous(values, layout)?)),
-            _ => candle_core::bail!("raw colours are f32 or f64"),
-        };
-        Ok((clamped, layout.shape().clone()))
+    fn cpu_fwd(&self, _: &CpuStorage, _: &Layout, clamped: &CpuStorage, at: &Layout) -> Result<(CpuStorage, Shape)> {
+        second(clamped, at)
     }
 
-    fn bwd(&self, raw: &Tensor, _clamped: &Tensor, gradient: &Tensor) -> Result<Option<Tensor>> {
+    fn cuda_fwd(
+        &self,
+        _: &CudaStorage,
+        _: &Layout,
+        clamped: &CudaStorage,
+        at: &Layout,
+    ) -> Result<(CudaStorage, Shape)> {
+        second(clamped, at)
+    }
+
+    fn metal_fwd(
+        &self,
+        _: &MetalStorage,
+        _: &Layout,
+        clamped: &MetalStorage,
+        at: &Layout,
+    ) -> Result<(MetalStorage, Shape)> {
+        second(clamped, at)
+    }
+
+    fn bwd(&self, raw: &Tensor, _: &Tensor, _: &Tensor, gradient: &Tensor) -> Result<(Option<Tensor>, Option<Tensor>)> {
         let above = (raw.gt(self.limit)? * gradient.lt(0.0)?)?;
         let below = (raw.lt(-self.limit)? * gradient.gt(0.0)?)?;
         let kept = (above + below)?.eq(0u8)?.to_dtype(gradient.dtype())?;
-        Ok(Some((gradient * kept)?))
+        Ok((Some((gradient * kept)?), None))
     }
 }
 

@@ -25,6 +25,7 @@
 use candle_core::{Device, Tensor, Var};
 
 use crate::base::Result;
+use crate::base::place::is_host;
 use crate::settings::{DensityActivation, Encoding};
 
 use super::activation::{Activated, Cotangents};
@@ -106,6 +107,9 @@ impl Field {
 
     /// Returns the same up to a derivative, without work for higher ones.
     pub fn spatial_up_to(&self, order: Order, points: &Tensor) -> Result<Spatial<'_>> {
+        if self.config.encoding == Encoding::Hash && !is_host(points.device()) {
+            return Err(tensor_error("the derivatives of a hash grid are computed on the CPU".into()));
+        }
         if self.config.encoding == Encoding::Integrated {
             return Err(tensor_error("density's derivatives are those of a field that is queried at points".into()));
         }

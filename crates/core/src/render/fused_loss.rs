@@ -8,6 +8,7 @@ use candle_core::{CpuStorage, CustomOp3, DType, Device, Layout, Result as Tensor
 
 use crate::augment::{DeltaSet, Deltas, Norm, Sets, Site, larger, smaller};
 use crate::base::Result;
+use crate::base::place::is_ours_in_f32;
 use crate::base::tensors::with_values;
 use crate::field::{Field, RawOutput, density_of, leads_away, raw_density_gradient};
 use crate::settings::DensityActivation;
@@ -128,8 +129,7 @@ impl Samples<'_> {
     /// Returns the loss against `target` `[rays, 3]`, or `None` if the fused path does not support these samples.
     pub(super) fn fused_loss(&self, target: &Tensor) -> Result<Option<ShadedLoss>> {
         let Samples { field, pass, t_vals, raw, .. } = *self;
-        let on_processor = |joined: &&Tensor| joined.device().is_cpu() && joined.dtype() == DType::F32;
-        let Some(joined) = raw.joined.as_ref().filter(on_processor) else { return Ok(None) };
+        let Some(joined) = raw.joined.as_ref().filter(|joined| is_ours_in_f32(joined)) else { return Ok(None) };
         let Some(added) = Added::of(self)? else { return Ok(None) };
         let (rays, samples) = raw.density.dims2()?;
         let direction_norm = pass.rays.direction_norm.to_dtype(DType::F64)?.flatten_all()?.to_vec1()?;

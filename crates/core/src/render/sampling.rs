@@ -6,6 +6,7 @@
 use candle_core::{DType, Tensor};
 
 use crate::base::Result;
+use crate::base::place::is_host;
 use crate::settings::Spacing;
 
 /// Returns stratified samples: `samples` points evenly spaced from near to far (in t or in 1 / t). Each is moved
@@ -35,7 +36,7 @@ pub fn stratified(
 /// the piecewise-constant density that the coarse pass's interior weights put on the midpoints between coarse samples.
 /// `weights` `[rays, coarse]`; `u` `[rays, fine]` in 0..1.
 pub fn importance(t_vals: &Tensor, weights: &Tensor, u: &Tensor) -> Result<Tensor> {
-    if t_vals.device().is_cpu() {
+    if is_host(t_vals.device()) {
         importance_on_host(t_vals, weights, u)
     } else {
         importance_on_device(t_vals, weights, u)
@@ -47,7 +48,7 @@ pub fn importance(t_vals: &Tensor, weights: &Tensor, u: &Tensor) -> Result<Tenso
 /// `u` `[rays, fine + 1]` in 0..=1, sorted. A blurred weight is the mean of the larger of itself and either neighbour, plus `padding`
 /// (Barron et al. 2021, equation 18).
 pub fn resample_intervals(edges: &Tensor, weights: &Tensor, u: &Tensor, padding: f64) -> Result<Tensor> {
-    if !edges.device().is_cpu() {
+    if !is_host(edges.device()) {
         return resample_intervals_on_device(edges, weights, u, padding);
     }
     let (rays, coarse) = weights.dims2()?;

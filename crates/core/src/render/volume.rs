@@ -3,6 +3,7 @@
 use candle_core::{D, DType, Tensor};
 
 use crate::base::Result;
+use crate::base::place::is_ours;
 
 use super::scan::{self, Scan};
 
@@ -93,7 +94,7 @@ pub fn composite(
     direction_norm: &Tensor,
     background: Option<[f32; 3]>,
 ) -> Result<Composite> {
-    if !rgb.device().is_cpu() {
+    if !is_ours(rgb) {
         return composite_reference(rgb, density, t_vals, direction_norm, background);
     }
     let (rays, samples) = density.dims2()?;

@@ -6,6 +6,7 @@ use candle_core::Device;
 use rayon::prelude::*;
 use rayon::{ThreadPool, ThreadPoolBuilder};
 
+use crate::base::place::is_host;
 use crate::base::{Error, Result};
 
 mod accelerator;
@@ -224,7 +225,7 @@ pub fn over_parts<T: Sync, R: Send>(
     size: usize,
     work: impl Fn(&[T]) -> Result<R> + Sync + Send,
 ) -> Result<Vec<R>> {
-    in_parts(device.is_cpu(), items, size, work)
+    in_parts(is_host(device), items, size, work)
 }
 
 fn in_parts<T: Sync, R: Send>(

@@ -4,6 +4,7 @@ use candle_core::{DType, Device, Tensor};
 
 use super::{Lattice, Quadrature};
 use crate::base::Result;
+use crate::base::place::is_host;
 use crate::field::Density;
 use crate::runtime::over_parts;
 
@@ -56,12 +57,12 @@ pub fn chunk_count(count: usize, device: &Device) -> usize {
 
 /// Returns the number of points in a chunk.
 pub fn chunk_size(device: &Device) -> usize {
-    if device.is_cpu() { CHUNK } else { DEVICE_CHUNK }
+    if is_host(device) { CHUNK } else { DEVICE_CHUNK }
 }
 
 /// Returns the number of chunks that are processed at once.
 pub fn chunks_at_once(device: &Device) -> usize {
-    if device.is_cpu() { rayon::current_num_threads().min(CHUNKS_AT_ONCE) } else { 1 }
+    if is_host(device) { rayon::current_num_threads().min(CHUNKS_AT_ONCE) } else { 1 }
 }
 
 /// Processes points of a precision on a device in chunks, some at once, and returns the results in order. Memory does

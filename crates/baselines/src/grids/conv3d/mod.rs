@@ -10,7 +10,9 @@ mod product;
 
 use std::sync::Arc;
 
-use candle_core::{CpuStorage, CustomOp3, DType, Device, Layout, Result, Shape, Tensor};
+use candle_core::{CpuStorage, CustomOp3, Device, Layout, Result, Shape, Tensor};
+
+use crate::base::place::is_ours_in_f32;
 
 use plan::Plan;
 use product::Rhs;
@@ -77,7 +79,7 @@ impl Conv3d {
                 bias.shape()
             );
         }
-        if x.dtype() != DType::F32 || !x.device().is_cpu() {
+        if !is_ours_in_f32(x) {
             return self.plain(x, weight, bias);
         }
         let operation = Fast {

@@ -1,6 +1,6 @@
 use super::*;
 use crate::grids::reference::{check_differences, error, fixture, on_any_threads, ramp, values};
-use candle_core::Var;
+use candle_core::{DType, Var};
 
 /// Weights `[out, in, z, y, x]`, or `[in, out, z, y, x]` of transposed convolutions, in the order of taps.
 fn in_order(product: &Conv3d, weight: &Tensor, transposed: bool) -> Tensor {

@@ -2,8 +2,8 @@
 
 use super::*;
 use crate::grids::reference::{check_differences, error, fixture, on_any_threads, ramp, values};
-use candle_core::Var;
 use candle_core::backprop::GradStore;
+use candle_core::{DType, Var};
 
 fn lines(origins: &Tensor, directions: &Tensor) -> Arc<[Line]> {
     let rows = |tensor: &Tensor| tensor.to_vec2::<f64>().unwrap().into_iter().map(|row| [row[0], row[1], row[2]]);

@@ -30,6 +30,11 @@ impl Domain {
         Domain { low, high, contraction }
     }
 
+    /// Returns the lower and the upper corner of the box.
+    pub fn corners(&self) -> ([f64; 3], [f64; 3]) {
+        (self.low, self.high)
+    }
+
     /// Returns the treatment of the space around the box.
     pub fn contraction(&self) -> Contraction {
         self.contraction

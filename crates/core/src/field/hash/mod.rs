@@ -88,7 +88,7 @@ const PRIMES: [u32; 2] = [2_654_435_761, 805_459_861];
 
 impl Level {
     /// Returns the entry of a vertex, each coordinate in 0..=resolution.
-    fn entry(&self, [x, y, z]: [u32; 3]) -> usize {
+    pub(in crate::field) fn entry(&self, [x, y, z]: [u32; 3]) -> usize {
         let vertices = self.resolution as usize + 1;
         if self.dense {
             return x as usize + vertices * (y as usize + vertices * z as usize);

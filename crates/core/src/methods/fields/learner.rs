@@ -3,12 +3,13 @@
 use candle_core::{DType, Device, Var};
 
 use crate::augment::Site;
-use crate::base::Result;
+use crate::base::place::is_host;
+use crate::base::{Error, Result};
 use crate::data::{RayParts, Scene};
 use crate::losses::WeightedTerm;
 use crate::methods::batches::Batches;
 use crate::render::ray_parts;
-use crate::settings::Resolved;
+use crate::settings::{Encoding, Resolved};
 
 use super::geometry::AttackGeometry;
 use super::networks::Fields;
@@ -40,6 +41,7 @@ impl FieldLearner {
         dtype: DType,
         device: &Device,
     ) -> Result<FieldLearner> {
+        check_derivatives(config, device)?;
         let tangents = config.method.is_augmented() && config.perturb.sites[Site::View].on();
         Ok(FieldLearner {
             config: config.clone(),
@@ -58,5 +60,18 @@ impl FieldLearner {
     /// Returns the fields that are trained.
     pub fn fields(&self) -> &Fields {
         &self.fields
+    }
+}
+
+/// Returns an error for terms in space of hash grids on a device of candle that is no CPU.
+fn check_derivatives(config: &Resolved, device: &Device) -> Result<()> {
+    let in_space = config.regularizer.terms().find(|(term, _)| term.in_space());
+    match in_space {
+        Some((term, _)) if config.field.encoding == Encoding::Hash && !is_host(device) => Err(Error::Config(format!(
+            "regularizer {} of a hash grid needs --device cpu or --device gpu; candle's other devices have no derivatives of hash \
+             grids",
+            term.name()
+        ))),
+        _ => Ok(()),
     }
 }

@@ -1,0 +1,84 @@
+//! The encoding of a hash grid by candle's operations, for devices that are no CPU. candle has no integers to hash with, so
+//! the entries of corners are looked up on the host. Positions in cells, shares and features stay on the device, and
+//! points and table are in candle's graph.
+
+use candle_core::{D, DType, Device, Result, Tensor};
+
+use crate::settings::{Contraction, Interpolation};
+
+use super::grid::Grid;
+
+impl Grid {
+    /// Returns features `[n, channels]` at points `[n, 3]`.
+    pub(super) fn encode_plainly(&self, points: &Tensor) -> Result<Tensor> {
+        let unit = match self.inside(points)? {
+            None => self.place_plainly(points)?,
+            Some(inside) => {
+                // A point outside has no gradient along any axis.
+                let inside = inside.mask(points)?.unsqueeze(1)?;
+                let (free, fixed) =
+                    (points.broadcast_mul(&inside)?, points.detach().broadcast_mul(&inside.affine(-1.0, 1.0)?)?);
+                self.place_plainly(&(free + fixed)?)?
+            }
+        };
+        let (n, device, dtype) = (unit.dim(0)?, points.device(), points.dtype());
+        let levels = self.shape.levels();
+        let cells: Vec<f32> = levels.iter().map(|level| level.resolution as f32).collect();
+        let cells = Tensor::from_vec(cells, (1, levels.len(), 1), device)?.to_dtype(dtype)?;
+        let scaled = unit.unsqueeze(1)?.broadcast_mul(&cells)?; // [n, levels, 3]
+        let (lower, entries) = self.corners(&scaled.detach())?;
+        let lower = Tensor::from_vec(lower, scaled.shape(), device)?.to_dtype(dtype)?;
+        let f = (scaled - lower)?;
+        let upper = match self.shape.interpolation() {
+            Interpolation::Linear => f,
+            Interpolation::Smoothstep => (f.sqr()? * f.affine(-2.0, 3.0)?)?,
+        };
+        let both = Tensor::stack(&[upper.affine(-1.0, 1.0)?, upper], 3)?; // [n, levels, axis, lower and upper]
+        let along = |axis: usize| both.narrow(2, axis, 1)?.squeeze(2);
+        let (x, y, z) = (along(0)?, along(1)?, along(2)?);
+        let square = y.unsqueeze(3)?.broadcast_mul(&x.unsqueeze(2)?)?.flatten_from(2)?; // [n, levels, 4], x fastest
+        let share = z.unsqueeze(3)?.broadcast_mul(&square.unsqueeze(2)?)?.flatten_from(2)?; // [n, levels, 8]
+        let entries = Tensor::from_vec(entries, n * levels.len() * 8, device)?;
+        let features = self.table.index_select(&entries, 0)?;
+        let features = features.reshape((n, levels.len(), 8, self.shape.features()))?;
+        features.broadcast_mul(&share.unsqueeze(3)?)?.sum(2)?.flatten_from(1)
+    }
+
+    /// Returns the place of points in the unit cube.
+    fn place_plainly(&self, points: &Tensor) -> Result<Tensor> {
+        let (low, high) = self.domain.corners();
+        let row = |values: [f64; 3]| Tensor::new(&[values], points.device())?.to_dtype(points.dtype());
+        let place =
+            points.broadcast_sub(&row(low)?)?.broadcast_div(&row(std::array::from_fn(|i| high[i] - low[i]))?)?;
+        let y = place.affine(2.0, -1.0)?;
+        let size = match self.domain.contraction() {
+            Contraction::None => return place.maximum(0.0)?.minimum(1.0),
+            Contraction::Axes => y.abs()?.maximum(1.0)?,
+            Contraction::Ball => y.sqr()?.sum_keepdim(D::Minus1)?.maximum(1.0)?.sqrt()?,
+        };
+        // y (2 - 1 / size) / size, which is y itself where the size is 1.
+        let factor = (size.recip()?.affine(-1.0, 2.0)? / &size)?;
+        y.broadcast_mul(&factor)?.affine(0.25, 0.5)
+    }
+
+    /// Returns the lower corner of the cells of `scaled [n, levels, 3]`, and the entries of their eight corners.
+    fn corners(&self, scaled: &Tensor) -> Result<(Vec<f64>, Vec<u32>)> {
+        let scaled = scaled.to_device(&Device::Cpu)?.to_dtype(DType::F64)?.flatten_all()?.to_vec1::<f64>()?;
+        let levels = self.shape.levels();
+        let mut lower = Vec::with_capacity(scaled.len());
+        let mut entries = Vec::with_capacity(scaled.len() / 3 * 8);
+        for (i, place) in scaled.as_chunks::<3>().0.iter().enumerate() {
+            let level = &levels[i % levels.len()];
+            let last = f64::from(level.resolution - 1);
+            // A place that is no number is in the first cell, where its shares are no numbers.
+            let cell = place.map(|x| x.floor().max(0.0).min(last));
+            lower.extend(cell);
+            let entry = |k: u32| {
+                let corner = [k & 1, k >> 1 & 1, k >> 2];
+                (level.offset + level.entry(std::array::from_fn(|axis| cell[axis] as u32 + corner[axis]))) as u32
+            };
+            entries.extend((0..8).map(entry));
+        }
+        Ok((lower, entries))
+    }
+}
