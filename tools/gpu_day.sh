@@ -3,11 +3,15 @@
 #
 #   tools/gpu_day.sh prepare DATA [CUDA]   # lays programs, loaders, fern of DATA and peers into .gpu_day (under 64 MiB)
 #   bash .gpu_day/gpu_day.sh run OUT       # on the machine: at most ten minutes; leaves files and OUT/index
+#   bash .gpu_day/gpu_day.sh rehearse OUT  # the same blocks in small sizes, without peers, on any device
 #
 # CUDA is a program that was built with --features cuda, to be timed as well. `prepare` needs no GPU, and `run` no network. As
 # root, on a machine without a Vulkan loader, `run` installs the one that was prepared. WITHOUT_PEERS="nerf aug-nerf" leaves out
 # PyTorch and CUDA, and MOST_SECONDS=300 ends the day earlier.
 set -uo pipefail
+
+# The tests of the device, by their files.
+tests="step renderer density"
 
 prepare() {
   local data=$1 cuda=${2:-} day=.gpu_day
@@ -18,15 +22,15 @@ prepare() {
   cp "$data"/nerf_llff_data/fern/poses_bounds.npy $day/fern/
   cp "$data"/nerf_llff_data/fern/images_8/* $day/fern/images_8/
   cargo build --release --features gpu || exit
-  cargo build --release -p augnerf-gpu --example time || exit
-  cargo test --release -p augnerf-gpu --test step --no-run 2>&1 | tee $day/built || exit
-  local steps
-  steps=$(sed -n 's/.*(\(target.*step-[0-9a-f]*\))/\1/p' $day/built)
+  cp target/release/augnerf $day/
+  cargo test --release -p augnerf -p augnerf-gpu --test step --test renderer --test density --no-run 2>&1 | tee $day/built || exit
+  local test
+  for test in $tests; do
+    cp "$(sed -n "s/.*(\(target.*\/$test-[0-9a-f]*\))/\1/p" $day/built)" "$day/test-$test" || exit
+  done
   rm $day/built
-  cp target/release/augnerf target/release/examples/time $day/
-  cp "$steps" $day/steps
   [[ -n $cuda ]] && cp "$cuda" $day/augnerf-cuda
-  strip $day/augnerf $day/time $day/steps $day/augnerf-cuda 2> /dev/null
+  strip $day/augnerf $day/test-* $day/augnerf-cuda 2> /dev/null
   (
     cd $day || exit
     apt-get download libvulkan1 libx11-6 libxcb1 libxext6 libxau6 libxdmcp6 libbsd0 libmd0 libegl1 libglvnd0 libopengl0 libgl1 \
@@ -36,7 +40,7 @@ prepare() {
       plain=$(tr -c 'A-Za-z0-9._\n' - <<< "${deb//%3a/-}")
       [[ $plain == "$deb" ]] || mv "$deb" "$plain"
     done
-    xz -T0 -6 augnerf time steps augnerf-cuda 2> /dev/null
+    xz -T0 -6 augnerf test-* augnerf-cuda 2> /dev/null
   )
   du -sh $day
 }
@@ -54,7 +58,7 @@ run() {
   mkdir -p "$out"
   cd "$(dirname "$0")" || exit
   for packed in *.xz; do [[ -e $packed ]] && xz -dkf "$packed"; done
-  chmod +x augnerf time steps augnerf-cuda 2> /dev/null
+  chmod +x augnerf test-* augnerf-cuda 2> /dev/null
   if [[ $EUID == 0 ]] && ! ldconfig -p | grep -q libvulkan; then
     for deb in *.deb; do dpkg -x "$deb" /; done
     ldconfig
@@ -66,33 +70,38 @@ run() {
   try 15 0-smi nvidia-smi
   try 15 0-devices ./augnerf devices
   # 1. Is it right?
-  try 90 1-steps ./steps --test-threads=1 --nocapture
+  local test
+  for test in $tests; do try 90 "1-$test" "./test-$test" --test-threads=1 --nocapture; done
   # 2. How fast, in turn with PyTorch.
-  local sizes="sampling.coarse=64 sampling.fine=128"
-  local small="field.encoding=hash sampling.coarse=48 sampling.fine=32 field.width=64"
+  local bench="--rays $rays --coarse 64 --fine 128 --steps $steps"
+  local hash="--rays $rays --coarse 48 --fine 32 --width 64 --steps $steps --set field.encoding=hash"
+  local method as device
   for method in nerf aug-nerf; do
-    try 20 "2-$method" ./time 0 20 method=$method $sizes
-    try 20 "2-$method-f16" ./time 0 20 method=$method $sizes field.precision=f16
-    try 20 "2-$method-hash" ./time 0 50 method=$method $small
+    try 20 "2-$method" ./augnerf bench --device gpu --method $method $bench
+    try 20 "2-$method-f16" ./augnerf bench --device gpu --method $method $bench --set field.precision=f16
+    try 20 "2-$method-hash" ./augnerf bench --device gpu --method $method $hash
     [[ " ${WITHOUT_PEERS:-} " == *" $method "* ]] && continue
     for as in "" --tf32 --bf16; do
       try 20 "2-$method-torch$as" python3 torch_peer.py --device cuda --method ${method%-nerf} --rays 1024 --coarse 64 --fine 128 \
         --steps 10 $as
     done
     for device in cuda cuda-tf32; do
-      [[ -x augnerf-cuda ]] && try 20 "2-$method-$device" ./augnerf-cuda bench --device $device --method $method --rays 1024 \
-        --coarse 64 --fine 128 --steps 10
+      [[ -x augnerf-cuda ]] && try 20 "2-$method-$device" ./augnerf-cuda bench --device $device --method $method $bench
     done
   done
-  # 3. Trainings that end.
+  # 3. Trainings that end, with their views, and a surface.
   for method in nerf aug-nerf; do
-    try 60 "3-builtin-$method" ./augnerf train --method $method --device gpu --out "$out/builtin-$method"
-    try 60 "3-fern-$method" ./augnerf train --data fern --preset fast --method $method --device gpu --out "$out/fern-$method"
+    try 60 "3-builtin-$method" ./augnerf train --method $method --device gpu --out "$out/builtin-$method" $small
+    try 60 "3-fern-$method" ./augnerf train --data fern --preset fast --method $method --device gpu --out "$out/fern-$method" $small
   done
+  try 30 3-builtin-mesh ./augnerf mesh "$out/builtin-nerf" --device gpu --resolution $resolution --picture "$out/builtin-mesh.png"
+  try 30 3-builtin-measure ./augnerf measure "$out/builtin-nerf" --device gpu
+  [[ -x augnerf-cuda ]] && try 30 3-builtin-cuda ./augnerf-cuda train --device cuda --out "$out/builtin-cuda" --set train.steps=50 \
+    --set train.chunk=1024 --set eval.chunk=4096
   # 4. The paper's own settings on fern, until the time is up. `augnerf resume` goes on from the checkpoint.
   local left=$((${MOST_SECONDS:-570} - SECONDS))
-  ((left > 20)) && try $left 4-fern-paper ./augnerf train --data fern --preset paper-llff --device gpu --out "$out/fern-paper" \
-    --set train.log_every=200
+  ((left > 20)) && try $left 4-fern-paper ./augnerf train --data fern --preset paper-llff --yes --device gpu \
+    --out "$out/fern-paper" --set train.log_every=$log_every $small_paper
   cd "$out" || exit
   # Tables of hash grids are large; the last training's checkpoint is for `resume`.
   for folder in */; do
@@ -101,8 +110,19 @@ run() {
   done
 }
 
+# Sizes of the day, and of its rehearsal.
+rays=1024 steps=20 resolution=256 log_every=200 small="" small_paper=""
+
+rehearse() {
+  rays=8 steps=1 resolution=24 log_every=1
+  small="--set train.rays=32 --set train.steps=20 --set train.decay_steps=20 --set data.width=32"
+  small_paper="--set train.rays=4 --set data.width=32 --set field.width=32"
+  WITHOUT_PEERS="nerf aug-nerf" MOST_SECONDS=${MOST_SECONDS:-420} run "$1"
+}
+
 case ${1:-} in
   prepare) prepare "${2:?the folder with nerf_llff_data}" "${3:-}" ;;
+  rehearse) rehearse "${2:?folder for what comes back}" ;;
   run) run "${2:?folder for what comes back}" ;;
-  *) sed -n '2,9s/^# \?//p' "$0" ;;
+  *) sed -n '2,10s/^# \?//p' "$0" ;;
 esac

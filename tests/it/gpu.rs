@@ -50,6 +50,40 @@ fn a_training_ends_where_the_processor_s_does() {
     }
 }
 
+/// A surface and its smoothness, of a training with a term in space.
+#[test]
+fn surfaces_and_measures_are_the_processor_s() {
+    let dir = tempfile::tempdir().unwrap();
+    let run = dir.path().join("run");
+    let path = run.to_str().unwrap();
+    succeed(&train(path, "gpu", &["regularizer.kind=tv", "regularizer.weight=1e-5"]));
+    let [on_gpu, on_cpu] = ["gpu", "cpu"].map(|device| {
+        succeed(&[
+            "mesh",
+            path,
+            "--device",
+            device,
+            "--resolution",
+            "24",
+            "--threshold",
+            "3",
+            "--overwrite",
+            "--quiet",
+        ]);
+        let mesh = json(&run.join("mesh/mesh.json"));
+        succeed(&["measure", path, "--device", device, "--lattice", "16", "--quiet"]);
+        let smoothness = fs::read_to_string(run.join("smoothness.csv")).unwrap();
+        let row =
+            |line: usize| -> Vec<String> { smoothness.lines().nth(line).unwrap().split(',').map(Into::into).collect() };
+        let (head, values) = (row(0), row(1));
+        let of = |name: &str| -> f64 { values[head.iter().position(|known| known == name).unwrap()].parse().unwrap() };
+        [mesh["area"].as_f64().unwrap(), of("l1"), of("tv"), of("largest_density")]
+    });
+    for (found, expected) in on_gpu.into_iter().zip(on_cpu) {
+        assert!(expected > 0.0 && (found / expected - 1.0).abs() < 1e-3, "{on_gpu:?} and {on_cpu:?}");
+    }
+}
+
 #[test]
 fn a_run_goes_on_on_another_device() {
     let dir = tempfile::tempdir().unwrap();
@@ -76,6 +110,7 @@ fn devices_and_kernels_are_listed() {
     let timed: serde_json::Value = serde_json::from_str(&printed(&arguments)).unwrap();
     let work = &timed["on_device"];
     assert!(work["dispatches"].as_u64().unwrap() > 20 && work["multiply_adds"].as_f64().unwrap() > 1e6, "{timed}");
+    assert_eq!(work["tiles"], "64 x 64", "{timed}");
     let kernels = work["kernels"].as_array().unwrap();
     assert!(kernels.iter().any(|kernel| kernel["kernel"] == "product"), "{timed}");
 }
@@ -87,10 +122,11 @@ fn what_it_does_not_do_is_refused() {
     let out = out.to_str().unwrap();
     for (setting, words) in [
         ("method=mip-nerf", "method mip-nerf"),
-        ("regularizer.kind=tv", "regularizer tv"),
+        ("field.encoding=positional", "regularizer laplacian"),
         ("field.width=30", "width 30"),
     ] {
-        let said = demand(&mut augnerf(&train(out, "gpu", &[setting])), 2);
+        let laplacian = if words.contains("laplacian") { "regularizer.kind=laplacian" } else { "regularizer.kind=[]" };
+        let said = demand(&mut augnerf(&train(out, "gpu", &[setting, laplacian])), 2);
         assert!(said.contains(words) && said.contains("--device cpu"), "{said}");
     }
     let said = demand(&mut augnerf(&train(out, "gpu:99", &[])), 2);

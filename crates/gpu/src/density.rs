@@ -56,6 +56,7 @@ impl GpuDensity {
         let scratch = Scratch::new(gpu, &shape, chunk, 1, false);
         let (points, rays, at) = (gpu.numbers(3 * chunk), gpu.numbers(RAY * chunk), gpu.numbers(4 * chunk));
         let (t_vals, out, flags) = (gpu.numbers(2 * chunk), gpu.numbers(OUT * chunk), gpu.numbers(1));
+        let tiles = gpu.tiles(Precision::F32)?;
         let recorder = || Recorder {
             gpu,
             shape: &shape,
@@ -65,7 +66,7 @@ impl GpuDensity {
             flags: &flags,
             bounds: (0.0, 1.0),
             background: None,
-            tiles: gpu.tiles(Precision::F32),
+            tiles,
             loss_scale: 1.0,
             dispatches: Vec::new(),
             work: Work::default(),

@@ -3,7 +3,7 @@
 use std::any::Any;
 use std::collections::HashMap;
 use std::fmt;
-use std::sync::{Arc, Mutex, PoisonError, mpsc};
+use std::sync::{Arc, Mutex, OnceLock, PoisonError, mpsc};
 use std::time::Duration;
 
 use augnerf_core::base::{Error, Result};
@@ -18,6 +18,7 @@ use wgpu::{
 };
 
 use crate::kernels::{Kernel, Tiles};
+use crate::tune::fastest;
 
 /// After a wait a device answers at once.
 const ANSWERS_WITHIN: Duration = Duration::from_secs(60);
@@ -58,6 +59,8 @@ struct Opened {
     limits: Limits,
     pipelines: Mutex<HashMap<Kernel, ComputePipeline>>,
     timestamps: bool,
+    /// Tiles of wide layers in f32, measured when they are first needed.
+    tiles: OnceLock<Tiles>,
 }
 
 impl fmt::Debug for Gpu {
@@ -208,7 +211,18 @@ impl Gpu {
             DeviceType::Cpu => 1 << 28,
             _ => 1 << 30,
         };
-        Ok(Gpu(Arc::new(Opened { device, queue, adapter: known, limits: required, pipelines, timestamps }), budget))
+        Ok(Gpu(
+            Arc::new(Opened {
+                device,
+                queue,
+                adapter: known,
+                limits: required,
+                pipelines,
+                timestamps,
+                tiles: OnceLock::new(),
+            }),
+            budget,
+        ))
     }
 
     /// Returns its adapter.
@@ -227,13 +241,25 @@ impl Gpu {
         Gpu(self.0.clone(), bytes)
     }
 
-    /// Returns the tiles of wide layers. A software device compiles large ones slowly.
-    pub(crate) fn tiles(&self, precision: Precision) -> Tiles {
-        match precision {
-            Precision::F16 => Tiles::Matrices,
-            _ if self.0.adapter.is_software => Tiles::Small,
-            _ => Tiles::Large,
+    /// Returns the tiles of wide layers: in f32 the fastest ones, which the first call measures. Large ones take a software
+    /// device long to compile, so that it is not asked.
+    ///
+    /// # Errors
+    /// The device was lost.
+    pub(crate) fn tiles(&self, precision: Precision) -> Result<Tiles> {
+        if precision == Precision::F16 {
+            return Ok(Tiles::Matrices);
         }
+        if let Some(tiles) = self.0.tiles.get() {
+            return Ok(*tiles);
+        }
+        let candidates: &[Tiles] =
+            if self.0.adapter.is_software { &[Tiles::Small] } else { &[Tiles::Small, Tiles::Large] };
+        let tiles = match candidates {
+            [only] => *only,
+            _ => fastest(self, candidates)?,
+        };
+        Ok(*self.0.tiles.get_or_init(|| tiles))
     }
 
     pub(crate) fn largest_buffer(&self) -> usize {
@@ -359,7 +385,7 @@ impl Gpu {
     }
 
     /// Waits until all submitted work is done.
-    fn wait(&self) -> Result<()> {
+    pub(crate) fn wait(&self) -> Result<()> {
         self.0.device.poll(PollType::wait_indefinitely()).map_err(|e| self.lost(&e.to_string()))?;
         Ok(())
     }

@@ -22,6 +22,7 @@ mod renderer;
 mod sets;
 mod step;
 mod stepper;
+mod tune;
 
 pub use device::{Adapter, Gpu, adapters};
 pub use limits::check;

@@ -83,7 +83,7 @@ impl GpuRenderer {
             flags: &flags,
             bounds: scene.bounds(),
             background: scene.background,
-            tiles: gpu.tiles(Precision::F32),
+            tiles: gpu.tiles(Precision::F32)?,
             loss_scale: 1.0,
             dispatches: Vec::new(),
             work: Work::default(),

@@ -9,7 +9,7 @@ use augnerf_core::settings::{Precision, Regularizer, Resolved};
 use candle_core::Tensor;
 
 use crate::device::{Dispatch, Gpu, groups};
-use crate::kernels::Kernel;
+use crate::kernels::{Kernel, Tiles};
 use crate::limits::{check, check_precision, rays_of_chunk};
 use crate::network::{FieldBuffers, Shape};
 use crate::rays::packed;
@@ -40,6 +40,7 @@ pub struct Steps {
     roles: Vec<&'static str>,
     sets: [Option<PassSets>; 2],
     buffers: StepBuffers,
+    tiles: Tiles,
     /// The work of a step, and that of a step with diagnostics.
     plain: Vec<Dispatch>,
     logged: Option<Vec<Dispatch>>,
@@ -90,6 +91,7 @@ impl Steps {
             roles: fields.by_role().into_iter().map(|(role, _)| role).collect(),
             sets,
             buffers,
+            tiles: gpu.tiles(config.field.precision)?,
             plain: Vec::new(),
             logged: None,
             update: Vec::new(),
@@ -110,6 +112,11 @@ impl Steps {
     /// Returns what a step does, by counting.
     pub fn work(&self) -> (usize, f64, usize) {
         (self.work.dispatches + self.update.len(), self.work.multiply_adds, self.sent)
+    }
+
+    /// Returns the tiles in which wide layers are multiplied.
+    pub fn tiles(&self) -> &'static str {
+        self.tiles.name()
     }
 
     /// Takes the step after `step` finished ones. `updates` counts Adam's updates with this one.
@@ -252,7 +259,7 @@ impl Steps {
             flags: &self.buffers.flags,
             bounds: self.scene_bounds,
             background: self.background,
-            tiles: self.gpu.tiles(self.config.field.precision),
+            tiles: self.tiles,
             loss_scale: loss_scale(&self.config),
             dispatches: Vec::new(),
             work: Work::default(),

@@ -74,6 +74,8 @@ pub struct DeviceWork {
     pub multiply_adds: f64,
     /// Bytes sent to the device.
     pub bytes_sent: usize,
+    /// The tiles in which wide layers are multiplied.
+    pub tiles: String,
     /// Each kind of kernel, the longest first, measured one after another. Empty if the device has no timestamps.
     pub kernels: Vec<KernelTime>,
 }
@@ -191,13 +193,20 @@ mod gpu {
         let mut steps = augnerf_gpu::Steps::new(own(accelerator)?, config, scene, fields, None)?;
         steps.try_step(0, false)?;
         let (dispatches, multiply_adds, bytes_sent) = steps.work();
+        let tiles = steps.tiles().into();
         let times = if steps.has_timestamps() { steps.profile(0)? } else { Vec::new() };
         let of_kernel = |(kernel, milliseconds, dispatches): (&str, f64, usize)| KernelTime {
             kernel: kernel.into(),
             dispatches,
             milliseconds,
         };
-        Ok(DeviceWork { dispatches, multiply_adds, bytes_sent, kernels: times.into_iter().map(of_kernel).collect() })
+        Ok(DeviceWork {
+            dispatches,
+            multiply_adds,
+            bytes_sent,
+            tiles,
+            kernels: times.into_iter().map(of_kernel).collect(),
+        })
     }
 
     pub(super) fn stepper(
