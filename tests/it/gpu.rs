@@ -58,18 +58,7 @@ fn surfaces_and_measures_are_the_processor_s() {
     let path = run.to_str().unwrap();
     succeed(&train(path, "gpu", &["regularizer.kind=tv", "regularizer.weight=1e-5"]));
     let [on_gpu, on_cpu] = ["gpu", "cpu"].map(|device| {
-        succeed(&[
-            "mesh",
-            path,
-            "--device",
-            device,
-            "--resolution",
-            "24",
-            "--threshold",
-            "3",
-            "--overwrite",
-            "--quiet",
-        ]);
+        succeed(&["mesh", path, "--device", device, "--resolution", "24", "--threshold", "3", "--quiet"]);
         let mesh = json(&run.join("mesh/mesh.json"));
         succeed(&["measure", path, "--device", device, "--lattice", "16", "--quiet"]);
         let smoothness = fs::read_to_string(run.join("smoothness.csv")).unwrap();

@@ -341,39 +341,4 @@ const BACK: &str = include_str!("wgsl/product_back.wgsl");
 const WEIGHTS: &str = include_str!("wgsl/product_weights.wgsl");
 
 #[cfg(test)]
-mod tests {
-    use super::*;
-    use naga::valid::{Capabilities, ValidationFlags, Validator};
-
-    /// Compiles a text to SPIR-V, as for Vulkan. Returns its words.
-    fn compile(kernel: &Kernel) -> usize {
-        let text = kernel.text();
-        let module = naga::front::wgsl::parse_str(&text).unwrap_or_else(|e| panic!("{}", e.emit_to_string(&text)));
-        let info = Validator::new(ValidationFlags::all(), Capabilities::all())
-            .validate(&module)
-            .unwrap_or_else(|e| panic!("{:?}: {}", kernel, e.emit_to_string(&text)));
-        let options = naga::back::spv::Options { lang_version: (1, 6), ..naga::back::spv::Options::default() };
-        naga::back::spv::write_vec(&module, &info, &options, None).unwrap().len()
-    }
-
-    /// Matrix units are not on the machines that run the tests.
-    #[test]
-    fn products_by_matrix_units_compile() {
-        for name in ["product", "product_back", "weights"] {
-            for columns in [64, 256] {
-                let kernel = Tile::of(columns, Tiles::Matrices).kernel(name).with("F16", true);
-                assert!(compile(&kernel) > 1000);
-                let of_two =
-                    kernel.with("SECOND", true).with("DELTA", name == "product").with("MASK", name != "product");
-                assert!(compile(&of_two.with("OPEN", true).with("ADD", true)) > 1000);
-            }
-        }
-    }
-
-    #[test]
-    fn large_tiles_compile() {
-        for name in ["product", "product_back", "weights"] {
-            assert!(compile(&Tile::of(256, Tiles::Large).kernel(name).with("SECOND", true)) > 1000);
-        }
-    }
-}
+mod tests;

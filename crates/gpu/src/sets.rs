@@ -226,7 +226,7 @@ impl Recorder<'_> {
             return;
         }
         let blocks = (offset % 16 + count).div_ceil(16);
-        let words = Words::default().u(key(stream)).u(part).u(part_step).u(chunks);
+        let words = Words::default().u(stream.key() as usize).u(part).u(part_step).u(chunks);
         let words = words.u(count).u(offset).u(blocks).u(first);
         self.run(Kernel::new("random"), words, &[(1, now), (2, numbers)], groups(chunks * blocks));
     }
@@ -429,16 +429,6 @@ impl Recorder<'_> {
         }
         let kernel = self.set_kernel("at_bound", set).with("OUTPUT", is_output);
         self.run(kernel, words, &bound, groups(pass.rays * set.per_ray));
-    }
-}
-
-/// The stream's word in the generator's key.
-fn key(stream: Stream) -> usize {
-    match stream {
-        Stream::Jitter => 3,
-        Stream::Search => 4,
-        Stream::Diagnostics => 5,
-        _ => unreachable!("a stream of the passes"),
     }
 }
 

@@ -42,8 +42,9 @@ pub enum Stream {
 }
 
 impl Stream {
-    /// Written out, so that reordering the enum cannot change any numbers.
-    fn key(self) -> u64 {
+    /// Returns the stream's word in a generator's key. It is written out, so that reordering the enum cannot change any
+    /// numbers.
+    pub fn key(self) -> u64 {
         match self {
             Stream::Init => 1,
             Stream::Batches => 2,
