@@ -51,8 +51,7 @@ impl GpuDensity {
         let shape = Shape::of(field.config());
         let most = if gpu.adapter().is_software { MOST_POINTS_IN_SOFTWARE } else { MOST_POINTS };
         let chunk = samples_at_once(gpu, &shape, Scratch::bytes_per_sample(&shape)).clamp(4, most) / 4 * 4;
-        let values: Vec<Tensor> = field.variables().iter().map(|(_, var)| var.as_detached_tensor()).collect();
-        let field_buffers = FieldBuffers::new(gpu, &shape, &values, None)?;
+        let field_buffers = FieldBuffers::of(gpu, &shape, field)?;
         let scratch = Scratch::new(gpu, &shape, chunk, 1, false);
         let (points, rays, at) = (gpu.numbers(3 * chunk), gpu.numbers(RAY * chunk), gpu.numbers(4 * chunk));
         let (t_vals, out, flags) = (gpu.numbers(2 * chunk), gpu.numbers(OUT * chunk), gpu.numbers(1));

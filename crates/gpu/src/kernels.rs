@@ -1,8 +1,7 @@
 //! The kernels' texts, with what is chosen when they are compiled.
 
-use std::fmt::Write;
-
 mod matrices;
+mod tiled;
 
 /// A kernel with its choices. Equal ones are compiled once.
 #[derive(Clone, Debug, PartialEq, Eq, Hash)]
@@ -90,7 +89,7 @@ impl Kernel {
     pub(crate) fn text(&self) -> String {
         let mut text = match self.name {
             "product" | "product_back" | "weights" if self.has("F16") => matrices::product(self),
-            "product" | "product_back" | "weights" => product(self),
+            "product" | "product_back" | "weights" => tiled::product(self),
             name => parts(name).concat(),
         };
         for (name, value) in &self.constants {
@@ -180,165 +179,6 @@ impl Tile {
         Kernel::new(name).set("ROWS", self.rows).set("COLUMNS", self.columns).set("SIDE", self.of_thread)
     }
 }
-
-/// Depth of a tile.
-const DEPTH: usize = 16;
-
-/// How a tile is fetched: four numbers at a time, along the depth or along the tile's rows or columns. Shared memory has it
-/// along the latter, so squares of the former are transposed.
-struct Lines {
-    along_depth: bool,
-    size: usize,
-}
-
-impl Lines {
-    /// Fours, or squares, of the tile.
-    fn pieces(&self) -> usize {
-        if self.along_depth { self.size / 4 * DEPTH / 4 } else { self.size / 4 * DEPTH }
-    }
-
-    fn slots(&self, threads: usize) -> usize {
-        self.pieces().div_ceil(threads)
-    }
-
-    /// The variables of a thread.
-    fn names(&self, name: &str, threads: usize) -> Vec<String> {
-        let each = if self.along_depth { 4 } else { 1 };
-        (0..self.slots(threads)).flat_map(|slot| (0..each).map(move |j| format!("{name}{slot}_{j}"))).collect()
-    }
-
-    /// Depth and place of a thread's piece. A square's are those of its corner.
-    fn place(&self, slot: usize, threads: usize) -> String {
-        let index = format!("(thread + {}u)", slot * threads);
-        let place = match self.along_depth {
-            true => format!("let k = 4u * ({index} % {}u); let at = {index} / {}u;", DEPTH / 4, DEPTH / 4),
-            false => format!("let k = {index} / {}u; let at = {index} % {}u;", self.size / 4, self.size / 4),
-        };
-        match self.pieces() % threads {
-            0 => place,
-            _ => format!("if ({index} < {}u) {{ {place}", self.pieces()),
-        }
-    }
-
-    fn end(&self, threads: usize) -> &'static str {
-        if self.pieces().is_multiple_of(threads) { "" } else { "}" }
-    }
-
-    fn fetch(&self, s: &mut String, (name, line, first): (&str, &str, &str), threads: usize, k0: &str) {
-        for slot in 0..self.slots(threads) {
-            let _ = writeln!(s, "{{ {}", self.place(slot, threads));
-            for j in 0..if self.along_depth { 4 } else { 1 } {
-                let _ = writeln!(s, "{name}{slot}_{j} = {line}({first} + 4u * at + {j}u, {k0} + k, part);");
-            }
-            let _ = writeln!(s, "{} }}", self.end(threads));
-        }
-    }
-
-    fn keep(&self, s: &mut String, (name, tile, row): (&str, &str, usize), threads: usize) {
-        for slot in 0..self.slots(threads) {
-            let _ = writeln!(s, "{{ {}", self.place(slot, threads));
-            if self.along_depth {
-                for (k, part) in ["x", "y", "z", "w"].into_iter().enumerate() {
-                    let of = |j: usize| format!("{name}{slot}_{j}.{part}");
-                    let square = format!("vec4<f32>({}, {}, {}, {})", of(0), of(1), of(2), of(3));
-                    let _ = writeln!(s, "{tile}[(k + {k}u) * {row}u + at] = {square};");
-                }
-            } else {
-                let _ = writeln!(s, "{tile}[k * {row}u + at] = {name}{slot}_0;");
-            }
-            let _ = writeln!(s, "{} }}", self.end(threads));
-        }
-    }
-}
-
-/// Writes the text of a product: a group computes a tile and a thread a square of it. The depth passes through shared
-/// memory, and the next part of it is fetched while this one is multiplied.
-///
-/// - `product`: C = A W + b, with A = [A1 | A2], by ReLU if asked, and C + X beside it with flag DELTA.
-/// - `product_back`: C = D W^T over some rows of W, where the ReLU let it pass (MASK), added to C (ADD), and beside it
-///   without the mask (OPEN).
-/// - `weights`: a part of A^T D over some rows, with the sum of D below it.
-fn product(kernel: &Kernel) -> String {
-    let [rows, columns, side] = ["ROWS", "COLUMNS", "SIDE"].map(|name| kernel.constant(name));
-    let (threads, fours) = (rows * columns / side / side, side / 4);
-    // In fours, and one more that keeps neighbours in different banks.
-    let (left_row, right_row) = (rows / 4 + 1, columns / 4 + 1);
-    let of_weights = kernel.name == "weights";
-    let depth = if of_weights { "p.part_rows" } else { "(p.k1 + p.k2)" };
-    let mut s = PARAMETERS.to_string();
-    let _ = writeln!(s, "var<workgroup> left: array<vec4<f32>, {}>;", DEPTH * left_row);
-    let _ = writeln!(s, "var<workgroup> right: array<vec4<f32>, {}>;", DEPTH * right_row);
-    s.push_str(match kernel.name {
-        "weights" => WEIGHTS,
-        "product_back" => BACK,
-        _ => FORWARD,
-    });
-    let left = Lines { along_depth: !of_weights, size: rows };
-    let right = Lines { along_depth: kernel.name == "product_back", size: columns };
-    let _ = writeln!(
-        s,
-        "@compute @workgroup_size({threads})\nfn main(@builtin(workgroup_id) group: vec3<u32>, \
-         @builtin(local_invocation_index) thread: u32) {{\n\
-         let across = {}u; let ty = thread / across; let tx = thread % across;\n\
-         let row0 = group.x * {rows}u; let col0 = group.y * {columns}u; let part = group.z;",
-        columns / side
-    );
-    let accumulators = (0..side).flat_map(|i| (0..fours).map(move |q| format!("s{i}_{q}")));
-    let biases = (0..if of_weights { fours } else { 0 }).map(|q| format!("b{q}"));
-    let fetched = left.names("a", threads).into_iter().chain(right.names("d", threads));
-    for name in accumulators.chain(biases).chain(fetched) {
-        let _ = writeln!(s, "var {name} = vec4<f32>(0.0);");
-    }
-    left.fetch(&mut s, ("a", "left_line", "row0"), threads, "0u");
-    right.fetch(&mut s, ("d", "right_line", "col0"), threads, "0u");
-    let _ = writeln!(s, "for (var k0 = 0u; k0 < {depth}; k0 += {DEPTH}u) {{");
-    left.keep(&mut s, ("a", "left", left_row), threads);
-    right.keep(&mut s, ("d", "right", right_row), threads);
-    let _ = writeln!(s, "workgroupBarrier();\nif (k0 + {DEPTH}u < {depth}) {{");
-    let next = format!("k0 + {DEPTH}u");
-    left.fetch(&mut s, ("a", "left_line", "row0"), threads, &next);
-    right.fetch(&mut s, ("d", "right_line", "col0"), threads, &next);
-    let _ = writeln!(s, "}}\nfor (var k = 0u; k < {DEPTH}u; k++) {{");
-    let _ = writeln!(s, "let l = k * {left_row}u + {fours}u * ty; let r = k * {right_row}u + {fours}u * tx;");
-    for q in 0..fours {
-        let _ = writeln!(s, "let l{q} = left[l + {q}u]; let r{q} = right[r + {q}u];");
-    }
-    for i in 0..side {
-        for q in 0..fours {
-            let _ = writeln!(s, "s{i}_{q} = fma(vec4<f32>(l{}[{}]), r{q}, s{i}_{q});", i / 4, i % 4);
-        }
-    }
-    // A bias has no part in derivatives.
-    let counts = if kernel.has("JETS") { "if (k % 4u == 0u) " } else { "" };
-    for q in 0..if of_weights { fours } else { 0 } {
-        let _ = writeln!(s, "{counts}{{ b{q} += r{q}; }}");
-    }
-    s.push_str("}\nworkgroupBarrier();\n}\n");
-    let is_jet = kernel.name == "product" && kernel.has("JETS");
-    for i in 0..side {
-        for q in 0..fours {
-            let place = format!("row0 + {side}u * ty + {i}u, col0 + {side}u * tx + {}u, s{i}_{q}", 4 * q);
-            let _ = match is_jet {
-                true => writeln!(s, "store_jet({place}, s{}_{q}, part);", i - i % 4),
-                false => writeln!(s, "store_four({place}, part);"),
-            };
-        }
-    }
-    if of_weights {
-        s.push_str("if (ty == 0u && group.x == 0u) {\n");
-        for q in 0..fours {
-            let _ = writeln!(s, "store_bias(col0 + {side}u * tx + {}u, b{q}, part);", 4 * q);
-        }
-        s.push_str("}\n");
-    }
-    s.push_str("}\n");
-    s
-}
-
-const PARAMETERS: &str = include_str!("wgsl/product.wgsl");
-const FORWARD: &str = include_str!("wgsl/product_forward.wgsl");
-const BACK: &str = include_str!("wgsl/product_back.wgsl");
-const WEIGHTS: &str = include_str!("wgsl/product_weights.wgsl");
 
 #[cfg(test)]
 mod tests;

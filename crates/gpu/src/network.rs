@@ -2,7 +2,7 @@
 
 use augnerf_core::base::Result;
 use augnerf_core::field::hash::{HashGrid, Level};
-use augnerf_core::field::{encoded_channels, position_channels};
+use augnerf_core::field::{Field, encoded_channels, position_channels};
 use augnerf_core::settings::{Contraction, Encoding, FieldConfig, Interpolation};
 use candle_core::{Device, Tensor};
 use wgpu::Buffer;
@@ -269,6 +269,12 @@ impl FieldBuffers {
             _ => None,
         };
         Ok(FieldBuffers { weights: Learned::new(gpu, &weights, of_weights, 1), tables })
+    }
+
+    /// Copies a field's current parameters to the device.
+    pub(crate) fn of(gpu: &Gpu, shape: &Shape, field: &Field) -> Result<FieldBuffers> {
+        let values: Vec<Tensor> = field.variables().iter().map(|(_, var)| var.as_detached_tensor()).collect();
+        FieldBuffers::new(gpu, shape, &values, None)
     }
 
     /// Reads parameters, first and second moments, in the host's order and shapes.

@@ -56,31 +56,19 @@ impl GpuRenderer {
         shape: &Shape,
         chunk: usize,
     ) -> Result<GpuRenderer> {
-        let copy = |field: &augnerf_core::field::Field| {
-            let values: Vec<Tensor> = field.variables().iter().map(|(_, var)| var.as_detached_tensor()).collect();
-            FieldBuffers::new(gpu, shape, &values, None)
-        };
-        let coarse_field = copy(&fields.coarse)?;
-        let fine_field = match fields.fine() {
-            Some(fine) if fields.by_role().iter().any(|(role, _)| *role == "fine") => Some(copy(fine)?),
-            _ => None,
-        };
-        let (coarse, fine) = config.samples();
-        let encoding = config.field.encoding;
-        let columns = encoding.t_vals(coarse);
-        let scratch = Scratch::new(gpu, shape, chunk, coarse.max(fine), false);
-        let (rays, out) = (gpu.numbers(chunk * RAY), gpu.numbers(chunk * OUT));
-        let rows = gpu.storage(&bins(config.sampling.spacing, scene.bounds(), columns, false));
-        let jitter = gpu.numbers(chunk * columns);
-        let t_vals = || gpu.numbers(chunk * (coarse.max(fine) + 1));
-        let (t_coarse, t_fine, flags) = (t_vals(), t_vals(), gpu.numbers(1));
+        let coarse_field = FieldBuffers::of(gpu, shape, &fields.coarse)?;
+        let has_own_fine = fields.by_role().iter().any(|(role, _)| *role == "fine");
+        let fine_field = fields.fine().filter(|_| has_own_fine);
+        let fine_field = fine_field.map(|field| FieldBuffers::of(gpu, shape, field)).transpose()?;
+        let buffers = PassBuffers::new(gpu, config, scene, shape, chunk);
+        let PassBuffers { scratch, rays, out, rows, jitter, t_coarse, t_fine, flags } = &buffers;
         let mut recorder = Recorder {
             gpu,
             shape,
             outputs: Outputs::of(&config.field),
-            scratch: &scratch,
-            rays: &rays,
-            flags: &flags,
+            scratch,
+            rays,
+            flags,
             bounds: scene.bounds(),
             background: scene.background,
             tiles: gpu.tiles(Precision::F32)?,
@@ -88,19 +76,22 @@ impl GpuRenderer {
             dispatches: Vec::new(),
             work: Work::default(),
         };
+        let (encoding, (coarse, fine)) = (config.field.encoding, config.samples());
+        let columns = encoding.t_vals(coarse);
         let words = Words::default().u(chunk).u(columns).u(0).u(0);
-        let bound = [(1, &rows), (2, &jitter), (3, &t_coarse)];
-        recorder.run(Kernel::new("sample"), words, &bound, groups(chunk * columns));
+        recorder.run(Kernel::new("sample"), words, &[(1, rows), (2, jitter), (3, t_coarse)], groups(chunk * columns));
+        let deltas = DeltaBuffers::default();
+        let field = &coarse_field;
         let pass = PassAt {
-            field: &coarse_field,
+            field,
             ray0: 0,
             rays: chunk,
             samples: coarse,
             columns,
-            t_vals: &t_coarse,
+            t_vals: t_coarse,
             noise: None,
-            deltas: DeltaBuffers::default(),
-            out: &out,
+            deltas,
+            out,
         };
         if config.sampling.fine == 0 {
             recorder.forward(&pass, None);
@@ -115,12 +106,13 @@ impl GpuRenderer {
                 padding: config.sampling.resample_padding,
                 mode: 2,
             };
-            recorder.resample(at, &t_coarse, &jitter, &t_fine);
+            recorder.resample(at, t_coarse, jitter, t_fine);
             let field = fine_field.as_ref().unwrap_or(&coarse_field);
-            let fine = PassAt { field, samples: fine, columns: encoding.t_vals(fine), t_vals: &t_fine, ..pass };
+            let fine = PassAt { field, samples: fine, columns: encoding.t_vals(fine), t_vals: t_fine, ..pass };
             recorder.forward(&fine, None);
         }
         let work = recorder.dispatches;
+        let PassBuffers { rays, out, .. } = buffers;
         Ok(GpuRenderer { gpu: gpu.clone(), rays, out, work, chunk, turn: Mutex::default() })
     }
 
@@ -130,6 +122,37 @@ impl GpuRenderer {
         self.gpu.write(&self.rays, bytemuck::cast_slice(packed));
         self.gpu.submit(&self.work);
         self.gpu.read_f32(&self.out, packed.len() / RAY * OUT)
+    }
+}
+
+/// The buffers of the passes of a chunk of rays.
+struct PassBuffers {
+    scratch: Scratch,
+    rays: Buffer,
+    out: Buffer,
+    rows: Buffer,
+    jitter: Buffer,
+    t_coarse: Buffer,
+    t_fine: Buffer,
+    flags: Buffer,
+}
+
+impl PassBuffers {
+    fn new(gpu: &Gpu, config: &Config, scene: &Scene, shape: &Shape, chunk: usize) -> PassBuffers {
+        let (coarse, fine) = config.samples();
+        let columns = config.field.encoding.t_vals(coarse);
+        let samples = coarse.max(fine);
+        let t_vals = || gpu.numbers(chunk * (samples + 1));
+        PassBuffers {
+            scratch: Scratch::new(gpu, shape, chunk, samples, false),
+            rays: gpu.numbers(chunk * RAY),
+            out: gpu.numbers(chunk * OUT),
+            rows: gpu.storage(&bins(config.sampling.spacing, scene.bounds(), columns, false)),
+            jitter: gpu.numbers(chunk * columns),
+            t_coarse: t_vals(),
+            t_fine: t_vals(),
+            flags: gpu.numbers(1),
+        }
     }
 }
 

@@ -2,7 +2,8 @@
 
 use std::fmt::Write;
 
-use super::{BACK, FORWARD, Kernel, PARAMETERS, WEIGHTS};
+use super::Kernel;
+use super::tiled::{BACK, FORWARD, PARAMETERS, WEIGHTS};
 
 /// Rows of a tile.
 pub(crate) const ROWS: usize = 128;
@@ -62,91 +63,148 @@ impl Lines {
     }
 }
 
-/// Writes the text of a product, as [`super::product`].
+/// Writes the text of a product, as [`super::tiled::product`].
 pub(super) fn product(kernel: &Kernel) -> String {
-    let columns = kernel.constant("COLUMNS");
-    let of_weights = kernel.name == "weights";
-    let left = Lines { along_depth: !of_weights, size: ROWS };
-    let right = Lines { along_depth: kernel.name == "product_back", size: columns };
-    let depth = if of_weights { "p.part_rows" } else { "(p.k1 + p.k2)" };
-    let (down, across) = (2, columns / 2 / SIDE);
+    let product = Product::of(kernel);
     let mut s = String::from("enable f16;\nenable wgpu_cooperative_matrix;\n");
     s.push_str(PARAMETERS);
-    s.push_str(match kernel.name {
-        "weights" => WEIGHTS,
-        "product_back" => BACK,
-        _ => FORWARD,
-    });
-    s.push_str(LINES);
-    let _ = writeln!(s, "var<workgroup> left: array<f16, {}>;", left.numbers());
-    let _ = writeln!(s, "var<workgroup> right: array<f16, {}>;", right.numbers());
-    // A matrix of each subgroup, or the threads' sums of D.
-    s.push_str("var<workgroup> stage: array<f32, 2560>;\n");
-    let _ = writeln!(
-        s,
-        "@compute @workgroup_size({THREADS})\nfn main(@builtin(workgroup_id) group: vec3<u32>, \
-         @builtin(local_invocation_index) thread: u32) {{\n\
-         let row0 = group.x * {ROWS}u; let col0 = group.y * {columns}u; let part = group.z;\n\
-         let subgroup = thread / 32u; let lane = thread % 32u;\n\
-         let r0 = (subgroup / 2u) * 32u; let c0 = (subgroup % 2u) * {}u;",
-        columns / 2
-    );
-    for i in 0..down {
-        for j in 0..across {
+    product.declare(&mut s);
+    product.multiply(&mut s);
+    product.store(&mut s);
+    if product.of_weights {
+        product.store_bias(&mut s);
+    }
+    s.push_str("}\n");
+    s
+}
+
+/// What the text of a product depends on.
+struct Product {
+    text: &'static str,
+    columns: usize,
+    left: Lines,
+    right: Lines,
+    of_weights: bool,
+    depth: &'static str,
+    /// Matrices of a subgroup, down and across.
+    down: usize,
+    across: usize,
+}
+
+impl Product {
+    fn of(kernel: &Kernel) -> Product {
+        let columns = kernel.constant("COLUMNS");
+        let of_weights = kernel.name == "weights";
+        Product {
+            text: match kernel.name {
+                "weights" => WEIGHTS,
+                "product_back" => BACK,
+                _ => FORWARD,
+            },
+            columns,
+            left: Lines { along_depth: !of_weights, size: ROWS },
+            right: Lines { along_depth: kernel.name == "product_back", size: columns },
+            of_weights,
+            depth: if of_weights { "p.part_rows" } else { "(p.k1 + p.k2)" },
+            down: 2,
+            across: columns / 2 / SIDE,
+        }
+    }
+
+    /// Its operands: what a thread has fetched of them, the tile, its lines, the function that fetches a four, and its first
+    /// line.
+    fn operands(&self) -> [(&'static str, &'static str, &Lines, &'static str, &'static str); 2] {
+        [("a", "left", &self.left, "left_line", "row0"), ("d", "right", &self.right, "right_line", "col0")]
+    }
+
+    /// Shared memory, the entry, and a thread's variables.
+    fn declare(&self, s: &mut String) {
+        let Product { columns, down, across, .. } = *self;
+        s.push_str(self.text);
+        s.push_str(LINES);
+        for (_, tile, lines, ..) in self.operands() {
+            let _ = writeln!(s, "var<workgroup> {tile}: array<f16, {}>;", lines.numbers());
+        }
+        // A matrix of each subgroup, or the threads' sums of D.
+        s.push_str("var<workgroup> stage: array<f32, 2560>;\n");
+        let _ = writeln!(
+            s,
+            "@compute @workgroup_size({THREADS})\nfn main(@builtin(workgroup_id) group: vec3<u32>, \
+             @builtin(local_invocation_index) thread: u32) {{\n\
+             let row0 = group.x * {ROWS}u; let col0 = group.y * {columns}u; let part = group.z;\n\
+             let subgroup = thread / 32u; let lane = thread % 32u;\n\
+             let r0 = (subgroup / 2u) * 32u; let c0 = (subgroup % 2u) * {}u;",
+            columns / 2
+        );
+        for (i, j) in (0..down).flat_map(|i| (0..across).map(move |j| (i, j))) {
             let _ = writeln!(s, "var s{i}_{j} = coop_mat16x16<f32, C>();");
         }
-    }
-    s.push_str("var sums = vec4<f32>(0.0);\n");
-    let names = |name: &str, lines: &Lines| (0..lines.fours()).map(|i| format!("{name}{i}")).collect::<Vec<_>>();
-    let (lefts, rights) = (names("a", &left), names("d", &right));
-    for name in lefts.iter().chain(&rights) {
-        let _ = writeln!(s, "var {name} = vec4<f32>(0.0);");
-    }
-    let fetch = |s: &mut String, k0: &str| {
-        for (slot, name) in lefts.iter().enumerate() {
-            let (at, k) = if left.along_depth { ("line", "place") } else { ("place", "line") };
-            let call = format!("left_line(row0 + {at}, {k0} + {k}, part)");
-            let _ = writeln!(s, "{{ {} {name} = {call}; }}", left.place(slot));
-        }
-        for (slot, name) in rights.iter().enumerate() {
-            let (at, k) = if right.along_depth { ("line", "place") } else { ("place", "line") };
-            let call = format!("right_line(col0 + {at}, {k0} + {k}, part)");
-            let _ = writeln!(s, "{{ {} {name} = {call}; }}", right.place(slot));
-        }
-    };
-    fetch(&mut s, "0u");
-    let _ = writeln!(s, "for (var k0 = 0u; k0 < {depth}; k0 += {DEPTH}u) {{");
-    for (tile, lines, names) in [("left", &left, &lefts), ("right", &right, &rights)] {
-        for (slot, name) in names.iter().enumerate() {
-            let _ = writeln!(
-                s,
-                "{{ {} let h = halves({name}); let at = line * {}u + place;\n{tile}[at] = h.x; {tile}[at + 1u] = h.y; \
-                 {tile}[at + 2u] = h.z; {tile}[at + 3u] = h.w; }}",
-                lines.place(slot),
-                lines.stride()
-            );
-        }
-    }
-    if of_weights {
-        rights.iter().for_each(|name| s.push_str(&format!("sums += {name};\n")));
-    }
-    let _ = writeln!(s, "workgroupBarrier();\nif (k0 + {DEPTH}u < {depth}) {{");
-    fetch(&mut s, &format!("k0 + {DEPTH}u"));
-    s.push_str("}\n");
-    for k in (0..DEPTH).step_by(SIDE) {
-        for i in 0..down {
-            let _ = writeln!(s, "let l{k}_{i} = {};", left.load("A", "left", &format!("r0 + {}u", SIDE * i), k));
-        }
-        for j in 0..across {
-            let _ = writeln!(s, "let r{k}_{j} = {};", right.load("B", "right", &format!("c0 + {}u", SIDE * j), k));
-            for i in 0..down {
-                let _ = writeln!(s, "s{i}_{j} = coopMultiplyAdd(l{k}_{i}, r{k}_{j}, s{i}_{j});");
+        s.push_str("var sums = vec4<f32>(0.0);\n");
+        for (name, _, lines, ..) in self.operands() {
+            for slot in 0..lines.fours() {
+                let _ = writeln!(s, "var {name}{slot} = vec4<f32>(0.0);");
             }
         }
     }
-    s.push_str("workgroupBarrier();\n}\n");
-    for i in 0..down {
-        for j in 0..across {
+
+    /// Fetches the parts of the operands from a depth on.
+    fn fetch(&self, s: &mut String, depth: &str) {
+        for (name, _, lines, function, first) in self.operands() {
+            let (at, k) = if lines.along_depth { ("line", "place") } else { ("place", "line") };
+            for slot in 0..lines.fours() {
+                let call = format!("{function}({first} + {at}, {depth} + {k}, part)");
+                let _ = writeln!(s, "{{ {} {name}{slot} = {call}; }}", lines.place(slot));
+            }
+        }
+    }
+
+    /// Puts what was fetched into shared memory, in f16.
+    fn keep(&self, s: &mut String) {
+        for (name, tile, lines, ..) in self.operands() {
+            for slot in 0..lines.fours() {
+                let _ = writeln!(
+                    s,
+                    "{{ {} let h = halves({name}{slot}); let at = line * {}u + place;\n{tile}[at] = h.x; {tile}[at + 1u] = h.y; \
+                     {tile}[at + 2u] = h.z; {tile}[at + 3u] = h.w; }}",
+                    lines.place(slot),
+                    lines.stride()
+                );
+            }
+        }
+    }
+
+    /// The loop over the depth.
+    fn multiply(&self, s: &mut String) {
+        let Product { down, across, depth, .. } = *self;
+        self.fetch(s, "0u");
+        let _ = writeln!(s, "for (var k0 = 0u; k0 < {depth}; k0 += {DEPTH}u) {{");
+        self.keep(s);
+        for slot in 0..if self.of_weights { self.right.fours() } else { 0 } {
+            let _ = writeln!(s, "sums += d{slot};");
+        }
+        let _ = writeln!(s, "workgroupBarrier();\nif (k0 + {DEPTH}u < {depth}) {{");
+        self.fetch(s, &format!("k0 + {DEPTH}u"));
+        s.push_str("}\n");
+        for k in (0..DEPTH).step_by(SIDE) {
+            for i in 0..down {
+                let _ =
+                    writeln!(s, "let l{k}_{i} = {};", self.left.load("A", "left", &format!("r0 + {}u", SIDE * i), k));
+            }
+            for j in 0..across {
+                let right = self.right.load("B", "right", &format!("c0 + {}u", SIDE * j), k);
+                let _ = writeln!(s, "let r{k}_{j} = {right};");
+                for i in 0..down {
+                    let _ = writeln!(s, "s{i}_{j} = coopMultiplyAdd(l{k}_{i}, r{k}_{j}, s{i}_{j});");
+                }
+            }
+        }
+        s.push_str("workgroupBarrier();\n}\n");
+    }
+
+    /// Stores a subgroup's matrices, one after another through shared memory.
+    fn store(&self, s: &mut String) {
+        let Product { down, across, .. } = *self;
+        for (i, j) in (0..down).flat_map(|i| (0..across).map(move |j| (i, j))) {
             let _ = writeln!(
                 s,
                 "coopStoreT(s{i}_{j}, &stage[subgroup * 320u], 20u);\nworkgroupBarrier();\n\
@@ -160,8 +218,10 @@ pub(super) fn product(kernel: &Kernel) -> String {
             );
         }
     }
-    if of_weights {
-        let fours = columns / 4;
+
+    /// Stores the sums of D, which all threads have parts of.
+    fn store_bias(&self, s: &mut String) {
+        let fours = self.columns / 4;
         let _ = writeln!(
             s,
             "for (var j = 0u; j < 4u; j++) {{ stage[4u * thread + j] = sums[j]; }}\nworkgroupBarrier();\n\
@@ -171,8 +231,6 @@ pub(super) fn product(kernel: &Kernel) -> String {
              store_bias(col0 + 4u * thread, total, part);\n}}"
         );
     }
-    s.push_str("}\n");
-    s
 }
 
 const LINES: &str = include_str!("../wgsl/matrices.wgsl");
