@@ -49,7 +49,7 @@ prepare() {
 try() {
   local limit=$1 name=$2
   shift 2
-  timeout "$limit" "$@" > "$out/$name" 2>&1
+  timeout $((limit * slower)) "$@" > "$out/$name" 2>&1
   echo "$name $? $SECONDS" | tee -a "$out/index"
 }
 
@@ -94,13 +94,13 @@ run() {
     try 60 "3-builtin-$method" ./augnerf train --method $method --device gpu --out "$out/builtin-$method" $small
     try 60 "3-fern-$method" ./augnerf train --data fern --preset fast --method $method --device gpu --out "$out/fern-$method" $small
   done
-  try 30 3-builtin-mesh ./augnerf mesh "$out/builtin-nerf" --device gpu --resolution $resolution --picture "$out/builtin-mesh.png"
+  try 30 3-builtin-mesh ./augnerf mesh "$out/builtin-nerf" --device gpu --resolution $resolution $surface --picture "$out/builtin-mesh.png"
   try 30 3-builtin-measure ./augnerf measure "$out/builtin-nerf" --device gpu
   [[ -x augnerf-cuda ]] && try 30 3-builtin-cuda ./augnerf-cuda train --device cuda --out "$out/builtin-cuda" --set train.steps=50 \
     --set train.chunk=1024 --set eval.chunk=4096
   # 4. The paper's own settings on fern, until the time is up. `augnerf resume` goes on from the checkpoint.
   local left=$((${MOST_SECONDS:-570} - SECONDS))
-  ((left > 20)) && try $left 4-fern-paper ./augnerf train --data fern --preset paper-llff --yes --device gpu \
+  ((left > 20)) && try $((left / slower)) 4-fern-paper ./augnerf train --data fern --preset paper-llff --yes --device gpu \
     --out "$out/fern-paper" --set train.log_every=$log_every $small_paper
   cd "$out" || exit
   # Tables of hash grids are large; the last training's checkpoint is for `resume`.
@@ -111,10 +111,10 @@ run() {
 }
 
 # Sizes of the day, and of its rehearsal.
-rays=1024 steps=20 resolution=256 log_every=200 small="" small_paper=""
+rays=1024 steps=20 resolution=256 log_every=200 slower=1 small="" small_paper="" surface=""
 
 rehearse() {
-  rays=8 steps=1 resolution=24 log_every=1
+  rays=8 steps=1 resolution=24 log_every=1 slower=4 surface="--threshold 0.3"
   small="--set train.rays=32 --set train.steps=20 --set train.decay_steps=20 --set data.width=32"
   small_paper="--set train.rays=4 --set data.width=32 --set field.width=32"
   WITHOUT_PEERS="nerf aug-nerf" MOST_SECONDS=${MOST_SECONDS:-420} run "$1"

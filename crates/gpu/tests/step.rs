@@ -167,7 +167,7 @@ fn rays_in_parts_have_the_numbers_of_all_at_once() {
         &["method=aug-nerf", "perturb.attack=calibrated", "train.rays=56", "sampling.density_noise=0.5"][..],
         &["method=aug-nerf", "perturb.kind=fresh-jitter", "field.encoding=hash", "sampling.density_noise=0.5"],
         &["method=aug-nerf", "perturb.kind=gaussian", "perturb.rgb.norm=l2", "perturb.resample=perturbed"],
-        &["method=nerf", "field.encoding=hash", "regularizer.kind=tv", "regularizer.weight=0.1"],
+        &["method=nerf", "field.encoding=hash", "regularizer.kind=tv", "regularizer.points_per_step=190"],
     ] {
         let (config, scene) = (config(settings), scene());
         let (learner, _) = FieldLearner::start(&config, &scene, DType::F32, &Device::Cpu).unwrap();
