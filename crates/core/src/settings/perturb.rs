@@ -11,7 +11,7 @@ use serde::{Deserialize, Deserializer, Serialize, Serializer};
 
 use super::registry::{choice, numbers, section};
 use super::second_pass::{DeltaSource, SecondPass};
-use super::site::{SiteConfig, SiteSection, Sizes, switched_off, write_sites};
+use super::site::{Levels, SiteConfig, SiteSection, Sizes, switched_off, write_sites};
 use crate::augment::{
     Epsilon, Geometry, Level, Norm, PaperPass, Passes, PerSite, Radius, SetChoices, Site, SiteNumbers, StepUnit,
 };
@@ -254,7 +254,7 @@ impl<'de, A: MapAccess<'de>> MapAccess<'de> for Fields<'_, A> {
                     self.said[site] = section.passes;
                     self.sites[site] = section.of(site);
                 }
-                None if key == "levels" => *self.levels = Some(self.map.next_value()?),
+                None if key == "levels" => *self.levels = Some(self.map.next_value::<Levels>()?.0),
                 None => return seed.deserialize(key.into_deserializer()).map(Some),
             }
         }
@@ -284,6 +284,7 @@ mod tests {
         };
         for (levels, sites) in [
             ("[\"feature\"]", &["t", "xyz", "view", "rgb", "density"][..]),
+            ("feature", &["t", "xyz", "view", "rgb", "density"]),
             ("[\"input\"]", &["feature", "rgb", "density"]),
             ("[\"feature\", \"output\"]", &["t", "xyz", "view"]),
             ("[\"output\", \"feature\", \"input\"]", &[]),
