@@ -272,7 +272,10 @@ fn refusal(path: &str, value: &str, message: &str) -> String {
         kind @ ("text" | "true or false") => kind.into(),
         kind if kind.starts_with('[') => kind.into(),
         kind if kind.starts_with("list of: ") => {
-            format!("{}, nor a list of them; [] is none", &kind["list of: ".len()..])
+            let names = &kind["list of: ".len()..];
+            let one =
+                names.rsplit_once(", ").map_or(format!("a {names}"), |(first, last)| format!("{first} or {last}"));
+            format!("{one}, nor a list of them; [] is none")
         }
         choices => format!("one of {choices}"),
     };
@@ -350,13 +353,13 @@ mod tests {
             ("method=nerv", "'nerv' is not one of nerf, aug-nerf, "),
             ("train.steps=1e30", "'1e30' is not a whole number"),
             ("train.learning_rate=-1e300", "train.learning_rate = -1e300 is out of range"),
-            ("regularizer.kind=none", "'none' is not l1, tv, laplacian, distortion, nor a list of them; [] is none"),
+            ("regularizer.kind=none", "'none' is not l1, tv, laplacian or distortion, nor a list of them; [] is none"),
             (
                 "regularizer=tv",
                 "'tv' is the value of a setting, and regularizer is a section; set one of its settings, such as \
               regularizer.kind",
             ),
-            ("perturb.levels=rgb", "perturb.levels: 'rgb' is not input, feature, output, nor a list of them"),
+            ("perturb.levels=rgb", "perturb.levels: 'rgb' is not input, feature or output, nor a list of them"),
             ("perturb.steps=0", "'perturb.t.steps' or 'perturb.xyz.steps' or "),
             ("regularizer.kind=['tv','tv']", "regularizer.kind names tv twice; name each term once"),
             ("regularizer.weight=1", "regularizer.weight has 1 number and regularizer.kind names 0 terms"),
