@@ -317,7 +317,9 @@ mod tests {
         let narrowed = build(None, Some(file.path()), &[levels]).unwrap();
         assert_eq!(narrowed.perturb.sites_on().map(|(site, _)| site).collect::<Vec<_>>(), [Site::Feature]);
         let wrong = set(&["perturb.rgb=3"]).unwrap_err().to_string();
-        assert!(wrong.contains("a site's table") && !wrong.contains("SiteSection"), "{wrong}");
+        assert!(wrong.contains("perturb.rgb is a section") && !wrong.contains("SiteSection"), "{wrong}");
+        let file = toml::from_str::<Config>("[perturb]\nrgb = 3\n").unwrap_err().to_string();
+        assert!(file.contains("a site's table") && !file.contains("SiteSection"), "{file}");
     }
 
     #[test]
