@@ -7,7 +7,7 @@ use serde_json::json;
 
 use crate::base::files::AtomicDir;
 use crate::base::{Error, Result};
-use crate::compare::{Comparison, RunView, Window, check_box, check_fade, labels};
+use crate::compare::{Comparison, RunView, Window, check_box, check_fade, labels, name_steps};
 use crate::draw::SVG_ALONE;
 use crate::report::label;
 use crate::run::{RunDir, Trained, Viewer};
@@ -16,7 +16,7 @@ use crate::sweep::{Point, SweepFolder, split_names};
 use crate::train::checkpoint;
 
 use super::answer::Answer;
-use super::progress::Console;
+use super::progress::{Console, open_next};
 use super::{Compute, numbers};
 
 /// Flags for runs and the held-out view that they show.
@@ -63,6 +63,14 @@ pub struct NamedRun {
 pub type Named = Vec<NamedRun>;
 
 impl Runs {
+    /// Returns the runs as a command line names them.
+    fn words(&self) -> String {
+        let runs = self.runs.iter().map(|run| run.display().to_string());
+        let rows = self.rows.iter().map(|row| format!("--rows '{row}'"));
+        let seed = self.seed.iter().map(|seed| format!("--seed {seed}"));
+        runs.chain(rows).chain(seed).collect::<Vec<_>>().join(" ")
+    }
+
     /// Returns the named runs, or rows of a sweep with their names.
     pub fn named(&self) -> Result<Named> {
         let mut named: Named = match self.runs.iter().find(|path| SweepFolder::new(path).is_begun()) {
@@ -187,6 +195,7 @@ impl Runs {
             gathered.push((shown, made));
             folders.push(trained.run);
         }
+        name_steps(gathered.iter_mut().map(|(run, _)| run));
         Ok((gathered, folders))
     }
 }
@@ -237,7 +246,10 @@ impl CompareArguments {
         pictures.commit()?;
         SVG_ALONE.into_iter().for_each(|note| console.say(note));
         let answer = json!({ "folder": folder.display().to_string(), "comparison": comparison.json() });
-        self.answer.give_place(&answer, &folder)
+        self.answer.give_place(&answer, &folder)?;
+        let ray = format!("augnerf profile {}", self.runs.words());
+        open_next(console, &[folder.join("compare.png"), folder.join("compare.svg"), folder.join("fade.gif")], &ray);
+        Ok(())
     }
 }
 

@@ -131,6 +131,12 @@ impl Experiment {
         self.preset.is_some() || self.config.is_some() || self.set.iter().any(steps)
     }
 
+    /// Returns the settings that `--set` names.
+    pub fn settings(&self) -> impl Iterator<Item = String> {
+        let names = self.set.iter().filter_map(|text| parse_assignment(text).ok());
+        names.map(|(path, _)| path.join("."))
+    }
+
     /// Builds the settings of preset, file and flags, in that order.
     pub fn config(&self, console: &Console) -> Result<Config> {
         self.config_over(Base::default(), &LpipsWeights { lpips_weights: None }, console)

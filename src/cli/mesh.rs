@@ -21,7 +21,7 @@ use super::Compute;
 use super::answer::Answer;
 use super::compare::pictures_folder;
 use super::measure::{csv_line, parse_box};
-use super::progress::{Console, print, report};
+use super::progress::{Console, open_next, print, report};
 
 #[derive(Args)]
 #[command(next_help_heading = "Experiment")]
@@ -214,9 +214,15 @@ impl MeshArguments {
         console.say(&describe(&report));
         report.coverage.iter().for_each(|coverage| console.say(&covers(coverage)));
         let picture = options.picture.as_ref().map(|picture| picture.file.display().to_string());
-        picture.iter().for_each(|picture| console.say(&format!("picture: {picture}")));
         let (run, named) = (self.run.display().to_string(), folder.display().to_string());
-        self.answer.give_place(&json!({ "of": run, "folder": named, "picture": picture, "mesh": report }), &folder)
+        self.answer.give_place(&json!({ "of": run, "folder": named, "picture": picture, "mesh": report }), &folder)?;
+        let next = match picture {
+            Some(_) => format!("augnerf report {run}"),
+            None => format!("augnerf mesh {run} --picture mesh.png"),
+        };
+        let made = ["mesh.ply", "mesh.obj"].map(|name| folder.join(name));
+        open_next(console, &made.into_iter().chain(picture.map(PathBuf::from)).collect::<Vec<_>>(), &next);
+        Ok(())
     }
 
     /// Returns the options of preset and flags, checked.

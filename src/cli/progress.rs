@@ -9,6 +9,9 @@ use indicatif::{ProgressBar, ProgressStyle};
 use crate::base::{Error, Event, Listener, Result, shown};
 use crate::run::EVALUATING;
 
+/// Seconds of a year.
+const YEAR: f64 = 365.25 * 86_400.0;
+
 /// Shortest time between two progress lines without a terminal.
 const LINE_EVERY: Duration = Duration::from_secs(10);
 
@@ -42,13 +45,22 @@ pub fn print_shown(text: &str) -> Result<()> {
     print(&shown(text))
 }
 
+/// Names the files of a command's result that exist, to open, and the next command, after the result itself.
+pub fn open_next(console: &Console, files: &[std::path::PathBuf], command: &str) {
+    for file in files.iter().filter(|file| file.is_file()) {
+        console.say(&format!("open: {}", file.display()));
+    }
+    console.say(&format!("next: {command}"));
+}
+
 /// Formats seconds for people.
 pub fn duration(seconds: f64) -> String {
     match seconds {
         s if s < 120.0 => format!("{s:.0} s"),
         s if s < 7200.0 => format!("{:.0} min", s / 60.0),
         s if s < 172_800.0 => format!("{:.1} h", s / 3600.0),
-        s => format!("{:.1} days", s / 86_400.0),
+        s if s < 2.0 * YEAR => format!("{:.1} days", s / 86_400.0),
+        s => format!("{:.0} years", s / YEAR),
     }
 }
 

@@ -14,7 +14,7 @@ use crate::runtime::{Runtime, free_memory_mib};
 
 use super::answer::Answer;
 use super::compare::pictures_folder;
-use super::progress::{Console, duration};
+use super::progress::{Console, duration, open_next};
 use super::{Compute, Moved};
 
 pub const EXAMPLES: &str = "Examples:
@@ -104,7 +104,7 @@ impl RenderArguments {
         if let Some(file) = &self.write_cameras {
             cameras::write(file, &shots.cameras, &trained.scene.space.world, shots.fps)?;
             console.say(&format!("{} cameras", shots.cameras.len()));
-            return self.tell(&trained, None, file, shots.cameras.len());
+            return self.tell(&trained, (None, file), shots.cameras.len(), console);
         }
         let no_mp4 = match self.what {
             What::Path => without_mp4(video_size(&shots)?),
@@ -127,16 +127,30 @@ impl RenderArguments {
         pictures.commit()?;
         console.on(Event::Finished);
         no_mp4.iter().for_each(|note| console.say(note));
-        self.tell(&trained, Some(&folder), &folder, shots.cameras.len())
+        self.tell(&trained, (Some(&folder), &folder), shots.cameras.len(), console)
     }
 
     /// Prints the result: a folder of images, or a file of cameras.
-    fn tell(&self, trained: &Trained, folder: Option<&Path>, made: &Path, frames: usize) -> Result<()> {
+    fn tell(
+        &self,
+        trained: &Trained,
+        (folder, made): (Option<&Path>, &Path),
+        frames: usize,
+        console: &Console,
+    ) -> Result<()> {
         let name = |path: &Path| path.display().to_string();
         let (run, cameras) = (name(&self.run), self.write_cameras.as_deref().map(name));
         let (step, folder) = (trained.state.step, folder.map(name));
         let answer = json!({ "run": run, "step": step, "folder": folder, "cameras": cameras, "frames": frames });
-        self.answer.give_place(&answer, made)
+        self.answer.give_place(&answer, made)?;
+        if let Some(folder) = folder {
+            let folder = Path::new(&folder);
+            let film = ["rgb.mp4", "rgb.gif"].map(|name| folder.join(name)).into_iter().find(|film| film.is_file());
+            let beside = trained.scene.test.first().map(|view| folder.join(format!("{}_beside.png", view.name)));
+            let first: Vec<_> = film.into_iter().chain(beside).collect();
+            open_next(console, &first, &format!("augnerf report {run}"));
+        }
+        Ok(())
     }
 
     /// Returns the requested cameras.

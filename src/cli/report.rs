@@ -7,12 +7,13 @@ use serde_json::json;
 
 use crate::base::files::write_named;
 use crate::base::{Error, Result};
-use crate::report::tables::table_terminal;
+use crate::metrics::{PSNR, SSIM};
+use crate::report::tables::{Table, table_terminal};
 use crate::sweep::verify::Archive;
 use crate::sweep::{PAGE, RunsTable, check_page_place};
 
 use super::answer::Answer;
-use super::progress::print;
+use super::progress::{print, report};
 use super::sweep::{table_json, terminal_width};
 
 pub const EXAMPLES: &str = "Examples:
@@ -53,7 +54,19 @@ impl ReportArguments {
                     )));
                 }
                 let out = check_page_place(&self.out.clone().unwrap_or_else(|| results.join(PAGE)))?;
-                let (table, page) = Archive::read(results, None)?.page()?;
+                let archive = Archive::read(results, None)?;
+                let runs = archive.runs();
+                if runs.is_none() && self.out.is_none() && archive.has_collected_page() {
+                    return Err(Error::Output(format!(
+                        "{}: made with images of the runs, which are not in runs/ here, so that a new page would lack views, videos \
+                         and links; open it as it is, or write the smaller page elsewhere with --out FILE",
+                        out.display()
+                    )));
+                }
+                if runs.is_none() {
+                    report("no runs beside these results: the page has no views, no videos and no links to runs");
+                }
+                let (table, page) = archive.page(runs.as_ref())?;
                 (table, page, out)
             }
             runs => {
@@ -65,7 +78,11 @@ impl ReportArguments {
                     )));
                 }
                 let out = check_page_place(&self.out.clone().unwrap_or_else(|| PAGE.into()))?;
-                let (table, page) = RunsTable::read(runs, &self.labels)?.page(folder_of(&out), self.with_timing)?;
+                let rows = RunsTable::read(runs, &self.labels)?;
+                if rows.longest_name() > LONG_NAME && self.labels.is_empty() {
+                    report("long row names: give your own with --label NAME, once for each run in their order");
+                }
+                let (table, page) = rows.page(folder_of(&out), self.with_timing)?;
                 (table, page, out)
             }
         };
@@ -75,11 +92,19 @@ impl ReportArguments {
         self.answer.give(
             &json!({ "page": out.display().to_string(), "rows": table_json(&table, folder)["rows"] }),
             || {
-                print(&table_terminal(&table, terminal_width()))?;
-                print(&format!("page: {}", out.display()))
+                print(&format!("page: {}", out.display()))?;
+                print(&table_terminal(&main_columns(&table), terminal_width()))
             },
         )
     }
+}
+
+/// Characters of a row's name beyond which names of one's own are suggested.
+const LONG_NAME: usize = 40;
+
+/// Returns the table with the main metrics only, as far as it has any: the page has all.
+fn main_columns(table: &Table) -> Table {
+    table.with_metrics(&[PSNR.key, SSIM.key, PSNR.gap().key])
 }
 
 /// Returns the folder of a file.

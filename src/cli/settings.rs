@@ -9,14 +9,15 @@ use crate::base::Result;
 use crate::settings::{settings_page, settings_rows, settings_text};
 
 pub const EXAMPLES: &str = "Examples:
-  augnerf settings                # all
-  augnerf settings learning_rate  # those that mention it
-  augnerf settings near --json    # for a script";
+  augnerf settings                  # all
+  augnerf settings total variation  # those that mention it
+  augnerf settings near --json      # for a script";
 
 #[derive(Args)]
 pub struct SettingsArguments {
-    /// Word in the name or description [default: all settings]
-    filter: Option<String>,
+    /// Words in the name or description [default: all settings]
+    #[arg(value_name = "WORD")]
+    filter: Vec<String>,
     /// Print the page docs/settings.md
     #[arg(long, conflicts_with_all = ["filter", "json"])]
     markdown: bool,
@@ -26,7 +27,8 @@ pub struct SettingsArguments {
 
 impl SettingsArguments {
     pub fn run(self) -> Result<()> {
-        let filter = self.filter.as_deref();
+        let filter = (!self.filter.is_empty()).then(|| self.filter.join(" "));
+        let filter = filter.as_deref();
         let rows = settings_rows(filter)?;
         self.answer.give(&json!({ "settings": rows }), || {
             let text = if self.markdown { settings_page() } else { settings_text(filter)? };

@@ -2,14 +2,18 @@
 
 use std::io;
 use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, AtomicUsize};
+use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
+use std::time::Duration;
 
 use signal_hook::consts::{SIGINT, SIGTERM};
 
 use crate::base::{Error, Result};
 
-/// Returns a flag that the first Ctrl-C, SIGTERM or hangup sets, which is printed at once. A second one ends the program,
-/// except a hangup: a closed terminal may send several.
+/// Seconds in which further signals count as the first: `timeout` and `kill` of a group send two.
+const ONE_SIGNAL: Duration = Duration::from_secs(1);
+
+/// Returns a flag that the first Ctrl-C, SIGTERM or hangup sets, which is printed at once. A second one after
+/// [`ONE_SIGNAL`] ends the program, except a hangup: a closed terminal may send several.
 pub fn catch_signals() -> Result<Arc<AtomicUsize>> {
     catch(&[SIGINT, SIGTERM], &[])
 }
@@ -34,11 +38,13 @@ fn catch(urgent: &[i32], gentle: &[i32]) -> Result<Arc<AtomicUsize>> {
             signal_hook::flag::register_conditional_shutdown(signal, 128 + signal, stopping.clone())?;
         }
         let counts_as = if gentle.contains(&signal) { SIGTERM } else { signal };
-        signal_hook::flag::register_usize(signal, flag.clone(), counts_as as usize)?;
-        signal_hook::flag::register(signal, stopping.clone()).map(|_| ())
+        signal_hook::flag::register_usize(signal, flag.clone(), counts_as as usize).map(|_| ())
     };
     let signals: Vec<i32> = urgent.iter().chain(gentle).copied().chain(hangup).collect();
-    let caught = signals.iter().try_for_each(|signal| catch(*signal)).and_then(|()| announce(&signals, urgent));
+    let caught = signals
+        .iter()
+        .try_for_each(|signal| catch(*signal))
+        .and_then(|()| announce(&signals, urgent, stopping.clone()));
     caught.map_err(|e| Error::Output(format!("signals: {e}; they cannot be caught here")))?;
     Ok(flag)
 }
@@ -52,9 +58,9 @@ fn hangup() -> Option<i32> {
     (ignored & 1 << (SIGHUP - 1) == 0).then_some(SIGHUP)
 }
 
-/// Prints a line at the first signal, since a step may be long.
+/// Prints a line at the first signal, since a step may be long, and sets `stopping` once a second one may end the program.
 #[cfg(unix)]
-fn announce(signals: &[i32], urgent: &[i32]) -> io::Result<()> {
+fn announce(signals: &[i32], urgent: &[i32], stopping: Arc<AtomicBool>) -> io::Result<()> {
     use std::io::Read;
     let (mut receiver, sender) = std::os::unix::net::UnixStream::pair()?;
     for signal in signals {
@@ -66,14 +72,18 @@ fn announce(signals: &[i32], urgent: &[i32]) -> io::Result<()> {
             super::progress::report(&format!(
                 "stopping with a checkpoint; {second} stops at once and loses the steps since the last one"
             ));
+            std::thread::sleep(ONE_SIGNAL);
+            stopping.store(true, Ordering::SeqCst);
         }
     };
     std::thread::Builder::new().name("signals".into()).spawn(listen).map(|_| ())
 }
 
+/// Lets the second signal end the program where nothing can be printed at the first.
 #[cfg(not(unix))]
-fn announce(_: &[i32], _: &[i32]) -> io::Result<()> {
-    Ok(())
+fn announce(signals: &[i32], _: &[i32], stopping: Arc<AtomicBool>) -> io::Result<()> {
+    let _ = Ordering::SeqCst;
+    signals.iter().try_for_each(|signal| signal_hook::flag::register(*signal, stopping.clone()).map(|_| ()))
 }
 
 /// Lets a write beyond the limit of file sizes (`ulimit -f`) fail, with a sentence, where it would end the process.

@@ -36,6 +36,7 @@ pub fn with_tips(mut error: clap::Error, words: &[OsString]) -> clap::Error {
     let command = meant_command(words);
     let has = |flag: &str| command.get_arguments().any(|argument| argument.get_long() == Some(flag));
     let tips = match unknown.strip_prefix("--") {
+        Some(name) if command.get_name() == super::command().get_name() => after_subcommand(name, words),
         Some(name) if has("set") => setting_tips(name, &value_of(&unknown, words)),
         None if has("data") && !unknown.starts_with('-') => vec![format!("'--data {unknown}' names a scene")],
         _ => Vec::new(),
@@ -47,6 +48,18 @@ pub fn with_tips(mut error: clap::Error, words: &[OsString]) -> clap::Error {
         error.insert(ContextKind::Suggested, ContextValue::StyledStrs(tips));
     }
     error
+}
+
+/// Returns where a flag belongs that stands before the command which has it.
+fn after_subcommand(flag: &str, words: &[OsString]) -> Vec<String> {
+    let root = super::command();
+    let named = words.iter().find_map(|word| root.find_subcommand(word));
+    let has = |command: &&clap::Command| command.get_arguments().any(|argument| argument.get_long() == Some(flag));
+    named
+        .filter(has)
+        .map(|named| format!("it belongs after the command: 'augnerf {} --{flag}'", named.get_name()))
+        .into_iter()
+        .collect()
 }
 
 /// Returns how settings of a flag's name are set: `--learning-rate` is `train.learning_rate`.
@@ -93,6 +106,7 @@ mod tests {
             ("train --train.steps", "'--set train.steps=VALUE'"),
             ("sweep run a.toml --width --seeds 1", "'--set data.width=VALUE'"),
             ("train fern", "'--data fern'"),
+            ("--threads 1 train", "it belongs after the command: 'augnerf train --threads'"),
         ] {
             let said = said(line);
             assert!(said.contains(tip), "{line}: {said}");

@@ -10,7 +10,8 @@ use tempfile::NamedTempFile;
 use crate::base::{Error, Result};
 use crate::metrics::{Backbone, FLOOR_PSNR, LPIPS, PSNR, SSIM};
 use crate::run::{
-    Existing, Finished, Job, RunDir, Setup, check_replaceable, load_lpips, load_scene, load_scene_of, settings_to_go_on,
+    Estimate, Existing, Finished, Job, RunDir, Setup, check_replaceable, load_lpips, load_scene, load_scene_of,
+    settings_to_go_on,
 };
 use crate::runtime::Runtime;
 use crate::settings::Config;
@@ -98,7 +99,12 @@ impl TrainArguments {
         let folder = self.out.clone().unwrap_or_else(|| default_folder(&config));
         let setup = Setup { config, scene: &scene, lpips: &lpips, runtime: runtime.clone() };
         let existing = if self.overwrite { Existing::Replace } else { Existing::Refuse };
-        let words = what_is_trained(&setup);
+        let (words, views) = (what_is_trained(&setup), Views::of(&setup));
+        for setting in self.experiment.settings() {
+            if let Some(why) = setup.config.without_effect(&setting) {
+                console.say(&format!("--set {setting} has no effect: {why}"));
+            }
+        }
         // Only the paper's own settings take so long that nobody should start them without having asked for them.
         let asks = self.from.is_none() && !self.experiment.names_length() && setup.config.train.steps >= PAPER_STEPS;
         if asks {
@@ -121,7 +127,7 @@ impl TrainArguments {
         if !asks {
             console.say(&words);
         }
-        train(job, &folder, console, self.answer)
+        train(job, views, &folder, console, self.answer)
     }
 }
 
@@ -211,9 +217,11 @@ impl ResumeArguments {
         config.eval.lpips_weights = self.sources.weights.or(&config);
         let lpips = load_lpips(&config.eval.lpips_weights, runtime.device())?;
         let (config, scene) = load_scene_of(&run, config, console)?;
-        let job = Job::resume(run, Setup { config, scene: &scene, lpips: &lpips, runtime: runtime.clone() })?;
+        let setup = Setup { config, scene: &scene, lpips: &lpips, runtime: runtime.clone() };
+        let views = Views::of(&setup);
+        let job = Job::resume(run, setup)?;
         console.say(&format!("{} resumes at step {}", self.run.display(), job.step_count()));
-        train(job, &self.run, console, self.answer)
+        train(job, views, &self.run, console, self.answer)
     }
 }
 
@@ -234,14 +242,14 @@ fn what_is_trained(Setup { config, scene, .. }: &Setup) -> String {
 }
 
 /// Trains in `folder`. Its name is printed first, so that a script has it even if the training is stopped.
-fn train(mut job: Job, folder: &Path, console: &Console, answer: Answer) -> Result<()> {
+fn train(mut job: Job, measured: Views, folder: &Path, console: &Console, answer: Answer) -> Result<()> {
     if !answer.json {
         let label = if std::io::stdout().is_terminal() { "run folder: " } else { "" };
         print(&format!("{label}{}", folder.display()))?;
     }
     let signal = catch_signals()?;
-    if let Some(seconds) = job.estimate_seconds(&signal)? {
-        console.say(&format!("about {} here", duration(seconds)));
+    if let Some(estimate) = job.estimate(&signal)? {
+        console.say(&how_long(estimate, &measured));
     }
     let finished = job.train(console, &signal)?;
     summarize(&finished, folder, console);
@@ -250,7 +258,36 @@ fn train(mut job: Job, folder: &Path, console: &Console, answer: Answer) -> Resu
     answer.give_silently(&Measured::new((folder, &metrics), report, finished.steps, Some(*seconds)))
 }
 
-fn summarize(Finished { report, model, seconds, .. }: &Finished, folder: &Path, console: &Console) {
+/// The held-out views that a run measures at its end.
+struct Views {
+    count: usize,
+    /// The setting that leaves some of them out, if the scene's own splits name them all.
+    fewer: Option<String>,
+}
+
+impl Views {
+    fn of(Setup { config, scene, .. }: &Setup) -> Views {
+        let (count, skip) = (scene.test.len(), config.data.test_skip);
+        let fewer = (config.data.has_splits() && count > FEW_VIEWS).then(|| format!("data.test_skip={}", 8 * skip));
+        Views { count, fewer }
+    }
+}
+
+/// Held-out views that nobody wants fewer of.
+const FEW_VIEWS: usize = 16;
+
+/// Says how long a run takes, and what of that is measuring if it is the most.
+fn how_long(Estimate { training, measuring }: Estimate, views: &Views) -> String {
+    let all = format!("about {} here", duration(training + measuring));
+    if measuring <= training.max(30.0) {
+        return all;
+    }
+    let (count, training, measuring) = (views.count, duration(training), duration(measuring));
+    let fewer = views.fewer.as_ref().map_or(String::new(), |set| format!("; --set {set} measures fewer"));
+    format!("{all}: {training} of training and {measuring} of measuring {count} views{fewer}")
+}
+
+fn summarize(Finished { report, model, seconds, heavy_terms, .. }: &Finished, folder: &Path, console: &Console) {
     let mean = &report.mean;
     let number = |value: Option<f64>, digits: usize| value.map_or("-".into(), |value| format!("{value:.digits$}"));
     let lpips =
@@ -271,7 +308,7 @@ fn summarize(Finished { report, model, seconds, .. }: &Finished, folder: &Path, 
             number(mean.get(PSNR.gap()), 2),
         ));
     }
-    report.no_better_than_one_colour().iter().for_each(|remark| console.say(remark));
+    report.no_better_than_one_colour().iter().chain(heavy_terms).for_each(|remark| console.say(remark));
     let inactive = report.inactive_levels();
     if let (Some(site), false) = (report.attack.first(), inactive.is_empty()) {
         console.say(&format!("{}: {}", site.inactive_by().meaning(), inactive.join(", ")));
@@ -302,6 +339,19 @@ pub fn default_folder(config: &Config) -> PathBuf {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn measuring_is_told_apart_where_it_takes_longest() {
+        let chair = Views { count: 200, fewer: Some("data.test_skip=8".into()) };
+        let long = how_long(Estimate { training: 13.0, measuring: 400.0 }, &chair);
+        assert_eq!(
+            long,
+            "about 7 min here: 13 s of training and 7 min of measuring 200 views; --set data.test_skip=8 measures fewer"
+        );
+        assert_eq!(how_long(Estimate { training: 60.0, measuring: 20.0 }, &chair), "about 80 s here");
+        let own = how_long(Estimate { training: 13.0, measuring: 100.0 }, &Views { count: 20, fewer: None });
+        assert!(own.ends_with("of measuring 20 views"), "{own}");
+    }
 
     #[test]
     fn a_run_without_density_is_not_sent_to_mesh() {

@@ -232,6 +232,27 @@ fn training_says_what_it_trains_and_when_it_evaluates() {
     );
 }
 
+/// Settings without effect, and terms that are far too strong, are named.
+#[test]
+fn what_has_no_effect_or_far_too_much_is_said() {
+    let dir = TempDir::new().unwrap();
+    let train = |further: &[&str]| {
+        let (mut arguments, _) = words("train TINY");
+        arguments.extend(further.iter().flat_map(|set| ["--set".to_string(), set.to_string()]));
+        let arguments: Vec<&str> = arguments.iter().map(String::as_str).collect();
+        let output = augnerf(&arguments).current_dir(dir.path()).output().unwrap();
+        String::from_utf8(output.stderr).unwrap()
+    };
+    let said = train(&["perturb.lambda=0.5", "regularizer.weight=[]", "train.steps=13"]);
+    let idle = said.find("--set perturb.lambda has no effect: method nerf has no perturbed pass").expect(&said);
+    assert!(idle < said.find("step 13/13").unwrap(), "{said}");
+    assert!(said.contains("--set regularizer.weight has no effect: regularizer.kind names no term"), "{said}");
+    assert!(!said.contains("train.steps has no effect") && !said.contains("times the photometric loss"), "{said}");
+    let said = train(&["regularizer.kind=l1", "regularizer.weight=1000", "train.learning_rate=1e-9"]);
+    assert!(said.contains("regularizer l1: weight 1e3 x value is ") && said.contains("augnerf balance"), "{said}");
+    assert!(!said.contains("has no effect"), "{said}");
+}
+
 #[test]
 fn a_scene_that_is_not_here_is_looked_for_below_the_data_folder() {
     let dir = TempDir::new().unwrap();

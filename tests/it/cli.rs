@@ -533,7 +533,7 @@ fn wrong_regularizers_are_refused_with_exit_code_2() {
     check(&["regularizer.kind=tvv"], &["regularizer.kind", "l1, tv, laplacian or distortion"]);
     check(&["regularizer.kind=tv", "regularizer.weight=-1"], &["regularizer.weight", "-1", "0 (off) or positive"]);
     check(&["regularizer.kind=tv", "regularizer.weight=nan"], &["regularizer.weight", "positive"]);
-    check(&["regularizer.kind=tv", "regularizer.weight=[1,2]"], &["2 numbers", "1 terms"]);
+    check(&["regularizer.kind=tv", "regularizer.weight=[1,2]"], &["2 numbers", "1 term;"]);
     check(&["regularizer.kind=[\"tv\",\"tv\"]"], &["regularizer.kind", "tv", "once"]);
     check(&["regularizer.lattice=3"], &["regularizer.lattice", "3", "4 to 1024"]);
     check(&["regularizer.lattice=100000"], &["regularizer.lattice", "100000", "4 to 1024"]);

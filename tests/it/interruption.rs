@@ -222,7 +222,7 @@ fn many_collect_one_sweep_at_once() {
 #[test]
 fn a_signal_acts_within_a_long_step() {
     let dir = TempDir::new().unwrap();
-    for (signal, code) in [("-TERM", 143), ("-HUP", 129)] {
+    for (signal, code) in [("-TERM", 143), ("-INT", 130), ("-HUP", 129)] {
         let out = dir.path().join(signal);
         let long = ["regularizer.kind=tv", "regularizer.points=full", "regularizer.lattice=200", "train.steps=2"];
         let mut command = augnerf(&arguments(&out, &long));
@@ -233,10 +233,14 @@ fn a_signal_acts_within_a_long_step() {
             std::fs::read_dir(out.join("tensorboard")).is_ok_and(|mut entries| entries.next().is_some())
         });
         std::thread::sleep(Duration::from_millis(300));
-        Command::new("kill").args([signal, &child.id().to_string()]).status().unwrap();
+        // As `timeout` does, which signals its child and then their group.
+        for _ in 0..2 {
+            Command::new("kill").args([signal, &child.id().to_string()]).status().unwrap();
+        }
         let output = child.wait_with_output().unwrap();
         let message = String::from_utf8_lossy(&output.stderr);
         assert_eq!(output.status.code(), Some(code), "{message}");
+        assert_eq!(std::fs::read_dir(out.join("checkpoints")).unwrap().count(), 1, "{message}");
         // It left the step, and did not wait for its end.
         assert_says(&message, &["stopping with a checkpoint", "at step 0", "augnerf resume"]);
     }

@@ -85,7 +85,8 @@ pub fn page() -> String {
     let link = |id: &str| Some(format!("./../points/{id}/run/"));
     let views = vec![ShownScene::new(&view, 1).unwrap()];
     let films = vec![Film::new("TV", 0, "rgb.gif", b"GIF89a")];
-    Page { table: &table, records: &records, files: &files, views, films, attacks, timing: &[], link: &link }
+    let meshes = vec![Film::new("TV", 0, "mesh.png", b"PNG")];
+    Page { table: &table, records: &records, files: &files, views, films, meshes, attacks, timing: &[], link: &link }
         .html()
         .unwrap()
 }
@@ -102,7 +103,9 @@ fn the_page_fetches_nothing_and_runs_nothing_but_its_own_script() {
     let sources = [attributes(&page, "src"), attributes(&page, "href")].concat();
     assert!(sources.len() > 15, "{sources:?}");
     assert!(sources.iter().all(|address| {
-        ["data:image/jpeg;base64,", "data:image/gif;base64,", "#", "./"].iter().any(|s| address.starts_with(s))
+        ["data:image/jpeg;base64,", "data:image/gif;base64,", "data:image/png;base64,", "#", "./"]
+            .iter()
+            .any(|s| address.starts_with(s))
     }));
     assert!(!sources.iter().any(|address| address.contains("http")), "{sources:?}");
     assert_eq!(page.matches("<script").count(), 1, "names are escaped");
@@ -125,6 +128,11 @@ fn the_page_fits_a_phone_and_shows_videos() {
         &page,
         &["<figcaption>Training on fern", "media-src data:", "data:image/gif;base64,R0lGODlh", "TV, seed 0"],
     );
+    // What people look at first stands first, and a mesh is shown as films are.
+    let places =
+        ["id=\"views\"", "id=\"films\"", "id=\"meshes\"", "id=\"figures\""].map(|part| page.find(part).unwrap());
+    assert!(places.is_sorted(), "{places:?}");
+    assert_says(&page, &["alt=\"mesh of TV\"", "<code>mesh.png</code>"]);
     assert_says(&page, &["scroll sideways for more", "rows.length > 2 ? 1 : 0"]);
 }
 
@@ -153,7 +161,17 @@ fn a_training_has_one_row_and_a_fact_one_line() {
     let spec = TableSpec { metrics: vec!["psnr".into()], rows: vec![row], ..TableSpec::default() };
     let table = Table::new(&spec, &records, false).unwrap();
     let (views, films, attacks, link) = (vec![], vec![], vec![], |_: &str| None);
-    let page = Page { table: &table, records: &records, files: &[], views, films, attacks, timing: &[], link: &link };
+    let page = Page {
+        table: &table,
+        records: &records,
+        files: &[],
+        views,
+        films,
+        meshes: vec![],
+        attacks,
+        timing: &[],
+        link: &link,
+    };
     let page = page.html().unwrap();
     let results = page.split("class=\"results").nth(1).unwrap().split("</table>").next().unwrap();
     assert_eq!(results.matches("<th scope=\"row\">").count(), 2, "{results}");
@@ -217,6 +235,8 @@ fn runs_become_a_page() {
     assert_eq!(page, report(&[]), "the same bytes twice");
     let timed = report(&["--with-timing", "--label", "NeRF", "--label", "NeRF", "--label", "Ours"]);
     assert_says(&timed, &["seconds training", "data-name=\"NeRF\"", "data-name=\"Ours\"", "class=\"switch\""]);
+    // PSNR of one colour is the same for all rows: its figure says nothing.
+    assert!(page.contains("rows_builtin_psnr") && !page.contains("rows_builtin_floor_psnr"));
     // A run alone is beside nothing: no figure of rows, no word of differences.
     assert_says(&page, &["rows_builtin_psnr", "Below each mean: the difference"]);
     demand(augnerf(&["report", "a0", "--out", "alone.html"]).current_dir(dir.path()), 0);
@@ -231,6 +251,16 @@ fn runs_become_a_page() {
     let page = text(&dir.path().join("d.html"));
     assert_says(&page, &["data-name=\"a0\"", "data-name=\"d0\"", "data-name=\"aug-nerf\""]);
     assert!(!said.contains("(train."), "{said}");
+    // Terms have short names, and a run's mesh is shown.
+    let heavy = ["train", "--quiet", "--preset", "smoke", "--out", "tv", "--set", "regularizer.kind=tv", "--set"];
+    let small = "regularizer.weight=8e-5 data.width=16 field.width=16 train.rays=32 train.steps=4 eval.pictures=0";
+    let small = small.split(' ').collect::<Vec<_>>().join(" --set ");
+    demand(augnerf(&[&heavy[..], &small.split(' ').collect::<Vec<_>>()].concat()).current_dir(dir.path()), 0);
+    demand(augnerf(&["mesh", "tv", "-q", "--resolution", "16", "--threshold", "0.01"]).current_dir(dir.path()), 0);
+    let said = demand(augnerf(&["report", "a0", "tv", "--out", "e.html"]).current_dir(dir.path()), 0);
+    assert_says(&said, &["nerf + tv 8e-5"]);
+    assert!(!said.contains("regularizer.") && said.find("page: e.html") < said.find("psnr"), "{said}");
+    assert_says(&text(&dir.path().join("e.html")), &["alt=\"mesh of nerf + tv 8e-5\""]);
     let said = demand(augnerf(&["report", "a0", "a1", "--label", "x"]).current_dir(dir.path()), 2);
     assert_says(&said, &["--label: 1 labels for 2 runs"]);
 }

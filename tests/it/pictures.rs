@@ -9,7 +9,7 @@ use crate::common::{assert_says, runtime, tiny_config, tiny_scene, trained};
 use augnerf::base::Image;
 use augnerf::base::rng::{Random, Stream};
 use augnerf::compare::{
-    Comparison, Profile, Profiles, RunView, Window, crop, differences, labels, most_different, patch_around,
+    Comparison, Profile, Profiles, RunView, Window, crop, differences, labels, most_different, name_steps, patch_around,
 };
 use augnerf::data::Scene;
 use augnerf::metrics::{psnr, quantise};
@@ -285,10 +285,10 @@ fn runs_that_do_not_show_the_same_are_refused_in_words() {
         assert_eq!(error.exit_code(), 2);
         assert_says(&error.to_string(), &[words, "other", "first"]);
     };
-    refused("the scene is fern", &|run| run.protocol.set("scene", "fern".into()));
-    refused("the resolution is 32 x 16", &|run| run.view.camera.width = 32);
-    refused("the held-out view is r_5", &|run| run.view.name = "r_5".into());
-    refused("the background is black", &|run| run.protocol.set("background", "black".into()));
+    refused("and fern in the second", &|run| run.protocol.set("scene", "fern".into()));
+    refused("the resolution is 16 x 16 in the first and 32 x 16 in the second", &|run| run.view.camera.width = 32);
+    refused("r_5", &|run| run.view.name = "r_5".into());
+    refused("the background is ", &|run| run.protocol.set("background", "black".into()));
     refused("the camera", &|run| run.view.camera.pose[0][3] += 1e-3);
     refused("another (1 of 768 values)", &|run| Arc::make_mut(&mut run.view.image).pixels[7] += 0.5);
     refused("the photo's mask", &|run| run.view.mask = Some([true; 256].into()));
@@ -300,6 +300,22 @@ fn runs_that_do_not_show_the_same_are_refused_in_words() {
         &other.check_same_interval(&first).unwrap_err().to_string(),
         &["other run from 1 to", "first from", "data.near"],
     );
+}
+
+#[test]
+fn figures_name_steps_where_runs_differ_in_them_or_stopped() {
+    let [first, second] = pair();
+    let mut runs = [first.run_view("NeRF"), second.run_view("TV")];
+    let captions = |runs: &mut [RunView], steps: [(u64, u64); 2]| -> [String; 2] {
+        runs.iter_mut().zip(steps).for_each(|(run, steps)| run.steps = steps);
+        name_steps(runs.iter_mut());
+        [runs[0].caption(), runs[1].caption()]
+    };
+    assert_eq!(captions(&mut runs, [(30, 30), (30, 30)]), ["NeRF", "TV"]);
+    assert_eq!(captions(&mut runs, [(30, 30), (600, 600)]), ["NeRF (30 steps)", "TV (600 steps)"]);
+    assert_eq!(captions(&mut runs, [(600, 600), (30, 600)]), ["NeRF (600 steps)", "TV (unfinished: step 30 of 600)"]);
+    assert_eq!(captions(&mut runs, [(30, 600), (30, 600)])[0], "NeRF (unfinished: step 30 of 600)");
+    assert_eq!(captions(&mut runs, [(600, 600), (600, 600)]), ["NeRF", "TV"]);
 }
 
 #[test]
@@ -471,8 +487,16 @@ fn the_commands_leave_what_they_promise_and_refuse_what_they_cannot_show() {
     succeed(&["profile", "-q", &a, &b, "--pixel", "0,15", "--patch", "2", "--threads", "1", "--out", &again]);
     assert_same_files(Path::new(&path("ray")), Path::new(&again), &[]);
 
+    // A person is told what to open and what comes next.
+    let said = crate::common::program::demand(&mut crate::common::program::augnerf(&["compare", &a, &b]), 0);
+    assert_says(&said, &["open: ", "compare/compare.", &format!("next: augnerf profile {a} {b}")]);
+
     for command in ["compare", "profile"] {
-        refuse(&[command, &a, &wide], 2, &["wide", "a do not match", "20 x 20", "16 x 16"]);
+        refuse(
+            &[command, &a, &wide],
+            2,
+            &["a and wide do not match", "is 16 x 16 in the first and 20 x 20 in the second"],
+        );
         refuse(&[command, &a, &forward], 2, &["forward", "builtin-forward"]);
         refuse(&[command, &a, &b, "--view", "r_99"], 2, &["--view r_99", "0 to 7", "r_7"]);
         refuse(&[command, &a, &b, "--view", "8"], 2, &["--view 8", "0 to 7"]);

@@ -38,6 +38,15 @@ fn the_command_explains_settings() {
     refuse(&["settings", "train.stepz"], 2, &["did you mean 'train.steps'"]);
 }
 
+/// Words need no quotes, and those of other programs lead somewhere.
+#[test]
+fn several_words_find_a_setting() {
+    for words in [&["settings", "total", "variation"][..], &["settings", "regulariser"], &["settings", "tv"]] {
+        let said = crate::common::program::demand(&mut crate::common::program::augnerf(words), 0);
+        crate::common::assert_says(&said, &["regularizer.weight = ", "tv 3.8e-6"]);
+    }
+}
+
 /// Files have the protocol's columns in the order of the table.
 #[test]
 fn the_table_of_columns_is_the_protocol() {

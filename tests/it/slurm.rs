@@ -297,6 +297,7 @@ fn without_sbatch_or_with_its_refusal_the_user_is_told_what_to_do() {
     let submit = ["sweep", "submit", "tiny.toml", "--quiet"];
     let said = program::demand(command(&submit, dir.path()).env("PATH", "/nowhere"), 2);
     assert_says(&said, &["cannot find `sbatch`", "login node", "augnerf sweep run-point"]);
+    assert!(!dir.path().join("runs").exists(), "refused before anything is written");
     let cluster = Cluster::new();
     cluster.stand_in("sbatch", "echo 'sbatch: error: invalid partition specified: nowhere' >&2; exit 1");
     let said = cluster.demand(&submit, dir.path(), 2);

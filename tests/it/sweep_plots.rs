@@ -176,8 +176,9 @@ fn the_paper_s_figure() {
         assert!(figure.svg.contains(words), "{words}");
     }
     // Panels of coordinates and output show nothing; those of features do.
-    assert_eq!(figure.svg.matches("no difference shown; detectable").count(), 4);
-    assert_eq!(figure.svg.matches("differ, p ").count(), 3);
+    let said = texts(&figure.svg).into_iter().map(|(_, text)| format!("{text} ")).collect::<String>();
+    assert_eq!(said.matches("Aug-NeRF: 3 seeds: no difference shown; detectable").count(), 4, "{said}");
+    assert_eq!(said.matches("differ, p ").count(), 3, "{said}");
     let caption: Vec<&str> = texts(&figure.svg).into_iter().map(|(_, text)| text).collect();
     assert!(caption.join(" ").contains("waiting: output steps = 3 (Aug-NeRF)"), "the missing value is named");
     assert!(axes_figure(page(&spec), &records, "orchids", "psnr").unwrap().is_none());
@@ -265,6 +266,12 @@ fn training_curves() {
     {
         assert!(said.contains(words), "{words}: {said}");
     }
+    // Where a line ends before the panel does, what leads to its name is no measurement.
+    let log = |last: usize| vec![(1..=last).map(|i| (100.0 * i as f64, 15.0 + i as f64)).collect::<Vec<_>>()];
+    let held_out = Curve { label: "NeRF".into(), seeds: log(10), held_out: log(9), ..Curve::default() };
+    let svg = curves_figure(page(&spec), "fern", &[held_out]).unwrap().unwrap().svg;
+    let thin = svg.lines().filter(|line| line.contains("stroke-dasharray") && line.contains("stroke-width=\"0.7\""));
+    assert_eq!(thin.count(), 1, "of held-out views alone: {svg}");
     let empty = Curve { label: "empty".into(), seeds: vec![vec![]], ..Curve::default() };
     for curves in [vec![], vec![empty]] {
         assert!(curves_figure(page(&spec), "fern", &curves).unwrap().is_none());
@@ -492,6 +499,7 @@ fn values_of_an_axis_stand_where_they_belong() {
         assert!(gaps.iter().all(|gap| *gap > 20.0 && (gap - gaps[0]).abs() < 0.3), "{gaps:?}");
         assert!(!svg.contains("1e-") && !svg.contains("0.0001"));
         assert!(texts(&svg).iter().any(|(_, text)| *text == "step size"), "the axis is named");
+        assert!(texts(&svg).iter().any(|(_, text)| text.starts_with("Aug-NeRF: 3 seeds")), "the row is named");
         let joined = |svg: &str| {
             let line =
                 svg.lines().find(|line| line.contains("stroke-width=\"2\"")).map(|line| attribute(line, "points"));

@@ -240,7 +240,12 @@ fn wrong_definitions_are_refused_with_words() {
             vec!["'NeRF'", "'Twin'", "same configuration"],
         ),
         (axis("", "8"), vec!["axis 'a'", "keys"]),
-        (axis("\"train.raise\"", "8"), vec!["unknown key", "train.rays"]),
+        (axis("\"train.raise\"", "8"), vec!["axis 'a': train.raise: unknown key", "train.rays"]),
+        (replace("\"perturb.t.steps\"", "\"trian.steps\""), vec!["row 'Aug-NeRF': its set: trian.steps: unknown key"]),
+        (
+            replace("\"perturb.t.steps\" = 3", "\"train.steps\" = \"x\""),
+            vec!["its set: train.steps: 'x' is not a whole"],
+        ),
         (axis("\"train.rays\"", &values(5999)), vec!["23996 points", "10000"]),
         (
             axis("\"train.rays\"", &values(999)).replace("seeds = [0, 1]", "seeds = [0, 1, 2, 3, 4, 5, 6, 7, 8, 9]"),

@@ -57,6 +57,25 @@ fn results_of_nothing_do_not_hold() {
     assert_says(&run(dir.path(), &["sweep", "begin", "sweeps/tiny.toml", "--seeds", "3-1"], 2), &["'3-1' is no range"]);
 }
 
+/// `report` makes the page that `collect` made where the runs are there, and does not replace it by less.
+#[test]
+fn a_report_of_results_is_the_page_of_collect() {
+    let dir = workplace();
+    run(dir.path(), &["sweep", "run", "sweeps/tiny.toml", "--quiet"], 0);
+    let page = dir.path().join("results/tiny/report.html");
+    let collected = fs::read_to_string(&page).unwrap();
+    assert!(collected.contains("id=\"views\""));
+    run(dir.path(), &["report", "results/tiny"], 0);
+    assert!(collected == fs::read_to_string(&page).unwrap(), "the same page");
+    assert_says(&run(dir.path(), &["verify", "results/tiny"], 0), &["holds"]);
+    fs::rename(dir.path().join("runs"), dir.path().join("moved")).unwrap();
+    assert_says(&run(dir.path(), &["report", "results/tiny"], 4), &["would lack views", "--out FILE"]);
+    assert!(collected == fs::read_to_string(&page).unwrap(), "untouched");
+    let said = run(dir.path(), &["report", "results/tiny", "--out", "small.html"], 0);
+    assert_says(&said, &["no runs beside these results", "page: small.html"]);
+    assert!(!fs::read_to_string(dir.path().join("small.html")).unwrap().contains("id=\"views\""));
+}
+
 /// Cells that tables do not show are held to the scene and to the configurations.
 #[test]
 fn forged_floors_and_settings_are_found() {

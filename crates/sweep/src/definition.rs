@@ -228,6 +228,11 @@ impl Definition {
         self.changed.contains_key(PRESET)
     }
 
+    /// Returns where the setting of all rows comes from: the command line or the file.
+    pub(super) fn origin_of(&self, name: &str) -> &'static str {
+        if self.changed.contains_key(name) { "--set" } else { "[set]" }
+    }
+
     /// Applies the changes of the command line that another definition was made with.
     pub(super) fn repeat_changes(&mut self, other: &Definition) -> Result<()> {
         let of = |name: &str| other.changed.contains_key(name);

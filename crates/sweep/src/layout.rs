@@ -10,7 +10,7 @@ use crate::base::{Error, Result};
 use crate::metrics::Scope;
 use crate::report::{AxisValue, label};
 use crate::run::locate_scene;
-use crate::settings::{Config, Preset, build};
+use crate::settings::{Config, Preset, build, check_assignment};
 
 use super::axes::{Axis, AxisPoint};
 use super::definition::{BudgetKind, Combine, Definition, Row, scene_name};
@@ -172,25 +172,38 @@ impl Builder<'_> {
     fn plain_config(&self, row: &Row, axes: &Combination) -> Result<Config> {
         let preset = row.preset.as_deref().map_or(Ok(self.preset), Preset::parse)?;
         let mut assignments: Vec<(Vec<String>, Value)> = Vec::new();
-        let mut assign = |key: &str, value: Value| {
-            assignments.push((key.split('.').map(String::from).collect(), value));
+        let mut wrong = None;
+        let mut assign = |origin: &str, key: &str, value: Value| {
+            let path: Vec<String> = key.split('.').map(String::from).collect();
+            wrong = wrong.take().or_else(|| check_assignment(origin, &path, &value).err());
+            assignments.push((path, value));
         };
-        self.definition.set.iter().for_each(|(table, value)| flatten(table, value, &mut assign));
+        for (table, value) in &self.definition.set {
+            flatten(table, value, &mut |key, value| assign(self.definition.origin_of(key), key, value));
+        }
         // By the seed itself, not by its position in the list: the same for any seeds of a command line.
         for (key, values) in &self.definition.by_seed {
-            assign(key, values[(self.seed % values.len() as u64) as usize].clone());
+            assign("by_seed", key, values[(self.seed % values.len() as u64) as usize].clone());
         }
-        row.set.iter().for_each(|(table, value)| flatten(table, value, &mut assign));
+        row.set
+            .iter()
+            .for_each(|(table, value)| flatten(table, value, &mut |key, value| assign("its set:", key, value)));
         for (axis, point) in axes {
-            axis.set.iter().for_each(|(table, value)| flatten(table, value, &mut assign));
-            point.sets.iter().for_each(|(key, value)| assign(key, value.clone()));
+            let origin = format!("axis '{}':", axis.name);
+            axis.set
+                .iter()
+                .for_each(|(table, value)| flatten(table, value, &mut |key, value| assign(&origin, key, value)));
+            point.sets.iter().for_each(|(key, value)| assign(&origin, key, value.clone()));
         }
         match self.scene {
             "builtin" => {}
-            "builtin-forward" => assign("data.kind", Value::String("builtin-forward".into())),
-            _ => assign("data.dir", Value::String(self.folder.to_string_lossy().into_owned())),
+            "builtin-forward" => assign("scenes", "data.kind", Value::String("builtin-forward".into())),
+            _ => assign("scenes", "data.dir", Value::String(self.folder.to_string_lossy().into_owned())),
         }
-        assign("seed", Value::Integer(self.seed as i64));
+        assign("seeds", "seed", Value::Integer(self.seed as i64));
+        if let Some(error) = wrong {
+            return Err(in_row(row, axes, error));
+        }
         build(Some(preset), None, &assignments).map_err(|error| in_row(row, axes, self.with_tip(error)))
     }
 

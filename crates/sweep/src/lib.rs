@@ -12,7 +12,7 @@
 #![warn(missing_docs)]
 
 pub(crate) use augnerf_core::{augment, base, data, methods, metrics, runtime, settings, space};
-pub(crate) use augnerf_report::report;
+pub(crate) use augnerf_report::{draw, report};
 pub(crate) use augnerf_run::{compare, revision, run, train};
 
 mod across;

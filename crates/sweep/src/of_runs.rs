@@ -136,6 +136,11 @@ impl RunsTable {
         self.spec.by_seed = by_seed(&self.spec.must_match, &self.points);
     }
 
+    /// Returns the number of characters of the longest row name.
+    pub fn longest_name(&self) -> usize {
+        self.spec.rows.iter().map(|row| row.name.chars().count()).max().unwrap_or(0)
+    }
+
     /// Returns the table, and the page for `folder`. Rows that differ in settings that are not varied are marked.
     pub fn page(&self, folder: &Path, with_timing: bool) -> Result<(Table, String)> {
         let inputs =
@@ -177,17 +182,25 @@ fn row_names(configs: &[Config], ids: &[String]) -> Vec<String> {
     names
 }
 
-/// Returns method and differing settings of each configuration: `aug-nerf (train.steps 4000)`.
+/// Settings that a row's name writes in a form of its own.
+const IN_NAME: [&str; 4] = ["method", "data.name", "regularizer.kind", "regularizer.weight"];
+
+/// Returns method, differing regularizers and other differing settings of each configuration: `nerf + tv 8e-5`, `aug-nerf
+/// (train.steps 4000)`.
 fn called(configs: &[&Config]) -> Vec<String> {
     let differences = differing_settings(configs);
-    let told = differences.iter().filter(|difference| !["method", "data.name"].contains(&difference.name.as_str()));
+    let regularized = differences.iter().any(|difference| IN_NAME[2..].contains(&difference.name.as_str()));
+    let told = differences.iter().filter(|difference| !IN_NAME.contains(&difference.name.as_str()));
     let told: Vec<_> = told.collect();
     let name = |(row, config): (usize, &&Config)| {
         let own = told.iter().filter(|difference| !difference.values[row].is_empty()).take(MOST_SETTINGS);
         let own = own.map(|difference| format!("{} {}", difference.name, difference.values[row]));
         let own = own.collect::<Vec<String>>().join(", ");
-        let method = config.method.name();
-        if own.is_empty() { method.into() } else { format!("{method} ({own})") }
+        let weight = |weight: f64| if weight < 1e-3 { format!("{weight:e}") } else { weight.to_string() };
+        let terms = config.regularizer.terms().filter(|_| regularized);
+        let terms: String = terms.map(|(term, of)| format!(" + {} {}", term.name(), weight(of))).collect();
+        let method = format!("{}{terms}", config.method.name());
+        if own.is_empty() { method } else { format!("{method} ({own})") }
     };
     configs.iter().enumerate().map(name).collect()
 }

@@ -6,17 +6,23 @@ use super::collect::TableInputs;
 use super::outputs::{SweepOutputs, optional};
 use crate::base::input::read_bytes;
 use crate::base::{Error, Result};
+use crate::draw::pictures::encode_png8;
 use crate::report::exporters::File;
 use crate::report::page::{Film, Page, ShownScene, ViewOfRow, ViewOfScene};
 use crate::report::tables::{Line, Table};
-use crate::report::{Record, Status, distinct};
-use crate::run::{FirstView, RunDir};
+use crate::report::{Status, distinct};
+use crate::run::{FirstView, RunDir, mesh_picture};
+use crate::space::{Paint, around, read_mesh};
 
 /// Most rows of a scene whose images are shown.
 const MOST_ROWS: usize = 24;
 /// Videos of a run in `renders/`, the smaller format first, and the limit on the bytes of all in a page.
 const FILMS: [&str; 2] = ["path/rgb.mp4", "path/rgb.gif"];
 const MOST_FILM_BYTES: u64 = 16 << 20;
+/// Meshes of a run, the one with fewer bytes first; and how their images are drawn, in pixels and around the mesh.
+const MESHES: [&str; 2] = ["mesh.ply", "mesh.obj"];
+const MESH_COLUMNS: usize = 400;
+const MESH_EYE: f64 = 0.1;
 /// Most folders that a link goes up. Beyond that, page and runs have no common location.
 const MOST_UP: usize = 4;
 
@@ -30,6 +36,7 @@ impl TableInputs<'_> {
             files,
             views: views(table, outputs)?,
             films: films(table, outputs)?,
+            meshes: meshes(table, outputs)?,
             attacks: self.attacks(table),
             timing: if self.with_timing { &outputs.timing } else { &[] },
             link: &|id| link(folder, outputs.runs.get(id)?),
@@ -55,16 +62,9 @@ fn views(table: &Table, outputs: &SweepOutputs) -> Result<Vec<ShownScene>> {
 fn films(table: &Table, outputs: &SweepOutputs) -> Result<Vec<Film>> {
     let (mut films, mut room) = (Vec::new(), MOST_FILM_BYTES);
     for line in &table.lines {
-        let points = line.ids.iter().filter_map(|id| outputs.records.iter().find(|record| record.id == *id));
-        let of_point = |record: &Record| {
-            Some((
-                record.seed?,
-                FILMS.map(|film| outputs.runs.get(&record.id).map(|run| RunDir::renders_in(run).join(film))),
-            ))
-        };
-        let found = points.filter_map(of_point).find_map(|(seed, paths)| {
+        let found = runs(line, outputs).find_map(|(seed, run)| {
             let fits = |path: &PathBuf| path.metadata().is_ok_and(|file| file.is_file() && file.len() <= room);
-            Some((seed, paths.into_iter().flatten().find(fits)?))
+            Some((seed, FILMS.map(|film| RunDir::renders_in(run).join(film)).into_iter().find(fits)?))
         });
         let Some((seed, path)) = found else { continue };
         let bytes = read_bytes(&path, room).map_err(|e| Error::unreadable(&path, &e))?;
@@ -73,6 +73,31 @@ fn films(table: &Table, outputs: &SweepOutputs) -> Result<Vec<Film>> {
         films.push(Film::new(&line.label, seed, &name, &bytes));
     }
     Ok(films)
+}
+
+/// Returns the runs of a row's points with their seeds.
+fn runs<'a>(line: &'a Line, outputs: &'a SweepOutputs) -> impl Iterator<Item = (u64, &'a PathBuf)> {
+    let points = line.ids.iter().filter_map(|id| outputs.records.iter().find(|record| record.id == *id));
+    points.filter_map(|record| Some((record.seed?, outputs.runs.get(&record.id)?)))
+}
+
+/// Returns an image of the mesh of each row's first point that has one, drawn like `augnerf mesh FILE --picture`.
+fn meshes(table: &Table, outputs: &SweepOutputs) -> Result<Vec<Film>> {
+    let mut meshes = Vec::new();
+    for line in table.lines.iter().take(MOST_ROWS) {
+        let of_run = |(seed, run): (u64, &PathBuf)| {
+            let files = MESHES.map(|name| RunDir::mesh_in(run).join(name));
+            Some((seed, files.into_iter().find(|file| file.is_file())?))
+        };
+        let Some((seed, path)) = runs(line, outputs).find_map(of_run) else { continue };
+        let mesh = read_mesh(&path)?;
+        let image = mesh_picture(&mesh, &[around(&mesh, MESH_EYE, MESH_COLUMNS)], Paint::Clay)?;
+        let bytes =
+            encode_png8(&image).map_err(|e| Error::Output(format!("{}: cannot be drawn: {e}", path.display())))?;
+        let drawn = Film::new(&line.label, seed, "mesh.png", &bytes);
+        meshes.push(drawn);
+    }
+    Ok(meshes)
 }
 
 /// Returns `None` if no row has an image.

@@ -246,7 +246,8 @@ impl StepCosts for Trainings<'_> {
         }
         let minutes = (CALIBRATION * configs.len() as f64 / 60.0).ceil();
         let what = format!(
-            "timing steps of {} trainings for budgets in seconds: about {minutes} min, longer if {LEAST_STEPS} steps of each are",
+            "timing the steps of {} trainings, which budgets in seconds need; this takes about {minutes} min, or longer where \
+             {LEAST_STEPS} steps of a training take longer",
             configs.len()
         );
         self.events.on(Event::Note(&what));

@@ -11,7 +11,7 @@ use crate::cli::answer::Answer;
 use crate::cli::progress::{Console, print};
 use crate::runtime::Runtime;
 use crate::settings::Config;
-use crate::sweep::slurm::{Chosen, Request, Script, Slurm, Submitted, array};
+use crate::sweep::slurm::{Chosen, Request, Script, Slurm, Submitted, array, check_installed};
 use crate::sweep::{Point, StepCosts, SweepFolder, Trainings, check_unchanged};
 
 use super::{Changes, Location, MaxDeaths, begin_folder, planned_points, say_how_long, trainings};
@@ -91,6 +91,9 @@ pub struct SubmitArguments {
 impl SubmitArguments {
     pub fn run(self) -> Result<()> {
         let Scheduler::Slurm = self.scheduler;
+        if !self.dry_run {
+            check_installed()?;
+        }
         let console = Console::new(self.quiet);
         self.max_deaths.warn(&console);
         let definition = self.changes.definition(&self.location)?;

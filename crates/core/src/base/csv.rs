@@ -7,7 +7,7 @@ const FORMULA: [char; 6] = ['=', '+', '-', '@', '\t', '\r'];
 /// Of these, those with which names begin, too. Such a cell may be a name unless it [`calls`] something.
 const SIGNS: [char; 2] = ['+', '-'];
 /// Letters with which a formula reaches beyond its cell.
-const REACHES: [char; 3] = ['|', '!', '='];
+const REACHES: [char; 2] = ['|', '!'];
 /// Prefix that makes spreadsheets leave such a text alone.
 const TEXT: char = '\'';
 
@@ -116,11 +116,13 @@ mod tests {
             "+1=2",
             "+ Feature & (Pre-) Output Aug.",
             "+HYPERLINK (\"http://a\")",
+            "+ Feature Aug., features injection layer = 1 · chair · seed 10",
         ];
         let safe = cells.map(|cell| safe_cell(cell).into_owned());
         assert_eq!(safe[..7], ["'=1+1", "+ TV Reg.", "-2", "-0.5e-3", "'@SUM(A1)", "'\tx", "-a"]);
         assert_eq!(safe[14..16], ["'+cmd|' /C calc'!A0", "'-SUM(A1)"]);
-        assert_eq!(safe[19..], ["+ Feature & (Pre-) Output Aug.", "'+HYPERLINK (\"http://a\")"]);
+        assert_eq!(safe[19..21], ["+ Feature & (Pre-) Output Aug.", "'+HYPERLINK (\"http://a\")"]);
+        assert_eq!(safe[21], cells[21], "names of points are names, too");
         for (cell, safe) in cells.iter().zip(&safe) {
             assert_eq!(plain_cell(safe), *cell);
             let is_formula = safe.starts_with(FORMULA) && safe.parse::<f64>().is_err();

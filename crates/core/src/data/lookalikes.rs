@@ -274,9 +274,14 @@ fn photos(dir: &Path, entries: &[String]) -> Option<String> {
 
 /// Returns the words for photos whose cameras are unknown, with the commands that find them for the folder `scene`.
 fn without_cameras(photos: &Path, count: usize, scene: &Path) -> String {
+    let first = if photos == scene.join("images") {
+        String::new()
+    } else {
+        format!("put them into {}/images and ", scene.display())
+    };
     let (shown, scene) = (photos.display(), scene.display());
     format!(
-        "{shown}: {count} photos without cameras; put them into {scene}/images and find the cameras with `colmap \
+        "{shown}: {count} photos without cameras; {first}find the cameras with `colmap \
          automatic_reconstructor --workspace_path {scene} --image_path {scene}/images`, or run `ns-process-data images --data \
          {shown} --output-dir {scene}`, then check {scene}"
     )
@@ -342,7 +347,11 @@ mod tests {
             (&[("cameras.json", "[]"), ("point_cloud/", "")], "name the folder that it was trained on"),
             (&[("database.db", ""), ("images/1.jpg", "")], "`colmap mapper --database_path DIR/database.db"),
             (&[("a.JPG", ""), ("notes.txt", "")], "DIR: 1 photos without cameras; put them into SCENE/images"),
-            (&[("images/a.JPG", "")], "colmap automatic_reconstructor --workspace_path DIR --image_path DIR/images`"),
+            (
+                &[("images/a.JPG", "")],
+                "DIR/images: 1 photos without cameras; find the cameras with `colmap automatic_reconstructor \
+                 --workspace_path DIR --image_path DIR/images`",
+            ),
             (&[("input/a.JPG", "")], "DIR/input: 1 photos without cameras"),
             (&[("images/a.HEIC", "")], "DIR/images: 1 photos in a format that is not read"),
             (

@@ -71,7 +71,8 @@ fn presets() -> String {
     text
 }
 
-/// Returns what `augnerf settings` prints: every setting whose path or text contains `filter`.
+/// Returns what `augnerf settings` prints: every setting whose path or text contains all words of `filter`, or what this
+/// program calls them.
 ///
 /// # Errors
 /// If no setting contains `filter`.
@@ -117,7 +118,12 @@ pub struct SettingRow {
 /// Returns the settings whose path or text contains `filter`.
 fn found(filter: Option<&str>) -> Result<Vec<&'static Setting>> {
     let filter = filter.unwrap_or_default().to_lowercase();
-    let holds = |setting: &&Setting| setting.path.contains(&filter) || setting.doc.to_lowercase().contains(&filter);
+    let ours = OTHER_WORDS.iter().filter(|(word, _)| *word == filter).map(|(_, ours)| *ours);
+    let sought: Vec<&str> = std::iter::once(filter.as_str()).chain(ours).collect();
+    let holds = |setting: &&Setting| {
+        let text = format!("{} {}", setting.path, setting.doc.to_lowercase());
+        sought.iter().any(|words| words.split_whitespace().all(|word| text.contains(word)))
+    };
     let found: Vec<&Setting> = REGISTRY.settings.iter().filter(holds).collect();
     if found.is_empty() {
         return Err(Error::Config(format!("no setting mentions '{filter}'; {}", advice(&filter))));
@@ -125,23 +131,34 @@ fn found(filter: Option<&str>) -> Result<Vec<&'static Setting>> {
     Ok(found)
 }
 
-/// Words of other programs, and the words of settings here.
-const OTHER_WORDS: [(&str, &str); 5] = [
+/// Words of other programs or spellings, and the words of settings here.
+const OTHER_WORDS: [(&str, &str); 21] = [
     ("aabb", "box"),
+    ("adversarial", "perturb"),
+    ("augment", "perturb"),
+    ("augmentation", "perturb"),
     ("batch_size", "train.rays"),
+    ("epochs", "train.steps"),
     ("iterations", "train.steps"),
     ("lr", "learning_rate"),
+    ("max_steps", "train.steps"),
+    ("pgd", "perturb"),
+    ("regularisation", "regularizer"),
+    ("regulariser", "regularizer"),
+    ("regularization", "regularizer"),
+    ("regularizers", "regularizer"),
+    ("resolution", "downscale"),
     ("sigma", "density"),
+    ("smooth", "regularizer"),
+    ("smoothness", "regularizer"),
+    ("sparsity", "regularizer"),
+    ("total variation", "regularizer"),
+    ("tv", "regularizer.weight"),
 ];
 
 /// Returns what to search for if no setting mentions `filter`.
 fn advice(filter: &str) -> String {
-    let other = OTHER_WORDS.iter().find(|(word, _)| *word == filter);
-    match (other, nearly(filter)) {
-        (Some((_, ours)), _) => format!("try `augnerf settings {ours}`"),
-        (None, Some(near)) => format!("did you mean {near}?"),
-        (None, None) => "`augnerf settings` lists all".into(),
-    }
+    nearly(filter).map_or("`augnerf settings` lists all".into(), |near| format!("did you mean {near}?"))
 }
 
 /// Returns a setting with its text, ended by a line break.
@@ -186,14 +203,19 @@ mod tests {
     fn a_word_that_no_setting_mentions_is_answered_with_what_to_try() {
         for (word, answer) in [
             ("train.stepz", "did you mean 'train.steps'?"),
-            ("sigma", "try `augnerf settings density`"),
+            ("total nothing", "`augnerf settings` lists all"),
             ("zzzz", "`augnerf settings` lists all"),
         ] {
             let message = settings_text(Some(word)).unwrap_err().to_string();
             assert_eq!(message, format!("no setting mentions '{word}'; {answer}"));
         }
-        for (_, ours) in OTHER_WORDS {
-            settings_text(Some(ours)).unwrap();
+        for (word, ours) in OTHER_WORDS {
+            let (listed, ours) = (settings_text(Some(word)).unwrap(), settings_rows(Some(ours)).unwrap());
+            assert!(ours.iter().all(|row| listed.contains(row.setting)), "{word}");
         }
+        let tv = settings_text(Some("tv")).unwrap();
+        assert!(tv.contains("regularizer.weight") && tv.contains("tv 3.8e-6"), "{tv}");
+        let two = settings_text(Some("learning rate")).unwrap();
+        assert!(two.contains("train.learning_rate") && !two.contains("train.steps"), "{two}");
     }
 }

@@ -7,6 +7,7 @@ use toml::{Table, Value};
 use super::identity::value_at;
 use super::registry::{REGISTRY, Setting, meant};
 use super::site::forget_passes;
+use super::types::number_text;
 use super::{Config, DataConfig, Method};
 use crate::base::input::{TEXT_BYTES, read_named};
 use crate::base::{Error, Result};
@@ -216,13 +217,39 @@ fn merge(base: &mut Table, over: Table) {
 }
 
 fn assign(table: &mut Table, path: &[String], value: Value) -> Result<()> {
-    let origin = format!("--set {}", path.join("."));
+    lay_over(table, layer_of("--set", path, value)?);
+    Ok(())
+}
+
+/// Checks one assignment by itself. `origin` begins the error: `--set`, or the part of a sweep file that holds it.
+///
+/// # Errors
+/// [`Error::Config`]: no such setting, or a value of another type.
+pub fn check_assignment(origin: &str, path: &[String], value: &Value) -> Result<()> {
+    layer_of(origin, path, value.clone()).map(|_| ())
+}
+
+/// Returns the layer that sets one setting.
+fn layer_of(origin: &str, path: &[String], value: Value) -> Result<Table> {
+    let name = path.join(".");
+    let origin = format!("{origin} {name}");
     if path.len() > DEEPEST {
         return Err(Error::Config(format!("{origin}: no setting has a name of {} parts", path.len())));
     }
     let mut layer = Table::new();
     let (last, parents) = path.split_last().expect("an assignment has a key");
-    let shown = value.as_str().map_or_else(|| value.to_string(), String::from);
+    let shown = match &value {
+        Value::String(text) => text.clone(),
+        Value::Float(number) => number_text(*number),
+        other => other.to_string(),
+    };
+    if REGISTRY.sections.iter().any(|row| row.path == name) && !value.is_table() {
+        let inner = REGISTRY.settings.iter().find(|setting| setting.path.starts_with(&format!("{name}.")));
+        let inner = inner.map_or("", |setting| &setting.path);
+        return Err(Error::Config(format!(
+            "{origin}: '{shown}' is the value of a setting, and {name} is a section; set one of its settings, such as {inner}"
+        )));
+    }
     layer.insert(last.clone(), value);
     for parent in parents.iter().rev() {
         let inner = std::mem::take(&mut layer);
@@ -231,20 +258,25 @@ fn assign(table: &mut Table, path: &[String], value: Value) -> Result<()> {
     check_keys(&layer, &origin)?;
     // Checked alone first, so that the message can name the assignment.
     toml::from_str::<Config>(&toml::to_string(&layer).expect("plain data"))
-        .map_err(|e| Error::Config(format!("{origin}: {}", refusal(&path.join("."), &shown, e.message()))))?;
-    lay_over(table, layer);
-    Ok(())
+        .map_err(|e| Error::Config(format!("{origin}: {}", refusal(&name, &shown, e.message()))))?;
+    Ok(layer)
 }
 
 /// Says that a value has the wrong type, and what is allowed; otherwise what the check of the setting says.
 fn refusal(path: &str, value: &str, message: &str) -> String {
-    let of_type = ["invalid type", "unknown variant", "invalid value"].iter().any(|start| message.starts_with(start));
+    let starts = ["invalid type", "unknown variant", "invalid value", "expected "];
+    let of_type = starts.iter().any(|start| message.starts_with(start));
     let Some(setting) = REGISTRY.get(path).filter(|_| of_type) else { return message.into() };
     let kind = match setting.kind.as_str() {
         kind @ ("whole number" | "number" | "number, or reach") => format!("a {kind}"),
         kind @ ("text" | "true or false") => kind.into(),
         kind if kind.starts_with('[') => kind.into(),
-        kind if kind.starts_with("list of: ") => format!("{}, nor a list of them", &kind["list of: ".len()..]),
+        kind if kind.starts_with("list of: ") => {
+            let names = &kind["list of: ".len()..];
+            let one =
+                names.rsplit_once(", ").map_or(format!("a {names}"), |(first, last)| format!("{first} or {last}"));
+            format!("{one}, nor a list of them; [] is none")
+        }
         choices => format!("one of {choices}"),
     };
     let value: String = value.chars().take(80).collect();
@@ -319,6 +351,19 @@ mod tests {
             ("data.near=close", "'close' is not a number"),
             ("sampling.jitter=yes", "'yes' is not true or false"),
             ("method=nerv", "'nerv' is not one of nerf, aug-nerf, "),
+            ("train.steps=1e30", "'1e30' is not a whole number"),
+            ("train.learning_rate=-1e300", "train.learning_rate = -1e300 is out of range"),
+            ("regularizer.kind=none", "'none' is not l1, tv, laplacian or distortion, nor a list of them; [] is none"),
+            (
+                "regularizer=tv",
+                "'tv' is the value of a setting, and regularizer is a section; set one of its settings, such as \
+              regularizer.kind",
+            ),
+            ("perturb.levels=rgb", "perturb.levels: 'rgb' is not input, feature or output, nor a list of them"),
+            ("perturb.steps=0", "'perturb.t.steps' or 'perturb.xyz.steps' or "),
+            ("regularizer.kind=['tv','tv']", "regularizer.kind names tv twice; name each term once"),
+            ("regularizer.weight=1", "regularizer.weight has 1 number and regularizer.kind names 0 terms"),
+            ("field.skips=[3,3]", "field.skips names layer 3 twice; name each layer once"),
             ("TRAIN.STEPS=5", "did you mean 'train.steps'?"),
             ("Data.Dir=x", "did you mean 'data.dir'?"),
         ] {

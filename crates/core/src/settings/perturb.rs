@@ -11,7 +11,7 @@ use serde::{Deserialize, Deserializer, Serialize, Serializer};
 
 use super::registry::{choice, numbers, section};
 use super::second_pass::{DeltaSource, SecondPass};
-use super::site::{SiteConfig, SiteSection, Sizes, switched_off, write_sites};
+use super::site::{Levels, SiteConfig, SiteSection, Sizes, switched_off, write_sites};
 use crate::augment::{
     Epsilon, Geometry, Level, Norm, PaperPass, Passes, PerSite, Radius, SetChoices, Site, SiteNumbers, StepUnit,
 };
@@ -254,7 +254,7 @@ impl<'de, A: MapAccess<'de>> MapAccess<'de> for Fields<'_, A> {
                     self.said[site] = section.passes;
                     self.sites[site] = section.of(site);
                 }
-                None if key == "levels" => *self.levels = Some(self.map.next_value()?),
+                None if key == "levels" => *self.levels = Some(self.map.next_value::<Levels>()?.0),
                 None => return seed.deserialize(key.into_deserializer()).map(Some),
             }
         }
@@ -284,6 +284,7 @@ mod tests {
         };
         for (levels, sites) in [
             ("[\"feature\"]", &["t", "xyz", "view", "rgb", "density"][..]),
+            ("feature", &["t", "xyz", "view", "rgb", "density"]),
             ("[\"input\"]", &["feature", "rgb", "density"]),
             ("[\"feature\", \"output\"]", &["t", "xyz", "view"]),
             ("[\"output\", \"feature\", \"input\"]", &[]),
@@ -316,7 +317,9 @@ mod tests {
         let narrowed = build(None, Some(file.path()), &[levels]).unwrap();
         assert_eq!(narrowed.perturb.sites_on().map(|(site, _)| site).collect::<Vec<_>>(), [Site::Feature]);
         let wrong = set(&["perturb.rgb=3"]).unwrap_err().to_string();
-        assert!(wrong.contains("a site's table") && !wrong.contains("SiteSection"), "{wrong}");
+        assert!(wrong.contains("perturb.rgb is a section") && !wrong.contains("SiteSection"), "{wrong}");
+        let file = toml::from_str::<Config>("[perturb]\nrgb = 3\n").unwrap_err().to_string();
+        assert!(file.contains("a site's table") && !file.contains("SiteSection"), "{file}");
     }
 
     #[test]

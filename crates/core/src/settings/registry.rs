@@ -160,7 +160,7 @@ macro_rules! section {
         })?
     ) => {
         #[derive(Clone, Debug, PartialEq, ::serde::Serialize, ::serde::Deserialize)]
-        #[serde(default, deny_unknown_fields)]
+        #[serde(default, deny_unknown_fields, expecting = "a section of settings, such as [train] in a file")]
         $(#[$outer])*
         pub struct $Section {
             $($(#[doc = $doc])+ $(#[serde($($serde)*)])? pub $field: $Type,)*
@@ -242,6 +242,13 @@ fn candidates(name: &str) -> Vec<&'static str> {
     let beside: Vec<&str> = beside.filter(|path| levenshtein(last_part(path), last_part(name)) <= TYPOS).collect();
     if let Some(nearest) = nearest(&beside) {
         return vec![nearest];
+    }
+    // `perturb.steps` stands in the section of each site.
+    let below: Vec<&str> = section(name).map_or(Vec::new(), |section| {
+        called.iter().copied().filter(|path| path.starts_with(&format!("{section}."))).collect()
+    });
+    if below.len() > 1 {
+        return below;
     }
     match (name.contains('.'), called.is_empty()) {
         // A section is named: the one that comes nearest.

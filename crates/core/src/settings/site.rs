@@ -137,12 +137,34 @@ pub(super) fn switched_off(levels: Option<&[Level]>) -> impl Iterator<Item = Sit
     Site::ALL.into_iter().filter(move |site| levels.is_some_and(|levels| !levels.contains(&site.about().level)))
 }
 
+/// The levels of `perturb.levels`: a list, or one name.
+#[derive(Deserialize)]
+#[serde(untagged, expecting = "expected input, feature or output, or a list such as [\"input\", \"output\"]")]
+enum OneOrMore {
+    One(Level),
+    Many(Vec<Level>),
+}
+
+/// Reads `perturb.levels`.
+#[derive(Deserialize)]
+#[serde(from = "OneOrMore")]
+pub(super) struct Levels(pub Vec<Level>);
+
+impl From<OneOrMore> for Levels {
+    fn from(levels: OneOrMore) -> Levels {
+        Levels(match levels {
+            OneOrMore::One(level) => vec![level],
+            OneOrMore::Many(levels) => levels,
+        })
+    }
+}
+
 /// Removes from `base` the passes of the sites that levels in `over` switch off: the later layer wins.
 pub(super) fn forget_passes(base: &mut Table, over: &Table) {
     let levels = over.get("perturb").and_then(|perturb| perturb.get("levels")).cloned();
-    let levels: Option<Vec<Level>> = levels.and_then(|levels| levels.try_into().ok());
+    let levels: Option<Levels> = levels.and_then(|levels| levels.try_into().ok());
     let Some(perturb) = base.get_mut("perturb").and_then(Value::as_table_mut) else { return };
-    for site in switched_off(levels.as_deref()) {
+    for site in switched_off(levels.as_ref().map(|levels| &levels.0[..])) {
         if let Some(site) = perturb.get_mut(site.name()).and_then(Value::as_table_mut) {
             site.remove("passes");
         }

@@ -21,6 +21,12 @@ pub enum Range {
     Box,
 }
 
+/// Returns a number as people write it: a very large or small one with an exponent, such as 1e30.
+pub(super) fn number_text(number: f64) -> String {
+    let plain = number == 0.0 || !number.is_finite() || (1e-5..1e16).contains(&number.abs());
+    if plain { number.to_string() } else { format!("{number:e}") }
+}
+
 /// A type of a setting.
 pub trait Settable {
     /// Whether the setting may be left open.
@@ -54,7 +60,7 @@ impl Settable for f64 {
 
     fn outside(&self, range: &Range) -> Option<String> {
         let Range::Real(holds) = range else { return None };
-        (!(self.is_finite() && holds(*self))).then(|| self.to_string())
+        (!(self.is_finite() && holds(*self))).then(|| number_text(*self))
     }
 }
 

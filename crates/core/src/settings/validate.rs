@@ -24,6 +24,11 @@ pub(super) fn refuse(wrong: bool, message: impl FnOnce() -> String) -> Result<()
     if wrong { Err(Error::Config(message())) } else { Ok(()) }
 }
 
+/// Returns a number of things in words: `1 term`, `2 terms`.
+fn counted(number: usize, thing: &str) -> String {
+    format!("{number} {thing}{}", if number == 1 { "" } else { "s" })
+}
+
 impl Config {
     /// Checks every setting, and the settings against one another.
     ///
@@ -135,7 +140,9 @@ impl Config {
         for (i, &skip) in field.skips.iter().enumerate() {
             let allowed = format!("a layer from 1 to {} (field.depth - 1)", field.depth - 1);
             require(skip >= 1 && skip < field.depth, "field.skips", skip, &allowed)?;
-            require(!field.skips[..i].contains(&skip), "field.skips", skip, "named once")?;
+            refuse(field.skips[..i].contains(&skip), || {
+                format!("field.skips names layer {skip} twice; name each layer once")
+            })?;
         }
         Ok(())
     }
@@ -263,13 +270,16 @@ impl Config {
         let regularizer = &self.regularizer;
         let (kinds, weights) = (&regularizer.kind, regularizer.weight.len());
         for (i, kind) in kinds.iter().enumerate() {
-            require(!kinds[..i].contains(kind), "regularizer.kind", kind.name(), "named once")?;
+            refuse(kinds[..i].contains(kind), || {
+                format!("regularizer.kind names {} twice; name each term once", kind.name())
+            })?;
         }
         refuse(weights != 0 && weights != kinds.len(), || {
             format!(
-                "regularizer.weight has {weights} numbers and regularizer.kind names {} terms; give one weight for each \
-                 term, or none for the defaults",
-                kinds.len()
+                "regularizer.weight has {} and regularizer.kind names {}; give one weight for each term, or none for the \
+                 defaults",
+                counted(weights, "number"),
+                counted(kinds.len(), "term")
             )
         })?;
         refuse(kinds.contains(&Regularizer::Laplacian) && !self.field.has_laplacian(), || {

@@ -9,7 +9,16 @@ const MOST: f64 = 1e300;
 const LEAST_SPAN: f64 = 1e-200;
 
 /// Round numbers across a range, and the step between them.
-pub fn ticks((low, high): (f64, f64), most: usize) -> (Vec<f64>, f64) {
+pub fn ticks(range: (f64, f64), most: usize) -> (Vec<f64>, f64) {
+    // A scale needs two numbers.
+    let found = (most..=most + FINER).map(|most| ticks_of(range, most));
+    found.into_iter().find(|(values, _)| values.len() > 1).unwrap_or_else(|| ticks_of(range, most))
+}
+
+/// Further steps that are tried where a range has only one round number.
+const FINER: usize = 4;
+
+fn ticks_of((low, high): (f64, f64), most: usize) -> (Vec<f64>, f64) {
     let raw = (high - low) / most as f64;
     if !(raw > LEAST_SPAN && raw < MOST) {
         return (Vec::new(), 1.0);
@@ -103,5 +112,21 @@ impl Panel {
             }
         }
         drawing.line(&[(self.left, self.top), (self.left, self.bottom()), (self.right(), self.bottom())], BLACK, 1.0);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_scale_has_two_numbers() {
+        for most in 2..=6 {
+            for range in [(0.3, 1.7), (19.9, 21.4), (-0.4, 1.2), (99.0, 104.0), (1e-6, 1.9e-6), (0.16, 0.93)] {
+                let (values, _) = ticks(range, most);
+                assert!(values.len() > 1 && values.len() <= most + FINER, "{range:?} {most}: {values:?}");
+            }
+        }
+        assert!(ticks((1.0, 1.0), 3).0.is_empty());
     }
 }

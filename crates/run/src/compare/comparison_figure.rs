@@ -102,9 +102,10 @@ impl ComparisonFigure<'_> {
         let (view, in_box) = (metrics_text(&side.metrics), metrics_text(&side.metrics_in_box));
         let numbers = format!("view: {view}; box: {in_box}");
         let (left, right) = (self.scale.margin, canvas.width - self.scale.margin);
-        let below = canvas.lines((left, y), right - left, &side.run.label, BLACK);
+        let name = side.run.caption();
+        let below = canvas.lines((left, y), right - left, &name, BLACK);
         // Next to the name, or below a name that leaves no space.
-        if left + text_width(&side.run.label, TEXT) + 20.0 + text_width(&numbers, TEXT) > right {
+        if left + text_width(&name, TEXT) + 20.0 + text_width(&numbers, TEXT) > right {
             y = below;
         }
         canvas.text((right, y), &numbers, TEXT, Anchor::Right, BLACK);

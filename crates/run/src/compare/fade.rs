@@ -38,7 +38,7 @@ pub fn write_fade(comparison: &Comparison, path: &Path) -> Result<()> {
 
 /// Returns name and metrics in lines of at most `width`.
 fn text(side: &Side, width: f64) -> Vec<String> {
-    let both = [side.run.label.clone(), metrics_text(&side.metrics)];
+    let both = [side.run.caption(), metrics_text(&side.metrics)];
     both.iter().flat_map(|text| wrapped(text, width - 8.0, TEXT)).collect()
 }
 

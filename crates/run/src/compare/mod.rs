@@ -23,5 +23,5 @@ pub use differences::{Difference, differences, differing_settings};
 pub use fade::check_fade;
 pub use profile::{Profile, Profiles, RaySmoothness, check_profiled, patch_around};
 pub use profile_figure::check_overlay;
-pub use run_view::{RunView, labels};
+pub use run_view::{RunView, labels, name_steps};
 pub use window::{Window, crop, most_different};

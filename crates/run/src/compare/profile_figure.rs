@@ -98,7 +98,7 @@ fn legend(canvas: &mut Canvas, profiles: &Profiles, mut y: f64) -> f64 {
     let differences = differences(&named);
     for (index, (run, profile)) in profiles.runs.iter().enumerate() {
         canvas.line(&[(SIDE, y), (SIDE + 26.0, y)], colour(profiles, index), 3.0);
-        y = canvas.lines((TEXT_LEFT, y), width, &run.label, BLACK);
+        y = canvas.lines((TEXT_LEFT, y), width, &run.caption(), BLACK);
         y = note(canvas, (TEXT_LEFT, y), width, &difference_text(&differences, index));
         y = note(canvas, (TEXT_LEFT, y), width, &smoothness(profile)) + 6.0;
     }
@@ -196,7 +196,7 @@ fn maps(canvas: &mut Canvas, profiles: &Profiles, axis: &Axis, unit: &str, mut y
     let top = density_top(profiles);
     for (index, (run, profile)) in profiles.runs.iter().enumerate() {
         canvas.line(&[(LEFT, y), (LEFT + 26.0, y)], colour(profiles, index), 3.0);
-        y = canvas.lines((LEFT + 34.0, y), WIDTH - 34.0, &run.label, BLACK) - 4.0;
+        y = canvas.lines((LEFT + 34.0, y), WIDTH - 34.0, &run.caption(), BLACK) - 4.0;
         let density = map(profiles, profile, |ray, k| scale_colour(ray.density[k] / top));
         let rgb = map(profiles, profile, |ray, k| ray.rgb[k]);
         for (name, picture) in [("density", density), ("colour", rgb)] {

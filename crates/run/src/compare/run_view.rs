@@ -14,6 +14,10 @@ use crate::train::checkpoint::State;
 pub struct RunView {
     /// Label in images and files.
     pub label: String,
+    /// Completed steps, and all steps.
+    pub steps: (u64, u64),
+    /// Figures name the steps: the runs that are shown together differ in them, or one is unfinished.
+    names_steps: bool,
     /// Place of its row in the sweep that it is of, which decides its colour.
     pub row: Option<usize>,
     /// Provenance of its numbers.
@@ -34,6 +38,13 @@ pub struct RunView {
     pub(super) settings: Vec<(String, String)>,
 }
 
+/// Lets the figures of runs that are shown together name their steps, if they differ in them or one is unfinished.
+pub fn name_steps<'a>(runs: impl Iterator<Item = &'a mut RunView>) {
+    let mut runs: Vec<&mut RunView> = runs.collect();
+    let alike = runs.iter().all(|run| run.steps.0 >= run.steps.1 && run.steps.0 == runs[0].steps.0);
+    runs.iter_mut().for_each(|run| run.names_steps = !alike);
+}
+
 impl RunView {
     /// Reads a run at a checkpoint's state. `view` is a held-out view's name, or its number from 0.
     pub fn new(label: String, viewer: &Viewer, state: &State, view: &str) -> Result<RunView> {
@@ -41,6 +52,8 @@ impl RunView {
         let index = find_view(&label, scene, view)?;
         Ok(RunView {
             label,
+            steps: (state.step, config.train.steps),
+            names_steps: false,
             row: None,
             protocol: Protocol::new(config, scene, state),
             view: scene.test[index].clone(),
@@ -53,13 +66,23 @@ impl RunView {
         })
     }
 
+    /// Returns its name in figures: the label, with the steps if [`name_steps`] found that they matter.
+    pub fn caption(&self) -> String {
+        let (label, (done, all)) = (&self.label, self.steps);
+        match self.names_steps {
+            false => label.clone(),
+            true if done < all => format!("{label} (unfinished: step {done} of {all})"),
+            true => format!("{label} ({done} steps)"),
+        }
+    }
+
     /// Returns an error if the run shows another scene, view, resolution, camera or photo than `first`.
     pub fn check_alike(&self, first: &RunView) -> Result<()> {
         let differ = |what: &str, own: String, other: String| {
             Err(Error::Config(format!(
-                "{} and {} do not match: {what} is {own} in the first and {other} in the second; give runs that \
+                "{} and {} do not match: {what} is {other} in the first and {own} in the second; give runs that \
                  agree in it",
-                self.label, first.label
+                first.label, self.label
             )))
         };
         // Numbers have all their digits, so that equal texts are equal numbers.

@@ -289,6 +289,11 @@ impl RunDir {
         path.join(RENDERS)
     }
 
+    /// Returns the path of `mesh/` in the run folder `run`.
+    pub fn mesh_in(run: &Path) -> PathBuf {
+        run.join(MESH)
+    }
+
     /// Returns the path of `renders/`: images and videos.
     pub fn renders(&self) -> PathBuf {
         self.path.join(RENDERS)

@@ -12,10 +12,11 @@ use crate::base::files::write_atomic;
 use crate::base::{Error, Event, Image, Listener, Result};
 use crate::data::Scene;
 use crate::field::forget_buffers;
+use crate::methods::{LogColumns, Term};
 use crate::metrics::{Lpips, MeanMetrics, Metric, PSNR, PSNR_FLOAT};
 use crate::model::Model;
 use crate::runtime::{Host, MemoryWatch, Runtime, Timing, host};
-use crate::settings::Resolved;
+use crate::settings::{Config, Regularizer, Resolved};
 use crate::train::{Origin, Trainer, checkpoint};
 
 use super::scene_file::RecordedScene;
@@ -81,6 +82,15 @@ struct Experiment<'a> {
     memory: MemoryWatch,
 }
 
+/// How long a run takes from here, in seconds.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Estimate {
+    /// Its steps.
+    pub training: f64,
+    /// Rendering the held-out views at the end; 0 if that is too short to be timed.
+    pub measuring: f64,
+}
+
 /// Results of a finished training, besides its files.
 pub struct Finished {
     /// The metrics as written.
@@ -91,6 +101,29 @@ pub struct Finished {
     pub steps: (u64, u64),
     /// Seconds spent on steps in this session.
     pub seconds: f64,
+    /// Remarks on regularizers that outweigh the photometric loss in the last step.
+    pub heavy_terms: Vec<String>,
+}
+
+/// A weighted regularizer that is this many times the photometric loss outweighs it.
+const HEAVY: f64 = 10.0;
+
+/// Returns a remark for each regularizer whose weighted value exceeds the photometric loss by far.
+fn heavy_terms(config: &Config, columns: &LogColumns, terms: &[Term]) -> Vec<String> {
+    let value = |name: &String| terms.iter().find(|term| term.name == *name).map(|term| term.value);
+    let photometric: f64 = columns.photometric.iter().filter_map(value).sum();
+    let times = |((term, weight), column)| Some((term, weight, weight * value(column)? / photometric));
+    let known = config.regularizer.terms().zip(&columns.further).filter_map(times);
+    let heavy = known.filter(|(.., times)| *times > HEAVY);
+    heavy
+        .map(|(term, weight, times): (Regularizer, f64, f64)| {
+            format!(
+                "regularizer {}: weight {weight:e} x value is {times:.0} times the photometric loss in the last step; choose a \
+                 smaller regularizer.weight, which `augnerf balance` measures",
+                term.name()
+            )
+        })
+        .collect()
 }
 
 /// Watches a run's memory from its start, without the buffers that an earlier run left on the threads.
@@ -202,7 +235,7 @@ impl<'a> Job<'a> {
     ///
     /// # Errors
     /// Those of a step, and of rendering.
-    pub fn estimate_seconds(&mut self, signal: &AtomicUsize) -> Result<Option<f64>> {
+    pub fn estimate(&mut self, signal: &AtomicUsize) -> Result<Option<Estimate>> {
         let left = self.experiment.setup.config.train.steps.saturating_sub(self.trainer.step_count());
         let per_step = match left {
             0 => Ok(0.0),
@@ -214,7 +247,7 @@ impl<'a> Job<'a> {
         };
         let cameras: Vec<_> = self.experiment.setup.scene.test.iter().map(|view| &view.camera).collect();
         let evaluation = self.experiment.viewer(&self.trainer)?.estimate_seconds(&cameras)?;
-        Ok(Some(steps + evaluation.unwrap_or(0.0)))
+        Ok(Some(Estimate { training: steps, measuring: evaluation.unwrap_or(0.0) }))
     }
 
     /// Trains to the last step and evaluates.
@@ -254,7 +287,9 @@ impl Experiment<'_> {
         self.timing(session.trainer().step_count(), session.seconds(), seconds).write(&self.run.timing())?;
         report.check_learned(self.run.path())?;
         let steps = (session.trainer().step_count(), self.setup.config.train.steps);
-        Ok(Finished { report, model: session.trainer().model()?.clone(), steps, seconds: session.seconds() })
+        let heavy_terms = heavy_terms(&self.setup.config, &session.trainer().columns(), session.last_terms());
+        let (model, seconds) = (session.trainer().model()?.clone(), session.seconds());
+        Ok(Finished { report, model, steps, seconds, heavy_terms })
     }
 
     fn report_redraws(&self, trainer: &Trainer, events: &dyn Listener) {

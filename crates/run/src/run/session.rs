@@ -6,7 +6,7 @@ use std::time::{Duration, Instant};
 use crate::base::{Error, Event, Image, Listener, Result};
 use crate::run::{EventWriter, RunDir, Scalars};
 
-use crate::methods::LogColumns;
+use crate::methods::{LogColumns, Term};
 use crate::metrics::MeanMetrics;
 use crate::settings::registry::{Effect, REGISTRY};
 use crate::settings::{Config, value_at};
@@ -47,6 +47,8 @@ pub struct Session<'a> {
     events: EventWriter,
     /// Time spent on steps, without logs and evaluations.
     stepping: Duration,
+    /// The terms of the loss in the last step of this session.
+    last_terms: Vec<Term>,
 }
 
 /// Returns the columns of `scalars.csv` after `step`.
@@ -121,7 +123,7 @@ impl<'a> Session<'a> {
         let config: &Config = trainer.config();
         let group = Config { seed: 0, ..config.clone() }.hash();
         events.settings(&group, &settings(config))?;
-        Ok(Session { run, trainer, scalars, events, stepping: Duration::ZERO })
+        Ok(Session { run, trainer, scalars, events, stepping: Duration::ZERO, last_terms: Vec::new() })
     }
 
     /// Returns the trainer at the current step.
@@ -132,6 +134,11 @@ impl<'a> Session<'a> {
     /// Returns the seconds spent on steps in this session.
     pub fn seconds(&self) -> f64 {
         self.stepping.as_secs_f64()
+    }
+
+    /// Returns the terms of the loss in the last step of this session; none before its first.
+    pub fn last_terms(&self) -> &[Term] {
+        &self.last_terms
     }
 
     /// Adds an image to the TensorBoard events at the current step.
@@ -179,6 +186,7 @@ impl<'a> Session<'a> {
             if log || evaluate {
                 self.log(&stats, evaluate, between)?;
             }
+            self.last_terms.clone_from(&stats.terms);
             events.on(Event::Stepped { step: stats.step, loss: stats.loss, psnr: stats.psnr() });
             let by_step = next.is_multiple_of(train.checkpoint_every);
             let minutes = saved_at.elapsed().as_secs_f64() / 60.0;

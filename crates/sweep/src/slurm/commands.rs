@@ -8,13 +8,28 @@ use crate::base::{Error, Result};
 
 use super::jobs::JobId;
 
+/// Returns the error for a command that is not on the PATH.
+fn missing(program: &str) -> Error {
+    Error::Config(format!(
+        "cannot find `{program}`: Slurm's commands are not on the PATH; run this where they are, such as the \
+         cluster's login node, or run points in another way with `augnerf sweep run-point`"
+    ))
+}
+
+/// Checks that Slurm's commands are here, before anything is measured or written for them.
+///
+/// # Errors
+/// [`Error::Config`]: `sbatch` is not on the PATH.
+pub fn check_installed() -> Result<()> {
+    let path = std::env::var_os("PATH").unwrap_or_default();
+    let found = std::env::split_paths(&path).any(|folder| folder.join("sbatch").is_file());
+    if found { Ok(()) } else { Err(missing("sbatch")) }
+}
+
 /// Runs a Slurm command.
 fn run(program: &str, arguments: &[String]) -> Result<Output> {
     Command::new(program).args(arguments).output().map_err(|error| match error.kind() {
-        std::io::ErrorKind::NotFound => Error::Config(format!(
-            "cannot find `{program}`: Slurm's commands are not on the PATH; run this where they are, such as the \
-             cluster's login node, or run points in another way with `augnerf sweep run-point`"
-        )),
+        std::io::ErrorKind::NotFound => missing(program),
         _ => Error::Config(format!("cannot run `{program}`: {error}")),
     })
 }

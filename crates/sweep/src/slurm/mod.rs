@@ -19,6 +19,7 @@ use std::path::PathBuf;
 use crate::base::files::write_atomic;
 use crate::base::{Error, Result};
 
+pub use commands::check_installed;
 pub use jobs::{JobId, Submitted};
 pub use queue::{Queue, Task};
 pub use script::{Request, Script, array, quoted};

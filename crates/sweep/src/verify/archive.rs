@@ -3,7 +3,7 @@
 use std::path::{Path, PathBuf};
 
 use crate::base::{Error, Result};
-use crate::collect::{Collector, TableInputs, Taking};
+use crate::collect::{Collector, PAGE, TableInputs, Taking};
 use crate::definition::Definition;
 use crate::folder::SweepFolder;
 use crate::outputs::{SweepOutputs, optional, read_scalars};
@@ -13,6 +13,9 @@ use crate::report::exporters::File;
 use crate::report::tables::{Table, read_points, read_timing};
 use crate::report::{Status, label};
 use crate::scored::read_scored;
+
+/// Folders above results in which their runs are looked for.
+const MOST_ABOVE: usize = 5;
 
 /// Everything that tables and figures of a sweep are made of, as its results' folder keeps it.
 pub struct Archive {
@@ -87,7 +90,7 @@ impl Archive {
     }
 
     /// The page of a results' folder: without pictures of views, which lie with the runs.
-    pub fn page(&self) -> Result<(Table, String)> {
+    pub fn page(&self, runs: Option<&SweepFolder>) -> Result<(Table, String)> {
         let mut files: Vec<File> = Vec::new();
         let table = self.files(&mut |name, bytes| {
             files.push((name.into(), bytes.to_vec()));
@@ -99,16 +102,40 @@ impl Archive {
                 files.push((name.clone(), bytes));
             }
         }
+        let mut outputs = self.outputs.clone();
+        if let Some(runs) = runs {
+            let known = self.done().map(|point| (point.id.clone(), runs.point(&point.id).run()));
+            outputs.runs.extend(known.filter(|(_, run)| run.is_dir()));
+        }
         let spec = self.definition.table(&self.provenance.name, &self.points);
         let inputs = TableInputs {
             spec: &spec,
-            outputs: &self.outputs,
+            outputs: &outputs,
             points: &self.points,
             force: true,
             with_timing: self.with_timing,
         };
         let page = inputs.page(&table, &files, &self.path)?;
         Ok((table, page))
+    }
+
+    /// Returns the folder of the sweep's runs, if it is where `sweep run` puts it: around these results, or `runs/NAME` beside a
+    /// folder above.
+    pub fn runs(&self) -> Option<SweepFolder> {
+        let path = self.path.canonicalize().ok()?;
+        let above = path.ancestors().skip(1).take(MOST_ABOVE);
+        let places = above.enumerate().flat_map(|(up, folder)| {
+            let around = (up == 0).then(|| folder.to_path_buf());
+            around.into_iter().chain([folder.join("runs").join(&self.provenance.name)])
+        });
+        let has_runs =
+            |folder: &SweepFolder| folder.is_begun() && self.done().any(|point| folder.point(&point.id).run().is_dir());
+        places.map(|place| SweepFolder::new(&place)).find(has_runs)
+    }
+
+    /// Returns whether the page in the folder was collected with images of the runs.
+    pub fn has_collected_page(&self) -> bool {
+        self.provenance.pinned.contains_key(PAGE) && self.path.join(PAGE).is_file()
     }
 
     /// Points that were measured.

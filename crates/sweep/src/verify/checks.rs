@@ -41,9 +41,10 @@ pub(super) const SUMS: &str = "sums";
 pub const CHECKS: [Check; 13] = [
     Check {
         name: "files",
-        what: "tables, figures and report.html are byte for byte what points.csv, timing.csv and scalars.csv.gz make; files that \
-               provenance.toml lists under [pinned], [inputs] or [archived] have their SHA-256",
-        left_out: "figures that are not there, and files under [archived] that are not there",
+        what: "tables and figures are byte for byte what points.csv, timing.csv and scalars.csv.gz make; so is a report.html without \
+               images of runs; files that provenance.toml lists under [pinned] (such as a report.html with them), [inputs] or \
+               [archived] have their SHA-256",
+        left_out: "figures and a report.html that are not there, and files under [archived] that are not there",
         run: Run::Sweep(files::check),
     },
     Check {

@@ -4,7 +4,7 @@ use crate::base::{Error, Result};
 use crate::metrics::Metric;
 use crate::report::exporters::File;
 use crate::report::plots::Width;
-use crate::report::tables::Heading;
+use crate::report::tables::{Heading, Table};
 
 /// A figure, with its version against seconds if there is one.
 pub struct Figure {
@@ -23,12 +23,16 @@ pub struct Drawn {
 
 const SECONDS: &str = "_seconds";
 
-/// Returns the figures among the files, in order.
-pub fn figures(files: &[File]) -> Result<Vec<Figure>> {
+/// Returns the figures among the files, in order, without those of a metric that is the same for all rows.
+pub fn figures(table: &Table, files: &[File]) -> Result<Vec<Figure>> {
     let column = Width::Column.suffix();
     let svgs = files.iter().filter_map(|(name, bytes)| Some((name.strip_suffix(".svg")?, bytes)));
     let mut figures: Vec<Figure> = Vec::new();
+    let same = same_for_all(table);
     for (name, bytes) in svgs.filter(|(name, _)| !name.ends_with(column)) {
+        if same.iter().any(|place| name.split_once('_').is_some_and(|(_, rest)| rest == place)) {
+            continue;
+        }
         let narrow = format!("{name}{column}.svg");
         let narrow =
             files.iter().find(|(known, _)| *known == narrow).map(|(_, bytes)| inline(name, bytes)).transpose()?;
@@ -41,6 +45,23 @@ pub fn figures(files: &[File]) -> Result<Vec<Figure>> {
         }
     }
     Ok(figures)
+}
+
+/// Returns `SCENE_METRIC` for metrics of which all rows of a scene have the same number, such as the PSNR of one colour.
+fn same_for_all(table: &Table) -> Vec<String> {
+    let mut same = Vec::new();
+    for (scene, lines) in table.scenes() {
+        for (index, metric) in table.metrics.iter().enumerate() {
+            let cells = lines.iter().map(|line| &line.cells[index]);
+            let known: Vec<(f64, Option<f64>)> = cells
+                .filter_map(|cell| Some((cell.mean?, cell.deviation.filter(|deviation| *deviation > 0.0))))
+                .collect();
+            if known.len() > 1 && known.iter().all(|own| *own == (known[0].0, None)) {
+                same.push(format!("{scene}_{metric}"));
+            }
+        }
+    }
+    same
 }
 
 /// Returns what a figure shows, in words, by its file's name: `rows_fern_psnr` as `Rows: PSNR on fern`.

@@ -1,9 +1,9 @@
-//! Videos in the page.
+//! Videos and images of meshes in the page.
 
 use base64::Engine;
 use base64::engine::general_purpose::STANDARD;
 
-/// A row's video.
+/// A row's video, or the image of its mesh.
 #[derive(Clone, Debug)]
 pub struct Film {
     /// The row.
@@ -17,10 +17,14 @@ pub struct Film {
 }
 
 impl Film {
-    /// Takes the bytes of an MP4 or a GIF, by the end of its name.
+    /// Takes the bytes of an MP4, a GIF or a PNG, by the end of its name.
     pub fn new(label: &str, seed: u64, file: &str, bytes: &[u8]) -> Film {
         let is_video = file.ends_with(".mp4");
-        let kind = if is_video { "video/mp4" } else { "image/gif" };
+        let kind = match file.rsplit_once('.').map_or("", |(_, ending)| ending) {
+            "mp4" => "video/mp4",
+            "png" => "image/png",
+            _ => "image/gif",
+        };
         let data = format!("data:{kind};base64,{}", STANDARD.encode(bytes));
         Film { label: label.into(), seed, file: file.into(), data, is_video }
     }

@@ -40,6 +40,8 @@ pub struct Page<'a> {
     pub views: Vec<ShownScene>,
     /// Videos of rows.
     pub films: Vec<Film>,
+    /// Images of the rows' meshes.
+    pub meshes: Vec<Film>,
     /// Effect of the attack.
     pub attacks: Vec<AttackLine<'a>>,
     /// Clock times, if the page shows them; it is then not reproducible.
@@ -67,6 +69,7 @@ struct Html<'a> {
     views: &'a [ShownScene],
     views_note: &'static str,
     films: &'a [Film],
+    meshes: &'a [Film],
     attacks: Vec<attack::SiteRow<'a>>,
     points: Vec<points::Point<'a>>,
     protocols: Vec<protocol::Scene<'a>>,
@@ -92,10 +95,11 @@ impl Page<'_> {
             scenes: results::scenes(table),
             notes: results::notes(table),
             latex: table_latex(table),
-            figures: figures::figures(self.files)?,
+            figures: figures::figures(table, self.files)?,
             views: &self.views,
             views_note: views::NOTE,
             films: &self.films,
+            meshes: &self.meshes,
             attacks: attack::site_rows(&self.attacks),
             points: points::points(table, self.records, self.link),
             protocols: protocol::scenes(table),

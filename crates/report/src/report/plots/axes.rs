@@ -126,7 +126,7 @@ impl<'f, 'a> Axes<'f, 'a> {
         }
         let strokes = strokes(self.style, &lines);
         let verdict = |series: &&Series| match (lines.len(), self.tests.verdict(series, self.metric)) {
-            (1, verdict) => wrapped(&verdict, width, TEXT),
+            (1, verdict) => wrapped(&format!("{}: {verdict}", series.row), width, TEXT),
             (_, verdict) => wrapped(&format!("{}: {verdict}", series.label), width - 24.0, TEXT),
         };
         let verdicts = lines.iter().map(verdict).collect();

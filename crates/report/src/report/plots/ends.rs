@@ -1,7 +1,7 @@
 //! Names at the right ends of lines.
 
 use super::Stroke;
-use crate::draw::canvas::{Anchor, BLACK, Canvas, LINE_HEIGHT, Panel, TEXT, wrapped};
+use crate::draw::canvas::{Anchor, BLACK, Canvas, GREY, LINE_HEIGHT, Panel, TEXT, wrapped};
 
 /// Gap between a panel and the names, which a leader crosses.
 const LEADER: f64 = 18.0;
@@ -24,7 +24,12 @@ pub(super) fn draw(drawing: &mut Canvas, panel: &Panel, room: f64, mut ends: Vec
     let tops = spread(&ends.iter().map(|end| end.at.1).collect::<Vec<f64>>(), &heights, panel.top, panel.bottom());
     for ((end, lines), top) in ends.iter().zip(&names).zip(tops) {
         let first = top + LINE_HEIGHT / 2.0 - 1.0;
-        let leader = [(end.at.0, end.at.1), (panel.right() + 4.0, end.at.1), (panel.right() + LEADER, first)];
+        let edge = (panel.right(), end.at.1);
+        if end.at.0 < edge.0 - 1.0 {
+            // Nothing was measured here.
+            drawing.dashed(&[end.at, edge], GREY, 0.7);
+        }
+        let leader = [edge, (panel.right() + 4.0, end.at.1), (panel.right() + LEADER, first)];
         Stroke { width: 1.2, dashed: false, ..end.stroke }.draw(drawing, &leader);
         for (index, line) in lines.iter().enumerate() {
             let at = (panel.right() + LEADER + 4.0, first + (LINE_HEIGHT - 3.0) * index as f64);

@@ -156,6 +156,20 @@ pub struct Cell {
 }
 
 impl Table {
+    /// Returns the table with those of its metrics that `keys` names, or with all if it has none of them.
+    pub fn with_metrics(&self, keys: &[&str]) -> Table {
+        let kept: Vec<usize> = (0..self.metrics.len()).filter(|i| keys.contains(&self.metrics[*i].as_str())).collect();
+        if kept.is_empty() {
+            return self.clone();
+        }
+        let mut table = self.clone();
+        table.metrics = kept.iter().map(|&index| self.metrics[index].clone()).collect();
+        for line in &mut table.lines {
+            line.cells = kept.iter().map(|&index| line.cells[index].clone()).collect();
+        }
+        table
+    }
+
     /// Makes the table of a definition's points. If lines of a scene differ in a field of `must_match`, returns an
     /// error that names it; with `force`, marks them instead.
     pub fn new(spec: &TableSpec, records: &[Record], force: bool) -> Result<Table> {
