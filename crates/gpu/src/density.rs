@@ -66,6 +66,7 @@ impl GpuDensity {
             bounds: (0.0, 1.0),
             background: None,
             tiles,
+            jet_tiles: tiles,
             loss_scale: 1.0,
             dispatches: Vec::new(),
             work: Work::default(),
@@ -73,7 +74,7 @@ impl GpuDensity {
         let space = |count: usize, has_gradient: bool| {
             let mut recorder = recorder();
             let points = &points;
-            recorder.space(&SpaceAt { field: &field_buffers, points, count, has_gradient, out: &at, first: 0 });
+            recorder.space(&SpaceAt { field: &field_buffers, points, count, has_gradient, out: &at });
             recorder.dispatches
         };
         let (density, gradient) = (space(chunk, false), space(chunk / 4, true));

@@ -276,7 +276,9 @@ impl Gpu {
         let [internal, validation, memory] = [internal, validation, memory].map(|scope| block_on(scope.pop()));
         // Work on a buffer that could not be made is wrong as well.
         if memory.is_some() {
-            return Err(refused("out of memory; lower train.rays, field.width or field.hash.log2_table".into()));
+            return Err(refused(
+                "out of memory; lower train.rays, field.width, field.hash.log2_table or regularizer.lattice".into(),
+            ));
         }
         match internal.or(validation) {
             Some(error) => Err(refused(error.to_string())),

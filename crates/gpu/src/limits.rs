@@ -69,7 +69,7 @@ pub(crate) fn check_field(config: &FieldConfig) -> Result<()> {
 }
 
 fn refused(what: &str) -> Error {
-    Error::Config(format!("device gpu does not train or render {what} yet; use --device cpu"))
+    Error::Config(format!("device gpu does not compute {what} yet; use --device cpu"))
 }
 
 /// Returns the samples whose numbers, so many bytes each, fit into the device's memory at once.

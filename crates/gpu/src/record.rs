@@ -161,6 +161,8 @@ pub(crate) struct Recorder<'a> {
     pub(crate) bounds: (f64, f64),
     pub(crate) background: Option<[f32; 3]>,
     pub(crate) tiles: Tiles,
+    /// Tiles of derivatives, which are computed in f32.
+    pub(crate) jet_tiles: Tiles,
     /// Factor of all gradients up to Adam, which keeps them in the range of f16.
     pub(crate) loss_scale: f64,
     pub(crate) dispatches: Vec<Dispatch>,

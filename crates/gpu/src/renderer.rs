@@ -72,6 +72,7 @@ impl GpuRenderer {
             bounds: scene.bounds(),
             background: scene.background,
             tiles: gpu.tiles(Precision::F32)?,
+            jet_tiles: gpu.tiles(Precision::F32)?,
             loss_scale: 1.0,
             dispatches: Vec::new(),
             work: Work::default(),

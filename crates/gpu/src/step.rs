@@ -41,6 +41,7 @@ pub struct Steps {
     sets: [Option<PassSets>; 2],
     buffers: StepBuffers,
     tiles: Tiles,
+    jet_tiles: Tiles,
     /// The work of a step, and that of a step with diagnostics.
     plain: Vec<Dispatch>,
     logged: Option<Vec<Dispatch>>,
@@ -92,6 +93,7 @@ impl Steps {
             sets,
             buffers,
             tiles: gpu.tiles(config.field.precision)?,
+            jet_tiles: gpu.tiles(Precision::F32)?,
             plain: Vec::new(),
             logged: None,
             update: Vec::new(),
@@ -260,6 +262,7 @@ impl Steps {
             bounds: self.scene_bounds,
             background: self.background,
             tiles: self.tiles,
+            jet_tiles: self.jet_tiles,
             loss_scale: loss_scale(&self.config),
             dispatches: Vec::new(),
             work: Work::default(),
@@ -300,7 +303,7 @@ impl Steps {
 
     /// Index and buffers of the fields in which terms in space count.
     fn regularized(&self) -> impl Iterator<Item = (usize, &FieldBuffers)> {
-        let counts = |role: &str| is_regularized(&self.config.regularizer, self.config.sampling.fine > 0, role);
+        let counts = |role: &str| is_regularized(&self.config.regularizer, &self.roles, role);
         self.learned.iter().enumerate().filter(move |(index, _)| counts(self.roles[*index]))
     }
 
@@ -314,15 +317,12 @@ impl Steps {
         };
         let integrand = Integrand { l1: weight_of(Regularizer::L1), tv: weight_of(Regularizer::Tv) };
         for (index, field) in self.regularized() {
-            let mut first = 0;
-            for (points, count) in &space.parts {
-                let at =
-                    SpaceAt { field, points, count: *count, has_gradient: space.has_gradient, out: &space.at, first };
+            for (part, (points, count)) in space.parts.iter().enumerate() {
+                let at = SpaceAt { field, points, count: *count, has_gradient: space.has_gradient, out: &space.at };
                 recorder.space(&at);
                 recorder.space_back(&at, integrand);
-                first += count;
+                recorder.integrals(&at, part == 0, volume, SPACE + index, &self.buffers.results);
             }
-            recorder.integrals(first, volume, &space.at, SPACE + index, &self.buffers.results);
         }
     }
 

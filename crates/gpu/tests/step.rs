@@ -125,6 +125,10 @@ steps! {
         "regularizer.fields=fine", "regularizer.points=full", "regularizer.lattice=10";
     nerf_with_tv_of_exp: "method=nerf", "regularizer.kind=[\"distortion\",\"tv\"]", "regularizer.weight=[0.1,0.1]",
         "field.density_activation=exp", "regularizer.jitter=false", "sampling.fine=0";
+    nerf_wide_with_tv: "method=nerf", "field.width=136", "regularizer.kind=tv", "regularizer.weight=0.1",
+        "regularizer.points_per_step=300";
+    hash_with_tv_of_its_one_field: "method=nerf", "field.encoding=hash", "regularizer.kind=tv", "regularizer.weight=0.1",
+        "regularizer.fields=fine", "regularizer.points_per_step=300";
     hash_with_tv: "method=nerf", "field.encoding=hash", "regularizer.kind=[\"tv\",\"l1\"]", "regularizer.weight=[0.1,0.1]",
         "regularizer.points_per_step=500", "field.hash.features=3", "field.density_activation=relu";
     hash_with_l1_in_a_small_box: "method=nerf", "field.encoding=hash", "regularizer.kind=l1", "regularizer.weight=0.1",

@@ -59,9 +59,14 @@ impl Model {
     ///
     /// # Errors
     /// Settings do not suit the scene; every initialization is dead; the method is not built in.
-    pub fn start(config: &Resolved, scene: &Scene, dtype: DType, device: &Device) -> Result<Start> {
+    pub fn start(config: &Resolved, scene: &Scene, dtype: DType, runtime: &Runtime) -> Result<Start> {
+        let device = runtime.device();
         if config.representation().is_field() {
             let (learner, redraws) = FieldLearner::start(config, scene, dtype, device)?;
+            // An accelerator takes its own time.
+            if runtime.accelerator().is_none() {
+                learner.check_own_duration()?;
+            }
             let model = Model::Fields(learner.fields().clone());
             return Ok(Start { model, learner: Box::new(learner), redraws });
         }

@@ -1,4 +1,4 @@
-//! Raw density of points that may be outside a hash grid's box, as a differentiable operation on the CPU.
+//! Raw density of points that may be outside a hash grid's box, as a differentiable operation.
 
 use std::sync::Arc;
 

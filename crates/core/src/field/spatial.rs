@@ -108,7 +108,9 @@ impl Field {
     /// Returns the same up to a derivative, without work for higher ones.
     pub fn spatial_up_to(&self, order: Order, points: &Tensor) -> Result<Spatial<'_>> {
         if self.config.encoding == Encoding::Hash && !is_host(points.device()) {
-            return Err(tensor_error("the derivatives of a hash grid are computed on the CPU".into()));
+            return Err(tensor_error(
+                "the derivatives of a hash grid are computed with --device cpu, or --device gpu for l1 and tv".into(),
+            ));
         }
         if self.config.encoding == Encoding::Integrated {
             return Err(tensor_error("density's derivatives are those of a field that is queried at points".into()));

@@ -1,11 +1,11 @@
 //! The smoothness of a trained field: the integrals that the regularizers lower, on the full sampling grid.
 
-use candle_core::DType;
+use candle_core::{DType, Tensor};
 use serde::Serialize;
 
 use crate::base::{Error, Result};
 use crate::field::{Density, Field};
-use crate::space::{Lattice, Quadrature, over_chunks, over_queries};
+use crate::space::{Lattice, Quadrature, over_cells, over_chunks};
 
 use super::spatial::term_sum;
 use super::{L1, Laplacian, SpaceTerm, Tv};
@@ -56,27 +56,28 @@ pub fn measure(field: &Field, lattice: &Lattice, mut advance: impl FnMut()) -> R
     Ok(sum)
 }
 
-/// Measures density and its gradient alone, wherever they are computed: without the Laplacian.
-pub fn measure_density(density: &dyn Density, lattice: &Lattice) -> Result<Smoothness> {
-    let cells: Vec<usize> = (0..lattice.cells()).collect();
-    let points = Quadrature::full(*lattice);
-    let variance = lattice.cell_variance();
-    let part = |cells: &[usize]| -> Result<Smoothness> {
-        let points = points.tensor(cells[0], cells.len(), density.dtype(), density.device())?;
-        let values = density.density(&points, variance)?.to_dtype(DType::F64)?.to_vec1::<f64>()?;
-        let slopes = density.gradient(&points, variance)?.to_dtype(DType::F64)?;
-        Ok(Smoothness {
+/// Measures density and its gradient alone, wherever they are computed: without the Laplacian. `advance` is called with
+/// the number of cells of each part.
+pub fn measure_density(density: &dyn Density, lattice: &Lattice, mut advance: impl FnMut(usize)) -> Result<Smoothness> {
+    let (variance, volume) = (lattice.cell_variance(), Quadrature::full(*lattice).volume_each());
+    let query = |points: &Tensor| -> Result<(usize, Smoothness)> {
+        let values = density.density(points, variance)?.to_dtype(DType::F64)?.to_vec1::<f64>()?;
+        let slopes = density.gradient(points, variance)?.to_dtype(DType::F64)?;
+        let part = Smoothness {
             l1: values.iter().map(|value| value.abs()).sum(),
             tv: slopes.sqr()?.sum(1)?.sqrt()?.sum_all()?.to_scalar()?,
             laplacian: None,
             largest_density: values.iter().copied().fold(0.0, f64::max),
             occupied: values.iter().filter(|value| **value > 0.0).count() as f64,
-        })
+        };
+        Ok((values.len(), part))
     };
     let mut sum = Smoothness::default();
-    for chunk in over_queries(density, &cells, 1, part)? {
-        sum.add(&chunk, points.volume_each());
-    }
+    over_cells(density, lattice, query, |(cells, part)| {
+        sum.add(&part, volume);
+        advance(cells);
+        Ok(())
+    })?;
     sum.occupied /= lattice.cells() as f64;
     Ok(sum)
 }

@@ -17,24 +17,28 @@ const CHUNKS_AT_ONCE: usize = 16;
 
 /// Computes densities at the midpoints of a sampling grid, in the order of the cells. `take` gets them in parts, so
 /// that memory does not grow with the grid.
-pub fn densities(density: &dyn Density, lattice: &Lattice, mut take: impl FnMut(Vec<f32>) -> Result<()>) -> Result<()> {
+pub fn densities(density: &dyn Density, lattice: &Lattice, take: impl FnMut(Vec<f32>) -> Result<()>) -> Result<()> {
     let query = |points: &Tensor| {
         let density = density.density(points, lattice.cell_variance())?;
         Ok(density.to_dtype(DType::F32)?.to_vec1::<f32>()?)
     };
-    let points = Quadrature::full(*lattice);
-    match density.at_once() {
-        None => over_chunks(&points, density.dtype(), density.device(), query, take),
-        Some(size) => parts_of(&points, size, density.dtype(), density.device())
-            .map(|part| query(&part?))
-            .try_for_each(|values| take(values?)),
-    }
+    over_cells(density, lattice, query, take)
 }
 
-/// Returns points in parts of a size, in their order.
-fn parts_of(points: &Quadrature, size: usize, dtype: DType, device: &Device) -> impl Iterator<Item = Result<Tensor>> {
+/// Queries a density at the midpoints of a sampling grid, in parts that suit it, in the order of the cells.
+pub fn over_cells<T: Send>(
+    density: &dyn Density,
+    lattice: &Lattice,
+    query: impl Fn(&Tensor) -> Result<T> + Sync,
+    mut take: impl FnMut(T) -> Result<()>,
+) -> Result<()> {
+    let (points, dtype, device) = (Quadrature::full(*lattice), density.dtype(), density.device());
+    let Some(size) = density.at_once() else { return over_chunks(&points, dtype, device, query, take) };
     let count = points.count();
-    (0..count).step_by(size).map(move |start| points.tensor(start, size.min(count - start), dtype, device))
+    for start in (0..count).step_by(size) {
+        take(query(&points.tensor(start, size.min(count - start), dtype, device)?)?)?;
+    }
+    Ok(())
 }
 
 /// Processes items that each take `each` points of a density, in parts that suit it. Returns the results in order.

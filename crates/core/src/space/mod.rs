@@ -14,7 +14,7 @@ mod mesh;
 mod nearest;
 mod shading;
 
-pub use cells::{chunk_count, chunk_size, chunks_at_once, densities, over_chunks, over_queries};
+pub use cells::{chunk_count, chunk_size, chunks_at_once, densities, over_cells, over_chunks, over_queries};
 pub use colouring::{FinishedMesh, Normals, finish_mesh, in_scene};
 pub use distance::{Chamfer, PointCloud, Reference, Score, chamfer, sample};
 pub use files::{read_mesh, write_obj, write_ply};

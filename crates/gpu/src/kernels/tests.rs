@@ -366,6 +366,8 @@ fn products_by_matrix_units_compile() {
 #[test]
 fn large_tiles_compile() {
     for name in ["product", "product_back", "weights"] {
-        assert!(compile(&Tile::of(256, Tiles::Large).kernel(name).with("SECOND", true)) > 1000);
+        let kernel = Tile::of(256, Tiles::Large).kernel(name).with("SECOND", true);
+        assert!(compile(&kernel) > 1000);
+        assert!(compile(&kernel.with("JETS", true).with("MASK", name == "product_back")) > 1000);
     }
 }

@@ -5,7 +5,7 @@ use std::ops::Range;
 use wgpu::Buffer;
 
 use crate::device::groups;
-use crate::kernels::{Kernel, Tile, Tiles};
+use crate::kernels::{Kernel, Tile};
 use crate::network::{FieldBuffers, Layer};
 
 use super::{Recorder, Words};
@@ -86,10 +86,15 @@ pub(super) fn parts(rows: usize) -> (usize, usize) {
     (of_part, rows.div_ceil(of_part))
 }
 
+/// Returns the most parts of up to `rows` rows. Fewer rows may have more parts than `rows` have.
+pub(super) fn most_parts(rows: usize) -> usize {
+    rows.div_ceil(PART).min(MOST_PARTS)
+}
+
 impl<'a> Recorder<'a> {
     /// Returns the tile and the kernel of a product with so many columns. Derivatives are computed in f32.
     fn tiled(&self, name: &'static str, columns: usize, rows: Rows) -> (Tile, Kernel) {
-        let tiles = if rows.are_jets() && self.tiles == Tiles::Matrices { Tiles::Large } else { self.tiles };
+        let tiles = if rows.are_jets() { self.jet_tiles } else { self.tiles };
         let tile = Tile::of(columns, tiles);
         (tile, tile.kernel(name).with("F16", tile.in_f16).with("JETS", rows.are_jets()))
     }
@@ -174,5 +179,20 @@ impl<'a> Recorder<'a> {
         let words = Words::default().u(weights).u(parts(rows.count()).1).u(self.shape.weights()).u(0);
         let buffers = [(1, &self.scratch.parts), (2, &field.weights.gradient)];
         self.run(Kernel::new("reduce"), words, &buffers, groups(weights));
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn parts_of_fewer_rows_have_room() {
+        for most in [4, 600, 65_536, 76_800, 131_840, 1_000_000] {
+            for rows in (1..=most).step_by(most / 500 + 1).chain([most, most.min(65_536)]) {
+                let (of_part, count) = parts(rows);
+                assert!(count <= most_parts(most) && of_part * count >= rows && of_part % 16 == 0, "{rows} of {most}");
+            }
+        }
     }
 }

@@ -5,7 +5,7 @@ use wgpu::Buffer;
 use crate::device::Gpu;
 use crate::network::Shape;
 
-use super::products::parts;
+use super::products::most_parts;
 
 /// Buffers of the samples of a chunk of rays, used by one pass after another.
 pub(crate) struct Scratch {
@@ -56,7 +56,8 @@ impl Scratch {
 
     /// Makes the buffers of so many rays, those of the way back if `trains`.
     pub(crate) fn new(gpu: &Gpu, shape: &Shape, rays: usize, samples: usize, trains: bool) -> Scratch {
-        let n = rays * samples;
+        // Four rows are a point with its derivatives.
+        let n = (rays * samples).max(4);
         let f = |numbers: usize| gpu.numbers(numbers);
         let back = |numbers: usize| gpu.numbers(if trains { numbers } else { 1 });
         let hidden = n * shape.width.max(shape.view_width);
@@ -86,7 +87,7 @@ impl Scratch {
             d_tilt: back(2 * rays),
             t_moved: back(rays * (samples + 1)),
             view_encoded: f(rays * shape.view_channels),
-            parts: back(parts(n).1 * shape.weights()),
+            parts: back(most_parts(n) * shape.weights()),
             used_rgb: back(3 * n),
             used_density: back(n),
         }

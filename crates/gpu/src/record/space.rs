@@ -16,9 +16,8 @@ pub(crate) struct SpaceAt<'a> {
     pub(crate) points: &'a Buffer,
     pub(crate) count: usize,
     pub(crate) has_gradient: bool,
-    /// Density and its gradient: `[.., 4]`, from row `first` on.
+    /// Density and its gradient, `[count, 4]`.
     pub(crate) out: &'a Buffer,
-    pub(crate) first: usize,
 }
 
 /// Weights of density and of its gradient's length at one point.
@@ -36,7 +35,7 @@ impl SpaceAt<'_> {
 
 impl Recorder<'_> {
     fn space_words(&self, at: &SpaceAt, integrand: Integrand) -> Words {
-        let words = Words::default().u(at.count).u(self.shape.width + 4).u(self.outputs.activation).u(at.first);
+        let words = Words::default().u(at.count).u(self.shape.width + 4).u(self.outputs.activation).u(0);
         words.f(integrand.l1 * self.loss_scale).f(integrand.tv * self.loss_scale).u(0).u(0)
     }
 
@@ -72,9 +71,10 @@ impl Recorder<'_> {
         }
     }
 
-    /// Records the integrals of density and of its gradient's length over `points` points into a slot of results.
-    pub(crate) fn integrals(&mut self, points: usize, volume: f64, from: &Buffer, slot: usize, results: &Buffer) {
-        let words = Words::default().u(points).u(slot).f(volume).u(0);
-        self.run(Kernel::new("integrals"), words, &[(1, from), (2, results)], [1, 1, 1]);
+    /// Records the integrals of density and of its gradient's length over the points, into a slot of results: those of the
+    /// first points, or added to what is there.
+    pub(crate) fn integrals(&mut self, at: &SpaceAt, are_first: bool, volume: f64, slot: usize, results: &Buffer) {
+        let words = Words::default().u(at.count).u(slot).f(volume).flag(are_first);
+        self.run(Kernel::new("integrals"), words, &[(1, at.out), (2, results)], [1, 1, 1]);
     }
 }

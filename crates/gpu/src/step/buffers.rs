@@ -108,7 +108,7 @@ pub(super) fn pass_sizes(config: &Resolved) -> [Option<PassSize>; 2] {
 pub(super) struct SpaceBuffers {
     /// Points that are queried at once, and their number.
     pub(super) parts: Vec<(Buffer, usize)>,
-    /// Density and its gradient at all of them.
+    /// Density and its gradient at a part of them.
     pub(super) at: Buffer,
     pub(super) has_gradient: bool,
     /// The volume that a point stands for.
@@ -123,14 +123,14 @@ impl SpaceBuffers {
         }
         let has_gradient = config.regularizer.terms().any(|(term, _)| term == Regularizer::Tv);
         let points = Quadrature::draw(&config.regularizer, config.seed, 0);
-        let most = if has_gradient { rows / 4 } else { rows };
+        let most = if has_gradient { (rows / 4).max(1) } else { rows };
         let part = |first: usize| {
             let count = most.min(points.count() - first);
             (gpu.numbers(3 * count), count)
         };
         let space = SpaceBuffers {
             parts: (0..points.count()).step_by(most).map(part).collect(),
-            at: gpu.numbers(4 * points.count()),
+            at: gpu.numbers(4 * most.min(points.count())),
             has_gradient,
             volume_each: points.volume_each(),
         };

@@ -171,6 +171,7 @@ impl Steps {
         }
         found
     }
+
     /// Names what is not finite.
     pub(super) fn broken(&self, report: &StepReport, flags: &[u32]) -> Option<String> {
         if let Some(term) = report.terms.iter().find(|term| !term.value.is_finite()) {

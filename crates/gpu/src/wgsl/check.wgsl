@@ -8,5 +8,8 @@ struct Check { numbers: u32, slots: u32, field: u32, pad0: u32 }
 fn main(@builtin(global_invocation_id) id: vec3<u32>) {
     let i = thread_of(id);
     if (i < p.numbers && broken(gradient[i])) { atomicOr(&flags[0], 1u); atomicMin(&flags[1u + p.field], i); }
-    if (i < p.slots && broken(results[16u * i])) { atomicOr(&flags[0], 8u); }
+    // Losses, and the terms beside them: TV, and distortion.
+    if (i < p.slots && (broken(results[16u * i]) || broken(results[16u * i + 1u]) || broken(results[16u * i + 14u]))) {
+        atomicOr(&flags[0], 8u);
+    }
 }

@@ -1,5 +1,6 @@
-// The integrals of density and of its gradient's length: sums over points of equal volume. One group.
-struct Integrals { points: u32, slot: u32, volume: f32, pad0: u32 }
+// The integrals of density and of its gradient's length, sums over points of equal volume: of the first points, or added
+// to what is there. One group.
+struct Integrals { points: u32, slot: u32, volume: f32, are_first: u32 }
 @group(0) @binding(0) var<uniform> p: Integrals;
 @group(0) @binding(1) var<storage, read> at: array<vec4<f32>>;         // [points, density and gradient]
 @group(0) @binding(2) var<storage, read_write> results: array<f32>;    // [slots, 16]
@@ -17,5 +18,8 @@ fn main(@builtin(local_invocation_index) thread: u32) {
         if (thread < half) { sums[thread] += sums[thread + half]; }
         workgroupBarrier();
     }
-    if (thread < 2u) { results[16u * p.slot + thread] = p.volume * sums[0][thread]; }
+    if (thread < 2u) {
+        let i = 16u * p.slot + thread;
+        results[i] = select(results[i], 0.0, p.are_first == 1u) + p.volume * sums[0][thread];
+    }
 }

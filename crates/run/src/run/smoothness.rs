@@ -2,6 +2,7 @@
 //! whatever the training used.
 
 use std::path::Path;
+use std::time::Instant;
 
 use serde::Serialize;
 
@@ -10,15 +11,17 @@ use crate::base::csv::csv_of_named;
 use crate::base::files::write_atomic;
 use crate::base::{Error, Event, Listener, Result};
 use crate::data::Scene;
-use crate::field::Field;
+use crate::field::Density;
 use crate::losses::{Smoothness, estimate_seconds, measure, measure_density};
 use crate::model::Model;
 use crate::runtime::Runtime;
 use crate::settings::{Capability, Config};
-use crate::space::{Lattice, chunk_count};
+use crate::space::{Lattice, Quadrature, chunk_count};
 
 use super::{Protocol, Trained, columns};
 
+/// Cells after which an accelerator's measurement advances.
+const CELLS: usize = 1024;
 /// Time limit of a measurement in hours.
 const MOST_HOURS: f64 = 12.0;
 /// The paper's box for its regularizers.
@@ -94,17 +97,27 @@ fn measure_fields(
     lattice.check_meets(scene, "the sampling grid of smoothness")?;
     let fields: Vec<_> = model.fields()?.by_role().into_iter().filter(|(role, _)| *role != "adversarial").collect();
     // Laplacians are the host's.
-    let on_accelerator = runtime.accelerator().is_some() && !fields[0].1.config().has_laplacian();
-    if !on_accelerator {
-        check_duration(fields[0].1, fields.len(), lattice)?;
+    let has_laplacian = fields[0].1.config().has_laplacian();
+    let on_accelerator = runtime.accelerator().is_some() && !has_laplacian;
+    if runtime.accelerator().is_some() && has_laplacian {
+        events.on(Event::Note("the field has a Laplacian, which the processor computes: this is measured there"));
     }
-    let parts = (fields.len() * chunk_count(lattice.cells(), runtime.device())) as u64;
-    events.on(Event::Started { what: "measuring", parts: if on_accelerator { fields.len() as u64 } else { parts } });
+    let seconds = match on_accelerator {
+        true => seconds_on(&*accelerator::density(runtime, fields[0].1)?, lattice)?,
+        false => estimate_seconds(fields[0].1, lattice, lattice.cells(), &[])?,
+    };
+    check_duration(seconds * fields.len() as f64, lattice)?;
+    let parts =
+        if on_accelerator { lattice.cells().div_ceil(CELLS) } else { chunk_count(lattice.cells(), runtime.device()) };
+    events.on(Event::Started { what: "measuring", parts: (fields.len() * parts) as u64 });
     let measured = fields.into_iter().map(|(role, field)| {
         let smoothness = if on_accelerator {
-            let smoothness = measure_density(&*accelerator::density(runtime, field)?, lattice)?;
-            events.on(Event::Advanced);
-            smoothness
+            let mut cells = 0;
+            measure_density(&*accelerator::density(runtime, field)?, lattice, |more| {
+                let before = cells / CELLS;
+                cells += more;
+                (before..cells / CELLS).for_each(|_| events.on(Event::Advanced));
+            })?
         } else {
             measure(field, lattice, || events.on(Event::Advanced))?
         };
@@ -120,9 +133,19 @@ fn measure_fields(
     Ok(fields)
 }
 
-/// Returns an error for a sampling grid that would take the host too long.
-fn check_duration(field: &Field, fields: usize, lattice: &Lattice) -> Result<()> {
-    let hours = estimate_seconds(field, lattice, lattice.cells(), &[])? * fields as f64 / 3600.0;
+/// Estimates the seconds of all cells from a part of them, on an accelerator.
+fn seconds_on(density: &dyn Density, lattice: &Lattice) -> Result<f64> {
+    let count = density.at_once().unwrap_or(CELLS).min(lattice.cells());
+    let points = Quadrature::full(*lattice).tensor(0, count, density.dtype(), density.device())?;
+    let started = Instant::now();
+    density.density(&points, lattice.cell_variance())?;
+    density.gradient(&points, lattice.cell_variance())?;
+    Ok(started.elapsed().as_secs_f64() * lattice.cells() as f64 / count as f64)
+}
+
+/// Returns an error for a sampling grid that would take too long.
+fn check_duration(seconds: f64, lattice: &Lattice) -> Result<()> {
+    let hours = seconds / 3600.0;
     if hours <= MOST_HOURS {
         return Ok(());
     }

@@ -133,7 +133,7 @@ impl Trainer {
         accelerator::check(config, runtime)?;
         let inputs = Inputs { config, scene, dtype, runtime };
         runtime.install(|| {
-            let Start { model, learner, redraws } = Model::start(config, scene, dtype, runtime.device())?;
+            let Start { model, learner, redraws } = Model::start(config, scene, dtype, runtime)?;
             let stepper = inputs.stepper(&model, Some(learner), None)?;
             Ok(inputs.trainer(model, stepper, State { redraws, ..State::default() }))
         })
@@ -145,7 +145,7 @@ impl Trainer {
     /// Those of [`Trainer::new`].
     pub fn check(config: &Resolved, scene: &Scene, dtype: DType, runtime: &Runtime) -> Result<()> {
         accelerator::check(config, runtime)?;
-        runtime.install(|| Model::start(config, scene, dtype, runtime.device()).map(drop))
+        runtime.install(|| Model::start(config, scene, dtype, runtime).map(drop))
     }
 
     /// Measures the seconds of the next step, without taking it: of a second try, after a first that fills caches, unless

@@ -104,7 +104,7 @@ fn shown(trainer: &Trainer) -> f32 {
 fn parameters_that_are_kept_elsewhere_are_fetched_when_they_are_looked_at() {
     let (config, scene) = small("method=nerf");
     let cpu = Runtime::new("cpu", Some(1)).unwrap();
-    let (model, fetches) = (Model::start(&config, &scene, DType::F32, cpu.device()).unwrap().model, Arc::default());
+    let (model, fetches) = (Model::start(&config, &scene, DType::F32, &cpu).unwrap().model, Arc::default());
     let stepper = Box::new(Elsewhere::new(&model, &fetches));
     let gpu = gpu();
     let inputs = Inputs { config: &config, scene: &scene, dtype: DType::F32, runtime: &gpu };
@@ -162,7 +162,7 @@ fn what_an_accelerator_cannot_train_is_refused() {
         assert_eq!(method, "method srn: device gpu does not train or render it; use --device cpu");
         let (config, scene) = small("method=srn");
         assert!(Trainer::check(&config, &scene, DType::F32, &gpu).is_err());
-        let start = Model::start(&config, &scene, DType::F32, gpu.device()).unwrap();
+        let start = Model::start(&config, &scene, DType::F32, &gpu).unwrap();
         assert_eq!(start.model.renderer(&config, &scene, &gpu).err().unwrap().to_string(), method);
     }
 }

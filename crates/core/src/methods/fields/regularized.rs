@@ -11,6 +11,7 @@ use crate::settings::{LatticePoints, REGULARIZERS, RegularizedFields, Regularize
 use crate::space::{Lattice, Quadrature};
 
 use super::learner::FieldLearner;
+use super::networks::Fields;
 use super::terms::{StepLoss, in_space};
 
 /// Longest time of regularizers in days. A run with more is rejected.
@@ -38,9 +39,9 @@ pub(super) fn lattice(config: &RegularizerConfig) -> Lattice {
     Lattice { domain: config.domain, side: config.lattice }
 }
 
-/// Returns whether terms in space count for the field of this role, in a step with a fine pass or without.
-pub fn is_regularized(config: &RegularizerConfig, has_fine: bool, role: &str) -> bool {
-    let evaluated = if has_fine { "fine" } else { "coarse" };
+/// Returns whether terms in space count for the field of this role, one of `roles`.
+pub fn is_regularized(config: &RegularizerConfig, roles: &[&str], role: &str) -> bool {
+    let evaluated = if roles.contains(&"fine") { "fine" } else { "coarse" };
     match config.fields {
         RegularizedFields::Both => role != "adversarial",
         RegularizedFields::Fine => role == evaluated,
@@ -76,7 +77,15 @@ impl FieldLearner {
     }
 
     fn regularizes(&self, config: &RegularizerConfig, role: &str) -> bool {
-        is_regularized(config, self.fields.fine().is_some(), role)
+        is_regularized(config, &Fields::roles(&self.config), role)
+    }
+
+    /// Returns an error if this run's terms in space would take this machine too long.
+    ///
+    /// # Errors
+    /// They take more than 10 minutes a step, or 30 days.
+    pub fn check_own_duration(&self) -> Result<()> {
+        self.check_duration(&self.terms, &self.config.regularizer, self.config.train.steps)
     }
 
     /// Returns an error for terms in space whose points would take this machine too long in `steps` steps.

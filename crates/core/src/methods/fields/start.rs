@@ -47,7 +47,6 @@ impl FieldLearner {
             learner.fields = Fields::init(config, &redraws, dtype, device)?;
             learner.variables = learner.fields.variables();
         }
-        learner.check_duration(&learner.terms, &config.regularizer, config.train.steps)?;
         Ok((learner, redraws))
     }
 
