@@ -183,7 +183,7 @@ fn rays_in_parts_have_the_numbers_of_all_at_once() {
             (dispatches, report.loss, gradients.iter().flat_map(flat).collect::<Vec<f64>>())
         };
         let ((few, loss, all), (many, same, parts)) = (step(1 << 28), step(900_000));
-        assert!(many > 2 * few, "{many} dispatches in parts, {few} at once");
+        assert!(2 * many > 3 * few, "{many} dispatches in parts, {few} at once");
         assert!((same / loss - 1.0).abs() < 1e-6);
         let difference = norm(all.iter().zip(&parts).map(|(a, b)| a - b));
         assert!(difference < 1e-4 * norm(all.iter().copied()), "{settings:?}: {difference:.1e}");
