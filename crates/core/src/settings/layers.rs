@@ -265,7 +265,8 @@ fn layer_of(origin: &str, path: &[String], value: Value) -> Result<Table> {
 /// Says that a value has the wrong type, and what is allowed; otherwise what the check of the setting says.
 fn refusal(path: &str, value: &str, message: &str) -> String {
     let starts = ["invalid type", "unknown variant", "invalid value", "expected "];
-    let of_type = starts.iter().any(|start| message.starts_with(start));
+    // "expected a ..." is a setting's own sentence.
+    let of_type = starts.iter().any(|start| message.starts_with(start)) && !message.starts_with("expected a ");
     let Some(setting) = REGISTRY.get(path).filter(|_| of_type) else { return message.into() };
     let kind = match setting.kind.as_str() {
         kind @ ("whole number" | "number" | "number, or reach") => format!("a {kind}"),
