@@ -386,6 +386,13 @@ impl Gpu {
         self.0.queue.submit([encoder.finish()]);
     }
 
+    /// Copies complete buffers, one after another, into another one, after the work that was submitted.
+    pub(crate) fn copy(&self, from: &[&Buffer], to: &Buffer) {
+        let mut encoder = self.encoder();
+        copy(&mut encoder, from, to);
+        self.0.queue.submit([encoder.finish()]);
+    }
+
     /// Waits until all submitted work is done.
     pub(crate) fn wait(&self) -> Result<()> {
         self.0.device.poll(PollType::wait_indefinitely()).map_err(|e| self.lost(&e.to_string()))?;
@@ -410,11 +417,7 @@ impl Gpu {
             mapped_at_creation: false,
         });
         let mut encoder = self.encoder();
-        let mut at = 0;
-        for buffer in buffers {
-            encoder.copy_buffer_to_buffer(buffer, 0, &staging, at, buffer.size());
-            at += buffer.size();
-        }
+        copy(&mut encoder, buffers, &staging);
         self.0.queue.submit([encoder.finish()]);
         // Another thread's wait may call back for this one.
         let (told, outcome) = mpsc::channel();
@@ -488,6 +491,14 @@ impl Gpu {
         }
         debug_assert_eq!(nanoseconds.len(), count as usize);
         Ok(nanoseconds)
+    }
+}
+
+fn copy(encoder: &mut CommandEncoder, from: &[&Buffer], to: &Buffer) {
+    let mut at = 0;
+    for buffer in from {
+        encoder.copy_buffer_to_buffer(buffer, 0, to, at, buffer.size());
+        at += buffer.size();
     }
 }
 

@@ -7,6 +7,7 @@ use augnerf_core::methods::{Batches, Fields, LogColumns, StepReport, is_regulari
 use augnerf_core::runtime::Accelerator;
 use augnerf_core::settings::{Precision, Regularizer, Resolved};
 use candle_core::Tensor;
+use wgpu::Buffer;
 
 use crate::device::{Dispatch, Gpu, groups};
 use crate::kernels::{Kernel, Tiles};
@@ -18,13 +19,16 @@ use crate::sets::PassSets;
 
 use self::buffers::{StepBuffers, pass_sizes};
 use self::chunk::ChunkRecorder;
-use self::results::{COUNTS, DIAGNOSED, SPACE, alone, first_of, no_flags, shift_of};
+use self::results::{COUNTS, DIAGNOSED, Left, SPACE, alone, first_of, no_flags, shift_of};
 
 mod buffers;
 mod chunk;
 mod results;
 
 const BETA1: f64 = 0.9;
+
+/// Steps whose reports the device keeps.
+pub(crate) const MOST_REPORTS: usize = 16;
 
 /// A run's parameters and the recorded work of its steps.
 pub struct Steps {
@@ -50,6 +54,10 @@ pub struct Steps {
     work: Work,
     /// Bytes that the last step sent.
     sent: usize,
+    /// Steps whose reports are on the device, and whether they were diagnosed.
+    waiting: Vec<(u64, bool)>,
+    /// Reports that were read and not asked for.
+    reports: Vec<StepReport>,
 }
 
 impl Steps {
@@ -99,6 +107,8 @@ impl Steps {
             update: Vec::new(),
             work: Work::default(),
             sent: 0,
+            waiting: Vec::new(),
+            reports: Vec::new(),
         };
         gpu.write(&steps.buffers.flags, bytemuck::cast_slice(&no_flags()));
         (steps.plain, steps.work) = gpu.checked("compiling the kernels", || steps.record(false))?;
@@ -121,25 +131,59 @@ impl Steps {
         self.tiles.name()
     }
 
-    /// Takes the step after `step` finished ones. `updates` counts Adam's updates with this one.
+    /// Takes the step after `step` finished ones. `updates` counts Adam's updates with this one. It does not wait for the
+    /// device, unless [`MOST_REPORTS`] steps wait for [`Steps::reports`].
     ///
     /// # Errors
-    /// [`Error::Diverged`]: something is not finite, or the device was lost.
-    pub fn step(&mut self, step: u64, updates: u64, learning_rate: f64, log: bool) -> Result<StepReport> {
+    /// [`Error::Diverged`]: something in a step that waited is not finite, or the device was lost.
+    pub fn step(&mut self, step: u64, updates: u64, learning_rate: f64, log: bool) -> Result<()> {
+        if self.waiting.len() == MOST_REPORTS {
+            self.wait_for_reports()?;
+        }
         self.compute(step, updates, learning_rate, log, true)
     }
 
     /// Computes a step without an update.
     ///
     /// # Errors
-    /// Those of [`Steps::step`].
+    /// Those of [`Steps::reports`].
     pub fn try_step(&mut self, step: u64, log: bool) -> Result<StepReport> {
-        let report = self.compute(step, 1, 0.0, log, false);
+        self.wait_for_reports()?;
+        self.compute(step, 1, 0.0, log, false)?;
+        let waited = self.wait_for_reports();
         self.clear_gradients();
-        report
+        waited?;
+        Ok(self.reports.pop().expect("the step that was waited for"))
     }
 
-    fn compute(&mut self, step: u64, updates: u64, rate: f64, log: bool, moves: bool) -> Result<StepReport> {
+    /// Waits for the steps since the last call, and returns their reports.
+    ///
+    /// # Errors
+    /// [`Error::Diverged`]: something in one of them is not finite. Its update and later ones changed nothing. The device
+    /// was lost.
+    pub fn reports(&mut self) -> Result<Vec<StepReport>> {
+        self.wait_for_reports()?;
+        Ok(std::mem::take(&mut self.reports))
+    }
+
+    fn wait_for_reports(&mut self) -> Result<()> {
+        if self.waiting.is_empty() {
+            return Ok(());
+        }
+        let kept = &self.buffers.kept[..self.waiting.len()];
+        let read = self.gpu.read(&kept.iter().collect::<Vec<&Buffer>>())?;
+        for ((step, diagnosed), bytes) in std::mem::take(&mut self.waiting).into_iter().zip(read) {
+            let left = Left::of(&bytes, diagnosed);
+            let report = self.report(&left);
+            if let Some(what) = self.broken(&report, &left.flags) {
+                return Err(not_finite(step + 1, &what, self.config.train.learning_rate));
+            }
+            self.reports.push(report);
+        }
+        Ok(())
+    }
+
+    fn compute(&mut self, step: u64, updates: u64, rate: f64, log: bool, moves: bool) -> Result<()> {
         self.send(step, updates, rate)?;
         let gpu = self.gpu.clone();
         let diagnoses = log && self.sets.iter().any(Option::is_some);
@@ -153,15 +197,10 @@ impl Steps {
         let work = self.logged.as_ref().filter(|_| diagnoses).unwrap_or(&self.plain);
         let update: &[Dispatch] = if moves { &self.update } else { &[] };
         gpu.submit(work.iter().chain(update));
-        let read = gpu.read(&[&self.buffers.results, &self.buffers.flags, &self.buffers.counts])?;
-        let results: Vec<f32> = bytemuck::pod_collect_to_vec(&read[0]);
-        let flags: Vec<u32> = bytemuck::pod_collect_to_vec(&read[1]);
-        let counts: Vec<u32> = bytemuck::pod_collect_to_vec(&read[2]);
-        let report = self.report(&results, diagnoses.then_some(&counts[..]));
-        if let Some(what) = self.broken(&report, &flags) {
-            return Err(not_finite(step + 1, &what, self.config.train.learning_rate));
-        }
-        Ok(report)
+        let StepBuffers { results, flags, counts, kept, .. } = &self.buffers;
+        gpu.copy(&[results, flags, counts], &kept[self.waiting.len()]);
+        self.waiting.push((step, diagnoses));
+        Ok(())
     }
 
     fn clear_gradients(&self) {
@@ -212,7 +251,10 @@ impl Steps {
     /// Computes a step without an update, and returns its gradients in the host's order, for tests.
     #[doc(hidden)]
     pub fn gradients(&mut self, step: u64) -> Result<(StepReport, Vec<Tensor>)> {
-        let report = self.compute(step, 1, 0.0, false, false)?;
+        self.wait_for_reports()?;
+        self.compute(step, 1, 0.0, false, false)?;
+        self.wait_for_reports()?;
+        let report = self.reports.pop().expect("the step that was waited for");
         let mut gradients = Vec::new();
         for learned in &self.learned {
             gradients.extend(learned.gradients(&self.gpu, &self.shape, loss_scale(&self.config))?);

@@ -8,7 +8,7 @@ use augnerf_core::optimizer::Moments;
 use augnerf_core::settings::Resolved;
 
 use crate::device::Gpu;
-use crate::step::Steps;
+use crate::step::{MOST_REPORTS, Steps};
 
 /// Takes steps on the device. Parameters and moments are there until they are fetched.
 pub(crate) struct GpuStepper {
@@ -52,9 +52,17 @@ impl Stepper for GpuStepper {
         )))
     }
 
-    fn step(&mut self, at: StepAt, stop_check: &StopCheck) -> Result<StepReport> {
+    fn step(&mut self, at: StepAt, stop_check: &StopCheck) -> Result<()> {
         stop_check()?;
         self.steps.step(at.step, at.updates, at.learning_rate, at.log)
+    }
+
+    fn reports(&mut self) -> Result<Vec<StepReport>> {
+        self.steps.reports()
+    }
+
+    fn most_reports(&self) -> usize {
+        MOST_REPORTS
     }
 
     fn try_step(&mut self, step: u64, stop_check: &StopCheck) -> Result<()> {

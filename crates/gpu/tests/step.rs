@@ -225,16 +225,23 @@ fn the_same_bytes_twice_and_after_a_fetch() {
                 var.set(value).unwrap();
             }
             let mut steps = Steps::new(gpu(), &config, &scene, learner.fields(), None).unwrap();
+            let mut losses = Vec::new();
             for step in 0..4 {
                 if stops && step == 2 {
                     let moments = steps.fetch().unwrap();
                     steps = Steps::new(gpu(), &config, &scene, learner.fields(), Some(moments)).unwrap();
                 }
                 steps.step(step, step + 1, 0.01, step == 1).unwrap();
+                // Reports may be asked for after each step, or after several.
+                if stops || step == 3 {
+                    losses.extend(steps.reports().unwrap().into_iter().map(|report| report.loss));
+                }
             }
             let moments = steps.fetch().unwrap();
             let values = learner.fields().variables().into_iter().map(|(_, var)| var.as_tensor().copy().unwrap());
-            values.chain(moments.into_iter().flatten()).map(|tensor| flat(&tensor)).collect::<Vec<_>>()
+            let all = values.chain(moments.into_iter().flatten()).map(|tensor| flat(&tensor));
+            assert_eq!(losses.len(), 4);
+            all.chain([losses]).collect::<Vec<Vec<f64>>>()
         };
         let once = run(false);
         assert_eq!(once, run(false));
@@ -257,12 +264,14 @@ fn what_is_not_finite_is_reported() {
         learner.fields().variables().into_iter().map(|(_, var)| flat(var.as_tensor())).collect()
     };
     let before = values();
-    let error = steps.step(4, 5, 0.01, false).unwrap_err().to_string();
+    // The first of several that nobody waited for.
+    (4..7).for_each(|step| steps.step(step, step + 1, 0.01, false).unwrap());
+    let error = steps.reports().unwrap_err().to_string();
     assert!(
         error.contains("diverged at step 5: the ") && error.contains(" fine") && error.contains("not a number"),
         "{error}"
     );
-    // The step is lost, and the parameters are those before it.
+    // The steps are lost, and the parameters are those before them.
     steps.fetch().unwrap();
     for (after, before) in values().iter().flatten().zip(before.iter().flatten()) {
         assert!(after == before || after.is_nan() && before.is_nan());

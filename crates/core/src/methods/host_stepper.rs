@@ -17,6 +17,8 @@ pub struct HostStepper {
     adam: Adam,
     /// As configured, for messages.
     learning_rate: f64,
+    /// That of the last step.
+    report: Option<StepReport>,
 }
 
 impl HostStepper {
@@ -36,7 +38,7 @@ impl HostStepper {
             Some(moments) => Adam::restore(settings, variables, moments),
             None => Adam::new(settings, variables)?,
         };
-        Ok(HostStepper { learner, adam, learning_rate: train.learning_rate })
+        Ok(HostStepper { learner, adam, learning_rate: train.learning_rate, report: None })
     }
 
     /// Returns an error if a term or a gradient of a step is not finite.
@@ -77,12 +79,17 @@ impl Stepper for HostStepper {
         self.learner.add_term(term, weight)
     }
 
-    fn step(&mut self, at: StepAt, stop_check: &StopCheck) -> Result<StepReport> {
+    fn step(&mut self, at: StepAt, stop_check: &StopCheck) -> Result<()> {
         let StepResult { gradients, report } = self.learner.step(at.step, at.log, stop_check)?;
         self.check_step(at.step + 1, &report, &gradients)?;
         self.adam.update(&gradients.0, at.learning_rate, at.updates)?;
         self.check_parameters(at.step + 1)?;
-        Ok(report)
+        self.report = Some(report);
+        Ok(())
+    }
+
+    fn reports(&mut self) -> Result<Vec<StepReport>> {
+        Ok(self.report.take().into_iter().collect())
     }
 
     fn try_step(&mut self, step: u64, stop_check: &StopCheck) -> Result<()> {

@@ -51,11 +51,23 @@ pub trait Stepper: Send {
     fn add_term(&mut self, term: LossTerm, weight: f64) -> Result<()>;
 
     /// Takes a step: loss, gradients and update. Its random numbers depend on seed and step only. A long step calls
-    /// `stop_check` regularly, and ends with its error. It then has changed no parameter and no moment.
+    /// `stop_check` regularly, and ends with its error. It then has changed no parameter and no moment. A device may
+    /// return before it is done.
     ///
     /// # Errors
     /// [`not_finite`], for a term, a gradient or a parameter that is not finite; those of the check.
-    fn step(&mut self, at: StepAt, stop_check: &StopCheck) -> Result<StepReport>;
+    fn step(&mut self, at: StepAt, stop_check: &StopCheck) -> Result<()>;
+
+    /// Returns the reports of the steps since the last call, in their order. It waits for them.
+    ///
+    /// # Errors
+    /// [`not_finite`], for the first of these steps with something that is not finite.
+    fn reports(&mut self) -> Result<Vec<StepReport>>;
+
+    /// Returns the most steps whose reports it keeps. [`Stepper::reports`] is called at least that often.
+    fn most_reports(&self) -> usize {
+        1
+    }
 
     /// Computes loss and gradients of the step after `step` finished ones, to the end, and drops them. It changes no
     /// parameter and no moment.
@@ -67,7 +79,7 @@ pub trait Stepper: Send {
     /// Brings parameters into the model's variables, and moments into [`Stepper::moments`], if they are kept elsewhere.
     ///
     /// # Errors
-    /// [`not_finite`], if a step since the last fetch was not finite and has not reported it yet.
+    /// The parameters cannot be read from their device.
     fn fetch(&mut self) -> Result<()>;
 
     /// Returns Adam's moments at the last [`Stepper::fetch`], or those it was created with, in the order of the model's

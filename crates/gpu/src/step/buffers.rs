@@ -13,7 +13,8 @@ use crate::rays::{RAY, bins};
 use crate::record::{OUT, Scratch};
 use crate::sets::{PassSets, PassSize, SetBuffers, numbers_to_draw};
 
-use super::results::{COUNTS, DIAGNOSED, FLAGS, SLOT, SLOTS};
+use super::MOST_REPORTS;
+use super::results::{COUNTS, DIAGNOSED, FLAGS, LEFT, SLOT, SLOTS};
 
 pub(super) struct StepBuffers {
     pub(super) now: Buffer,
@@ -30,6 +31,8 @@ pub(super) struct StepBuffers {
     pub(super) results: Buffer,
     pub(super) flags: Buffer,
     pub(super) counts: Buffer,
+    /// What each of the last steps left: results, flags and counts.
+    pub(super) kept: Vec<Buffer>,
     pub(super) scratch: Scratch,
     pub(super) sets: [Option<SetBuffers>; 2],
     pub(super) space: Option<SpaceBuffers>,
@@ -75,6 +78,7 @@ impl StepBuffers {
             results: f(SLOTS * SLOT),
             flags: f(FLAGS),
             counts: f(COUNTS),
+            kept: (0..MOST_REPORTS).map(|_| f(LEFT)).collect(),
             scratch: Scratch::new(gpu, shape, chunk, samples, true),
             sets: [pair(0), pair(1)],
             space: SpaceBuffers::new(gpu, config, chunk * samples)?,

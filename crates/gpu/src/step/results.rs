@@ -33,6 +33,30 @@ pub(super) const FLAGS: usize = 8;
 /// Counts of a pass's and site's numbers at their bound, and of those that may move.
 pub(super) const COUNTS: usize = 2 * 2 * Site::ALL.len();
 
+/// Words that a step leaves: results, flags and counts.
+pub(super) const LEFT: usize = SLOTS * SLOT + FLAGS + COUNTS;
+
+/// What a step left.
+pub(super) struct Left {
+    results: Vec<f32>,
+    pub(super) flags: Vec<u32>,
+    /// Counts of a step with diagnostics.
+    counts: Option<Vec<u32>>,
+}
+
+impl Left {
+    pub(super) fn of(bytes: &[u8], diagnosed: bool) -> Left {
+        let words: Vec<u32> = bytemuck::pod_collect_to_vec(bytes);
+        let (results, words) = words.split_at(SLOTS * SLOT);
+        let (flags, counts) = words.split_at(FLAGS);
+        Left {
+            results: results.iter().map(|word| f32::from_bits(*word)).collect(),
+            flags: flags.to_vec(),
+            counts: diagnosed.then(|| counts.to_vec()),
+        }
+    }
+}
+
 pub(super) fn no_flags() -> [u32; FLAGS] {
     let mut flags = [u32::MAX; FLAGS];
     flags[0] = 0;
@@ -86,7 +110,7 @@ impl Steps {
     }
 
     /// Makes the report of a step from its results.
-    pub(super) fn report(&self, results: &[f32], counts: Option<&[u32]>) -> StepReport {
+    pub(super) fn report(&self, Left { results, counts, .. }: &Left) -> StepReport {
         let config = &self.config;
         let value = |slot: usize, what: usize| f64::from(results[slot * SLOT + what]);
         let slots = self.slots(false);
@@ -111,7 +135,7 @@ impl Steps {
             loss,
             mse: losses.mse(),
             extremes: Extremes::read(&extremes),
-            sites: counts.map_or_else(Vec::new, |counts| self.diagnose(&value, counts, clean)),
+            sites: counts.as_ref().map_or_else(Vec::new, |counts| self.diagnose(&value, counts, clean)),
         }
     }
 

@@ -174,7 +174,7 @@ impl<'a> Session<'a> {
                 (saved_at, saved_step) = (Instant::now(), next - 1);
             }
             let started = Instant::now();
-            let stats = match self.trainer.step_unless(log, &|| stop_check(signal)) {
+            let stats = match self.trainer.step_unless(log, log || evaluate, &|| stop_check(signal)) {
                 Err(Error::Interrupted { signal, .. }) => {
                     // A stop within the step, which is repeated.
                     self.save(between)?;
@@ -183,11 +183,13 @@ impl<'a> Session<'a> {
                 stats => stats?,
             };
             self.stepping += started.elapsed();
-            if log || evaluate {
-                self.log(&stats, evaluate, between)?;
+            if let Some(stats) = stats {
+                if log || evaluate {
+                    self.log(&stats, evaluate, between)?;
+                }
+                events.on(Event::Stepped { step: stats.step, loss: stats.loss, psnr: stats.psnr() });
+                self.last_terms = stats.terms;
             }
-            self.last_terms.clone_from(&stats.terms);
-            events.on(Event::Stepped { step: stats.step, loss: stats.loss, psnr: stats.psnr() });
             let by_step = next.is_multiple_of(train.checkpoint_every);
             let minutes = saved_at.elapsed().as_secs_f64() / 60.0;
             let by_time = train.checkpoint_minutes > 0.0 && minutes >= train.checkpoint_minutes;

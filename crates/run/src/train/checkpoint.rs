@@ -346,15 +346,15 @@ impl Trainer {
 
     /// Returns counters and provenance at this step.
     pub fn state(&self) -> State {
-        let mut state = self.state.clone();
+        let mut state = State { empty_steps: self.stepping.borrow().dead_steps, ..self.state.clone() };
         state.touch(&self.runtime);
         state
     }
 
     fn tensor_bytes(&self) -> Result<Vec<u8>> {
-        let (variables, stepper) = (self.model()?.variables(), self.stepper.borrow());
+        let (variables, stepping) = (self.model()?.variables(), self.stepping.borrow());
         let mut named: Vec<(String, Tensor)> = Vec::new();
-        for ((name, var), moments) in variables.iter().zip(stepper.moments()) {
+        for ((name, var), moments) in variables.iter().zip(stepping.stepper.moments()) {
             named.push((name.clone(), var.as_tensor().clone()));
             named.push((format!("adam.first.{name}"), moments.first.clone()));
             named.push((format!("adam.second.{name}"), moments.second.clone()));

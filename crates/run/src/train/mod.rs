@@ -1,6 +1,6 @@
 //! Training: steps, checks whether a run is alive, and checkpoints.
 
-use std::cell::{Cell, RefCell};
+use std::cell::RefCell;
 use std::time::Instant;
 
 use candle_core::DType;
@@ -19,9 +19,11 @@ mod health;
 mod memory;
 mod origin;
 mod stats;
+mod stepping;
 mod sums;
 
 use checkpoint::State;
+use stepping::Stepping;
 
 pub use crate::optimizer::{Adam, AdamSettings, Moments, learning_rate};
 pub use memory::graphs_mib;
@@ -64,9 +66,7 @@ pub struct Trainer {
     runtime: Runtime,
     /// Its variables may lack the newest steps: see [`Trainer::model`].
     model: Model,
-    stepper: RefCell<Box<dyn Stepper>>,
-    /// A step came after the last fetch.
-    moved: Cell<bool>,
+    stepping: RefCell<Stepping>,
     /// Counters, and the provenance of earlier steps.
     state: State,
 }
@@ -107,8 +107,7 @@ impl Inputs<'_> {
             config: config.clone(),
             runtime: runtime.clone(),
             model,
-            stepper: RefCell::new(stepper),
-            moved: Cell::new(false),
+            stepping: RefCell::new(Stepping::new(stepper, state.empty_steps)),
             state: State { format: checkpoint::FORMAT, config_hash: config.hash(), ..state },
         }
     }
@@ -157,7 +156,7 @@ impl Trainer {
         let runtime = self.runtime.clone();
         let mut timed = || -> Result<f64> {
             let started = Instant::now();
-            runtime.install(|| self.stepper.get_mut().try_step(self.state.step, stop_check))?;
+            runtime.install(|| self.stepping.get_mut().stepper.try_step(self.state.step, stop_check))?;
             Ok(started.elapsed().as_secs_f64())
         };
         let first = timed()?;
@@ -174,10 +173,7 @@ impl Trainer {
     /// # Errors
     /// [`Error::Diverged`]: a number of the steps was not finite. The parameters cannot be read from their device.
     pub fn model(&self) -> Result<&Model> {
-        if self.moved.get() {
-            self.stepper.borrow_mut().fetch()?;
-            self.moved.set(false);
-        }
+        self.stepping.borrow_mut().fetch(self.config.train.collapse_steps)?;
         Ok(&self.model)
     }
 
@@ -193,7 +189,7 @@ impl Trainer {
 
     /// Returns the log columns of the learner's terms and diagnostics.
     pub fn columns(&self) -> LogColumns {
-        self.stepper.borrow().columns()
+        self.stepping.borrow().stepper.columns()
     }
 
     /// Adds a custom term to the loss; see [`Stepper::add_term`].
@@ -201,33 +197,36 @@ impl Trainer {
     /// # Errors
     /// A term of that name exists, or the method cannot compute it.
     pub fn add_term(&mut self, term: LossTerm, weight: f64) -> Result<()> {
-        self.stepper.get_mut().add_term(term, weight)
+        self.stepping.get_mut().stepper.add_term(term, weight)
     }
 
-    /// Takes one step. With `log`, the learner computes its diagnostics.
+    /// Takes one step and waits for its measurements. With `log`, the learner computes its diagnostics.
     ///
     /// # Errors
     /// [`Error::Diverged`]: a loss, gradient or parameter is not a number, or all rays stay empty too long.
     pub fn step(&mut self, log: bool) -> Result<StepStats> {
-        self.step_unless(log, &|| Ok(()))
+        let stats = self.step_unless(log, true, &|| Ok(()))?;
+        Ok(stats.expect("a step that was waited for has measurements"))
     }
 
     /// Takes one step and calls the check repeatedly. An error of the check ends the step, which then does not count.
+    /// Unless it should `wait` for the step's measurements, they come with those of a later one: a device then need not
+    /// stop after every step. With `log`, the learner computes its diagnostics.
     ///
     /// # Errors
-    /// Those of [`Trainer::step`] and of the check.
-    pub fn step_unless(&mut self, log: bool, stop_check: &StopCheck) -> Result<StepStats> {
-        self.runtime.clone().install(|| self.step_here(log, stop_check))
+    /// Those of [`Trainer::step`], of this step or an earlier one, and of the check.
+    pub fn step_unless(&mut self, log: bool, wait: bool, stop_check: &StopCheck) -> Result<Option<StepStats>> {
+        self.runtime.clone().install(|| self.step_here(log, wait, stop_check))
     }
 
-    fn step_here(&mut self, log: bool, stop_check: &StopCheck) -> Result<StepStats> {
-        let State { step, adam_since, empty_steps, .. } = self.state;
+    fn step_here(&mut self, log: bool, wait: bool, stop_check: &StopCheck) -> Result<Option<StepStats>> {
+        let State { step, adam_since, .. } = self.state;
         let rate = learning_rate(&self.config, step);
         let at = StepAt { step, updates: step + 1 - adam_since, learning_rate: rate, log };
-        self.moved.set(true);
-        let report = self.stepper.get_mut().step(at, stop_check)?;
-        let stats = StepStats::new(at, report);
-        self.state.empty_steps = health::count_dead(empty_steps, &stats, self.config.train.collapse_steps)?;
+        let stepping = self.stepping.get_mut();
+        stepping.step(at, stop_check)?;
+        let limit = self.config.train.collapse_steps;
+        let stats = if wait || stepping.is_due() { stepping.catch_up(limit)? } else { None };
         self.state.step += 1;
         Ok(stats)
     }

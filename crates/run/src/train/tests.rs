@@ -18,6 +18,7 @@ struct Elsewhere {
     shown: Vec<candle_core::Var>,
     moments: Vec<Moments>,
     fetches: Arc<AtomicU64>,
+    reports: Vec<StepReport>,
 }
 
 impl Elsewhere {
@@ -26,7 +27,7 @@ impl Elsewhere {
         let zero =
             |var: &candle_core::Var| Moments { first: var.zeros_like().unwrap(), second: var.zeros_like().unwrap() };
         let moments = shown.iter().map(zero).collect();
-        Elsewhere { kept: 0.0, shown, moments, fetches: fetches.clone() }
+        Elsewhere { kept: 0.0, shown, moments, reports: Vec::new(), fetches: fetches.clone() }
     }
 }
 
@@ -39,12 +40,23 @@ impl Stepper for Elsewhere {
         Err(Error::Config(format!("no term {}", term.name())))
     }
 
-    fn step(&mut self, at: StepAt, stop_check: &StopCheck) -> Result<StepReport> {
+    fn step(&mut self, at: StepAt, stop_check: &StopCheck) -> Result<()> {
         stop_check()?;
         assert_eq!((at.step as f64, at.updates as f64), (self.kept, self.kept + 1.0));
         self.kept += 1.0;
-        let term = Term { name: "loss".into(), described: "loss".into(), value: 0.5, weight: 1.0 };
-        Ok(StepReport { terms: vec![term], loss: 0.5, mse: 0.25, extremes: Extremes::none(1.0), sites: Vec::new() })
+        let term = Term { name: "loss".into(), described: "loss".into(), value: self.kept, weight: 1.0 };
+        let extremes = Extremes::none(0.0);
+        self.reports.push(StepReport { terms: vec![term], loss: self.kept, mse: 0.25, extremes, sites: Vec::new() });
+        assert!(self.reports.len() <= self.most_reports());
+        Ok(())
+    }
+
+    fn reports(&mut self) -> Result<Vec<StepReport>> {
+        Ok(std::mem::take(&mut self.reports))
+    }
+
+    fn most_reports(&self) -> usize {
+        5
     }
 
     fn try_step(&mut self, step: u64, stop_check: &StopCheck) -> Result<()> {
@@ -123,7 +135,7 @@ fn parameters_that_are_kept_elsewhere_are_fetched_when_they_are_looked_at() {
     // A stopped step does not count, and a checkpoint after it has what came before.
     trainer.step(false).unwrap();
     let stop = || Err(Error::Interrupted { signal: 15, message: String::new() });
-    assert!(trainer.step_unless(false, &stop).is_err());
+    assert!(trainer.step_unless(false, false, &stop).is_err());
     let folder = tempfile::tempdir().unwrap();
     let checkpoint = trainer.save(folder.path()).unwrap();
     assert_eq!((fetched(), trainer.step_count()), (2, 4));
@@ -144,6 +156,29 @@ fn parameters_that_are_kept_elsewhere_are_fetched_when_they_are_looked_at() {
     resumed.step(false).unwrap();
     let state = resumed.state();
     assert_eq!((state.step, state.devices.join(" "), state.adapters.len()), (5, "gpu cpu".into(), 1));
+}
+
+#[test]
+fn measurements_of_steps_that_nobody_waits_for_come_together() {
+    let (config, scene) = small("method=nerf");
+    let cpu = Runtime::new("cpu", Some(1)).unwrap();
+    let model = Model::start(&config, &scene, DType::F32, &cpu).unwrap().model;
+    let stepper = Box::new(Elsewhere::new(&model, &Arc::default()));
+    let gpu = gpu();
+    let inputs = Inputs { config: &config, scene: &scene, dtype: DType::F32, runtime: &gpu };
+    let mut trainer = inputs.trainer(model, stepper, State { redraws: vec![0; 2], ..State::default() });
+    // The first step says how long one takes: after it, as many wait as the stepper keeps.
+    let mut step =
+        |wait: bool| trainer.step_unless(false, wait, &|| Ok(())).unwrap().map(|stats| (stats.step, stats.loss));
+    let reported: Vec<_> = (0..12).map(|_| step(false)).collect();
+    let at: Vec<(u64, f64)> = reported.into_iter().flatten().collect();
+    assert_eq!(at, [(1, 1.0), (6, 6.0), (11, 11.0)]);
+    // Step 12 waits, and that of its own call is the one that is returned.
+    assert_eq!(step(true), Some((13, 13.0)));
+    assert_eq!(step(false), None);
+    // A look at the model waits for all. Its stepper gave no ray an accumulation: every step was dead.
+    assert!(trainer.model().is_ok());
+    assert_eq!((trainer.step_count(), trainer.state().empty_steps), (14, 14));
 }
 
 #[test]
