@@ -15,6 +15,9 @@ pub(crate) struct Kernel {
 
 macro_rules! texts {
     ($($name:literal: $($part:literal),*;)*) => {
+        #[cfg(test)]
+        const NAMES: &[&str] = &[$($name),*];
+
         /// Returns the parts of a kernel's text.
         fn parts(name: &str) -> &'static [&'static str] {
             match name {

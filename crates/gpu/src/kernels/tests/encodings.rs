@@ -1,0 +1,243 @@
+//! Encodings of points and of view directions.
+
+use super::*;
+
+#[test]
+fn waves() {
+    let gpu = gpu();
+    let (n, octaves, channels) = (50, 10, 64);
+    let points = numbers(3 * n, 4.0, 4);
+    let d_encoded = numbers(n * channels, 1.0, 5);
+    let [points_buffer, d_buffer] = [&points, &d_encoded].map(|values| gpu.storage(values));
+    let (encoded, d_points) = (gpu.numbers(n * channels), gpu.numbers(3 * n));
+    let words = || Words::default().u(n).u(octaves).u(channels).u(0);
+    run(&gpu, Kernel::new("frequency"), words(), &[(1, &points_buffer), (2, &encoded)], groups(3 * n));
+    let buffers = [(1, &encoded), (2, &d_buffer), (3, &d_points)];
+    run(&gpu, Kernel::new("frequency_back"), words(), &buffers, groups(3 * n));
+    let points = var(&points, &[n, 3]);
+    let expected = encode_reference(&points, octaves).unwrap();
+    let padded = Tensor::cat(&[&expected, &Tensor::zeros((n, 1), DType::F64, &Device::Cpu).unwrap()], 1).unwrap();
+    near("frequency", &gpu.read_f32(&encoded, n * channels).unwrap(), &flat(&padded), 1e-6);
+    let loss = (padded * wide(&d_encoded, &[n, channels])).unwrap().sum_all().unwrap();
+    let gradient = flat(loss.backward().unwrap().get(&points).unwrap());
+    near("frequency_back", &gpu.read_f32(&d_points, 3 * n).unwrap(), &gradient, 1e-5);
+}
+
+fn box_words(low: [f64; 3], high: [f64; 3], points: usize, contraction: usize) -> Words {
+    let words = low.iter().fold(Words::default(), |words, x| words.f(*x)).u(points);
+    high.iter().fold(words, |words, x| words.f(*x)).u(contraction)
+}
+
+fn grid_words(grid: &HashGrid, points: usize, channels: usize) -> Words {
+    let smooth = usize::from(grid.interpolation() == Interpolation::Smoothstep);
+    let words = Words::default().u(points).u(grid.levels().len()).f(FIXED_SCALE).u(smooth).u(channels).u(0).u(0).u(0);
+    let of = |l: &Level| [l.resolution as usize, l.entries, l.offset, usize::from(l.dense)];
+    let all = grid.levels().iter().map(of).chain(std::iter::repeat([1, 1, 0, 1])).take(32).flatten();
+    all.fold(words, Words::u)
+}
+
+/// The sums of tables in 64-bit fixed point.
+fn fixed_sums(gpu: &Gpu, sums: &Buffer, count: usize) -> Vec<f32> {
+    let bytes = gpu.read(&[sums]).unwrap().remove(0);
+    let pairs: Vec<u64> = bytemuck::pod_collect_to_vec(&bytes[..8 * count]);
+    pairs.iter().map(|sum| (*sum as i64 as f64 / 2f64.powi(56)) as f32).collect()
+}
+
+#[test]
+fn hash_grids() {
+    let gpu = gpu();
+    let (n, features, levels) = (200, 2, 5);
+    for (contraction, number, interpolation) in [
+        (Contraction::None, 0, Interpolation::Linear),
+        (Contraction::Axes, 1, Interpolation::Smoothstep),
+        (Contraction::Ball, 2, Interpolation::Linear),
+    ] {
+        let grid = HashGrid::new(levels, features, 9, (4, 60), interpolation);
+        let (low, high) = ([-1.0, -0.9, -0.8], [0.8, 0.9, 1.0]);
+        let domain = Domain::new(low, high, contraction);
+        let channels = grid.channels().next_multiple_of(4);
+        let points = numbers(3 * n, 1.3, 6);
+        let (tables, d_encoded) = (numbers(grid.entries() * features, 1.0, 7), numbers(n * channels, 1.0, 8));
+        let [points_buffer, tables_buffer, d_buffer] = [&points, &tables, &d_encoded].map(|values| gpu.storage(values));
+        let [unit, inside, encoded] = [3 * n, n, n * channels].map(|count| gpu.numbers(count));
+        let [d_points, sums, flags] = [3 * n, 2 * tables.len(), 8].map(|count| gpu.numbers(count));
+        let of_grid = |name| Kernel::new(name).set("FEATURES", features);
+        run(
+            &gpu,
+            Kernel::new("domain"),
+            box_words(low, high, n, number),
+            &[(1, &points_buffer), (2, &unit), (3, &inside)],
+            groups(n),
+        );
+        let buffers = [(1, &unit), (2, &tables_buffer), (3, &encoded)];
+        run(&gpu, of_grid("encode"), grid_words(&grid, n, channels), &buffers, groups(n * levels));
+        let buffers = [(1, &unit), (2, &d_buffer), (3, &sums), (4, &flags)];
+        run(&gpu, of_grid("scatter"), grid_words(&grid, n, channels), &buffers, groups(n * levels));
+        let buffers = [(1, &unit), (2, &tables_buffer), (3, &d_buffer), (4, &d_points)];
+        run(&gpu, of_grid("slope"), grid_words(&grid, n, channels), &buffers, groups(n));
+        let buffers = [(1, &points_buffer), (2, &inside), (3, &d_points)];
+        run(&gpu, Kernel::new("domain_back"), box_words(low, high, n, number), &buffers, groups(n));
+        let doubles = |values: &[f32]| values.iter().map(|x| f64::from(*x)).collect::<Vec<f64>>();
+        let (points, tables) = (doubles(&points), doubles(&tables));
+        let d_encoded: Vec<f64> =
+            doubles(&d_encoded).chunks(channels).flat_map(|row| row[..grid.channels()].to_vec()).collect();
+        let mut expected_unit = vec![0.0; 3 * n];
+        domain.map(&points, &mut expected_unit, &mut vec![false; n]);
+        let unit = gpu.read_f32(&unit, 3 * n).unwrap();
+        near("domain", &unit, &expected_unit, 1e-6);
+        // From where the device put them: a rounding may put a point into the next cell.
+        let unit = doubles(&unit);
+        let mut expected = vec![0.0; n * grid.channels()];
+        grid.encode_reference(&tables, &unit, &mut expected);
+        let found = gpu.read_f32(&encoded, n * channels).unwrap();
+        let found: Vec<f32> = found.chunks(channels).flat_map(|row| row[..grid.channels()].to_vec()).collect();
+        near("encode", &found, &expected, 1e-5);
+        let (mut d_unit, mut d_space) = (vec![0.0; 3 * n], vec![0.0; 3 * n]);
+        grid.point_gradient_reference(&tables, &unit, &d_encoded, &mut d_unit);
+        domain.backward(&points, &d_unit, &mut d_space);
+        near("slope, domain_back", &gpu.read_f32(&d_points, 3 * n).unwrap(), &d_space, 1e-5);
+        let mut of_tables = vec![0.0; tables.len()];
+        grid.table_gradient_reference(&unit, &d_encoded, &mut of_tables);
+        near("scatter", &fixed_sums(&gpu, &sums, tables.len()), &of_tables, 1e-5);
+    }
+}
+
+/// Derivatives along x, y and z in the rows after each point's encoding, against central differences.
+#[test]
+fn jets_of_waves() {
+    let gpu = gpu();
+    let (n, octaves, channels, h) = (40, 6, 40, 1e-6);
+    let points = numbers(3 * n, 2.0, 41);
+    let (points_buffer, encoded) = (gpu.storage(&points), gpu.numbers(4 * n * channels));
+    let words = Words::default().u(n).u(octaves).u(channels).u(0);
+    let buffers = [(1, &points_buffer), (2, &encoded)];
+    run(&gpu, Kernel::new("frequency_jets"), words, &buffers, groups(3 * n));
+    let of = |shift: [f64; 3]| -> Vec<f64> {
+        let shift = Tensor::new(&shift, &Device::Cpu).unwrap();
+        let points = wide(&points, &[n, 3]).broadcast_add(&shift).unwrap();
+        flat(&encode_reference(&points, octaves).unwrap().pad_with_zeros(1, 0, 1).unwrap())
+    };
+    near("frequency_jets", &gpu.read_f32(&encoded, 4 * n * channels).unwrap(), &jets(of, n, channels, h), 1e-5);
+}
+
+/// The rows of points' jets: `[points, 4, channels]` from what a shift of all points makes of `[points, channels]`.
+fn jets(of: impl Fn([f64; 3]) -> Vec<f64>, points: usize, channels: usize, h: f64) -> Vec<f64> {
+    let value = of([0.0; 3]);
+    let along = [0, 1, 2].map(|axis| {
+        let [above, below] = [h, -h].map(|h| of(std::array::from_fn(|i| if i == axis { h } else { 0.0 })));
+        above.iter().zip(below).map(|(above, below)| (above - below) / (2.0 * h)).collect::<Vec<f64>>()
+    });
+    let rows = (0..points).flat_map(|point| std::iter::once(&value).chain(&along).map(move |row| (point, row)));
+    rows.flat_map(|(point, row)| row[channels * point..channels * (point + 1)].to_vec()).collect()
+}
+
+/// Features' derivatives in space, and what they give to tables, against central differences.
+#[test]
+fn jets_of_hash_grids() {
+    let gpu = gpu();
+    let (n, features, levels, h) = (100, 2, 5, 1e-7);
+    for (contraction, number, interpolation) in [
+        (Contraction::None, 0, Interpolation::Smoothstep),
+        (Contraction::Axes, 1, Interpolation::Linear),
+        (Contraction::Ball, 2, Interpolation::Smoothstep),
+    ] {
+        let grid = HashGrid::new(levels, features, 9, (4, 30), interpolation);
+        let (low, high) = ([-1.0, -0.9, -0.8], [0.8, 0.9, 1.0]);
+        let domain = Domain::new(low, high, contraction);
+        let (own, channels) = (grid.channels(), grid.channels().next_multiple_of(4));
+        let size = if number == 0 { 0.7 } else { 1.3 };
+        let points = numbers(3 * n, size, 42);
+        let (tables, d) = (numbers(grid.entries() * features, 1.0, 43), numbers(4 * n * channels, 1.0, 44));
+        let [points_buffer, tables_buffer, d_buffer] = [&points, &tables, &d].map(|values| gpu.storage(values));
+        let [unit, inside, encoded] = [3 * n, n, 4 * n * channels].map(|count| gpu.numbers(count));
+        let [sums, flags] = [2 * tables.len(), 8].map(|count| gpu.numbers(count));
+        let domain_words = box_words(low, high, n, number);
+        let domain_uniform = gpu.uniform(domain_words.words());
+        run(&gpu, Kernel::new("domain"), domain_words, &[(1, &points_buffer), (2, &unit), (3, &inside)], groups(n));
+        let kernel = |name| Kernel::new(name).set("FEATURES", features);
+        let buffers = [(1, &unit), (2, &tables_buffer), (3, &encoded), (4, &domain_uniform), (5, &points_buffer)];
+        run(&gpu, kernel("encode_jets"), grid_words(&grid, n, channels), &buffers, groups(n * levels));
+        let buffers = [(1, &unit), (2, &d_buffer), (3, &sums), (4, &flags), (5, &domain_uniform), (6, &points_buffer)];
+        run(&gpu, kernel("scatter").with("JETS", true), grid_words(&grid, n, channels), &buffers, groups(n * levels));
+
+        let doubles = |values: &[f32]| values.iter().map(|x| f64::from(*x)).collect::<Vec<f64>>();
+        let (points, tables) = (doubles(&points), doubles(&tables));
+        let unit_at = |shift: [f64; 3]| {
+            let moved: Vec<f64> =
+                points.chunks(3).flat_map(|p| [p[0] + shift[0], p[1] + shift[1], p[2] + shift[2]]).collect();
+            let mut unit = vec![0.0; 3 * n];
+            domain.map(&moved, &mut unit, &mut vec![false; n]);
+            unit
+        };
+        let features_at = |shift: [f64; 3]| {
+            let mut encoded = vec![0.0; n * own];
+            grid.encode_reference(&tables, &unit_at(shift), &mut encoded);
+            encoded
+        };
+        let narrow =
+            |values: Vec<f32>| values.chunks(channels).flat_map(|row| row[..own].to_vec()).collect::<Vec<f32>>();
+        let found = narrow(gpu.read_f32(&encoded, 4 * n * channels).unwrap());
+        near("encode_jets", &found, &jets(features_at, n, own, h), 1e-4);
+
+        // The gradient of d . jets in the tables, in which jets are linear.
+        let d = doubles(&narrow(d));
+        let row =
+            |row: usize| (0..n).flat_map(|point| d[own * (4 * point + row)..][..own].to_vec()).collect::<Vec<f64>>();
+        let gradient_at = |shift: [f64; 3], d: &[f64]| {
+            let mut gradient = vec![0.0; tables.len()];
+            grid.table_gradient_reference(&unit_at(shift), d, &mut gradient);
+            gradient
+        };
+        let mut expected = gradient_at([0.0; 3], &row(0));
+        for axis in 0..3 {
+            let [above, below] =
+                [h, -h].map(|h| gradient_at(std::array::from_fn(|i| if i == axis { h } else { 0.0 }), &row(1 + axis)));
+            for (sum, (above, below)) in expected.iter_mut().zip(above.iter().zip(below)) {
+                *sum += (above - below) / (2.0 * h);
+            }
+        }
+        near("scatter, jets", &fixed_sums(&gpu, &sums, tables.len()), &expected, 1e-4);
+    }
+}
+
+/// The encoding of a view direction that two angles tilt, and the gradient in them.
+#[test]
+fn views() {
+    let gpu = gpu();
+    let (rays, samples, octaves, channels) = (30, 4, 4, 28);
+    let mut random_rays = numbers(rays * RAY, 1.0, 45);
+    for ray in random_rays.chunks_mut(RAY) {
+        let view = [ray[6], ray[7], ray[8]].map(f64::from);
+        let norm = view.iter().map(|x| x * x).sum::<f64>().sqrt();
+        let view = view.map(|x| x / norm);
+        let (u, w) = augnerf_core::data::tangents(view);
+        for (to, x) in ray[6..15].iter_mut().zip(view.into_iter().chain(u).chain(w)) {
+            *to = x as f32;
+        }
+    }
+    let (tilt, d) = (numbers(2 * rays, 0.3, 46), numbers(rays * samples * channels, 1.0, 47));
+    let [rays_buffer, tilt_buffer, d_buffer] = [&random_rays, &tilt, &d].map(|values| gpu.storage(values));
+    let [plain, encoded, d_tilt] = [rays * channels, rays * channels, 2 * rays].map(|count| gpu.numbers(count));
+    let words = || Words::default().u(rays).u(octaves).u(channels).u(0);
+    run(&gpu, Kernel::new("view"), words(), &[(1, &rays_buffer), (2, &plain)], groups(rays));
+    let buffers = [(1, &rays_buffer), (2, &encoded), (3, &tilt_buffer)];
+    run(&gpu, Kernel::new("view").with("TILT", true), words(), &buffers, groups(rays));
+    let buffers = [(1, &rays_buffer), (2, &encoded), (3, &d_buffer), (4, &tilt_buffer), (5, &d_tilt)];
+    run(&gpu, Kernel::new("view_back"), words().u(samples).u(0).u(0).u(0), &buffers, groups(rays));
+
+    let part = |at: usize| -> Tensor {
+        let values: Vec<f32> = random_rays.chunks(RAY).flat_map(|ray| ray[at..at + 3].to_vec()).collect();
+        wide(&values, &[rays, 3])
+    };
+    let padded = |unit: &Tensor| encode_reference(unit, octaves).unwrap().pad_with_zeros(1, 0, 1).unwrap();
+    near("view", &gpu.read_f32(&plain, rays * channels).unwrap(), &flat(&padded(&part(6))), 1e-6);
+    let tilt = var(&tilt, &[rays, 2]);
+    let angle = |i: usize, at: usize| tilt.narrow(1, i, 1).unwrap().broadcast_mul(&part(at)).unwrap();
+    let moved = ((part(6) + angle(0, 9)).unwrap() + angle(1, 12)).unwrap();
+    let unit = moved.broadcast_div(&moved.sqr().unwrap().sum_keepdim(1).unwrap().sqrt().unwrap()).unwrap();
+    let tilted = padded(&unit);
+    near("view, tilted", &gpu.read_f32(&encoded, rays * channels).unwrap(), &flat(&tilted), 1e-6);
+    let of_ray = wide(&d, &[rays, samples, channels]).sum(1).unwrap();
+    let gradients = (tilted * of_ray).unwrap().sum_all().unwrap().backward().unwrap();
+    near("view_back", &gpu.read_f32(&d_tilt, 2 * rays).unwrap(), &flat(gradients.get(&tilt).unwrap()), 1e-5);
+}

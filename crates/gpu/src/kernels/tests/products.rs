@@ -1,0 +1,196 @@
+//! Products of layers.
+
+use naga::valid::{Capabilities, ValidationFlags, Validator};
+
+use super::*;
+
+/// C = A W + b with ReLU, D W^T, and A^T D with the sums of D, in all tiles that run here.
+#[test]
+fn products() {
+    let gpu = gpu();
+    let (m, k) = (70, 24);
+    for n in [4, 16, 32, 64] {
+        let tile = Tile::of(n, Tiles::Small);
+        let (a, w, d) = (numbers(m * k, 1.0, 1), numbers((k + 1) * n, 1.0, 2), numbers(m * n, 1.0, 3));
+        let of = |count: usize| gpu.numbers(count);
+        let [a_buffer, w_buffer, d_buffer] = [&a, &w, &d].map(|values| gpu.storage(values));
+        let (a, w, d) = (wide(&a, &[m, k]), wide(&w, &[k + 1, n]), wide(&d, &[m, n]));
+        let (weights, bias) = (w.narrow(0, 0, k).unwrap(), w.narrow(0, k, 1).unwrap());
+        let words = || Words::default().u(m).u(n).u(k).u(0).u(k).u(1).u(1);
+        let c = of(m * n);
+        let size = [m.div_ceil(tile.rows) as u32, n.div_ceil(tile.columns) as u32, 1];
+        let rest = words().u(n).u(0).u(n).u(0).u(1).u(n).u(0).u(0).u(0);
+        run(&gpu, tile.kernel("product"), rest, &[(1, &a_buffer), (3, &w_buffer), (4, &c)], size);
+        let expected = a.matmul(&weights).unwrap().broadcast_add(&bias).unwrap().relu().unwrap();
+        near(&format!("product, {n} columns"), &gpu.read_f32(&c, m * n).unwrap(), &flat(&expected), 1e-6);
+        let tile = Tile::of(k, Tiles::Small);
+        let (c, size) = (of(m * k), [m.div_ceil(tile.rows) as u32, k.div_ceil(tile.columns) as u32, 1]);
+        let rest = Words::default().u(m).u(k).u(n).u(0).u(n).u(1).u(1).u(n).u(0).u(k).u(0).u(0).u(k).u(0).u(0).u(0);
+        run(&gpu, tile.kernel("product_back"), rest, &[(1, &d_buffer), (3, &w_buffer), (4, &c)], size);
+        let expected = d.matmul(&weights.t().unwrap()).unwrap();
+        near(&format!("product_back, {n} columns"), &gpu.read_f32(&c, m * k).unwrap(), &flat(&expected), 1e-6);
+        let tile = Tile::of(n, Tiles::Small);
+        // Three parts of 32 rows, which `reduce` adds.
+        let (parts, parameters) = (3, (k + 1) * n);
+        let (c, sum) = (of(parts * parameters), of(parameters));
+        let rest = words().u(n).u(0).u(0).u(0).u(0).u(0).u(32).u(parameters).u(0).u(0);
+        let size = [k.div_ceil(tile.rows) as u32, n.div_ceil(tile.columns) as u32, parts as u32];
+        run(&gpu, tile.kernel("weights"), rest, &[(1, &a_buffer), (3, &d_buffer), (4, &c)], size);
+        let reduce = Words::default().u(parameters).u(parts).u(parameters).u(0);
+        run(&gpu, Kernel::new("reduce"), reduce, &[(1, &c), (2, &sum)], groups(parameters));
+        let of_weights = a.t().unwrap().matmul(&d).unwrap();
+        let expected = Tensor::cat(&[&of_weights, &d.sum_keepdim(0).unwrap()], 0).unwrap();
+        near(&format!("weights, {n} columns"), &gpu.read_f32(&sum, parameters).unwrap(), &flat(&expected), 1e-6);
+    }
+}
+
+/// Compiles a text to SPIR-V, as for Vulkan. Returns its words.
+fn compile(kernel: &Kernel) -> usize {
+    let text = kernel.text();
+    let module = naga::front::wgsl::parse_str(&text).unwrap_or_else(|e| panic!("{}", e.emit_to_string(&text)));
+    let info = Validator::new(ValidationFlags::all(), Capabilities::all())
+        .validate(&module)
+        .unwrap_or_else(|e| panic!("{:?}: {}", kernel, e.emit_to_string(&text)));
+    let options = naga::back::spv::Options { lang_version: (1, 6), ..naga::back::spv::Options::default() };
+    naga::back::spv::write_vec(&module, &info, &options, None).unwrap().len()
+}
+
+/// Matrix units are not on the machines that run the tests.
+#[test]
+fn products_by_matrix_units_compile() {
+    for name in ["product", "product_back", "weights"] {
+        for columns in [64, 256] {
+            let kernel = Tile::of(columns, Tiles::Matrices).kernel(name).with("F16", true);
+            assert!(compile(&kernel) > 1000);
+            let of_two = kernel.with("SECOND", true).with("DELTA", name == "product").with("MASK", name != "product");
+            assert!(compile(&of_two.with("OPEN", true).with("ADD", true)) > 1000);
+        }
+    }
+}
+
+#[test]
+fn large_tiles_compile() {
+    for name in ["product", "product_back", "weights"] {
+        let kernel = Tile::of(256, Tiles::Large).kernel(name).with("SECOND", true);
+        assert!(compile(&kernel) > 1000);
+        assert!(compile(&kernel.with("JETS", true).with("MASK", name == "product_back")) > 1000);
+    }
+}
+
+/// A product of two inputs, the second shared by rows, with a delta on the way to the next layer; and the way back
+/// through a ReLU, added to what is there, and kept before the ReLU.
+#[test]
+fn products_in_parts() {
+    let gpu = gpu();
+    let (m, k1, k2, every) = (70, 12, 8, 5);
+    for n in [4, 16, 32, 64] {
+        let tile = Tile::of(n, Tiles::Small);
+        let (a1, a2) = (numbers(m * k1, 1.0, 170), numbers(m / every * k2, 1.0, 171));
+        let (w, delta) = (numbers((k1 + k2 + 1) * n, 1.0, 172), numbers(m * n, 1.0, 173));
+        let [a1_buffer, a2_buffer, w_buffer, delta_buffer] = [&a1, &a2, &w, &delta].map(|values| gpu.storage(values));
+        let (c, moved) = (gpu.numbers(m * n), gpu.numbers(m * n));
+        let words = || Words::default().u(m).u(n).u(k1).u(k2).u(k1).u(k2).u(every);
+        let size = [m.div_ceil(tile.rows) as u32, n.div_ceil(tile.columns) as u32, 1];
+        let buffers = [(1, &a1_buffer), (2, &a2_buffer), (3, &w_buffer), (4, &c), (5, &delta_buffer), (6, &moved)];
+        let kernel = tile.kernel("product").with("SECOND", true).with("DELTA", true);
+        run(&gpu, kernel, words().u(n).u(0).u(n).u(0).u(1).u(n).u(0).u(0).u(0), &buffers, size);
+        let shared: Vec<f32> = (0..m).flat_map(|row| a2[k2 * (row / every)..][..k2].to_vec()).collect();
+        let a = Tensor::cat(&[&wide(&a1, &[m, k1]), &wide(&shared, &[m, k2])], 1).unwrap();
+        let w = wide(&w, &[k1 + k2 + 1, n]);
+        let (weights, bias) = (w.narrow(0, 0, k1 + k2).unwrap(), w.narrow(0, k1 + k2, 1).unwrap());
+        let expected = a.matmul(&weights).unwrap().broadcast_add(&bias).unwrap().relu().unwrap();
+        near("product, two inputs", &gpu.read_f32(&c, m * n).unwrap(), &flat(&expected), 1e-6);
+        let expected = (expected + wide(&delta, &[m, n])).unwrap();
+        near("product, delta", &gpu.read_f32(&moved, m * n).unwrap(), &flat(&expected), 1e-6);
+
+        let d = numbers(m * n, 1.0, 174);
+        let d_buffer = gpu.storage(&d);
+        let (parts, parameters) = (3, (k1 + k2 + 1) * n);
+        let (of_parts, sum) = (gpu.numbers(parts * parameters), gpu.numbers(parameters));
+        let size = [(k1 + k2).div_ceil(tile.rows) as u32, n.div_ceil(tile.columns) as u32, parts as u32];
+        let buffers = [(1, &a1_buffer), (2, &a2_buffer), (3, &d_buffer), (4, &of_parts)];
+        let rest = words().u(n).u(0).u(0).u(0).u(0).u(0).u(32).u(parameters).u(0).u(0);
+        run(&gpu, tile.kernel("weights").with("SECOND", true), rest, &buffers, size);
+        let reduce = Words::default().u(parameters).u(parts).u(parameters).u(0);
+        run(&gpu, Kernel::new("reduce"), reduce, &[(1, &of_parts), (2, &sum)], groups(parameters));
+        let d = wide(&d, &[m, n]);
+        let of_weights = a.t().unwrap().matmul(&d).unwrap();
+        let expected = Tensor::cat(&[&of_weights, &d.sum_keepdim(0).unwrap()], 0).unwrap();
+        near("weights, two inputs", &gpu.read_f32(&sum, parameters).unwrap(), &flat(&expected), 1e-6);
+
+        // To inputs 4 to 12, which a ReLU made.
+        let (inputs, from) = (8, 4);
+        let tile = Tile::of(inputs, Tiles::Small);
+        let (made, there) = (numbers(m * inputs, 1.0, 175), numbers(m * inputs, 1.0, 176));
+        let (made_buffer, c, open) = (gpu.storage(&made), gpu.storage(&there), gpu.numbers(m * inputs));
+        let rest = Words::default().u(m).u(inputs).u(n).u(0).u(n).u(1).u(1).u(n).u(from * n).u(inputs);
+        let rest = rest.u(0).u(0).u(inputs).u(0).u(0).u(0);
+        let kernel = tile.kernel("product_back").with("MASK", true).with("ADD", true).with("OPEN", true);
+        let buffers = [(1, &d_buffer), (3, &w_buffer), (4, &c), (5, &made_buffer), (6, &open)];
+        let size = [m.div_ceil(tile.rows) as u32, inputs.div_ceil(tile.columns) as u32, 1];
+        run(&gpu, kernel, rest, &buffers, size);
+        let back = d.matmul(&w.narrow(0, from, inputs).unwrap().t().unwrap()).unwrap();
+        let added = flat(&(back + wide(&there, &[m, inputs])).unwrap());
+        near("product_back, open", &gpu.read_f32(&open, m * inputs).unwrap(), &added, 1e-6);
+        let passed = added.iter().zip(&made).map(|(d, made)| if *made > 0.0 { *d } else { 0.0 });
+        let passed: Vec<f64> = passed.collect();
+        near("product_back, ReLU", &gpu.read_f32(&c, m * inputs).unwrap(), &passed, 1e-6);
+    }
+}
+
+/// Four rows a point: its value, and three derivatives, which have no bias and the value's ReLU.
+#[test]
+fn products_of_jets() {
+    let gpu = gpu();
+    let (points, k) = (18, 24);
+    let m = 4 * points;
+    for n in [4, 16, 32, 64] {
+        let tile = Tile::of(n, Tiles::Small);
+        let (a, w, d) = (numbers(m * k, 1.0, 180), numbers((k + 1) * n, 1.0, 181), numbers(m * n, 1.0, 182));
+        let [a_buffer, w_buffer, d_buffer] = [&a, &w, &d].map(|values| gpu.storage(values));
+        let words = || Words::default().u(m).u(n).u(k).u(0).u(k).u(1).u(1);
+        let c = gpu.numbers(m * n);
+        let size = [m.div_ceil(tile.rows) as u32, n.div_ceil(tile.columns) as u32, 1];
+        let rest = words().u(n).u(0).u(n).u(0).u(1).u(n).u(0).u(0).u(0);
+        let buffers = [(1, &a_buffer), (3, &w_buffer), (4, &c)];
+        run(&gpu, tile.kernel("product").with("JETS", true), rest, &buffers, size);
+        let (a, d) = (wide(&a, &[m, k]), wide(&d, &[m, n]));
+        let w = wide(&w, &[k + 1, n]);
+        let (weights, bias) = (w.narrow(0, 0, k).unwrap(), flat(&w.narrow(0, k, 1).unwrap()));
+        let plain = flat(&a.matmul(&weights).unwrap());
+        let value = |row: usize, column: usize| plain[n * (row - row % 4) + column] + bias[column];
+        let of = |i: usize| {
+            let (row, column) = (i / n, i % n);
+            let own = if row.is_multiple_of(4) { value(row, column) } else { plain[i] };
+            if value(row, column) > 0.0 { own } else { 0.0 }
+        };
+        let expected: Vec<f64> = (0..m * n).map(of).collect();
+        let made = gpu.read_f32(&c, m * n).unwrap();
+        near("product, jets", &made, &expected, 1e-6);
+
+        // Back through the ReLU of this layer's values, from a layer of as many outputs.
+        let (next, back) = (numbers(n * n, 1.0, 183), gpu.numbers(m * n));
+        let next_buffer = gpu.storage(&next);
+        let kernel = tile.kernel("product_back").with("JETS", true).with("MASK", true);
+        let rest = Words::default().u(m).u(n).u(n).u(0).u(n).u(1).u(1).u(n).u(0).u(n).u(0).u(0).u(n).u(0).u(0).u(0);
+        run(&gpu, kernel, rest, &[(1, &d_buffer), (3, &next_buffer), (4, &back), (5, &c)], size);
+        let plain = flat(&d.matmul(&wide(&next, &[n, n]).t().unwrap()).unwrap());
+        let masked = |i: usize| if value(i / n, i % n) > 0.0 { plain[i] } else { 0.0 };
+        let expected: Vec<f64> = (0..m * n).map(masked).collect();
+        near("product_back, jets", &gpu.read_f32(&back, m * n).unwrap(), &expected, 1e-6);
+
+        // Biases belong to values alone.
+        let parameters = (k + 1) * n;
+        let (of_parts, sum) = (gpu.numbers(parameters), gpu.numbers(parameters));
+        let size = [k.div_ceil(tile.rows) as u32, n.div_ceil(tile.columns) as u32, 1];
+        let rest = words().u(n).u(0).u(0).u(0).u(0).u(0).u(m.next_multiple_of(16)).u(parameters).u(0).u(0);
+        let buffers = [(1, &a_buffer), (3, &d_buffer), (4, &of_parts)];
+        run(&gpu, tile.kernel("weights").with("JETS", true), rest, &buffers, size);
+        let reduce = Words::default().u(parameters).u(1).u(parameters).u(0);
+        run(&gpu, Kernel::new("reduce"), reduce, &[(1, &of_parts), (2, &sum)], groups(parameters));
+        let mut expected = flat(&a.t().unwrap().matmul(&d).unwrap());
+        let d = flat(&d);
+        expected.extend((0..n).map(|column| (0..points).map(|point| d[4 * n * point + column]).sum::<f64>()));
+        near("weights, jets", &gpu.read_f32(&sum, parameters).unwrap(), &expected, 1e-6);
+    }
+}

@@ -1,0 +1,268 @@
+//! Constraint sets: radii, random points, steps of the search, and what is at its bound.
+
+use augnerf_core::augment::{DeltaSet, Norm};
+
+use super::*;
+
+/// A set and its words: boxes or balls of `size` numbers, `per_ray` of them a ray.
+#[derive(Clone, Copy)]
+struct Case {
+    norm: Norm,
+    size: usize,
+    per_ray: usize,
+    /// Vectors that share a radius; 0: one for all.
+    every: usize,
+    /// Within near - t and far - t, for vectors of one number.
+    is_bounded: bool,
+    masks_last: bool,
+    relative: bool,
+}
+
+const PLAIN: Case =
+    Case { norm: Norm::Linf, size: 3, per_ray: 5, every: 0, is_bounded: false, masks_last: false, relative: false };
+
+const CASES: [Case; 5] = [
+    PLAIN,
+    Case { norm: Norm::L2, relative: true, ..PLAIN },
+    Case { norm: Norm::L2, every: 5, ..PLAIN },
+    Case { size: 1, every: 1, is_bounded: true, relative: true, ..PLAIN },
+    Case { size: 1, masks_last: true, ..PLAIN },
+];
+
+const RAYS: usize = 14;
+const RADIUS: f64 = 0.3;
+const STEP: f64 = 0.25;
+const BOUNDS: (f64, f64) = (2.0, 4.0);
+
+impl Case {
+    fn vectors(self) -> usize {
+        RAYS * self.per_ray
+    }
+
+    fn radii(self) -> Vec<f32> {
+        numbers(self.vectors(), 0.4, 140).iter().map(|x| x.abs()).collect()
+    }
+
+    fn t_vals(self) -> Vec<f32> {
+        numbers(self.vectors(), 1.0, 141).iter().map(|x| 3.0 + x).collect()
+    }
+
+    /// The same set in f64.
+    fn set(self) -> DeltaSet {
+        let (vectors, every) = (self.vectors(), self.every);
+        let radii: Vec<f32> = match every {
+            0 => vec![RADIUS as f32; vectors],
+            _ => (0..vectors).map(|v| self.radii()[v / every]).collect(),
+        };
+        let mut set = DeltaSet::new(self.norm, wide(&radii, &[vectors, 1]), &[vectors, self.size]);
+        if self.is_bounded {
+            let t_vals = wide(&self.t_vals(), &[vectors, 1]);
+            let to = |end: f64| (t_vals.neg().unwrap() + end).unwrap();
+            set.bounds = Some((to(BOUNDS.0).minimum(0.0).unwrap(), to(BOUNDS.1).maximum(0.0).unwrap()));
+        }
+        if self.masks_last {
+            let moves: Vec<f32> =
+                (0..vectors).map(|v| f32::from(u8::from(v % self.per_ray < self.per_ray - 1))).collect();
+            set.mask = Some(wide(&moves, &[vectors, 1]));
+        }
+        set
+    }
+
+    /// The words that all kernels of sets have; `rest` are stride, offset, gaussian, chunk, normals, first and the place
+    /// of the first distance.
+    fn words(self, rest: [usize; 7], (near, far): (f64, f64)) -> Words {
+        let is = |on: bool| usize::from(on);
+        let words = Words::default().u(self.vectors()).u(self.size).u(is(self.norm == Norm::L2)).u(self.every);
+        let words = words.f(RADIUS).u(is(self.is_bounded)).f(near).f(far);
+        let words = words.u(if self.masks_last { self.per_ray } else { 0 }).f(STEP).u(is(self.relative));
+        rest.into_iter().fold(words, Words::u).u(0).u(0)
+    }
+
+    fn kernel(self, name: &'static str) -> Kernel {
+        Kernel::new(name).with("RADII", self.every > 0).with("BOUNDED", self.is_bounded)
+    }
+
+    /// Runs a kernel on a delta, with its radii, its positions and more buffers.
+    fn run(self, gpu: &Gpu, kernel: Kernel, words: Words, delta: &Buffer, more: &[(u32, &Buffer)]) {
+        let (radii, t_vals) = (gpu.storage(&self.radii()), gpu.storage(&self.t_vals()));
+        let mut buffers = vec![(1, delta)];
+        buffers.extend((self.every > 0).then_some((2, &radii)));
+        buffers.extend(self.is_bounded.then_some((3, &t_vals)));
+        buffers.extend_from_slice(more);
+        run(gpu, kernel, words, &buffers, groups(self.vectors()));
+    }
+}
+
+/// A step up the gradient from where the pass put the delta, and back onto the set.
+#[test]
+fn steps_of_the_search() {
+    let gpu = gpu();
+    for case in CASES {
+        let (vectors, size) = (case.vectors(), case.size);
+        let (stride, offset) = (size + 2, 1);
+        let start = numbers(vectors * size, 0.2, 142);
+        let mut gradient = numbers(vectors * stride, 1.0, 143);
+        gradient[..2 * stride].fill(0.0);
+        for takes_used in [false, true] {
+            let (delta, used) = (gpu.storage(&start), gpu.storage(&start));
+            if takes_used {
+                gpu.clear(&delta);
+            }
+            let gradient_buffer = gpu.storage(&gradient);
+            let mut more = vec![(4, &gradient_buffer)];
+            more.extend(takes_used.then_some((5, &used)));
+            let kernel = case.kernel("ascend").with("USED", takes_used);
+            case.run(&gpu, kernel, case.words([stride, offset, 0, 0, 0, 0, 0], BOUNDS), &delta, &more);
+            let set = case.set();
+            let along: Vec<f32> = gradient.chunks(stride).flat_map(|row| row[offset..offset + size].to_vec()).collect();
+            let direction = set.direction(&wide(&along, &[vectors, size])).unwrap();
+            let step = (if case.relative { direction.broadcast_mul(&set.radius) } else { Ok(direction) }).unwrap();
+            let moved = (wide(&start, &[vectors, size]) + (step * STEP).unwrap()).unwrap();
+            let expected = flat(&set.project(&moved).unwrap());
+            near("ascend", &gpu.read_f32(&delta, vectors * size).unwrap(), &expected, 1e-6);
+        }
+    }
+}
+
+/// Random points of sets, from numbers in chunks of the host's.
+#[test]
+fn random_points() {
+    let gpu = gpu();
+    for case in CASES {
+        let (vectors, size) = (case.vectors(), case.size);
+        let (chunk, first) = (vectors / 2, 3);
+        // Numbers of a chunk are padded to an even count.
+        let of_chunk = (chunk * size).next_multiple_of(2);
+        for gaussian in [false, true] {
+            let is_ball = case.norm == Norm::L2 && !gaussian;
+            let centred = gaussian || is_ball;
+            let values: Vec<f32> = numbers(first + 2 * of_chunk, 1.0, 144)
+                .iter()
+                .map(|x| if centred { 2.0 * x } else { 0.5 + 0.499 * x })
+                .collect();
+            let distances: Vec<f32> = numbers(vectors, 1.0, 145).iter().map(|x| x.abs()).collect();
+            let all: Vec<f32> = values.iter().chain(&distances).copied().collect();
+            let (delta, drawn) = (gpu.numbers(vectors * size), gpu.storage(&all));
+            let words = [0, 0, usize::from(gaussian), chunk, of_chunk, first, values.len()];
+            case.run(&gpu, case.kernel("draw"), case.words(words, BOUNDS), &delta, &[(4, &drawn)]);
+            let own: Vec<f32> = (0..vectors * size)
+                .map(|i| values[first + i / (chunk * size) * of_chunk + i % (chunk * size)])
+                .collect();
+            let (set, own) = (case.set(), wide(&own, &[vectors, size]));
+            let point = match (gaussian, case.norm, &set.bounds) {
+                (true, ..) => (own.broadcast_mul(&set.radius).unwrap() / 3f64.sqrt()).unwrap(),
+                (false, Norm::L2, _) => {
+                    let distance = wide(&distances, &[vectors, 1]).powf(1.0 / size as f64).unwrap();
+                    let along = set.direction(&own).unwrap().broadcast_mul(&distance).unwrap();
+                    along.broadcast_mul(&set.radius).unwrap()
+                }
+                (false, Norm::Linf, Some((lower, upper))) => {
+                    let low = lower.maximum(&set.radius.neg().unwrap()).unwrap();
+                    let width = (upper.minimum(&set.radius).unwrap() - &low).unwrap();
+                    ((own * width).unwrap() + low).unwrap()
+                }
+                (false, Norm::Linf, None) => own.affine(2.0, -1.0).unwrap().broadcast_mul(&set.radius).unwrap(),
+            };
+            let expected = flat(&set.project(&point).unwrap());
+            near("draw", &gpu.read_f32(&delta, vectors * size).unwrap(), &expected, 1e-5);
+        }
+    }
+}
+
+/// Counts of numbers (of balls: vectors) at their bounds, and of those that may move.
+#[test]
+fn counts_at_bounds() {
+    let gpu = gpu();
+    let case_of_output = Case { size: 1, ..PLAIN };
+    for case in CASES {
+        let (vectors, size, first) = (case.vectors(), case.size, 2);
+        let set = case.set();
+        let delta = flat(&set.project(&wide(&numbers(vectors * size, 0.5, 146), &[vectors, size])).unwrap());
+        let delta: Vec<f32> = delta.iter().map(|x| *x as f32).collect();
+        let (buffer, counts) = (gpu.storage(&delta), gpu.numbers(4));
+        case.run(
+            &gpu,
+            case.kernel("at_bound"),
+            case.words([0, 0, 0, 0, 0, first, 0], BOUNDS),
+            &buffer,
+            &[(4, &counts)],
+        );
+        let counted: Vec<u32> = bytemuck::pod_collect_to_vec(&gpu.read(&[&counts]).unwrap()[0]);
+        let share = f64::from(counted[first]) / f64::from(counted[first + 1]);
+        let expected = set.share_at_bound(&wide(&delta, &[vectors, size])).unwrap().unwrap();
+        assert!(counted[first] > 0 && (share - expected).abs() < 1e-12, "{share} for {expected}");
+    }
+    // Colours on the edge of what they can be are at a bound, too.
+    let (vectors, range) = (case_of_output.vectors(), (0.1, 0.9));
+    let (delta, values) = (numbers(vectors, 0.5, 147), numbers(4 * vectors, 1.0, 148));
+    let (buffer, values_buffer, counts) = (gpu.storage(&delta), gpu.storage(&values), gpu.numbers(4));
+    let kernel = case_of_output.kernel("at_bound").with("OUTPUT", true);
+    let words = case_of_output.words([0, 3, 0, 0, 0, 0, 0], range);
+    case_of_output.run(&gpu, kernel, words, &buffer, &[(4, &counts), (5, &values_buffer)]);
+    let at = |i: &usize| {
+        let (delta, value) = (f64::from(delta[*i]), f64::from(values[4 * i + 3]));
+        delta.abs() >= 0.999 * RADIUS || value <= range.0 || value >= range.1
+    };
+    let counted: Vec<u32> = bytemuck::pod_collect_to_vec(&gpu.read(&[&counts]).unwrap()[0]);
+    assert_eq!(counted[..2], [(0..vectors).filter(at).count() as u32, vectors as u32]);
+}
+
+/// Radii of positions, by the three rules of `t_radius.wgsl`, and those of points in pixels.
+#[test]
+fn radii() {
+    let gpu = gpu();
+    let (rays, columns) = (20, 7);
+    let gaps: Vec<f32> = numbers(rays * columns, 0.3, 149).iter().map(|x| x.abs() + 0.01).collect();
+    let t_vals: Vec<f32> = gaps
+        .chunks(columns)
+        .flat_map(|gaps| {
+            gaps.iter()
+                .scan(2.0, |t, gap| {
+                    *t += gap;
+                    Some(*t)
+                })
+                .collect::<Vec<f32>>()
+        })
+        .collect();
+    let (share, coarse, drawn, coarse_gap, reach) = (0.4, 1.5, 2.5, 0.25, 0.05);
+    let buffer = gpu.storage(&t_vals);
+    for kind in 0..3 {
+        let out = gpu.numbers(rays * columns);
+        let words = Words::default().u(rays).u(columns).u(kind).f(share).f(coarse).f(drawn).f(coarse_gap).f(reach);
+        run(&gpu, Kernel::new("t_radius"), words, &[(1, &buffer), (2, &out)], groups(rays * columns));
+        let of = |i: usize| {
+            let (k, t) = (i % columns, |i: usize| f64::from(t_vals[i]));
+            let gap = |from: usize| t(from + 1) - t(from);
+            let (before, after) = match k {
+                0 => (gap(i), gap(i)),
+                _ if k + 1 == columns => (gap(i - 1), gap(i - 1)),
+                _ => (gap(i - 1), gap(i)),
+            };
+            let nearer = before.min(after);
+            match kind {
+                0 => nearer * share,
+                1 => {
+                    let of_coarse = (0.5 * (before + after) / coarse_gap).min(1.0);
+                    nearer * (share / (of_coarse * coarse + (1.0 - of_coarse) * drawn)).min(0.5)
+                }
+                _ => (nearer * share).min(reach),
+            }
+        };
+        let expected: Vec<f64> = (0..rays * columns).map(of).collect();
+        near("t_radius", &gpu.read_f32(&out, rays * columns).unwrap(), &expected, 1e-6);
+    }
+
+    let packed: Vec<f32> = numbers(25 * RAY, 1.0, 150).iter().map(|x| x.abs()).collect();
+    let (rays_buffer, ray0, rays) = (gpu.storage(&packed), 5, 20);
+    let (pixel, cap, epsilon) = (0.2, 0.5, 1.5);
+    for (released, is_reach) in [(0, 0), (1, 0), (0, 1)] {
+        let out = gpu.numbers(rays);
+        let words = Words::default().u(rays).u(ray0).u(released).u(is_reach).f(pixel).f(cap).f(epsilon).u(0);
+        run(&gpu, Kernel::new("xyz_radius"), words, &[(1, &rays_buffer), (2, &out)], groups(rays));
+        let of = |ray: usize| {
+            let norm = if released == 1 { 1.0 } else { f64::from(packed[RAY * (ray0 + ray) + 18]) };
+            if is_reach == 1 { epsilon } else { f64::min(cap * norm, pixel) * epsilon }
+        };
+        near("xyz_radius", &gpu.read_f32(&out, rays).unwrap(), &(0..rays).map(of).collect::<Vec<f64>>(), 1e-6);
+    }
+}

@@ -1,0 +1,132 @@
+//! Random numbers, checks and Adam.
+
+use super::*;
+
+#[test]
+fn random_numbers_have_the_hosts_bits() {
+    let gpu = gpu();
+    let (seed, step) = (0x1_2345_6789u64, 77u64);
+    let now = gpu.uniform(&[seed as u32, (seed >> 32) as u32, step as u32, 0, 0, 0, 0, 0]);
+    let (chunks, count, offset) = (3, 50, 21);
+    let out = gpu.numbers(chunks * count);
+    let blocks = (offset % 16 + count).div_ceil(16);
+    let words = Words::default().u(Stream::Search.key() as usize).u(5).u(2).u(chunks).u(count).u(offset).u(blocks).u(0);
+    run(&gpu, Kernel::new("random"), words, &[(1, &now), (2, &out)], groups(chunks * blocks));
+    let expected = (0..chunks).flat_map(|chunk| {
+        let mut random = Random::part(seed, Stream::Search, step, 5 + 2 * chunk as u64);
+        (0..offset).for_each(|_| {
+            random.uniform();
+        });
+        (0..count).map(|_| random.uniform() as f32).collect::<Vec<f32>>()
+    });
+    assert_eq!(gpu.read_f32(&out, chunks * count).unwrap(), expected.collect::<Vec<f32>>());
+}
+
+#[test]
+fn adam() {
+    let gpu = gpu();
+    let (count, features, steps) = (60, 3, 4);
+    let settings = AdamSettings { beta2: 0.99, epsilon: 1e-15 };
+    let start = numbers(count, 1.0, 15);
+    for (name, kernel) in [
+        ("fine.weight", Kernel::new("adam_weights")),
+        ("fine.table", Kernel::new("adam_tables").set("FEATURES", features)),
+    ] {
+        let is_table = name == "fine.table";
+        let var = Var::from_tensor(&wide(&start, &[count / features, features])).unwrap();
+        let mut reference = Adam::new(settings, vec![(name.to_string(), var.clone())]).unwrap();
+        let (values, first, second, flags) =
+            (gpu.storage(&start), gpu.numbers(count), gpu.numbers(count), gpu.numbers(8));
+        for step in 1..=steps {
+            // Some entries have no gradient.
+            let mut gradient = numbers(count, 0.1, 20 + step);
+            gradient[..6 * step as usize].fill(0.0);
+            let sums: Vec<u32> = match is_table {
+                false => gradient.iter().map(|g| g.to_bits()).collect(),
+                true => {
+                    let fixed = gradient.iter().map(|g| (f64::from(*g) * 2f64.powi(56)) as i64 as u64);
+                    fixed.flat_map(|sum| [sum as u32, (sum >> 32) as u32]).collect()
+                }
+            };
+            let sums_buffer = gpu.numbers(sums.len());
+            gpu.write(&sums_buffer, bytemuck::cast_slice(&sums));
+            let corrections = [0.9, settings.beta2].map(|beta: f64| 1.0 - beta.powi(step as i32));
+            let now = gpu.uniform(
+                &[0.0, 0.0, 0.0, 0.0, (0.01 / corrections[0]) as f32, corrections[1] as f32, 0.0, 0.0]
+                    .map(f32::to_bits),
+            );
+            let unit = if is_table { 1.0 / FIXED_SCALE } else { 1.0 };
+            let words = Words::default().u(count).f(0.9).f(settings.beta2).f(settings.epsilon).f(unit).u(0).u(0).u(0);
+            let buffers = [(1, &now), (2, &values), (3, &first), (4, &second), (5, &flags), (6, &sums_buffer)];
+            run(&gpu, kernel.clone(), words, &buffers, groups(count));
+            let of_host = wide(&gradient, &[count / features, features]);
+            reference.update(&[Some(of_host)], 0.01, step).unwrap();
+            let left: Vec<u32> = bytemuck::pod_collect_to_vec(&gpu.read(&[&sums_buffer]).unwrap()[0]);
+            assert!(left.iter().all(|word| *word == 0), "sums are made 0");
+        }
+        near(&format!("adam, {name}"), &gpu.read_f32(&values, count).unwrap(), &flat(var.as_tensor()), 1e-6);
+        let moments = &reference.moments()[0];
+        near(&format!("adam, {name}, second"), &gpu.read_f32(&second, count).unwrap(), &flat(&moments.second), 1e-5);
+    }
+}
+
+/// Pairs of uniform numbers to pairs of normal ones, and sums and copies of numbers.
+#[test]
+fn numbers_in_place() {
+    let gpu = gpu();
+    let (first, count, scale) = (5, 60, 0.7);
+    let uniform: Vec<f32> = numbers(first + count, 1.0, 160).iter().map(|x| x.abs()).collect();
+    let buffer = gpu.storage(&uniform);
+    let words = Words::default().u(2).u(count / 2).f(scale).u(first);
+    run(&gpu, Kernel::new("normal"), words, &[(1, &buffer)], groups(count / 2));
+    let expected: Vec<f64> = uniform[first..]
+        .chunks(2)
+        .flat_map(|pair| {
+            let (u, turns) = (f64::from(pair[0]), std::f64::consts::TAU * f64::from(pair[1]));
+            let radius = scale * (-2.0 * (1.0 - u).ln()).sqrt();
+            [radius * turns.cos(), radius * turns.sin()]
+        })
+        .collect();
+    let found = gpu.read_f32(&buffer, first + count).unwrap();
+    near("normal", &found[first..], &expected, 1e-5);
+    assert_eq!(found[..first], uniform[..first], "numbers before the first stay");
+
+    let [a, b] = [161, 162].map(|seed| numbers(count, 1.0, seed));
+    let [a_buffer, b_buffer] = [&a, &b].map(|values| gpu.storage(values));
+    let [sum, copied] = [(); 2].map(|()| gpu.numbers(count));
+    let words = || Words::default().u(count).u(0).u(0).u(0);
+    run(&gpu, Kernel::new("add"), words(), &[(1, &a_buffer), (2, &b_buffer), (3, &sum)], groups(count));
+    run(&gpu, Kernel::new("copy"), words(), &[(1, &a_buffer), (2, &copied)], groups(count));
+    let expected: Vec<f64> = a.iter().zip(&b).map(|(a, b)| f64::from(*a) + f64::from(*b)).collect();
+    near("add", &gpu.read_f32(&sum, count).unwrap(), &expected, 1e-6);
+    assert_eq!(gpu.read_f32(&copied, count).unwrap(), a);
+}
+
+/// What is not finite sets the flag of its kind, and is named by its place.
+#[test]
+fn what_is_not_finite_sets_flags() {
+    let gpu = gpu();
+    let (count, slots, field) = (50, 3, 2);
+    let check = |gradient: &[f32], results: &[f32]| -> Vec<u32> {
+        let (gradient, results, flags) = (gpu.storage(gradient), gpu.storage(results), gpu.numbers(8));
+        gpu.write(&flags, bytemuck::cast_slice(&[0, u32::MAX, u32::MAX, u32::MAX, 0, 0, 0, 0]));
+        let words = Words::default().u(count).u(slots).u(field).u(0);
+        let buffers = [(1, &gradient), (2, &results), (3, &flags)];
+        run(&gpu, Kernel::new("check"), words, &buffers, groups(count));
+        bytemuck::pod_collect_to_vec(&gpu.read(&[&flags]).unwrap()[0][..16])
+    };
+    let (gradient, results) = (numbers(count, 1.0, 163), numbers(16 * slots, 1.0, 164));
+    const NONE: u32 = u32::MAX;
+    assert_eq!(check(&gradient, &results), [0, NONE, NONE, NONE]);
+    let with = |values: &[f32], at: usize, value: f32| {
+        let mut values = values.to_vec();
+        values[at] = value;
+        values
+    };
+    assert_eq!(check(&with(&gradient, 31, f32::NAN), &results), [1, NONE, NONE, 31]);
+    assert_eq!(check(&with(&with(&gradient, 31, f32::INFINITY), 7, f32::NAN), &results), [1, NONE, NONE, 7]);
+    // The loss, TV and distortion of a slot; extremes may be infinite.
+    for (at, flag) in [(16, 8), (33, 8), (14, 8), (18, 0)] {
+        assert_eq!(check(&gradient, &with(&results, at, f32::INFINITY)), [flag, NONE, NONE, NONE], "{at}");
+    }
+}
