@@ -14,6 +14,7 @@ use augnerf::train::Trainer;
 use candle_core::{DType, Device, Tensor};
 
 mod hash;
+mod terms;
 
 const CPU: Device = Device::Cpu;
 const BOX: [[f64; 3]; 2] = [[-1.0; 3], [1.0; 3]];

@@ -20,9 +20,12 @@ pub fn check(config: &Resolved) -> Result<()> {
     check_fields(config)?;
     let refuse = |what: &str| Err(Error::Config(format!("device gpu does not train {what} yet; use --device cpu")));
     for (term, _) in config.regularizer.terms() {
-        if term == Regularizer::Laplacian {
+        if !matches!(term, Regularizer::L1 | Regularizer::Tv | Regularizer::Distortion) {
             return refuse(&format!("with regularizer {}", term.name()));
         }
+    }
+    if !config.regularizer.schedule.is_empty() {
+        return refuse("with weights that move (regularizer.schedule)");
     }
     if config.field.precision == Precision::Bf16 {
         return refuse("in field.precision = \"bf16\"");

@@ -159,8 +159,7 @@ impl Steps {
     /// Waits for the steps since the last call, and returns their reports.
     ///
     /// # Errors
-    /// [`Error::Diverged`]: something in one of them is not finite. Its update and later ones changed nothing. The device
-    /// was lost.
+    /// [`Error::Diverged`]: something in one of them is not finite. No later step changed a parameter. The device was lost.
     pub fn reports(&mut self) -> Result<Vec<StepReport>> {
         self.wait_for_reports()?;
         Ok(std::mem::take(&mut self.reports))

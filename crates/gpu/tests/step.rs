@@ -278,6 +278,22 @@ fn what_is_not_finite_is_reported() {
     }
 }
 
+/// A device keeps the reports of some steps, and makes place for more by itself.
+#[test]
+fn the_first_of_many_waiting_steps_that_is_not_finite_is_named() {
+    let (config, scene) = (config(&["method=nerf"]), scene());
+    let (learner, _) = FieldLearner::start(&config, &scene, DType::F32, &Device::Cpu).unwrap();
+    let mut steps = Steps::new(gpu(), &config, &scene, learner.fields(), None).unwrap();
+    (0..20).for_each(|step| steps.step(step, step + 1, 0.001, false).unwrap());
+    let reports = steps.reports().unwrap();
+    assert_eq!(reports.len(), 20);
+    assert!(reports[19].loss < reports[0].loss, "{} {}", reports[0].loss, reports[19].loss);
+    // A rate that leaves no finite loss: step 24 moves, and step 25 says so.
+    (20..28).for_each(|step| steps.step(step, step + 1, if step == 23 { 1e30 } else { 0.001 }, false).unwrap());
+    let error = steps.reports().unwrap_err().to_string();
+    assert!(error.contains("diverged at step 25: the loss"), "{error}");
+}
+
 #[test]
 fn what_is_not_there_is_refused_by_name() {
     for (settings, named) in [

@@ -27,7 +27,7 @@ pub enum Event<'a> {
         /// Rays per step.
         rays: usize,
     },
-    /// A training step is done. It is sent for every step.
+    /// Training steps are done. It is sent for every step, on a GPU once for several, with the last one's numbers.
     Stepped {
         /// Finished steps, including this one.
         step: u64,

@@ -42,6 +42,7 @@ pub use encoding::{
 pub use fused::forget as forget_buffers;
 use grid::Grid;
 pub use grid::TableRecord;
+use hash::HashGrid;
 use inside::{Inside, NOTHING};
 pub use peak::peak_gflops;
 pub(crate) use rgb_limit::leads_away;
@@ -290,6 +291,11 @@ impl Field {
             .flat_map(|(_, outputs, inputs)| [vec![outputs, inputs], vec![outputs]])
             .collect();
         Ok(table.chain(recorder.gradients(shapes)?.into_iter().map(Some)).collect())
+    }
+
+    /// Returns the hash grid that encodes positions, if there is one. Its table is the first parameter.
+    pub fn hash_grid(&self) -> Option<&HashGrid> {
+        self.grid.as_ref().map(|grid| &*grid.shape)
     }
 
     /// Returns the records for the table of the hash grid that backward passes have left, in their order.

@@ -22,21 +22,8 @@ impl RayTerm for Distortion {
     }
 
     fn per_ray(&self, pass: &RayPass) -> Result<Tensor> {
-        let weights = &pass.output.composite.weights;
-        let edges = edges(&pass.output.t_vals, weights.dim(1)?, pass.bounds)?;
-        distortion(weights, &edges)
+        distortion(&pass.output.composite.weights, &pass.edges()?)
     }
-}
-
-/// Returns the ends of the samples' intervals, `[rays, samples + 1]`, in 0..1 between near and far.
-fn edges(t_vals: &Tensor, samples: usize, (near, far): (f64, f64)) -> Result<Tensor> {
-    let edges = if t_vals.dim(1)? > samples {
-        t_vals.clone()
-    } else {
-        let last = Tensor::full(far, (t_vals.dim(0)?, 1), t_vals.device())?.to_dtype(t_vals.dtype())?;
-        Tensor::cat(&[t_vals, &last], 1)?
-    };
-    Ok(edges.affine(1.0 / (far - near), -near / (far - near))?)
 }
 
 /// Returns the loss of each ray, `[rays]`, of `weights [rays, samples]` between ascending `edges [rays, samples + 1]`.
@@ -65,6 +52,7 @@ fn exclusive_sum(samples: usize, like: &Tensor) -> Result<Tensor> {
 
 #[cfg(test)]
 mod tests {
+    use super::super::edges;
     use super::*;
     use candle_core::{Device, Var};
 

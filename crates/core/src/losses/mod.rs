@@ -5,9 +5,15 @@
 //! | `l1` | space | abs(density) | Aug-NeRF, appendix "Implementation of explicit regularization" |
 //! | `tv` | space | length of density's gradient | the same |
 //! | `laplacian` | space | abs(Laplacian of density) | the same |
+//! | `opacity-sparsity` | space | 1 - exp(-density / 20), over the box's volume | PlenOctrees |
 //! | `distortion` | rays | spread of the weights along the ray | mip-NeRF 360, equation 15 |
+//! | `occlusion` | rays | density next to the camera | FreeNeRF |
+//! | `entropy` | rays | entropy of the opacities along the ray | InfoNeRF |
+//! | `cauchy` | rays | mean of log(1 + 2 density^2) | SNeRG |
+//! | `opacity-prior` | rays | log(0.1 + acc) + log(1.1 - acc) | Neural Volumes |
+//! | `hash-decay` | tables | half the mean square of each level's entries | Zip-NeRF |
 //!
-//! A term on rays is the mean over the rays of a step. A term in space is an integral over a box: volume / n * sum over
+//! A term on rays is the mean over the rays of a step. A term on tables is of the hash grids' parameters alone. A term in space is an integral over a box: volume / n * sum over
 //! n points. If the points are the midpoints of all cells, volume / n is the paper's delta^3. A term of your own
 //! implements [`RayTerm`] or [`SpaceTerm`], and is passed to the trainer ([`crate::methods::Learner::add_term`]).
 
@@ -18,18 +24,28 @@ use candle_core::{Tensor, Var};
 use crate::base::Result;
 use crate::field::{Cotangents, DensityAt, Order};
 use crate::render::PassOutput;
-use crate::settings::{Regularizer, RegularizerConfig};
+use crate::settings::{Regularizer, RegularizerConfig, WeightSchedule};
 
+mod cauchy;
 mod distortion;
+mod entropy;
+mod hash_decay;
 mod l1;
 mod laplacian;
+mod occlusion;
+mod opacity;
 mod smoothness;
 mod spatial;
 mod tv;
 
+pub use cauchy::Cauchy;
 pub use distortion::Distortion;
+pub use entropy::Entropy;
+pub use hash_decay::HashDecay;
 pub use l1::L1;
 pub use laplacian::Laplacian;
+pub use occlusion::Occlusion;
+pub use opacity::{OpacityPrior, OpacitySparsity};
 pub use smoothness::{Smoothness, measure, measure_density};
 pub use spatial::{Regularized, WeightedSpaceTerm, estimate_seconds, regularize, regularize_at, regularize_unless};
 pub use tv::Tv;
@@ -40,6 +56,37 @@ pub struct RayPass<'a> {
     pub output: &'a PassOutput,
     /// Near and far, in the units of `t_vals`.
     pub bounds: (f64, f64),
+    /// Lengths of the rays' directions, `[rays, 1]`.
+    pub direction_norm: &'a Tensor,
+}
+
+impl RayPass<'_> {
+    /// Returns the ends of the samples' intervals, `[rays, samples + 1]`, in 0..1 between near and far. If samples are
+    /// points, an interval reaches to the next sample, and the last one's to far.
+    ///
+    /// # Errors
+    /// Errors of candle.
+    pub fn edges(&self) -> Result<Tensor> {
+        edges(&self.output.t_vals, self.samples()?, self.bounds)
+    }
+
+    /// Returns the number of samples of a ray.
+    ///
+    /// # Errors
+    /// Errors of candle.
+    pub fn samples(&self) -> Result<usize> {
+        Ok(self.output.density.dim(1)?)
+    }
+}
+
+fn edges(t_vals: &Tensor, samples: usize, (near, far): (f64, f64)) -> Result<Tensor> {
+    let edges = if t_vals.dim(1)? > samples {
+        t_vals.clone()
+    } else {
+        let last = Tensor::full(far, (t_vals.dim(0)?, 1), t_vals.device())?.to_dtype(t_vals.dtype())?;
+        Tensor::cat(&[t_vals, &last], 1)?
+    };
+    Ok(edges.affine(1.0 / (far - near), -near / (far - near))?)
 }
 
 /// A term with a value per ray.
@@ -83,6 +130,8 @@ pub enum LossTerm {
     OnRays(Arc<dyn RayTerm>),
     /// An integral over a box.
     InSpace(Arc<dyn SpaceTerm>),
+    /// Of the tables of hash grids.
+    OnTables(HashDecay),
 }
 
 /// A term and its weight in the loss.
@@ -92,6 +141,8 @@ pub struct WeightedTerm {
     pub term: LossTerm,
     /// Its factor.
     pub weight: f64,
+    /// How the factor moves.
+    pub schedule: WeightSchedule,
 }
 
 impl LossTerm {
@@ -105,13 +156,19 @@ impl LossTerm {
         LossTerm::InSpace(Arc::new(term))
     }
 
-    /// Returns the term of a configuration.
-    pub fn of(regularizer: Regularizer) -> LossTerm {
+    /// Returns a term with its settings.
+    pub fn of(regularizer: Regularizer, config: &RegularizerConfig) -> LossTerm {
         match regularizer {
             Regularizer::L1 => LossTerm::in_space(L1),
             Regularizer::Tv => LossTerm::in_space(Tv),
             Regularizer::Laplacian => LossTerm::in_space(Laplacian),
             Regularizer::Distortion => LossTerm::on_rays(Distortion),
+            Regularizer::Occlusion => LossTerm::on_rays(Occlusion { share: config.occlusion_share }),
+            Regularizer::Entropy => LossTerm::on_rays(Entropy),
+            Regularizer::Cauchy => LossTerm::on_rays(Cauchy),
+            Regularizer::OpacityPrior => LossTerm::on_rays(OpacityPrior),
+            Regularizer::OpacitySparsity => LossTerm::in_space(OpacitySparsity { volume: config.volume() }),
+            Regularizer::HashDecay => LossTerm::OnTables(HashDecay),
         }
     }
 
@@ -120,6 +177,7 @@ impl LossTerm {
         match self {
             LossTerm::OnRays(term) => term.name(),
             LossTerm::InSpace(term) => term.name(),
+            LossTerm::OnTables(term) => term.name(),
         }
     }
 }
@@ -127,21 +185,96 @@ impl LossTerm {
 impl WeightedTerm {
     /// Returns the terms of a configuration with their weights, in its order.
     pub fn all(config: &RegularizerConfig) -> Vec<WeightedTerm> {
-        config.terms().map(|(term, weight)| WeightedTerm { term: LossTerm::of(term), weight }).collect()
+        let terms = config.terms().zip(config.schedules());
+        let of = |((term, weight), schedule)| WeightedTerm { term: LossTerm::of(term, config), weight, schedule };
+        terms.map(of).collect()
+    }
+
+    /// Returns the term with its weight in the step after `step` finished ones, which is constant.
+    pub fn at(&self, step: u64) -> WeightedTerm {
+        let weight = self.schedule.at(self.weight, step);
+        WeightedTerm { term: self.term.clone(), weight, schedule: WeightSchedule::Constant }
+    }
+
+    /// Returns a term with a constant weight.
+    pub fn constant(term: LossTerm, weight: f64) -> WeightedTerm {
+        WeightedTerm { term, weight, schedule: WeightSchedule::Constant }
     }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::settings::REGULARIZERS;
+    use crate::render::volume::composite_reference;
+    use crate::settings::{REGULARIZERS, TermNeeds};
+    use candle_core::Device;
 
     #[test]
-    fn the_settings_know_each_term_by_its_name_and_place() {
+    fn the_settings_know_each_term_by_its_name_and_what_it_needs() {
         for regularizer in REGULARIZERS {
-            let term = LossTerm::of(regularizer);
+            let term = LossTerm::of(regularizer, &RegularizerConfig::default());
             assert_eq!(term.name(), regularizer.name());
-            assert_eq!(matches!(term, LossTerm::InSpace(_)), regularizer.in_space(), "{}", term.name());
+            let needs = match &term {
+                LossTerm::OnRays(_) => TermNeeds::Samples,
+                LossTerm::InSpace(term) => TermNeeds::Density(term.order()),
+                LossTerm::OnTables(_) => TermNeeds::Tables,
+            };
+            assert_eq!(needs, regularizer.needs(), "{}", term.name());
+        }
+    }
+
+    /// A ray from 0 to `far` with evenly spaced points, in f64.
+    pub(super) struct TestRay {
+        density: Vec<f64>,
+        far: f64,
+    }
+
+    pub(super) fn rays(density: &[f64], far: f64) -> TestRay {
+        TestRay { density: density.to_vec(), far }
+    }
+
+    impl TestRay {
+        /// Returns a term's value, and its derivatives in density.
+        fn differentiated(&self, term: &dyn RayTerm) -> (f64, Vec<f64>) {
+            let n = self.density.len();
+            let row = |values: Vec<f64>| Tensor::from_vec(values, (1, n), &Device::Cpu).unwrap();
+            let density = Var::from_tensor(&row(self.density.clone())).unwrap();
+            let t_vals = row((0..n).map(|k| k as f64 * self.far / n as f64).collect());
+            let direction_norm = Tensor::new(&[[1.0f64]], &Device::Cpu).unwrap();
+            let rgb = Tensor::zeros((1, n, 3), candle_core::DType::F64, &Device::Cpu).unwrap();
+            let composite = composite_reference(&rgb, &density, &t_vals, &direction_norm, None).unwrap();
+            let raw_density = density.as_tensor().clone();
+            let output = PassOutput { composite, rgb, density: density.as_tensor().clone(), t_vals, raw_density };
+            let pass = RayPass { output: &output, bounds: (0.0, self.far), direction_norm: &direction_norm };
+            let value = term.per_ray(&pass).unwrap();
+            let gradients = value.sum_all().unwrap().backward().unwrap();
+            let slopes = gradients.get(&density).unwrap().flatten_all().unwrap().to_vec1().unwrap();
+            (value.to_vec1::<f64>().unwrap()[0], slopes)
+        }
+
+        pub(super) fn value(&self, term: &dyn RayTerm) -> f64 {
+            self.differentiated(term).0
+        }
+    }
+
+    /// Compares a term's derivatives in density with a function of it.
+    pub(super) fn assert_slopes(term: &dyn RayTerm, density: &[f64], slope: impl Fn(f64) -> f64) {
+        let (_, found) = rays(density, 1.0).differentiated(term);
+        for (found, density) in found.iter().zip(density) {
+            assert!((found - slope(*density)).abs() < 1e-12, "{found} for {}", slope(*density));
+        }
+    }
+
+    pub(super) fn assert_slopes_by_differences(term: &dyn RayTerm, density: &[f64]) {
+        let (_, found) = rays(density, 2.0).differentiated(term);
+        for (i, found) in found.iter().enumerate() {
+            let moved = |by: f64| {
+                let mut density = density.to_vec();
+                density[i] += by;
+                rays(&density, 2.0).value(term)
+            };
+            let slope = (moved(1e-6) - moved(-1e-6)) / 2e-6;
+            assert!((found - slope).abs() < 1e-7, "{i}: {found} for {slope}");
         }
     }
 }

@@ -64,7 +64,7 @@ pub trait Stepper: Send {
     /// [`not_finite`], for the first of these steps with something that is not finite.
     fn reports(&mut self) -> Result<Vec<StepReport>>;
 
-    /// Returns the most steps whose reports it keeps. [`Stepper::reports`] is called at least that often.
+    /// Returns the most steps whose reports it keeps. [`Stepper::reports`] is called after at most so many.
     fn most_reports(&self) -> usize {
         1
     }

@@ -2,7 +2,10 @@
 
 use serde::{Deserialize, Deserializer, Serialize};
 
+use crate::field::Order;
+
 use super::registry::{choice, numbers, section};
+use super::schedule::WeightSchedule;
 
 /// An explicit regularizer: the integral over a box of a quantity at a point (paper, appendix "Implementation of
 /// explicit regularization").
@@ -15,13 +18,46 @@ pub enum Regularizer {
     Tv,
     /// abs(Laplacian of density).
     Laplacian,
-    /// Spread of the weights along each ray (mip-NeRF 360, equation 15). The other terms are integrals over a box.
+    /// Spread of the weights along each ray (mip-NeRF 360, equation 15).
     Distortion,
+    /// Density next to the camera (FreeNeRF).
+    Occlusion,
+    /// Entropy of the opacities along each ray (InfoNeRF).
+    Entropy,
+    /// log(1 + 2 density^2) of samples (SNeRG).
+    Cauchy,
+    /// Accumulations near 0 or 1 (Neural Volumes).
+    OpacityPrior,
+    /// 1 - exp(-density / 20) in the box (PlenOctrees).
+    OpacitySparsity,
+    /// Squares of a hash grid's entries (Zip-NeRF).
+    HashDecay,
 }
 
 /// All regularizers in their fixed order.
-pub const REGULARIZERS: [Regularizer; 4] =
-    [Regularizer::L1, Regularizer::Tv, Regularizer::Laplacian, Regularizer::Distortion];
+pub const REGULARIZERS: [Regularizer; 10] = [
+    Regularizer::L1,
+    Regularizer::Tv,
+    Regularizer::Laplacian,
+    Regularizer::Distortion,
+    Regularizer::Occlusion,
+    Regularizer::Entropy,
+    Regularizer::Cauchy,
+    Regularizer::OpacityPrior,
+    Regularizer::OpacitySparsity,
+    Regularizer::HashDecay,
+];
+
+/// What a term is computed from.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum TermNeeds {
+    /// The samples of the step's rays.
+    Samples,
+    /// Density at points of the box of section `regularizer`, up to this derivative.
+    Density(Order),
+    /// The tables of hash grids.
+    Tables,
+}
 
 impl Regularizer {
     /// Returns the name in files and tables.
@@ -31,24 +67,49 @@ impl Regularizer {
             Regularizer::Tv => "tv",
             Regularizer::Laplacian => "laplacian",
             Regularizer::Distortion => "distortion",
+            Regularizer::Occlusion => "occlusion",
+            Regularizer::Entropy => "entropy",
+            Regularizer::Cauchy => "cauchy",
+            Regularizer::OpacityPrior => "opacity-prior",
+            Regularizer::OpacitySparsity => "opacity-sparsity",
+            Regularizer::HashDecay => "hash-decay",
+        }
+    }
+
+    /// Returns what the term is computed from.
+    pub fn needs(self) -> TermNeeds {
+        match self {
+            Regularizer::L1 | Regularizer::OpacitySparsity => TermNeeds::Density(Order::Density),
+            Regularizer::Tv => TermNeeds::Density(Order::Gradient),
+            Regularizer::Laplacian => TermNeeds::Density(Order::Laplacian),
+            Regularizer::HashDecay => TermNeeds::Tables,
+            Regularizer::Distortion
+            | Regularizer::Occlusion
+            | Regularizer::Entropy
+            | Regularizer::Cauchy
+            | Regularizer::OpacityPrior => TermNeeds::Samples,
         }
     }
 
     /// Returns whether the term is an integral over the box of section `regularizer`, of density or its derivatives at
     /// points.
     pub fn in_space(self) -> bool {
-        self != Regularizer::Distortion
+        matches!(self.needs(), TermNeeds::Density(_))
     }
 
-    /// Returns the default weight. The term then has a tenth of the photometric loss's gradient norm on fern, preset
-    /// `paper-llff`, after 100 steps. Another scene can need hundreds of times as much; `augnerf balance` measures it.
-    /// The distortion loss has mip-NeRF 360's weight.
+    /// Returns the default weight. A term of the paper then has a tenth of the photometric loss's gradient norm on fern,
+    /// preset `paper-llff`, after 100 steps. Another scene can need hundreds of times as much; `augnerf balance` measures
+    /// it. The others have their authors' weights: mip-NeRF 360's, FreeNeRF's, InfoNeRF's on Blender's scenes with 4
+    /// views, SNeRG's, Neural Volumes', PlenOctrees', and Zip-NeRF's on the scenes of mip-NeRF 360.
     fn default_weight(self) -> f64 {
         match self {
             Regularizer::L1 => 1.4e-4,
             Regularizer::Tv => 3.8e-6,
             Regularizer::Laplacian => 7.4e-9,
-            Regularizer::Distortion => 0.01,
+            Regularizer::Distortion | Regularizer::Occlusion | Regularizer::OpacityPrior => 0.01,
+            Regularizer::Entropy | Regularizer::OpacitySparsity => 1e-3,
+            Regularizer::Cauchy => 1e-4,
+            Regularizer::HashDecay => 0.1,
         }
     }
 }
@@ -82,15 +143,23 @@ const POINTS: &[&str] = &["regularizer_points"];
 section! {
     /// Explicit regularizers. The loss gains weight * term for each.
     pub struct RegularizerConfig {
-        /// `l1`, `tv`, `laplacian`, `distortion`, or a list of several; empty = none.
+        /// `l1`, `tv`, `laplacian`, `distortion`, `occlusion`, `entropy`, `cauchy`, `opacity-prior`,
+        /// `opacity-sparsity`, `hash-decay`, or a list of several; empty = none.
         #[serde(deserialize_with = "kinds")]
         pub kind: Vec<Regularizer> = Vec::new(), numbers().columns(&["regularizers"]);
         /// Weight of each term in `kind`: a number, or a list in the same order. Empty = the default of each term (l1
-        /// 1.4e-4, tv 3.8e-6, laplacian 7.4e-9, distortion 0.01), which is for one scene; `augnerf balance` measures
-        /// others. A weight of 0 disables the term.
+        /// 1.4e-4, tv 3.8e-6, laplacian 7.4e-9, distortion 0.01, occlusion 0.01, entropy 1e-3, cauchy 1e-4,
+        /// opacity-prior 0.01, opacity-sparsity 1e-3, hash-decay 0.1), which is for one scene; `augnerf balance`
+        /// measures others. A weight of 0 disables the term.
         #[serde(deserialize_with = "weights")]
         pub weight: Vec<f64> = Vec::new(),
             numbers().real(|weight| weight >= 0.0, "0 (off) or positive").columns(&["regularizers"]).same_time();
+        /// How each weight moves: `constant`, `{ linear = { from = 400, steps = 512 } }` (from there to the weight) or
+        /// `{ halved = { every = 5000 } }` (from the weight on), or a list in the order of `kind`. Empty = constant.
+        #[serde(deserialize_with = "schedules")]
+        pub schedule: Vec<WeightSchedule> = Vec::new(),
+            numbers().allowing("constant, linear with from at least 0 and steps at least 1, or halved with every at least 1")
+                .columns(&["regularizers"]).later().same_time();
         /// Lower and upper corner of the box, in the units of the points (NDC if the scene uses it).
         pub domain: [[f64; 3]; 2] = [[-1.0; 3], [1.0; 3]], numbers().corners().columns(&["regularizer_domain"]);
         /// Cells along each side of the box (N).
@@ -106,6 +175,10 @@ section! {
         pub jitter: bool = true, numbers().columns(POINTS);
         /// Which networks are regularized: `both` or `fine`.
         pub fields: RegularizedFields = RegularizedFields::Both, numbers().column("regularizer_fields");
+        /// Share of near..far in which `occlusion` counts density. Default: 20 of 128 even samples, as FreeNeRF on
+        /// forward-facing scenes.
+        pub occlusion_share: f64 = 0.15625,
+            numbers().real(|share| share > 0.0 && share <= 1.0, "over 0, at most 1").columns(&["regularizers"]).later().same_time();
     }
     sections {}
 }
@@ -116,9 +189,20 @@ impl RegularizerConfig {
         self.kind.iter().copied().zip(self.weight.iter().copied())
     }
 
+    /// Returns the schedule of each term.
+    pub fn schedules(&self) -> impl Iterator<Item = WeightSchedule> + '_ {
+        self.schedule.iter().copied().chain(std::iter::repeat(WeightSchedule::Constant)).take(self.kind.len())
+    }
+
     /// Returns whether any term is an integral over the box.
     pub fn has_space_terms(&self) -> bool {
         self.kind.iter().any(|kind| kind.in_space())
+    }
+
+    /// Returns the box's volume, in cubic units of the points.
+    pub fn volume(&self) -> f64 {
+        let [low, high] = self.domain;
+        low.iter().zip(high).map(|(low, high)| high - low).product()
     }
 
     /// Fills empty weights and removes settings without effect. Those are terms of weight 0, the box if no term is an
@@ -128,13 +212,23 @@ impl RegularizerConfig {
         if self.weight.is_empty() {
             self.weight = self.kind.iter().map(|kind| kind.default_weight()).collect();
         }
-        (self.kind, self.weight) = self.terms().filter(|(_, weight)| *weight != 0.0).unzip();
+        let counts = |(_, weight): &(Regularizer, f64), schedule: &WeightSchedule| {
+            *weight != 0.0 || matches!(schedule, WeightSchedule::Linear { from, .. } if *from != 0.0)
+        };
+        let kept = self.terms().zip(self.schedules()).filter(|(term, schedule)| counts(term, schedule));
+        ((self.kind, self.weight), self.schedule) = kept.unzip();
+        if self.schedule.iter().all(|schedule| *schedule == WeightSchedule::Constant) {
+            self.schedule.clear();
+        }
         if self.kind.is_empty() {
             *self = RegularizerConfig::default();
         }
         if !self.has_space_terms() {
             let RegularizerConfig { domain, lattice, points, .. } = RegularizerConfig::default();
             (self.domain, self.lattice, self.points) = (domain, lattice, points);
+        }
+        if !self.kind.contains(&Regularizer::Occlusion) {
+            self.occlusion_share = RegularizerConfig::default().occlusion_share;
         }
         if self.points == LatticePoints::Full || !self.has_space_terms() {
             let RegularizerConfig { points_per_step, jitter, .. } = RegularizerConfig::default();
@@ -144,7 +238,11 @@ impl RegularizerConfig {
 }
 
 #[derive(Deserialize)]
-#[serde(untagged, expecting = "expected l1, tv, laplacian or distortion, or a list such as [\"l1\", \"tv\"]")]
+#[serde(
+    untagged,
+    expecting = "expected l1, tv, laplacian, distortion, occlusion, entropy, cauchy, opacity-prior, opacity-sparsity or \
+                hash-decay, or a list such as [\"l1\", \"tv\"]"
+)]
 enum Kinds {
     One(Regularizer),
     Many(Vec<Regularizer>),
@@ -168,6 +266,24 @@ fn weights<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Vec<f64>, D::Er
     Ok(match Weights::deserialize(deserializer)? {
         Weights::One(weight) => vec![weight],
         Weights::Many(weights) => weights,
+    })
+}
+
+#[derive(Deserialize)]
+#[serde(
+    untagged,
+    expecting = "expected \"constant\", { linear = { from = 400, steps = 512 } } or { halved = { every = 5000 } }, or \
+                               a list of these, one for each of regularizer.kind"
+)]
+enum Schedules {
+    One(WeightSchedule),
+    Many(Vec<WeightSchedule>),
+}
+
+fn schedules<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Vec<WeightSchedule>, D::Error> {
+    Ok(match Schedules::deserialize(deserializer)? {
+        Schedules::One(schedule) => vec![schedule],
+        Schedules::Many(schedules) => schedules,
     })
 }
 

@@ -3,7 +3,7 @@
 use super::registry::Section;
 use super::{
     Config, Core, DataKind, Encoding, EvalSplit, LatticePoints, MESH_SIDES, Objective, PerturbField, Precision,
-    Regularizer, Resample, SecondPass, Sizes, Spacing, Split, word,
+    Regularizer, Resample, SecondPass, Sizes, Spacing, Split, TermNeeds, word,
 };
 use crate::augment::{Epsilon, Geometry, Norm, Passes, REACH, Site, StepUnit};
 use crate::base::{Error, Result, SettingError};
@@ -282,11 +282,27 @@ impl Config {
                 counted(kinds.len(), "term")
             )
         })?;
+        let schedules = regularizer.schedule.len();
+        refuse(schedules != 0 && schedules != kinds.len(), || {
+            format!(
+                "regularizer.schedule has {} and regularizer.kind names {}; give one schedule for each term, or none for \
+                 constant weights",
+                counted(schedules, "schedule"),
+                counted(kinds.len(), "term")
+            )
+        })?;
         refuse(kinds.contains(&Regularizer::Laplacian) && !self.field.has_laplacian(), || {
             "regularizer.kind = \"laplacian\" with field.hash.interpolation = \"linear\": a trilinear grid has no second derivative \
              along an axis; set field.hash.interpolation = \"smoothstep\""
                 .into()
         })?;
+        let has_tables = self.method.has_fields() && self.field.encoding == Encoding::Hash;
+        if let Some(kind) = kinds.iter().find(|kind| kind.needs() == TermNeeds::Tables && !has_tables) {
+            let kind = kind.name();
+            return Err(Error::Config(format!(
+                "regularizer.kind = \"{kind}\" needs the tables of a hash grid; use nerf or aug-nerf with field.encoding = \"hash\""
+            )));
+        }
         let (points, lattice) = (regularizer.points_per_step, regularizer.lattice);
         if regularizer.points == LatticePoints::Sampled {
             let cells = lattice.pow(3);

@@ -2,7 +2,7 @@
 //! support.
 
 use super::validate::{refuse, require};
-use super::{Capability, Config, DataKind, Representation};
+use super::{Capability, Config, DataKind, Representation, TermNeeds};
 use crate::base::{Error, Result};
 
 impl Config {
@@ -22,7 +22,12 @@ impl Config {
             return Ok(());
         }
         for term in &self.regularizer.kind {
-            let capability = if term.in_space() { Capability::Derivatives } else { Capability::Samples };
+            let capability = match term.needs() {
+                TermNeeds::Density(_) => Capability::Derivatives,
+                TermNeeds::Samples => Capability::Samples,
+                // Refused with the encoding.
+                TermNeeds::Tables => continue,
+            };
             let what = format!("regularizer.kind = \"{}\"", term.name());
             self.require_capability(capability, &what, "leave it empty, or use nerf or aug-nerf")?;
         }

@@ -155,7 +155,7 @@ impl Steps {
                 let counts = |slot: &usize| *slot == self.evaluated() || both && *slot == COARSE;
                 self.slots(false).iter().filter(|slot| counts(slot)).map(|slot| value(*slot, DISTORTION)).sum()
             }
-            Regularizer::Laplacian => unreachable!("refused before"),
+            _ => unreachable!("refused before"),
         }
     }
 

@@ -1,5 +1,5 @@
 // Adam (Kingma and Ba 2015). Flags say what is not finite: 1 a gradient, 2 a sum of a table, 4 a parameter, 8 a loss; and where.
-// With a flag nothing moves: the step is lost, and the parameters are those before it.
+// With a flag from before nothing moves: of a gradient of weights or a loss, the parameters stay those before the step.
 struct Adam { numbers: u32, beta1: f32, beta2: f32, epsilon: f32, unit: f32, field: u32, pad0: u32, pad1: u32 }
 @group(0) @binding(0) var<uniform> p: Adam;
 @group(0) @binding(1) var<uniform> now: Now;

@@ -4,7 +4,7 @@ const F: u32 = {FEATURES}u;
 @compute @workgroup_size(64)
 fn main(@builtin(global_invocation_id) id: vec3<u32>) {
     let entry = thread_of(id);
-    if (F * entry >= p.numbers || (atomicLoad(&flags[0]) & 11u) != 0u) { return; }
+    if (F * entry >= p.numbers || (atomicLoad(&flags[0]) & 15u) != 0u) { return; }
     var any = 0u;
     for (var i = 2u * F * entry; i < 2u * F * (entry + 1u); i++) { any |= sums[i]; }
     if (any == 0u) { return; }

@@ -71,7 +71,7 @@ fn balance_here(
     let fields = trainer.model()?.fields()?.clone();
     let mut learner = FieldLearner::new(&config, &scene, fields, DType::F32, runtime.device())?;
     let in_space: Vec<WeightedTerm> =
-        REGULARIZERS.map(|term| WeightedTerm { term: LossTerm::of(term), weight: 1.0 }).into();
+        REGULARIZERS.map(|term| WeightedTerm::constant(LossTerm::of(term, &regularizer), 1.0)).into();
     // Each term in space needs its own pass.
     let passes = REGULARIZERS.iter().filter(|term| term.in_space()).count();
     learner.check_duration(&in_space, &regularizer, passes as u64)?;

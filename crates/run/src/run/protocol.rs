@@ -12,8 +12,8 @@ use crate::report::distinct;
 use crate::revision::version;
 use crate::settings::columns::{COLUMNS, find, perturbed, regularized};
 use crate::settings::{
-    Config, Core, Encoding, EvalSplit, HashConfig, LatticePoints, Precision, RegularizerConfig, Representation,
-    Resolved, ResolvedPerturb, Schedule, TrainViews, value_at, word,
+    Config, Core, Encoding, EvalSplit, HashConfig, LatticePoints, Precision, Regularizer, RegularizerConfig,
+    Representation, Resolved, ResolvedPerturb, Schedule, TrainViews, WeightSchedule, value_at, word,
 };
 use crate::train::checkpoint::State;
 
@@ -303,7 +303,14 @@ fn norms(perturb: &ResolvedPerturb) -> String {
 }
 
 fn regularizers(regularizer: &RegularizerConfig) -> String {
-    let terms = regularizer.terms().map(|(term, weight)| format!("{} {weight}", term.name()));
+    let described = |((term, weight), schedule): ((Regularizer, f64), WeightSchedule)| {
+        let share = match term {
+            Regularizer::Occlusion => format!(" in {} of the ray", regularizer.occlusion_share),
+            _ => String::new(),
+        };
+        format!("{} {weight}{}{share}", term.name(), schedule.described())
+    };
+    let terms = regularizer.terms().zip(regularizer.schedules()).map(described);
     terms.collect::<Vec<String>>().join(", ")
 }
 

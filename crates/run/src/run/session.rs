@@ -170,32 +170,29 @@ impl<'a> Session<'a> {
             let evaluate = next.is_multiple_of(train.eval_every) && !last;
             if evaluate && saved_step != next - 1 {
                 // A step's row is written once, with its evaluation. After a stop there, the step is repeated.
-                self.save(between)?;
+                self.save(events, between)?;
                 (saved_at, saved_step) = (Instant::now(), next - 1);
             }
             let started = Instant::now();
             let stats = match self.trainer.step_unless(log, log || evaluate, &|| stop_check(signal)) {
                 Err(Error::Interrupted { signal, .. }) => {
                     // A stop within the step, which is repeated.
-                    self.save(between)?;
+                    self.save(events, between)?;
                     return Ok(Outcome::Stopped { signal });
                 }
                 stats => stats?,
             };
             self.stepping += started.elapsed();
-            if let Some(stats) = stats {
-                if log || evaluate {
-                    self.log(&stats, evaluate, between)?;
-                }
-                events.on(Event::Stepped { step: stats.step, loss: stats.loss, psnr: stats.psnr() });
-                self.last_terms = stats.terms;
+            if let (Some(stats), true) = (&stats, log || evaluate) {
+                self.log(stats, evaluate, between)?;
             }
+            self.measured(stats, events);
             let by_step = next.is_multiple_of(train.checkpoint_every);
             let minutes = saved_at.elapsed().as_secs_f64() / 60.0;
             let by_time = train.checkpoint_minutes > 0.0 && minutes >= train.checkpoint_minutes;
             let stop = signal.load(Ordering::SeqCst);
             if by_step || by_time || last || stop != 0 {
-                self.save(between)?;
+                self.save(events, between)?;
                 (saved_at, saved_step) = (Instant::now(), next);
             }
             if stop != 0 && !last {
@@ -218,7 +215,18 @@ impl<'a> Session<'a> {
         self.events.scalars(stats.step, &tagged)
     }
 
-    fn save(&mut self, between: &mut dyn Between) -> Result<()> {
+    fn measured(&mut self, stats: Option<StepStats>, events: &dyn Listener) {
+        if let Some(stats) = stats {
+            events.on(Event::Stepped { step: stats.step, loss: stats.loss, psnr: stats.psnr() });
+            self.last_terms = stats.terms;
+        }
+    }
+
+    fn save(&mut self, events: &dyn Listener, between: &mut dyn Between) -> Result<()> {
+        let started = Instant::now();
+        let stats = self.trainer.catch_up()?;
+        self.stepping += started.elapsed();
+        self.measured(stats, events);
         self.scalars.sync()?;
         self.trainer.save(&self.run.checkpoints())?;
         between.saved(self.trainer.step_count(), self.seconds())

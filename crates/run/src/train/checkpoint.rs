@@ -344,9 +344,9 @@ impl Trainer {
         Ok(())
     }
 
-    /// Returns counters and provenance at this step.
+    /// Returns counters and provenance at this step. Dead steps are counted as far as steps are measured.
     pub fn state(&self) -> State {
-        let mut state = State { empty_steps: self.stepping.borrow().dead_steps, ..self.state.clone() };
+        let mut state = State { empty_steps: self.stepping.borrow().dead_steps(), ..self.state.clone() };
         state.touch(&self.runtime);
         state
     }
@@ -354,7 +354,7 @@ impl Trainer {
     fn tensor_bytes(&self) -> Result<Vec<u8>> {
         let (variables, stepping) = (self.model()?.variables(), self.stepping.borrow());
         let mut named: Vec<(String, Tensor)> = Vec::new();
-        for ((name, var), moments) in variables.iter().zip(stepping.stepper.moments()) {
+        for ((name, var), moments) in variables.iter().zip(stepping.stepper().moments()) {
             named.push((name.clone(), var.as_tensor().clone()));
             named.push((format!("adam.first.{name}"), moments.first.clone()));
             named.push((format!("adam.second.{name}"), moments.second.clone()));

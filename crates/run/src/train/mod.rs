@@ -156,7 +156,7 @@ impl Trainer {
         let runtime = self.runtime.clone();
         let mut timed = || -> Result<f64> {
             let started = Instant::now();
-            runtime.install(|| self.stepping.get_mut().stepper.try_step(self.state.step, stop_check))?;
+            runtime.install(|| self.stepping.get_mut().stepper_mut().try_step(self.state.step, stop_check))?;
             Ok(started.elapsed().as_secs_f64())
         };
         let first = timed()?;
@@ -171,7 +171,8 @@ impl Trainer {
     /// Returns the trained model. Its variables hold the parameters after the newest step, until the next one.
     ///
     /// # Errors
-    /// [`Error::Diverged`]: a number of the steps was not finite. The parameters cannot be read from their device.
+    /// [`Error::Diverged`]: a number of the steps was not finite, or all rays stayed empty too long. The parameters cannot
+    /// be read from their device.
     pub fn model(&self) -> Result<&Model> {
         self.stepping.borrow_mut().fetch(self.config.train.collapse_steps)?;
         Ok(&self.model)
@@ -189,7 +190,7 @@ impl Trainer {
 
     /// Returns the log columns of the learner's terms and diagnostics.
     pub fn columns(&self) -> LogColumns {
-        self.stepping.borrow().stepper.columns()
+        self.stepping.borrow().stepper().columns()
     }
 
     /// Adds a custom term to the loss; see [`Stepper::add_term`].
@@ -197,7 +198,7 @@ impl Trainer {
     /// # Errors
     /// A term of that name exists, or the method cannot compute it.
     pub fn add_term(&mut self, term: LossTerm, weight: f64) -> Result<()> {
-        self.stepping.get_mut().stepper.add_term(term, weight)
+        self.stepping.get_mut().stepper_mut().add_term(term, weight)
     }
 
     /// Takes one step and waits for its measurements. With `log`, the learner computes its diagnostics.
@@ -217,6 +218,14 @@ impl Trainer {
     /// Those of [`Trainer::step`], of this step or an earlier one, and of the check.
     pub fn step_unless(&mut self, log: bool, wait: bool, stop_check: &StopCheck) -> Result<Option<StepStats>> {
         self.runtime.clone().install(|| self.step_here(log, wait, stop_check))
+    }
+
+    /// Waits for the measurements of all steps, and returns the last step's, if they were not returned before.
+    ///
+    /// # Errors
+    /// Those of [`Trainer::step`].
+    pub fn catch_up(&mut self) -> Result<Option<StepStats>> {
+        self.stepping.get_mut().catch_up(self.config.train.collapse_steps)
     }
 
     fn step_here(&mut self, log: bool, wait: bool, stop_check: &StopCheck) -> Result<Option<StepStats>> {

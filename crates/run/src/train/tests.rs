@@ -7,7 +7,7 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use candle_core::Tensor;
 
 use super::*;
-use crate::methods::{Extremes, StepReport, Term};
+use crate::methods::{Extremes, StepReport, Term, not_finite};
 use crate::run::load_scene;
 use crate::runtime::Accelerator;
 use crate::settings::{Preset, build, parse_assignment};
@@ -19,6 +19,8 @@ struct Elsewhere {
     moments: Vec<Moments>,
     fetches: Arc<AtomicU64>,
     reports: Vec<StepReport>,
+    /// The step that is not finite, which its report tells.
+    breaks_at: Option<u64>,
 }
 
 impl Elsewhere {
@@ -27,7 +29,7 @@ impl Elsewhere {
         let zero =
             |var: &candle_core::Var| Moments { first: var.zeros_like().unwrap(), second: var.zeros_like().unwrap() };
         let moments = shown.iter().map(zero).collect();
-        Elsewhere { kept: 0.0, shown, moments, reports: Vec::new(), fetches: fetches.clone() }
+        Elsewhere { kept: 0.0, shown, moments, breaks_at: None, reports: Vec::new(), fetches: fetches.clone() }
     }
 }
 
@@ -52,6 +54,11 @@ impl Stepper for Elsewhere {
     }
 
     fn reports(&mut self) -> Result<Vec<StepReport>> {
+        if let Some(step) = self.breaks_at.filter(|step| *step as f64 <= self.kept) {
+            self.breaks_at = None;
+            self.reports.clear();
+            return Err(not_finite(step, "loss", 0.1));
+        }
         Ok(std::mem::take(&mut self.reports))
     }
 
@@ -167,18 +174,38 @@ fn measurements_of_steps_that_nobody_waits_for_come_together() {
     let gpu = gpu();
     let inputs = Inputs { config: &config, scene: &scene, dtype: DType::F32, runtime: &gpu };
     let mut trainer = inputs.trainer(model, stepper, State { redraws: vec![0; 2], ..State::default() });
-    // The first step says how long one takes: after it, as many wait as the stepper keeps.
-    let mut step =
-        |wait: bool| trainer.step_unless(false, wait, &|| Ok(())).unwrap().map(|stats| (stats.step, stats.loss));
-    let reported: Vec<_> = (0..12).map(|_| step(false)).collect();
-    let at: Vec<(u64, f64)> = reported.into_iter().flatten().collect();
-    assert_eq!(at, [(1, 1.0), (6, 6.0), (11, 11.0)]);
-    // Step 12 waits, and that of its own call is the one that is returned.
-    assert_eq!(step(true), Some((13, 13.0)));
-    assert_eq!(step(false), None);
-    // A look at the model waits for all. Its stepper gave no ray an accumulation: every step was dead.
+    let step = |trainer: &mut Trainer, wait: bool| {
+        trainer.step_unless(false, wait, &|| Ok(())).unwrap().map(|stats| (stats.step, stats.loss))
+    };
+    // How many come together depends on their time. Each has the measurements of its own step.
+    let reported: Vec<(u64, f64)> = (0..12).filter_map(|_| step(&mut trainer, false)).collect();
+    assert!(reported.is_sorted_by(|a, b| a.0 < b.0) && reported.iter().all(|(step, loss)| *step as f64 == *loss));
+    assert_eq!(step(&mut trainer, true), Some((13, 13.0)));
+    step(&mut trainer, false);
+    // A look at the model waits for all. The stepper gave no ray an accumulation: every step was dead.
     assert!(trainer.model().is_ok());
     assert_eq!((trainer.step_count(), trainer.state().empty_steps), (14, 14));
+}
+
+/// After a step that broke nothing is saved, however often it is tried.
+#[test]
+fn a_broken_step_ends_a_training() {
+    let (config, scene) = small("method=nerf");
+    let cpu = Runtime::new("cpu", Some(1)).unwrap();
+    let model = Model::start(&config, &scene, DType::F32, &cpu).unwrap().model;
+    let stepper = Elsewhere { breaks_at: Some(3), ..Elsewhere::new(&model, &Arc::default()) };
+    let gpu = gpu();
+    let inputs = Inputs { config: &config, scene: &scene, dtype: DType::F32, runtime: &gpu };
+    let mut trainer = inputs.trainer(model, Box::new(stepper), State { redraws: vec![0; 2], ..State::default() });
+    let broken = (0..6).find_map(|_| trainer.step_unless(false, false, &|| Ok(())).err());
+    let message = broken.map_or_else(|| trainer.catch_up().unwrap_err(), |error| error).to_string();
+    assert!(message.contains("diverged at step 3"), "{message}");
+    let folder = tempfile::tempdir().unwrap();
+    for _ in 0..2 {
+        assert_eq!(trainer.save(folder.path()).unwrap_err().to_string(), message);
+        assert_eq!(trainer.step(false).unwrap_err().to_string(), message);
+    }
+    assert!(checkpoint::list(folder.path()).unwrap().is_empty());
 }
 
 #[test]

@@ -64,7 +64,7 @@ impl FieldLearner {
         let fresh = Chunk { share: chunk.share, ..drawn };
         let mut second = ChunkResult::new(gradients.0.len());
         // Terms on rays count in the first clean pass only.
-        let alone = StepLoss { clean: weight, terms: &[], ..self.step_loss() };
+        let alone = StepLoss { clean: weight, ..self.step_loss(&[]) };
         self.clean(fields, &fresh, alone, &mut second)?;
         gradients.merge(second.gradients)?;
         Ok(second.losses.clean(coarse_weight(&self.config))?.expect("every chunk has a clean pass"))

@@ -3,11 +3,13 @@
 use candle_core::{DType, Tensor};
 
 use crate::base::{Error, Result};
-use crate::field::Field;
-use crate::losses::{LossTerm, SpaceTerm, WeightedTerm, estimate_seconds, regularize_unless};
+use crate::field::{Field, Order};
+use crate::losses::{HashDecay, LossTerm, SpaceTerm, WeightedTerm, estimate_seconds, regularize_unless};
 use crate::methods::gradients::Gradients;
 use crate::methods::learner::StopCheck;
-use crate::settings::{LatticePoints, REGULARIZERS, RegularizedFields, Regularizer, RegularizerConfig};
+use crate::settings::{
+    Encoding, LatticePoints, REGULARIZERS, RegularizedFields, Regularizer, RegularizerConfig, TermNeeds,
+};
 use crate::space::{Lattice, Quadrature};
 
 use super::learner::FieldLearner;
@@ -76,6 +78,33 @@ impl FieldLearner {
         Ok(Some((values, Gradients(gradients))))
     }
 
+    /// Returns the value of the tables' decay, and the gradients of `weight` times it in the entries that `reached`,
+    /// gradients of the step, are not 0 at.
+    pub(super) fn decay(
+        &self,
+        decay: HashDecay,
+        weight: f64,
+        config: &RegularizerConfig,
+        reached: &Gradients,
+    ) -> Result<(f64, Gradients)> {
+        let (mut value, mut gradients) = (0.0, Vec::new());
+        let mut rest = &reached.0[..];
+        for (role, field) in self.fields.by_role() {
+            let variables = field.variables();
+            let (own, others) = rest.split_at(variables.len());
+            rest = others;
+            let mut of_field = vec![None; variables.len()];
+            if let (Some(grid), Some(reached), true) = (field.hash_grid(), &own[0], self.regularizes(config, role)) {
+                let (of_table, gradient) =
+                    decay.value_and_gradient(grid, &variables[0].1.as_detached_tensor(), reached)?;
+                value += of_table;
+                of_field[0] = Some((gradient * weight)?);
+            }
+            gradients.extend(of_field);
+        }
+        Ok((value, Gradients(gradients)))
+    }
+
     fn regularizes(&self, config: &RegularizerConfig, role: &str) -> bool {
         is_regularized(config, &Fields::roles(&self.config), role)
     }
@@ -123,20 +152,29 @@ impl FieldLearner {
         let whole = self.draw(step)?;
         let photometric = StepLoss { clean: 1.0, perturbed: 0.0, terms: &[], fields: config.fields };
         let to_its_end: &StopCheck = &|| Ok(());
-        let photometric_norm = self.passes(&whole, photometric, false, to_its_end)?.gradients.norm()?;
+        let photometric_gradients = self.passes(&whole, photometric, false, to_its_end)?.gradients;
+        let photometric_norm = photometric_gradients.norm()?;
         let alone = |term: LossTerm| -> Result<Balance> {
             let name = term.name().to_string();
-            let terms = [WeightedTerm { term, weight: 1.0 }];
-            let gradients = match self.regularize(&in_space(&terms), config, step, to_its_end)? {
-                Some((_, gradients)) => gradients,
-                None => {
+            let terms = [WeightedTerm::constant(term, 1.0)];
+            let gradients = match &terms[0].term {
+                LossTerm::InSpace(_) => {
+                    self.regularize(&in_space(&terms), config, step, to_its_end)?.expect("a term").1
+                }
+                LossTerm::OnTables(decay) => self.decay(*decay, 1.0, config, &photometric_gradients)?.1,
+                LossTerm::OnRays(_) => {
                     let alone = StepLoss { clean: 0.0, terms: &terms, ..photometric };
                     self.passes(&whole, alone, false, to_its_end)?.gradients
                 }
             };
             Ok(Balance { term: name, photometric_norm, term_norm: gradients.norm()? })
         };
-        let measurable = |term: &Regularizer| *term != Regularizer::Laplacian || self.config.field.has_laplacian();
-        REGULARIZERS.into_iter().filter(measurable).map(|regularizer| alone(LossTerm::of(regularizer))).collect()
+        let field = &self.config.field;
+        let measurable = |term: &Regularizer| match term.needs() {
+            TermNeeds::Density(Order::Laplacian) => field.has_laplacian(),
+            TermNeeds::Tables => field.encoding == Encoding::Hash,
+            _ => true,
+        };
+        REGULARIZERS.into_iter().filter(measurable).map(|term| alone(LossTerm::of(term, config))).collect()
     }
 }

@@ -27,25 +27,34 @@ impl Learner for FieldLearner {
                 self.config.method.name()
             )));
         }
-        self.terms.push(WeightedTerm { term, weight });
+        self.terms.push(WeightedTerm::constant(term, weight));
         Ok(())
     }
 
     fn step(&mut self, step: u64, log: bool, stop_check: &StopCheck) -> Result<StepResult> {
         let whole = self.draw(step)?;
+        let weighted: Vec<WeightedTerm> = self.terms.iter().map(|term| term.at(step)).collect();
         let ChunkResult { mut gradients, losses, diagnostics, .. } =
-            self.passes(&whole, self.step_loss(), log, stop_check)?;
+            self.passes(&whole, self.step_loss(&weighted), log, stop_check)?;
         let mut in_space = Vec::new();
-        let terms_in_space = terms::in_space(&self.terms);
+        let terms_in_space = terms::in_space(&weighted);
         let regularized = self.regularize(&terms_in_space, &self.config.regularizer, step, stop_check)?;
         if let Some((values, terms)) = regularized {
             gradients.merge(terms)?;
             in_space = values.to_vec1::<f64>()?;
         }
         let on_rays = losses.on_rays.as_ref().map_or(Ok(Vec::new()), |values| values.to_vec1::<f64>())?;
-        let regularizers = terms::in_order(&self.terms, &on_rays, &in_space);
+        let mut on_tables = Vec::new();
+        for WeightedTerm { term, weight, .. } in &weighted {
+            if let LossTerm::OnTables(decay) = term {
+                let (value, of_tables) = self.decay(*decay, *weight, &self.config.regularizer, &gradients)?;
+                gradients.merge(of_tables)?;
+                on_tables.push(value);
+            }
+        }
+        let regularizers = terms::in_order(&weighted, &on_rays, &in_space, &on_tables);
         let ([coarse, fine, perturbed], extremes) = losses.read()?;
-        let names = self.terms.iter().map(|WeightedTerm { term, weight }| (term.name(), *weight));
+        let names = weighted.iter().map(|WeightedTerm { term, weight, .. }| (term.name(), *weight));
         let further = names.zip(regularizers).map(|((name, weight), value)| (name, weight, value)).collect();
         let step_losses = StepLosses { coarse, fine, perturbed, further };
         let clean = step_losses.clean(&self.config);

@@ -31,9 +31,9 @@ impl StepLoss<'_> {
     fn terms_on(&self, is_evaluated: bool) -> impl Iterator<Item = (&dyn RayTerm, f64)> {
         let count = is_evaluated || self.fields == RegularizedFields::Both;
         let terms = if count { self.terms } else { &[] };
-        terms.iter().filter_map(|WeightedTerm { term, weight }| match term {
+        terms.iter().filter_map(|WeightedTerm { term, weight, .. }| match term {
             LossTerm::OnRays(term) => Some((&**term, *weight)),
-            LossTerm::InSpace(_) => None,
+            LossTerm::InSpace(_) | LossTerm::OnTables(_) => None,
         })
     }
 }
@@ -51,20 +51,21 @@ pub(super) struct Counts {
 
 /// The terms in space with their weights.
 pub(super) fn in_space(terms: &[WeightedTerm]) -> Vec<(&dyn SpaceTerm, f64)> {
-    let in_space = terms.iter().filter_map(|WeightedTerm { term, weight }| match term {
+    let in_space = terms.iter().filter_map(|WeightedTerm { term, weight, .. }| match term {
         LossTerm::InSpace(term) => Some((&**term, *weight)),
-        LossTerm::OnRays(_) => None,
+        LossTerm::OnRays(_) | LossTerm::OnTables(_) => None,
     });
     in_space.collect()
 }
 
-/// The values of all terms in their order, from those on rays and those in space in theirs.
-pub(super) fn in_order(terms: &[WeightedTerm], on_rays: &[f64], in_space: &[f64]) -> Vec<f64> {
-    let (mut on_rays, mut in_space) = (on_rays.iter(), in_space.iter());
+/// The values of all terms in their order, from those of each kind in theirs.
+pub(super) fn in_order(terms: &[WeightedTerm], on_rays: &[f64], in_space: &[f64], on_tables: &[f64]) -> Vec<f64> {
+    let (mut on_rays, mut in_space, mut on_tables) = (on_rays.iter(), in_space.iter(), on_tables.iter());
     let value = |WeightedTerm { term, .. }: &WeightedTerm| {
         let value = match term {
             LossTerm::OnRays(_) => on_rays.next(),
             LossTerm::InSpace(_) => in_space.next(),
+            LossTerm::OnTables(_) => on_tables.next(),
         };
         *value.expect("every term has a value")
     };
@@ -72,10 +73,10 @@ pub(super) fn in_order(terms: &[WeightedTerm], on_rays: &[f64], in_space: &[f64]
 }
 
 impl FieldLearner {
-    /// What a step of this run minimizes.
-    pub(super) fn step_loss(&self) -> StepLoss<'_> {
+    /// What a step of this run minimizes, with these terms.
+    pub(super) fn step_loss<'a>(&self, terms: &'a [WeightedTerm]) -> StepLoss<'a> {
         let (clean, perturbed) = loss_weights(&self.config);
-        StepLoss { clean, perturbed, terms: &self.terms, fields: self.config.regularizer.fields }
+        StepLoss { clean, perturbed, terms, fields: self.config.regularizer.fields }
     }
 
     /// Renders a clean pass and adds the gradients of its photometric loss and of the terms on its rays, in one way back.
@@ -97,7 +98,7 @@ impl FieldLearner {
             return Ok(((loss * share)?, out));
         }
         let out = clean_pass(field, pass)?;
-        let seen = RayPass { output: &out, bounds: self.bounds };
+        let seen = RayPass { output: &out, bounds: self.bounds, direction_norm: &pass.rays.direction_norm };
         let loss = photometric_loss(&out.composite.rgb, target)?;
         let mut total = (&loss * weight)?;
         let mut values = Vec::new();

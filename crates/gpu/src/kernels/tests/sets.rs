@@ -189,6 +189,9 @@ fn counts_at_bounds() {
         );
         let counted: Vec<u32> = bytemuck::pod_collect_to_vec(&gpu.read(&[&counts]).unwrap()[0]);
         let share = f64::from(counted[first]) / f64::from(counted[first + 1]);
+        let masked = if case.masks_last { RAYS } else { 0 };
+        let numbers = if case.norm == Norm::L2 { 1 } else { size };
+        assert_eq!(counted[first + 1] as usize, (vectors - masked) * numbers);
         let expected = set.share_at_bound(&wide(&delta, &[vectors, size])).unwrap().unwrap();
         assert!(counted[first] > 0 && (share - expected).abs() < 1e-12, "{share} for {expected}");
     }

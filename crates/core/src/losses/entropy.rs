@@ -1,0 +1,64 @@
+//! Entropy of rays (InfoNeRF: Kim, Seo and Han 2022).
+
+use candle_core::{D, DType, Tensor};
+
+use crate::base::Result;
+use crate::render::volume::intervals;
+
+use super::{RayPass, RayTerm};
+
+/// How many places of a ray stop light, in bits:
+///
+/// ```text
+///     -sum over samples of p_k log2(p_k),   p = alpha / sum of alpha,   alpha_k = 1 - exp(-density_k length_k)
+/// ```
+///
+/// It is 0 if one sample is opaque, and log2 of the number of samples if all are alike, so that weights do not carry over
+/// between numbers of samples. Rays that accumulate at most [`LEAST_ACC`] count 0. The interval behind a last point has no
+/// end: InfoNeRF takes it as opaque, and here it does not count.
+///
+/// InfoNeRF adds as many unseen rays to a step. Here they are the step's own.
+pub struct Entropy;
+
+/// Accumulation from which on a ray has an entropy.
+pub const LEAST_ACC: f64 = 0.1;
+/// Keeps quotients and logarithms finite.
+const TINY: f64 = 1e-10;
+
+impl RayTerm for Entropy {
+    fn name(&self) -> &str {
+        "entropy"
+    }
+
+    fn per_ray(&self, pass: &RayPass) -> Result<Tensor> {
+        let samples = pass.samples()?;
+        let bounded = if pass.output.t_vals.dim(1)? > samples { samples } else { samples - 1 };
+        let lengths = intervals(&pass.output.t_vals, pass.direction_norm, samples)?;
+        let part = |tensor: &Tensor| tensor.narrow(1, 0, bounded)?.to_dtype(DType::F64);
+        let alpha = ((part(&pass.output.density)? * part(&lengths)?)?.neg()?.exp()?).affine(-1.0, 1.0)?;
+        let p = alpha.broadcast_div(&alpha.sum_keepdim(D::Minus1)?.affine(1.0, TINY)?)?;
+        let bits = ((p.affine(1.0, TINY)?.log()? * &p)?.sum(D::Minus1)? * (-1.0 / 2f64.ln()))?;
+        let acc = part(&pass.output.composite.weights)?.sum(D::Minus1)?.detach();
+        Ok((bits * acc.gt(LEAST_ACC)?.to_dtype(DType::F64)?)?)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::tests::{assert_slopes_by_differences, rays};
+    use super::*;
+
+    #[test]
+    fn closed_forms() {
+        let of = |density: &[f64]| rays(density, 5.0).value(&Entropy);
+        // The last density is that of an interval without an end.
+        assert!((of(&[0.4, 0.4, 0.4, 0.4, 9.0]) - 2.0).abs() < 1e-8);
+        assert!(of(&[0.0, 50.0, 0.0, 9.0]).abs() < 1e-8);
+        let [a, b] = [0.2, 0.7].map(|density: f64| 1.0 - (-density * 5.0 / 3.0).exp());
+        let expected: f64 = [a, b].map(|x| x / (a + b)).map(|p| -p * p.log2()).iter().sum();
+        assert!((of(&[0.2, 0.7, 0.0]) - expected).abs() < 1e-8);
+        // Too little in all: it does not count.
+        assert_eq!(of(&[0.02, 0.02, 9.0]), 0.0);
+        assert_slopes_by_differences(&Entropy, &[0.3, 0.05, 1.2, 0.7]);
+    }
+}

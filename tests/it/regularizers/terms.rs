@@ -1,0 +1,143 @@
+//! Terms of few-view training: each is descended, on networks and on hash grids, and costs no reproducibility.
+
+use super::*;
+use augnerf::settings::WeightSchedule;
+
+/// Terms on rays, in space and on tables that are not the paper's, with weights that show.
+const FEW_VIEWS: [(Regularizer, f64); 6] = [
+    (Regularizer::Occlusion, 0.1),
+    (Regularizer::Entropy, 0.1),
+    (Regularizer::Cauchy, 0.1),
+    (Regularizer::OpacityPrior, 0.3),
+    (Regularizer::OpacitySparsity, 1.0),
+    (Regularizer::HashDecay, 1e4),
+];
+
+fn with(on_grid: bool, set: impl Fn(&mut RegularizerConfig)) -> augnerf::settings::Resolved {
+    tiny_config(Method::Nerf, |config| {
+        if on_grid {
+            config.field.encoding = Encoding::Hash;
+            (config.field.hash.levels, config.field.hash.log2_table) = (4, 9);
+        }
+        config.regularizer.lattice = 8;
+        config.regularizer.points_per_step = 64;
+        set(&mut config.regularizer);
+    })
+}
+
+fn one(on_grid: bool, term: Regularizer, weight: f64) -> augnerf::settings::Resolved {
+    with(on_grid, |config| (config.kind, config.weight) = (vec![term], vec![weight]))
+}
+
+fn terms_of(on_grid: bool) -> impl Iterator<Item = (Regularizer, f64)> {
+    FEW_VIEWS.into_iter().filter(move |(term, _)| on_grid || *term != Regularizer::HashDecay)
+}
+
+/// The first step reports a term's value and adds weight times it to the loss. Trained for some steps with a weight, the
+/// term is smaller than without.
+#[test]
+fn each_term_is_reported_and_descended() {
+    for on_grid in [false, true] {
+        for (term, weight) in terms_of(on_grid) {
+            let column = format!("regularizer.{}", term.name());
+            let [mut weak, mut strong] = [1e-12, weight].map(|weight| trained(&one(on_grid, term, weight), 0));
+            let (a, b) = (weak.step(false).unwrap(), strong.step(false).unwrap());
+            let value = b.term(&column).unwrap();
+            assert!(value.is_finite() && a.term(&column) == Some(value), "{column} {on_grid}: {value}");
+            let added = b.loss - a.loss;
+            assert!(
+                (added - weight * value).abs() <= 1e-6 * (1.0 + b.loss),
+                "{column}: {added} for {}",
+                weight * value
+            );
+            let after = |weight: f64| {
+                let mut trainer = trained(&one(on_grid, term, weight), 60);
+                trainer.step(false).unwrap().term(&column).unwrap()
+            };
+            let (weak, strong) = (after(1e-12), after(weight));
+            assert!(strong < 0.95 * weak, "{column} on a grid ({on_grid}): {strong} with the term, {weak} without");
+        }
+    }
+}
+
+/// All at once: the same bytes on one and two threads, and after a stop.
+#[test]
+fn all_terms_together_have_the_same_bytes_on_threads_and_after_a_stop() {
+    let config = with(true, |config| {
+        config.kind = terms_of(true).map(|(term, _)| term).collect();
+        config.weight = terms_of(true).map(|(_, weight)| 0.01 * weight).collect();
+        config.schedule = vec![WeightSchedule::Constant; 6];
+        config.schedule[0] = WeightSchedule::Linear { from: 0.2, steps: 4 };
+        config.schedule[1] = WeightSchedule::Halved { every: 2 };
+    });
+    let roles = ["coarse", "fine"];
+    let run = |threads: usize, stops: bool| {
+        let runtime = augnerf::runtime::Runtime::new("cpu", Some(threads)).unwrap();
+        let scene = tiny_scene();
+        let mut trainer = Trainer::new(&config, &scene, DType::F32, &runtime).unwrap();
+        for step in 0..6 {
+            if stops && step == 3 {
+                let folder = tempfile::tempdir().unwrap();
+                let checkpoint = trainer.save(folder.path()).unwrap();
+                trainer = Trainer::resume(&checkpoint, &config, &scene, DType::F32, &runtime).unwrap();
+            }
+            trainer.step(false).unwrap();
+        }
+        parameters(&trainer, &roles)
+    };
+    let once = run(1, false);
+    assert_eq!(once, run(2, false));
+    assert_eq!(once, run(2, true));
+    assert_ne!(once, parameters(&trained(&with(true, |_| {}), 6), &roles));
+}
+
+/// A schedule changes the weight of a step, and nothing else of it.
+#[test]
+fn weights_follow_their_schedule() {
+    let of = |schedule: Vec<WeightSchedule>| {
+        with(false, |config| {
+            (config.kind, config.weight) = (vec![Regularizer::Cauchy], vec![0.02]);
+            config.schedule = schedule.clone();
+        })
+    };
+    let weights = |schedule: WeightSchedule| -> Vec<f64> {
+        let mut trainer = trained(&of(vec![schedule]), 0);
+        (0..5)
+            .map(|_| {
+                let stats = trainer.step(false).unwrap();
+                stats.terms.iter().find(|term| term.name == "regularizer.cauchy").unwrap().weight
+            })
+            .collect()
+    };
+    assert_eq!(weights(WeightSchedule::Constant), [0.02; 5]);
+    assert_eq!(weights(WeightSchedule::Halved { every: 2 }), [0.02, 0.02, 0.01, 0.01, 0.005]);
+    let falls = weights(WeightSchedule::Linear { from: 0.1, steps: 2 });
+    assert!(falls.iter().zip([0.1, 0.06, 0.02, 0.02, 0.02]).all(|(a, b)| (a - b).abs() < 1e-15), "{falls:?}");
+    // Constant weights are those of a run without schedules.
+    assert_eq!(of(vec![WeightSchedule::Constant]).hash(), of(Vec::new()).hash());
+    assert_ne!(of(vec![WeightSchedule::Halved { every: 2 }]).hash(), of(Vec::new()).hash());
+}
+
+#[test]
+fn impossible_terms_and_schedules_are_refused() {
+    let refused = |set: &[&str]| {
+        let set: Vec<_> = set.iter().map(|text| augnerf::settings::parse_assignment(text)).collect();
+        let all = set.into_iter().collect::<Result<Vec<_>, _>>();
+        let built = all.map_err(|e| e.to_string()).and_then(|all| {
+            let preset = augnerf::settings::Preset::Smoke;
+            augnerf::settings::build(Some(preset), None, &all).map_err(|e| e.to_string())
+        });
+        built.and_then(|config| config.validate().map_err(|e| e.to_string())).unwrap_err()
+    };
+    assert_says(&refused(&["regularizer.kind=hash-decay"]), &["hash-decay", "field.encoding = \"hash\""]);
+    assert_says(
+        &refused(&["regularizer.kind=[\"tv\",\"l1\"]", "regularizer.schedule={ halved = { every = 5 } }"]),
+        &["1 schedule", "2 terms"],
+    );
+    assert_says(
+        &refused(&["regularizer.kind=tv", "regularizer.schedule={ halved = { every = 0 } }"]),
+        &["regularizer.schedule", "every at least 1"],
+    );
+    assert_says(&refused(&["regularizer.kind=tv", "regularizer.schedule=rising"]), &["linear", "halved"]);
+    assert_says(&refused(&["regularizer.kind=occlusion", "regularizer.occlusion_share=2"]), &["occlusion_share", "2"]);
+}
