@@ -42,6 +42,7 @@ mod run_scenes;
 mod runtime;
 mod score;
 mod settings;
+mod sharpness;
 #[cfg(unix)]
 mod slurm;
 #[cfg(unix)]

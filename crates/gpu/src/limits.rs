@@ -27,6 +27,12 @@ pub fn check(config: &Resolved) -> Result<()> {
     if !config.regularizer.schedule.is_empty() {
         return refuse("with weights that move (regularizer.schedule)");
     }
+    if config.train.sam_radius > 0.0 {
+        return refuse("with weights that move before a gradient (train.sam_radius)");
+    }
+    if config.train.clip_value > 0.0 || config.train.clip_norm > 0.0 {
+        return refuse("with limits of gradients (train.clip_value, train.clip_norm)");
+    }
     if config.field.precision == Precision::Bf16 {
         return refuse("in field.precision = \"bf16\"");
     }

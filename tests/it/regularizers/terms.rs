@@ -131,12 +131,12 @@ fn impossible_terms_and_schedules_are_refused() {
     };
     assert_says(&refused(&["regularizer.kind=hash-decay"]), &["hash-decay", "field.encoding = \"hash\""]);
     assert_says(
-        &refused(&["regularizer.kind=[\"tv\",\"l1\"]", "regularizer.schedule={ halved = { every = 5 } }"]),
+        &refused(&["regularizer.kind=[\"tv\",\"l1\"]", "regularizer.schedule=halved every 5 steps"]),
         &["1 schedule", "2 terms"],
     );
     assert_says(
-        &refused(&["regularizer.kind=tv", "regularizer.schedule={ halved = { every = 0 } }"]),
-        &["regularizer.schedule", "every at least 1"],
+        &refused(&["regularizer.kind=tv", "regularizer.schedule=halved every 0 steps"]),
+        &["regularizer.schedule", "halved every 0 steps", "at least 1"],
     );
     assert_says(&refused(&["regularizer.kind=tv", "regularizer.schedule=rising"]), &["linear", "halved"]);
     assert_says(&refused(&["regularizer.kind=occlusion", "regularizer.occlusion_share=2"]), &["occlusion_share", "2"]);

@@ -139,6 +139,7 @@ impl Learner for PlanesLearner {
             mse: number(&square)?,
             extremes: Extremes::read(&Extremes::tensor(&blended.acc, &blended.rgb, &target)?.to_vec1::<f64>()?),
             sites: Vec::new(),
+            of_weights: Vec::new(),
         };
         Ok(StepResult { gradients, report })
     }

@@ -114,6 +114,7 @@ impl Learner for SrnLearner {
             mse: sums.error / (3.0 * rays),
             extremes: sums.extremes,
             sites: Vec::new(),
+            of_weights: Vec::new(),
         };
         Ok(StepResult { gradients: sums.gradients(&self.srn)?, report })
     }

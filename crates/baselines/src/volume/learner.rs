@@ -179,7 +179,14 @@ impl Learner for VolumeLearner {
         // loss.
         terms.push(term("mean_acc", "mean accumulation", &losses.acc.mean_all()?, 0.0)?);
         let extremes = Extremes::tensor(&losses.acc, &(losses.rgb / WHITE)?, &target)?.to_vec1::<f64>()?;
-        let report = StepReport { terms, loss, mse, extremes: Extremes::read(&extremes), sites: Vec::new() };
+        let report = StepReport {
+            terms,
+            loss,
+            mse,
+            extremes: Extremes::read(&extremes),
+            sites: Vec::new(),
+            of_weights: Vec::new(),
+        };
         Ok(StepResult { gradients, report })
     }
 }

@@ -39,6 +39,8 @@ pub enum Stream {
     Axis,
     /// Choices among a scene's views.
     Views,
+    /// Random displacements of weights.
+    Sharpness,
 }
 
 impl Stream {
@@ -58,6 +60,7 @@ impl Stream {
             Stream::Code => 10,
             Stream::Axis => 11,
             Stream::Views => 12,
+            Stream::Sharpness => 13,
         }
     }
 }

@@ -5,18 +5,23 @@ use candle_core::{DType, Tensor, Var};
 use crate::base::Result;
 use crate::losses::LossTerm;
 use crate::optimizer::{Adam, AdamSettings, Moments};
-use crate::settings::TrainConfig;
+use crate::settings::{Config, TrainConfig};
 
 use super::gradients::Gradients;
 use super::learner::{Learner, LogColumns, StepResult, StopCheck};
+use super::sharpness::{Draw, Sharpness, at_moved, clipped};
 use super::stepper::{StepAt, StepReport, Stepper, not_finite};
+
+/// The loss at moved weights minus that where they are, and minus that of weights that moved as far at random.
+const GAIN: &str = "gain.weights";
+const GAIN_OVER_RANDOM: &str = "gain_over_random.weights";
 
 /// A learner and Adam, whose parameters are the model's variables.
 pub struct HostStepper {
     learner: Box<dyn Learner>,
     adam: Adam,
-    /// As configured, for messages.
-    learning_rate: f64,
+    train: TrainConfig,
+    sharpness: Option<Sharpness>,
     /// That of the last step.
     report: Option<StepReport>,
 }
@@ -28,17 +33,17 @@ impl HostStepper {
     /// # Errors
     /// Errors of candle.
     pub fn new(
-        train: &TrainConfig,
+        config: &Config,
         learner: Box<dyn Learner>,
         variables: Vec<(String, Var)>,
         moments: Option<Vec<Moments>>,
     ) -> Result<HostStepper> {
-        let settings = AdamSettings::of(train);
+        let settings = AdamSettings::of(&config.train);
         let adam = match moments {
             Some(moments) => Adam::restore(settings, variables, moments),
             None => Adam::new(settings, variables)?,
         };
-        Ok(HostStepper { learner, adam, learning_rate: train.learning_rate, report: None })
+        Ok(HostStepper { learner, adam, train: config.train.clone(), sharpness: Sharpness::of(config), report: None })
     }
 
     /// Returns an error if a term or a gradient of a step is not finite.
@@ -48,7 +53,7 @@ impl HostStepper {
             Some(term) => Some(term.described.clone()),
             None => self.find_non_finite(&gradients.0)?.map(|name| format!("gradient of {name}")),
         };
-        broken.map_or(Ok(()), |tensor| Err(not_finite(step, &tensor, self.learning_rate)))
+        broken.map_or(Ok(()), |tensor| Err(not_finite(step, &tensor, self.train.learning_rate)))
     }
 
     /// Returns an error if a parameter is not finite after an update.
@@ -56,7 +61,7 @@ impl HostStepper {
         let parameters: Vec<Option<Tensor>> =
             self.adam.variables().iter().map(|(_, var)| Some(var.as_detached_tensor())).collect();
         let broken = self.find_non_finite(&parameters)?;
-        broken.map_or(Ok(()), |name| Err(not_finite(step, &format!("parameter {name}"), self.learning_rate)))
+        broken.map_or(Ok(()), |name| Err(not_finite(step, &format!("parameter {name}"), self.train.learning_rate)))
     }
 
     /// Returns the name of the first parameter whose tensor is not finite. `tensors` are in the order of the variables.
@@ -70,9 +75,33 @@ impl HostStepper {
     }
 }
 
+/// Returns the gradients at weights that moved, with the report of where they are, and what the move gained.
+fn at_moved_weights(
+    sharpness: &Sharpness,
+    learner: &mut dyn Learner,
+    variables: &[(String, Var)],
+    at: StepAt,
+    StepResult { gradients, mut report }: StepResult,
+    stop_check: &StopCheck,
+) -> Result<StepResult> {
+    let mut moved =
+        |displacement: &Gradients| at_moved(variables, displacement, || learner.step(at.step, false, stop_check));
+    let result = moved(&sharpness.displacement(&gradients, at.step)?)?;
+    report.of_weights.push((GAIN.into(), result.report.loss - report.loss));
+    if at.log {
+        let random = moved(&sharpness.random(&gradients, at.step, Draw::Compared)?)?;
+        report.of_weights.push((GAIN_OVER_RANDOM.into(), result.report.loss - random.report.loss));
+    }
+    Ok(StepResult { gradients: result.gradients, report })
+}
+
 impl Stepper for HostStepper {
     fn columns(&self) -> LogColumns {
-        self.learner.columns()
+        let mut columns = self.learner.columns();
+        if self.sharpness.is_some() {
+            columns.further.extend([GAIN, GAIN_OVER_RANDOM].map(String::from));
+        }
+        columns
     }
 
     fn add_term(&mut self, term: LossTerm, weight: f64) -> Result<()> {
@@ -80,8 +109,15 @@ impl Stepper for HostStepper {
     }
 
     fn step(&mut self, at: StepAt, stop_check: &StopCheck) -> Result<()> {
-        let StepResult { gradients, report } = self.learner.step(at.step, at.log, stop_check)?;
-        self.check_step(at.step + 1, &report, &gradients)?;
+        let mut result = self.learner.step(at.step, at.log, stop_check)?;
+        self.check_step(at.step + 1, &result.report, &result.gradients)?;
+        if let Some(sharpness) = &self.sharpness {
+            let (learner, variables) = (&mut *self.learner, self.adam.variables());
+            result = at_moved_weights(sharpness, learner, variables, at, result, stop_check)?;
+            self.check_step(at.step + 1, &result.report, &result.gradients)?;
+        }
+        let StepResult { gradients, report } = result;
+        let gradients = clipped(gradients, self.train.clip_value, self.train.clip_norm)?;
         self.adam.update(&gradients.0, at.learning_rate, at.updates)?;
         self.check_parameters(at.step + 1)?;
         self.report = Some(report);

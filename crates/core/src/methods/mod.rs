@@ -14,6 +14,7 @@ mod host_stepper;
 mod learner;
 mod network;
 mod renderer;
+mod sharpness;
 mod stepper;
 
 pub use batches::{Batch, Batches};

@@ -22,6 +22,8 @@ pub struct StepReport {
     pub extremes: Extremes,
     /// Diagnostics of each site, at log steps.
     pub sites: Vec<SiteDiagnostics>,
+    /// What a stepper measured of the weights, by columns.
+    pub of_weights: Vec<(String, f64)>,
 }
 
 /// The place of a step in a training.

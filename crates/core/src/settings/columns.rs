@@ -241,6 +241,8 @@ pub const COLUMNS: &[Column] = &[
     column("view_depth").where_differing().of(of_fields),
     column("view_width").where_differing().of(of_fields),
     column("adam").where_differing(),
+    column("clip").where_differing(),
+    column("sam").where_differing(),
     column("hash_grid").where_differing().of(on_hash_grid),
     column("spacing").where_differing().of(of_fields),
     column("masks").in_caption().unless_varied(),

@@ -50,7 +50,7 @@ pub use schedule::WeightSchedule;
 pub use second_pass::{DeltaSource, SecondPass};
 pub use site::{SiteConfig, Sizes};
 pub use srn::SrnConfig;
-pub use train::{Batching, Schedule, TrainConfig};
+pub use train::{Batching, SamDirection, Schedule, TrainConfig};
 pub use types::word;
 pub use volume::{VolumeCode, VolumeConfig};
 

@@ -154,11 +154,11 @@ section! {
         #[serde(deserialize_with = "weights")]
         pub weight: Vec<f64> = Vec::new(),
             numbers().real(|weight| weight >= 0.0, "0 (off) or positive").columns(&["regularizers"]).same_time();
-        /// How each weight moves: `constant`, `{ linear = { from = 400, steps = 512 } }` (from there to the weight) or
-        /// `{ halved = { every = 5000 } }` (from the weight on), or a list in the order of `kind`. Empty = constant.
+        /// How each weight moves: `constant`, `from 400 in 512 steps` (from there to the weight) or `halved every 5000
+        /// steps` (from the weight on), or a list in the order of `kind`. Empty = constant.
         #[serde(deserialize_with = "schedules")]
         pub schedule: Vec<WeightSchedule> = Vec::new(),
-            numbers().allowing("constant, linear with from at least 0 and steps at least 1, or halved with every at least 1")
+            numbers().allowing("constant, from WEIGHT (at least 0) in N steps, or halved every N steps (N at least 1)")
                 .columns(&["regularizers"]).later().same_time();
         /// Lower and upper corner of the box, in the units of the points (NDC if the scene uses it).
         pub domain: [[f64; 3]; 2] = [[-1.0; 3], [1.0; 3]], numbers().corners().columns(&["regularizer_domain"]);
@@ -272,8 +272,8 @@ fn weights<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Vec<f64>, D::Er
 #[derive(Deserialize)]
 #[serde(
     untagged,
-    expecting = "expected \"constant\", { linear = { from = 400, steps = 512 } } or { halved = { every = 5000 } }, or \
-                               a list of these, one for each of regularizer.kind"
+    expecting = "expected constant, from WEIGHT in N steps, or halved every N steps, or a list of these, one for each of \
+                 regularizer.kind"
 )]
 enum Schedules {
     One(WeightSchedule),

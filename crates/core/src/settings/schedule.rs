@@ -4,10 +4,10 @@ use serde::{Deserialize, Serialize};
 
 use super::types::{Range, Settable};
 
-/// A weight as a function of the step. Its setting's weight is that of `constant`, the end of `linear`, and the start of
+/// A weight as a function of the step. Its setting's weight is that of `constant`, the end of `from`, and the start of
 /// `halved`.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
-#[serde(rename_all = "kebab-case", deny_unknown_fields)]
+#[serde(try_from = "String", into = "String")]
 pub enum WeightSchedule {
     /// The same in all steps.
     #[default]
@@ -24,6 +24,32 @@ pub enum WeightSchedule {
         /// Number of steps.
         every: u64,
     },
+}
+
+const FORMS: &str = "constant, from WEIGHT in N steps, halved every N steps";
+
+impl TryFrom<String> for WeightSchedule {
+    type Error = String;
+
+    /// Reads what [`WeightSchedule::described`] writes.
+    fn try_from(text: String) -> Result<WeightSchedule, String> {
+        let words: Vec<&str> = text.split_whitespace().collect();
+        let read = match words[..] {
+            ["constant"] => Some(WeightSchedule::Constant),
+            ["from", from, "in", steps, "steps"] => {
+                from.parse().ok().zip(steps.parse().ok()).map(|(from, steps)| WeightSchedule::Linear { from, steps })
+            }
+            ["halved", "every", every, "steps"] => every.parse().ok().map(|every| WeightSchedule::Halved { every }),
+            _ => None,
+        };
+        read.ok_or_else(|| format!("\"{text}\" is no schedule of a weight; allowed are: {FORMS}"))
+    }
+}
+
+impl From<WeightSchedule> for String {
+    fn from(schedule: WeightSchedule) -> String {
+        schedule.described()
+    }
 }
 
 impl WeightSchedule {
@@ -44,19 +70,19 @@ impl WeightSchedule {
         }
     }
 
-    /// Returns it as tables show it after a weight; nothing if the weight is constant.
+    /// Returns it in words, as files and tables have it.
     pub fn described(self) -> String {
         match self {
-            WeightSchedule::Constant => String::new(),
-            WeightSchedule::Linear { from, steps } => format!(" from {from} in {steps} steps"),
-            WeightSchedule::Halved { every } => format!(" halved every {every} steps"),
+            WeightSchedule::Constant => "constant".into(),
+            WeightSchedule::Linear { from, steps } => format!("from {from} in {steps} steps"),
+            WeightSchedule::Halved { every } => format!("halved every {every} steps"),
         }
     }
 }
 
 impl Settable for WeightSchedule {
     fn kind() -> String {
-        "constant, { linear = { from, steps } }, { halved = { every } }".into()
+        FORMS.into()
     }
 
     fn outside(&self, _: &Range) -> Option<String> {
@@ -65,6 +91,25 @@ impl Settable for WeightSchedule {
             WeightSchedule::Linear { from, steps } => from.is_finite() && from >= 0.0 && steps > 0,
             WeightSchedule::Halved { every } => every > 0,
         };
-        (!is_possible).then(|| self.described().trim_start().to_string())
+        (!is_possible).then(|| self.described())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn texts_are_read_as_they_are_written() {
+        for schedule in [
+            WeightSchedule::Constant,
+            WeightSchedule::Linear { from: 4e-7, steps: 512 },
+            WeightSchedule::Halved { every: 5000 },
+        ] {
+            assert_eq!(WeightSchedule::try_from(schedule.described()), Ok(schedule));
+        }
+        for text in ["", "halved", "from 1 in x steps", "halved every -1 steps", "from 1 to 2"] {
+            assert!(WeightSchedule::try_from(text.to_string()).unwrap_err().contains("halved every N steps"), "{text}");
+        }
     }
 }

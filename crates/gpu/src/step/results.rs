@@ -136,6 +136,7 @@ impl Steps {
             mse: losses.mse(),
             extremes: Extremes::read(&extremes),
             sites: counts.as_ref().map_or_else(Vec::new, |counts| self.diagnose(&value, counts, clean)),
+            of_weights: Vec::new(),
         }
     }
 

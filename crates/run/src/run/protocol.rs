@@ -13,7 +13,8 @@ use crate::revision::version;
 use crate::settings::columns::{COLUMNS, find, perturbed, regularized};
 use crate::settings::{
     Config, Core, Encoding, EvalSplit, HashConfig, LatticePoints, Precision, Regularizer, RegularizerConfig,
-    Representation, Resolved, ResolvedPerturb, Schedule, TrainViews, WeightSchedule, value_at, word,
+    Representation, Resolved, ResolvedPerturb, SamDirection, Schedule, TrainConfig, TrainViews, WeightSchedule,
+    value_at, word,
 };
 use crate::train::checkpoint::State;
 
@@ -135,6 +136,8 @@ fn of_settings(config: &Resolved) -> Found {
         ("regularizer_domain", in_space.map(|regularizer| format!("{:?}", regularizer.domain)).into()),
         ("learning_rate", learning_rate(config).into()),
         ("adam", format!("beta2 {}, epsilon {:e}", config.train.adam_beta2, config.train.adam_epsilon).into()),
+        ("clip", clip(&config.train).into()),
+        ("sam", sam(&config.train).into()),
         ("srn", config.srn.text().into()),
         ("nv", config.nv.text().into()),
         ("llff", config.llff.text().into()),
@@ -302,13 +305,29 @@ fn norms(perturb: &ResolvedPerturb) -> String {
     named.collect::<Vec<String>>().join(", ")
 }
 
+fn clip(train: &TrainConfig) -> Option<String> {
+    let limits = [("value", train.clip_value), ("norm", train.clip_norm)];
+    let set: Vec<String> =
+        limits.iter().filter(|(_, limit)| *limit > 0.0).map(|(name, limit)| format!("{name} {limit}")).collect();
+    (!set.is_empty()).then(|| set.join(", "))
+}
+
+fn sam(train: &TrainConfig) -> Option<String> {
+    let direction = if train.sam_direction == SamDirection::Random { " random" } else { "" };
+    (train.sam_radius > 0.0).then(|| format!("{}{direction}", train.sam_radius))
+}
+
 fn regularizers(regularizer: &RegularizerConfig) -> String {
     let described = |((term, weight), schedule): ((Regularizer, f64), WeightSchedule)| {
         let share = match term {
             Regularizer::Occlusion => format!(" in {} of the ray", regularizer.occlusion_share),
             _ => String::new(),
         };
-        format!("{} {weight}{}{share}", term.name(), schedule.described())
+        let moves = match schedule {
+            WeightSchedule::Constant => String::new(),
+            _ => format!(" {}", schedule.described()),
+        };
+        format!("{} {weight}{moves}{share}", term.name())
     };
     let terms = regularizer.terms().zip(regularizer.schedules()).map(described);
     terms.collect::<Vec<String>>().join(", ")

@@ -108,6 +108,7 @@ fn values(stats: &StepStats) -> Vec<(String, f64)> {
     for site in &stats.sites {
         values.extend(site.columns());
     }
+    values.extend(stats.of_weights.iter().cloned());
     values
 }
 

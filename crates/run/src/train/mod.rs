@@ -97,7 +97,7 @@ impl Inputs<'_> {
             Some(learner) => learner,
             None => model.learner(config, scene, dtype, runtime.device())?,
         };
-        Ok(Box::new(HostStepper::new(&config.train, learner, model.variables(), moments)?))
+        Ok(Box::new(HostStepper::new(config, learner, model.variables(), moments)?))
     }
 
     /// Returns a trainer that continues from `state` with parameters and moments of that step.

@@ -19,12 +19,17 @@ pub struct StepStats {
     pub extremes: Extremes,
     /// Diagnostics of each active site, at log steps.
     pub sites: Vec<SiteDiagnostics>,
+    /// What was measured of the weights, by columns.
+    pub of_weights: Vec<(String, f64)>,
 }
 
 impl StepStats {
     /// Returns the measurements of the step at a place.
-    pub(super) fn new(at: StepAt, StepReport { terms, loss, mse, extremes, sites }: StepReport) -> StepStats {
-        StepStats { step: at.step + 1, learning_rate: at.learning_rate, terms, loss, mse, extremes, sites }
+    pub(super) fn new(
+        at: StepAt,
+        StepReport { terms, loss, mse, extremes, sites, of_weights }: StepReport,
+    ) -> StepStats {
+        StepStats { step: at.step + 1, learning_rate: at.learning_rate, terms, loss, mse, extremes, sites, of_weights }
     }
 
     /// Returns the PSNR of the batch in the evaluated pass in dB, unrounded, or `None` if the error is 0.

@@ -48,7 +48,14 @@ impl Stepper for Elsewhere {
         self.kept += 1.0;
         let term = Term { name: "loss".into(), described: "loss".into(), value: self.kept, weight: 1.0 };
         let extremes = Extremes::none(0.0);
-        self.reports.push(StepReport { terms: vec![term], loss: self.kept, mse: 0.25, extremes, sites: Vec::new() });
+        self.reports.push(StepReport {
+            terms: vec![term],
+            loss: self.kept,
+            mse: 0.25,
+            extremes,
+            sites: Vec::new(),
+            of_weights: Vec::new(),
+        });
         assert!(self.reports.len() <= self.most_reports());
         Ok(())
     }

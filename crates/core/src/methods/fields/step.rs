@@ -65,6 +65,7 @@ impl Learner for FieldLearner {
             mse: step_losses.mse(),
             extremes,
             sites: diagnostics.map_or_else(Vec::new, |sums| sums.finish(clean)),
+            of_weights: Vec::new(),
         };
         Ok(StepResult { gradients, report })
     }
