@@ -138,6 +138,9 @@ fn impossible_terms_and_schedules_are_refused() {
         &refused(&["regularizer.kind=tv", "regularizer.schedule=halved every 0 steps"]),
         &["regularizer.schedule", "halved every 0 steps", "at least 1"],
     );
-    assert_says(&refused(&["regularizer.kind=tv", "regularizer.schedule=rising"]), &["linear", "halved"]);
+    assert_says(
+        &refused(&["regularizer.kind=tv", "regularizer.schedule=rising"]),
+        &["from WEIGHT in N steps", "halved every N steps"],
+    );
     assert_says(&refused(&["regularizer.kind=occlusion", "regularizer.occlusion_share=2"]), &["occlusion_share", "2"]);
 }
