@@ -7,7 +7,7 @@ use crate::common::files::{json, rows, text};
 use crate::common::program::{printed, succeed};
 use crate::common::{parameters, tiny_config, trained};
 use augnerf::augment::{Passes, Site};
-use augnerf::settings::{DensityActivation, Encoding, Method, OutputPlace, PerturbField, Regularizer};
+use augnerf::settings::{DensityActivation, Encoding, Method, OutputPlace, PerturbField, REGULARIZERS, Regularizer};
 use tempfile::TempDir;
 
 /// A run of half a second on the embedded scene at 16 x 16, in a box that rays enter and leave.
@@ -90,8 +90,8 @@ fn weights_of_terms_are_balanced_on_a_grid() {
     let further = ["--set", "field.hash.interpolation=smoothstep", "--set", "regularizer.points_per_step=64"];
     let balance = ["balance", "--quiet", "--preset", "fast", "--steps", "3"];
     let table = rows(&printed(&[&balance[..], &small(), &further].concat()));
-    assert_eq!(table.len(), 20, "four terms, five shares: {table:?}");
-    for row in table {
+    assert_eq!(table.len(), 5 * REGULARIZERS.len(), "five shares of each term: {table:?}");
+    for row in table.into_iter().filter(|row| row["term_norm"].parse() != Ok(0.0)) {
         assert!(row["weight"].parse::<f64>().unwrap() > 0.0, "{row:?}");
     }
 }

@@ -132,7 +132,7 @@ impl Steps {
     }
 
     /// Takes the step after `step` finished ones. `updates` counts Adam's updates with this one. It does not wait for the
-    /// device, unless [`MOST_REPORTS`] steps wait for [`Steps::reports`].
+    /// device, unless as many steps as it keeps wait for [`Steps::reports`].
     ///
     /// # Errors
     /// [`Error::Diverged`]: something in a step that waited is not finite, or the device was lost.

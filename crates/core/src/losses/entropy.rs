@@ -14,14 +14,14 @@ use super::{RayPass, RayTerm};
 /// ```
 ///
 /// It is 0 if one sample is opaque, and log2 of the number of samples if all are alike, so that weights do not carry over
-/// between numbers of samples. Rays that accumulate at most [`LEAST_ACC`] count 0. The interval behind a last point has no
+/// between numbers of samples. Rays that accumulate at most 0.1 count 0. The interval behind a last point has no
 /// end: InfoNeRF takes it as opaque, and here it does not count.
 ///
 /// InfoNeRF adds as many unseen rays to a step. Here they are the step's own.
 pub struct Entropy;
 
 /// Accumulation from which on a ray has an entropy.
-pub const LEAST_ACC: f64 = 0.1;
+const LEAST_ACC: f64 = 0.1;
 /// Keeps quotients and logarithms finite.
 const TINY: f64 = 1e-10;
 

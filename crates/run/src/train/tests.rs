@@ -205,7 +205,7 @@ fn a_broken_step_ends_a_training() {
     let inputs = Inputs { config: &config, scene: &scene, dtype: DType::F32, runtime: &gpu };
     let mut trainer = inputs.trainer(model, Box::new(stepper), State { redraws: vec![0; 2], ..State::default() });
     let broken = (0..6).find_map(|_| trainer.step_unless(false, false, &|| Ok(())).err());
-    let message = broken.map_or_else(|| trainer.catch_up().unwrap_err(), |error| error).to_string();
+    let message = broken.unwrap_or_else(|| trainer.catch_up().unwrap_err()).to_string();
     assert!(message.contains("diverged at step 3"), "{message}");
     let folder = tempfile::tempdir().unwrap();
     for _ in 0..2 {
