@@ -35,8 +35,8 @@
 //!         └──────►│ augment: deltas, sets ─► PGD on the loss    │◄── gradients ─────┤
 //!                 └─────────────────────────────────────────────┘                   ▼
 //!                          perturbed pass, lambda ──────────────────► train: Adam, checkpoint
-//!  losses: on rays (distortion) ────────────────────────────────────────────────────▲
-//!          in a box: density, its gradient, its Laplacian (l1, tv, laplacian) ──────┘
+//!  losses: on rays, on tables ──────────────────────────────────────────────────────▲
+//!          in a box: density, its gradient, its Laplacian (l1, tv, ...) ────────────┘
 //!
 //!  checkpoint ─► run::Trained ─► methods: a Renderer ─► views ─► metrics ─► metrics.json, CSV, images
 //!                            └─► space: density on a grid ─► level set ─► mesh ─► Chamfer distance to a reference

@@ -99,6 +99,23 @@ fn limits_that_nothing_reaches_change_nothing() {
         let [up, random] = [&up, &random].map(|config| parameters(&trained(config, 5), &ROLES));
         assert_ne!(up, plain);
         assert_ne!(up, random);
-        assert_eq!(config(on_grid, |_| {}).hash(), sam(on_grid, 0.0, SamDirection::Gradient).hash());
+        for direction in [SamDirection::Gradient, SamDirection::Random] {
+            assert_eq!(config(on_grid, |_| {}).hash(), sam(on_grid, 0.0, direction).hash());
+        }
+        // Radii have equal times, which are not those of a run without.
+        let shape = |radius: f64| sam(on_grid, radius, SamDirection::Gradient).step_shape();
+        assert!(shape(0.1) == shape(0.2) && shape(0.1) != shape(0.0));
+    }
+}
+
+/// Methods without fields take such steps, too.
+#[test]
+#[cfg(feature = "baselines")]
+fn methods_without_fields_have_sharpness_aware_steps() {
+    for method in [Method::Srn, Method::Nv] {
+        let with = |radius: f64| tiny_config(method, |config| config.train.sam_radius = radius);
+        let stats = trained(&with(1e-3), 2).step(true).unwrap();
+        assert_eq!(stats.of_weights.len(), 2, "{method:?}");
+        assert_eq!(trained(&with(1e-3), 0).step(true).unwrap().loss, trained(&with(0.0), 0).step(true).unwrap().loss);
     }
 }

@@ -25,10 +25,10 @@ pub fn check(config: &Resolved) -> Result<()> {
         }
     }
     if !config.regularizer.schedule.is_empty() {
-        return refuse("with weights that move (regularizer.schedule)");
+        return refuse("with scheduled weights (regularizer.schedule)");
     }
     if config.train.sam_radius > 0.0 {
-        return refuse("with weights that move before a gradient (train.sam_radius)");
+        return refuse("with sharpness-aware steps (train.sam_radius)");
     }
     if config.train.clip_value > 0.0 || config.train.clip_norm > 0.0 {
         return refuse("with limits of gradients (train.clip_value, train.clip_norm)");

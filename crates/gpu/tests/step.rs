@@ -299,6 +299,10 @@ fn what_is_not_there_is_refused_by_name() {
     for (settings, named) in [
         (["method=mip-nerf", "field.encoding=integrated"], "method mip-nerf"),
         (["method=nerf", "regularizer.kind=laplacian"], "regularizer laplacian"),
+        (["method=nerf", "regularizer.kind=entropy"], "regularizer entropy"),
+        (["regularizer.kind=tv", "regularizer.schedule=halved every 9 steps"], "regularizer.schedule"),
+        (["method=nerf", "train.sam_radius=0.1"], "train.sam_radius"),
+        (["method=nerf", "train.clip_norm=0.1"], "train.clip_norm"),
         (["method=nerf", "field.precision=bf16"], "bf16"),
         (["method=nerf", "field.width=30"], "width 30"),
         (["method=nerf", "sampling.fine=4000"], "4012 samples"),

@@ -90,7 +90,9 @@ fn evaluations(config: &Config, placing: usize, trained: usize) -> f64 {
         }
         (true, SecondPass::Perturbed(_)) => 3.0 * points(trained),
     };
-    clean + second + regularizer_evaluations(config)
+    // A sharpness-aware step computes everything twice.
+    let times = if config.train.sam_radius > 0.0 { 2.0 } else { 1.0 };
+    times * (clean + second + regularizer_evaluations(config))
 }
 
 /// Returns the PGD steps of the search: the largest number of any site.

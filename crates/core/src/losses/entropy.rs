@@ -30,6 +30,10 @@ impl RayTerm for Entropy {
         "entropy"
     }
 
+    fn is_of_evaluated_pass(&self) -> bool {
+        true
+    }
+
     fn per_ray(&self, pass: &RayPass) -> Result<Tensor> {
         let samples = pass.samples()?;
         let bounded = if pass.output.t_vals.dim(1)? > samples { samples } else { samples - 1 };
@@ -45,7 +49,7 @@ impl RayTerm for Entropy {
 
 #[cfg(test)]
 mod tests {
-    use super::super::tests::{assert_slopes_by_differences, rays};
+    use super::super::tests::{assert_slopes_by_differences, between_edges, rays};
     use super::*;
 
     #[test]
@@ -57,6 +61,8 @@ mod tests {
         let [a, b] = [0.2, 0.7].map(|density: f64| 1.0 - (-density * 5.0 / 3.0).exp());
         let expected: f64 = [a, b].map(|x| x / (a + b)).map(|p| -p * p.log2()).iter().sum();
         assert!((of(&[0.2, 0.7, 0.0]) - expected).abs() < 1e-8);
+        // Between edges the last interval has an end, and counts.
+        assert!((between_edges(&[0.4; 4], 4.0).value(&Entropy) - 2.0).abs() < 1e-8);
         // Too little in all: it does not count.
         assert_eq!(of(&[0.02, 0.02, 9.0]), 0.0);
         assert_slopes_by_differences(&Entropy, &[0.3, 0.05, 1.2, 0.7]);

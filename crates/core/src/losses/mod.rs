@@ -93,6 +93,10 @@ fn edges(t_vals: &Tensor, samples: usize, (near, far): (f64, f64)) -> Result<Ten
 pub trait RayTerm: Send + Sync {
     /// Returns its name in logs (`regularizer.NAME`) and tables.
     fn name(&self) -> &str;
+    /// Whether it counts in the evaluated pass alone, whatever `regularizer.fields` says.
+    fn is_of_evaluated_pass(&self) -> bool {
+        false
+    }
     /// Returns the term of each ray of a clean pass, `[rays]`, differentiable.
     fn per_ray(&self, pass: &RayPass) -> Result<Tensor>;
 }
@@ -227,10 +231,16 @@ mod tests {
     pub(super) struct TestRay {
         density: Vec<f64>,
         far: f64,
+        has_edges: bool,
     }
 
     pub(super) fn rays(density: &[f64], far: f64) -> TestRay {
-        TestRay { density: density.to_vec(), far }
+        TestRay { density: density.to_vec(), far, has_edges: false }
+    }
+
+    /// The same between edges, the last of which is `far`.
+    pub(super) fn between_edges(density: &[f64], far: f64) -> TestRay {
+        TestRay { has_edges: true, ..rays(density, far) }
     }
 
     impl TestRay {
@@ -239,7 +249,9 @@ mod tests {
             let n = self.density.len();
             let row = |values: Vec<f64>| Tensor::from_vec(values, (1, n), &Device::Cpu).unwrap();
             let density = Var::from_tensor(&row(self.density.clone())).unwrap();
-            let t_vals = row((0..n).map(|k| k as f64 * self.far / n as f64).collect());
+            let columns = n + usize::from(self.has_edges);
+            let t_vals: Vec<f64> = (0..columns).map(|k| k as f64 * self.far / n as f64).collect();
+            let t_vals = Tensor::from_vec(t_vals, (1, columns), &Device::Cpu).unwrap();
             let direction_norm = Tensor::new(&[[1.0f64]], &Device::Cpu).unwrap();
             let rgb = Tensor::zeros((1, n, 3), candle_core::DType::F64, &Device::Cpu).unwrap();
             let composite = composite_reference(&rgb, &density, &t_vals, &direction_norm, None).unwrap();

@@ -24,6 +24,10 @@ impl RayTerm for Occlusion {
         "occlusion"
     }
 
+    fn is_of_evaluated_pass(&self) -> bool {
+        true
+    }
+
     fn per_ray(&self, pass: &RayPass) -> Result<Tensor> {
         let density = &pass.output.density;
         // The part of each interval that is in the share.
@@ -36,7 +40,7 @@ impl RayTerm for Occlusion {
 
 #[cfg(test)]
 mod tests {
-    use super::super::tests::{assert_slopes, rays};
+    use super::super::tests::{assert_slopes, between_edges, rays};
     use super::*;
 
     #[test]
@@ -46,6 +50,9 @@ mod tests {
         assert!((of(&[3.0; 5], 0.4) - 3.0 * 0.4).abs() < 1e-12);
         assert!((of(&[0.0, 0.0, 7.0, 7.0, 7.0], 0.4)).abs() < 1e-12);
         assert!((of(&[1.0, 2.0, 0.0, 0.0, 0.0], 0.4) - 3.0 / 5.0).abs() < 1e-12);
+        assert!(
+            (between_edges(&[1.0, 2.0, 0.0, 0.0, 0.0], 5.0).value(&Occlusion { share: 0.4 }) - 3.0 / 5.0).abs() < 1e-12
+        );
         // A part of an interval counts as a part.
         assert!((of(&[1.0, 2.0, 0.0, 0.0, 0.0], 0.3) - (1.0 + 0.5 * 2.0) / 5.0).abs() < 1e-12);
         assert_slopes(&Occlusion { share: 1.0 }, &[0.3, 2.0, 5.0], |_| 1.0 / 3.0);

@@ -46,6 +46,19 @@ impl HostStepper {
         Ok(HostStepper { learner, adam, train: config.train.clone(), sharpness: Sharpness::of(config), report: None })
     }
 
+    /// Computes all of a step but its update.
+    fn compute(&mut self, step: u64, log: bool, stop_check: &StopCheck) -> Result<StepResult> {
+        let mut result = self.learner.step(step, log, stop_check)?;
+        self.check_step(step + 1, &result.report, &result.gradients)?;
+        if let Some(sharpness) = &self.sharpness {
+            let (learner, variables) = (&mut *self.learner, self.adam.variables());
+            result = at_moved_weights(sharpness, learner, variables, (step, log), result, stop_check)?;
+            self.check_step(step + 1, &result.report, &result.gradients)?;
+        }
+        result.gradients = clipped(result.gradients, self.train.clip_value, self.train.clip_norm)?;
+        Ok(result)
+    }
+
     /// Returns an error if a term or a gradient of a step is not finite.
     fn check_step(&self, step: u64, report: &StepReport, gradients: &Gradients) -> Result<()> {
         let term = report.terms.iter().find(|term| !term.value.is_finite());
@@ -80,18 +93,20 @@ fn at_moved_weights(
     sharpness: &Sharpness,
     learner: &mut dyn Learner,
     variables: &[(String, Var)],
-    at: StepAt,
+    (step, log): (u64, bool),
     StepResult { gradients, mut report }: StepResult,
     stop_check: &StopCheck,
 ) -> Result<StepResult> {
     let mut moved =
-        |displacement: &Gradients| at_moved(variables, displacement, || learner.step(at.step, false, stop_check));
-    let result = moved(&sharpness.displacement(&gradients, at.step)?)?;
+        |displacement: &Gradients| at_moved(variables, displacement, || learner.step(step, false, stop_check));
+    let result = moved(&sharpness.displacement(&gradients, step)?)?;
     report.of_weights.push((GAIN.into(), result.report.loss - report.loss));
-    if at.log {
-        let random = moved(&sharpness.random(&gradients, at.step, Draw::Compared)?)?;
+    if log {
+        let random = moved(&sharpness.random(&gradients, step, Draw::Compared)?)?;
         report.of_weights.push((GAIN_OVER_RANDOM.into(), result.report.loss - random.report.loss));
     }
+    // A comparison that is not a number ends no training.
+    report.of_weights.retain(|(_, gain)| gain.is_finite());
     Ok(StepResult { gradients: result.gradients, report })
 }
 
@@ -109,15 +124,7 @@ impl Stepper for HostStepper {
     }
 
     fn step(&mut self, at: StepAt, stop_check: &StopCheck) -> Result<()> {
-        let mut result = self.learner.step(at.step, at.log, stop_check)?;
-        self.check_step(at.step + 1, &result.report, &result.gradients)?;
-        if let Some(sharpness) = &self.sharpness {
-            let (learner, variables) = (&mut *self.learner, self.adam.variables());
-            result = at_moved_weights(sharpness, learner, variables, at, result, stop_check)?;
-            self.check_step(at.step + 1, &result.report, &result.gradients)?;
-        }
-        let StepResult { gradients, report } = result;
-        let gradients = clipped(gradients, self.train.clip_value, self.train.clip_norm)?;
+        let StepResult { gradients, report } = self.compute(at.step, at.log, stop_check)?;
         self.adam.update(&gradients.0, at.learning_rate, at.updates)?;
         self.check_parameters(at.step + 1)?;
         self.report = Some(report);
@@ -129,7 +136,7 @@ impl Stepper for HostStepper {
     }
 
     fn try_step(&mut self, step: u64, stop_check: &StopCheck) -> Result<()> {
-        self.learner.step(step, false, stop_check).map(drop)
+        self.compute(step, false, stop_check).map(drop)
     }
 
     fn fetch(&mut self) -> Result<()> {

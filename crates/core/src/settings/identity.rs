@@ -57,6 +57,9 @@ impl Config {
         shape.forget_unread();
         shape.eval = EvalConfig::default();
         shape.regularizer.weight = vec![1.0; shape.regularizer.kind.len()];
+        for number in [&mut shape.train.sam_radius, &mut shape.train.clip_value, &mut shape.train.clip_norm] {
+            *number = if *number > 0.0 { 1.0 } else { 0.0 };
+        }
         // Sweep folders store times under names that were made with these values.
         (shape.train.steps, shape.train.learning_rate) = (1, 1.0);
         shape.text_hash()
@@ -107,6 +110,9 @@ impl Config {
     fn forget_unread(&mut self) {
         self.forget_other_methods();
         let default = Config::default();
+        if self.train.sam_radius == 0.0 {
+            self.train.sam_direction = default.train.sam_direction;
+        }
         if !self.method.has_fields() {
             self.train.coarse_weight = default.train.coarse_weight;
             self.train.dead_start_share = default.train.dead_start_share;

@@ -1,7 +1,7 @@
 //! Settings that have no effect in a configuration, with the reason.
 
 use super::registry::REGISTRY;
-use super::{Config, Encoding, Method, REGULARIZERS, word};
+use super::{Config, Encoding, Method, REGULARIZERS, Regularizer, word};
 
 impl Config {
     /// Returns why the setting `path` has no effect in this configuration, or `None` if it may have one. An unknown setting
@@ -24,6 +24,17 @@ impl Config {
         if section("regularizer") && self.regularizer.kind.is_empty() && path != "regularizer.kind" {
             let terms = REGULARIZERS.map(|term| term.name()).join(", ");
             return Some(format!("regularizer.kind names no term; choose from {terms}"));
+        }
+        let of_box =
+            ["domain", "lattice", "points", "points_per_step", "jitter"].map(|key| format!("regularizer.{key}"));
+        if of_box.iter().any(|setting| setting == path) && !self.regularizer.has_space_terms() {
+            return Some("no term of regularizer.kind is an integral over the box".into());
+        }
+        if path == "regularizer.occlusion_share" && !self.regularizer.kind.contains(&Regularizer::Occlusion) {
+            return Some("regularizer.kind does not name occlusion".into());
+        }
+        if path == "train.sam_direction" && self.train.sam_radius == 0.0 {
+            return Some("train.sam_radius is 0".into());
         }
         let own = [("srn", Method::Srn), ("nv", Method::Nv), ("llff", Method::Llff)];
         if let Some((name, _)) = own.iter().find(|(name, of)| section(name) && self.method != *of) {

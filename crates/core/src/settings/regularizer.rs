@@ -7,8 +7,8 @@ use crate::field::Order;
 use super::registry::{choice, numbers, section};
 use super::schedule::WeightSchedule;
 
-/// An explicit regularizer: the integral over a box of a quantity at a point (paper, appendix "Implementation of
-/// explicit regularization").
+/// An explicit regularizer: an integral over a box (the paper's, appendix "Implementation of explicit
+/// regularization"), a mean over rays, or a sum over tables.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Regularizer {
@@ -150,7 +150,7 @@ section! {
         /// Weight of each term in `kind`: a number, or a list in the same order. Empty = the default of each term (l1
         /// 1.4e-4, tv 3.8e-6, laplacian 7.4e-9, distortion 0.01, occlusion 0.01, entropy 1e-3, cauchy 1e-4,
         /// opacity-prior 0.01, opacity-sparsity 1e-3, hash-decay 0.1), which is for one scene; `augnerf balance`
-        /// measures others. A weight of 0 disables the term.
+        /// measures others. A weight of 0 disables the term, unless its schedule begins elsewhere.
         #[serde(deserialize_with = "weights")]
         pub weight: Vec<f64> = Vec::new(),
             numbers().real(|weight| weight >= 0.0, "0 (off) or positive").columns(&["regularizers"]).same_time();
@@ -175,8 +175,7 @@ section! {
         pub jitter: bool = true, numbers().columns(POINTS);
         /// Which networks are regularized: `both` or `fine`.
         pub fields: RegularizedFields = RegularizedFields::Both, numbers().column("regularizer_fields");
-        /// Share of near..far in which `occlusion` counts density. Default: 20 of 128 even samples, as FreeNeRF on
-        /// forward-facing scenes.
+        /// Share of near..far in which `occlusion` counts density. Default: 20 of 128 even samples, as FreeNeRF.
         pub occlusion_share: f64 = 0.15625,
             numbers().real(|share| share > 0.0 && share <= 1.0, "over 0, at most 1").columns(&["regularizers"]).later().same_time();
     }

@@ -42,7 +42,7 @@ fn is_share_above_0(share: f64) -> bool {
     share > 0.0 && share <= 1.0
 }
 
-/// Where weights move in a sharpness-aware step.
+/// Where parameters move in a sharpness-aware step.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum SamDirection {
@@ -82,14 +82,14 @@ section! {
         pub adam_beta2: f64 = 0.999, numbers().real(is_memory, "at least 0, below 1").columns(&["adam"]).later().same_time();
         /// Adam's epsilon, added to the divisor (1e-15 for hash grids, whose gradients are small).
         pub adam_epsilon: f64 = 1e-8, numbers().real(is_positive, "positive").columns(&["adam"]).later().same_time();
-        /// Largest size of a number of the gradient (0 = no limit).
-        pub clip_value: f64 = 0.0, numbers().real(is_limit, "0 (off) or positive").columns(CLIP).later().same_time();
+        /// Largest absolute value of an entry of the gradient (0 = no limit).
+        pub clip_value: f64 = 0.0, numbers().real(is_limit, "0 (off) or positive").columns(CLIP).later();
         /// Largest norm of the gradient over all parameters, after `clip_value` (0 = no limit).
-        pub clip_norm: f64 = 0.0, numbers().real(is_limit, "0 (off) or positive").columns(CLIP).later().same_time();
-        /// Sharpness-aware steps: the gradient is taken at weights that moved this far (0 = off; 0.05 is usual). A step then
-        /// costs two.
+        pub clip_norm: f64 = 0.0, numbers().real(is_limit, "0 (off) or positive").columns(CLIP).later();
+        /// Sharpness-aware steps: the gradient is taken at parameters that moved this far (0 = off; 0.05 is usual). A step
+        /// then takes about twice as long.
         pub sam_radius: f64 = 0.0, numbers().real(is_limit, "0 (off) or positive").columns(SAM).later();
-        /// Where the weights move: up the step's `gradient`, or as far in a `random` direction.
+        /// Where the parameters move: up the step's `gradient`, or as far in a `random` direction.
         pub sam_direction: SamDirection = SamDirection::Gradient, numbers().columns(SAM).later().same_time();
         /// Weight of the coarse pass's loss; the fine pass's is 1 (1 for NeRF, 0.1 for MipNeRF; hash grids have no
         /// coarse loss).

@@ -128,7 +128,7 @@ impl Config {
         refuse(!representation.has_derivatives_at_points() && self.regularizer.has_space_terms(), || {
             format!(
                 "regularizer.kind with method {method}: terms in space are made of derivatives at points, and this field is \
-                 queried at Gaussians; use nerf or aug-nerf, or the distortion loss alone"
+                 queried at Gaussians; use nerf or aug-nerf, or terms on rays alone, such as distortion"
             )
         })?;
         if let Some((name, value, allowed)) = field.hash.wrong() {

@@ -110,9 +110,12 @@ const HEAVY: f64 = 10.0;
 
 /// Returns a remark for each regularizer whose weighted value exceeds the photometric loss by far.
 fn heavy_terms(config: &Config, columns: &LogColumns, terms: &[Term]) -> Vec<String> {
-    let value = |name: &String| terms.iter().find(|term| term.name == *name).map(|term| term.value);
-    let photometric: f64 = columns.photometric.iter().filter_map(value).sum();
-    let times = |((term, weight), column)| Some((term, weight, weight * value(column)? / photometric));
+    let found = |name: &String| terms.iter().find(|term| term.name == *name);
+    let photometric: f64 = columns.photometric.iter().filter_map(found).map(|term| term.value).sum();
+    let times = |((term, _), column): ((Regularizer, f64), &String)| {
+        let Term { value, weight, .. } = found(column)?;
+        Some((term, *weight, weight * value / photometric))
+    };
     let known = config.regularizer.terms().zip(&columns.further).filter_map(times);
     let heavy = known.filter(|(.., times)| *times > HEAVY);
     heavy

@@ -11,6 +11,8 @@ use crate::settings::{Core, PlanesConfig, Representation, Resolved, SrnConfig, V
 
 /// Weights, their gradient and Adam's two moments.
 const COPIES: f64 = 4.0;
+/// Of a sharpness-aware step: the gradient before the move, the move, and the parameters before it.
+const COPIES_OF_MOVES: f64 = 3.0;
 /// Numbers for each cell of LLFF's finest sampling grid.
 const PER_CELL: f64 = 106.0;
 /// Bytes of a number.
@@ -77,10 +79,11 @@ fn needs(config: &Resolved, scene: &Scene, threads: usize) -> Vec<Need> {
     let size = |(_, shape): &(String, Vec<usize>)| shape.iter().map(|&n| n as f64).product::<f64>();
     let (tables, layers): (Vec<_>, Vec<_>) = parameters.iter().partition(|(name, _)| name.ends_with(".table"));
     let (tables, layers) = (tables.into_iter().map(size).sum::<f64>(), layers.into_iter().map(size).sum::<f64>());
+    let copies = COPIES + if train.sam_radius > 0.0 { COPIES_OF_MOVES } else { 0.0 };
     let mut needs = vec![Need {
         what: "weights, their gradient and Adam's moments",
         settings: sizes(config, tables > layers),
-        mib: mib(COPIES * (tables + layers)),
+        mib: mib(copies * (tables + layers)),
     }];
     // The fused core works in tiles; candle's operations keep each layer's output for all points.
     if config.method.has_fields() && field.core == Core::Plain {

@@ -1,6 +1,7 @@
 //! Steps that were taken and whose reports are still to come.
 
 use std::collections::VecDeque;
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Instant;
 
 use crate::base::{Error, Result};
@@ -58,8 +59,11 @@ impl Stepping {
             self.waiting_since = Instant::now();
         }
         self.moved = true;
-        let taken = self.stepper.step(at, stop_check);
-        self.noted(taken)?;
+        let is_stopped = AtomicBool::new(false);
+        let check = || stop_check().inspect_err(|_| is_stopped.store(true, Ordering::Relaxed));
+        let taken = self.stepper.step(at, &check);
+        // A step that was stopped is as if it had not begun.
+        if is_stopped.into_inner() { taken } else { self.noted(taken) }?;
         self.waiting.push_back(at);
         Ok(())
     }
@@ -103,11 +107,9 @@ impl Stepping {
         Ok(())
     }
 
-    /// Keeps the error of a step that broke. One that was stopped is as if it had not begun.
+    /// Keeps the error of a step that broke.
     fn noted<T>(&mut self, taken: Result<T>) -> Result<T> {
-        if let Err(error) = &taken
-            && !matches!(error, Error::Interrupted { .. })
-        {
+        if let Err(error) = &taken {
             self.broken = Some(error.to_string());
         }
         taken

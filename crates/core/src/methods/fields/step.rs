@@ -4,6 +4,7 @@ use crate::base::{Error, Result};
 use crate::losses::{LossTerm, WeightedTerm};
 use crate::methods::learner::{Learner, LogColumns, StepResult, StopCheck};
 use crate::methods::stepper::StepReport;
+use crate::settings::Encoding;
 
 use super::learner::FieldLearner;
 use super::report::{StepLosses, log_columns};
@@ -25,6 +26,12 @@ impl Learner for FieldLearner {
                 "the term '{}' needs density's derivatives at points, which method {} lacks; use nerf or aug-nerf",
                 term.name(),
                 self.config.method.name()
+            )));
+        }
+        if matches!(term, LossTerm::OnTables(_)) && self.config.field.encoding != Encoding::Hash {
+            let name = term.name();
+            return Err(Error::Config(format!(
+                "the term '{name}' needs the tables of a hash grid; set field.encoding = \"hash\""
             )));
         }
         self.terms.push(WeightedTerm::constant(term, weight));

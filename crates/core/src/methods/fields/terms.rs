@@ -27,12 +27,13 @@ pub(super) struct StepLoss<'a> {
 }
 
 impl StepLoss<'_> {
-    /// Returns the terms of a clean pass, of the evaluated field or of the coarse one before it.
-    fn terms_on(&self, is_evaluated: bool) -> impl Iterator<Item = (&dyn RayTerm, f64)> {
-        let count = is_evaluated || self.fields == RegularizedFields::Both;
-        let terms = if count { self.terms } else { &[] };
-        terms.iter().filter_map(|WeightedTerm { term, weight, .. }| match term {
-            LossTerm::OnRays(term) => Some((&**term, *weight)),
+    /// Returns the terms on rays, with whether they count in a clean pass: of the evaluated field, or of the coarse one
+    /// before it.
+    fn terms_on(&self, is_evaluated: bool) -> impl Iterator<Item = (&dyn RayTerm, f64, bool)> {
+        let both = self.fields == RegularizedFields::Both;
+        let counts = move |term: &dyn RayTerm| is_evaluated || both && !term.is_of_evaluated_pass();
+        self.terms.iter().filter_map(move |WeightedTerm { term, weight, .. }| match term {
+            LossTerm::OnRays(term) => Some((&**term, *weight, counts(&**term))),
             LossTerm::InSpace(_) | LossTerm::OnTables(_) => None,
         })
     }
@@ -91,8 +92,7 @@ impl FieldLearner {
         Counts { weight, share, is_evaluated }: Counts,
         result: &mut ChunkResult,
     ) -> Result<(Tensor, PassLoss)> {
-        let mut terms = step_loss.terms_on(is_evaluated).peekable();
-        if terms.peek().is_none() {
+        if !step_loss.terms_on(is_evaluated).any(|(.., counts)| counts) {
             let out = clean_pass_loss(field, pass, target)?;
             let loss = self.descend(&out.loss, weight, &mut result.gradients)?;
             return Ok(((loss * share)?, out));
@@ -102,7 +102,11 @@ impl FieldLearner {
         let loss = photometric_loss(&out.composite.rgb, target)?;
         let mut total = (&loss * weight)?;
         let mut values = Vec::new();
-        for (term, weight) in terms {
+        for (term, weight, counts) in step_loss.terms_on(is_evaluated) {
+            if !counts {
+                values.push(Tensor::zeros((), DType::F64, &self.device)?);
+                continue;
+            }
             let mean = term.per_ray(&seen)?.mean_all()?;
             total = (total + (&mean * (weight * share))?.to_dtype(loss.dtype())?)?;
             values.push((mean.detach().to_dtype(DType::F64)? * share)?);
