@@ -65,6 +65,7 @@ mod tests {
         assert!((between_edges(&[0.4; 4], 4.0).value(&Entropy) - 2.0).abs() < 1e-8);
         // Too little in all: it does not count.
         assert_eq!(of(&[0.02, 0.02, 9.0]), 0.0);
-        assert_slopes_by_differences(&Entropy, &[0.3, 0.05, 1.2, 0.7]);
+        assert_slopes_by_differences(&Entropy, &rays(&[0.3, 0.05, 1.2, 0.7], 2.0));
+        assert_slopes_by_differences(&Entropy, &between_edges(&[0.3, 0.05, 1.2, 0.7], 2.0));
     }
 }

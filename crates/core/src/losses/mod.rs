@@ -277,13 +277,13 @@ mod tests {
         }
     }
 
-    pub(super) fn assert_slopes_by_differences(term: &dyn RayTerm, density: &[f64]) {
-        let (_, found) = rays(density, 2.0).differentiated(term);
+    pub(super) fn assert_slopes_by_differences(term: &dyn RayTerm, ray: &TestRay) {
+        let (_, found) = ray.differentiated(term);
         for (i, found) in found.iter().enumerate() {
             let moved = |by: f64| {
-                let mut density = density.to_vec();
+                let mut density = ray.density.clone();
                 density[i] += by;
-                rays(&density, 2.0).value(term)
+                TestRay { density, ..*ray }.value(term)
             };
             let slope = (moved(1e-6) - moved(-1e-6)) / 2e-6;
             assert!((found - slope).abs() < 1e-7, "{i}: {found} for {slope}");
