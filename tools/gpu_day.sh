@@ -102,6 +102,12 @@ run() {
     try 60 "3-builtin-$method" ./augnerf train --method $method --device gpu --out "$out/builtin-$method" $small
     try 60 "3-fern-$method" ./augnerf train --data fern --preset fast --method $method --device gpu --out "$out/fern-$method" $small
   done
+  # A network to its end, in both precisions: are the pictures the same?
+  local precision
+  for precision in f32 f16; do
+    try 60 "3-fern-network-$precision" ./augnerf train --data fern --preset paper-llff --yes --device gpu --out "$out/fern-$precision" \
+      --set train.steps=$network_steps --set field.precision=$precision $small_paper
+  done
   try 30 3-builtin-mesh ./augnerf mesh "$out/builtin-nerf" --device gpu --resolution $resolution $surface --picture "$out/builtin-mesh.png"
   try 30 3-builtin-measure ./augnerf measure "$out/builtin-nerf" --device gpu
   [[ -x augnerf-cuda ]] && try 30 3-builtin-cuda ./augnerf-cuda train --device cuda --out "$out/builtin-cuda" --set train.steps=50 \
@@ -119,10 +125,10 @@ run() {
 }
 
 # Sizes of the day, and of its rehearsal.
-rays=1024 steps=20 resolution=256 log_every=200 slower=1 small="" small_paper="" surface=""
+rays=1024 steps=20 network_steps=1000 resolution=256 log_every=200 slower=1 small="" small_paper="" surface=""
 
 rehearse() {
-  rays=8 steps=1 resolution=24 log_every=1 slower=4 surface="--threshold 0.3"
+  rays=8 steps=1 network_steps=2 resolution=24 log_every=1 slower=4 surface="--threshold 0.3"
   small="--set train.rays=32 --set train.steps=20 --set train.decay_steps=20 --set data.width=32"
   small_paper="--set train.rays=4 --set data.width=32 --set field.width=32"
   WITHOUT_PEERS="nerf aug-nerf" MOST_SECONDS=${MOST_SECONDS:-900} run "$1"
