@@ -22,7 +22,7 @@ impl RayTerm for Decided {
         "decided"
     }
 
-    fn per_ray(&self, pass: &RayPass) -> Result<Tensor> {
+    fn per_group(&self, pass: &RayPass) -> Result<Tensor> {
         let acc = &pass.output.composite.acc; // [rays]
         Ok((acc - acc.sqr()?)?)
     }

@@ -138,8 +138,8 @@ impl CorruptArguments {
 }
 
 /// Draws the scene into a PNG or SVG file.
-fn draw(scene: &Scene, file: &Path) -> Result<()> {
-    let figure = scene_picture(scene)?;
+fn draw(config: &Resolved, scene: &Scene, file: &Path) -> Result<()> {
+    let figure = scene_picture(config, scene)?;
     match (ending(file)?, figure.png) {
         (Ending::Svg, _) => write_named(file, figure.svg.as_bytes()),
         (Ending::Png, Some(png)) => write_named(file, &png),
@@ -181,7 +181,7 @@ impl CheckArguments {
         let split = split_name(&config);
         let said: Vec<(String, String)> =
             scene.describe().into_iter().chain([("split".to_string(), split.clone())]).collect();
-        self.picture.as_ref().map_or(Ok(()), |file| draw(&scene, file))?;
+        self.picture.as_ref().map_or(Ok(()), |file| draw(&config, &scene, file))?;
         self.answer.give(&CheckedScene::new(&config, &scene, split, &said), || {
             said.iter().try_for_each(|(label, value)| print_shown(&format!("{label:>16}  {value}")))
         })

@@ -92,7 +92,7 @@ fn evaluations(config: &Config, placing: usize, trained: usize) -> f64 {
     };
     // A sharpness-aware step computes everything twice.
     let times = if config.train.sam_radius > 0.0 { 2.0 } else { 1.0 };
-    times * (clean + second + regularizer_evaluations(config))
+    times * (clean + second + unseen_evaluations(config, clean) + regularizer_evaluations(config))
 }
 
 /// Returns the PGD steps of the search: the largest number of any site.
@@ -100,6 +100,13 @@ fn search_steps(perturb: &PerturbConfig) -> u32 {
     // The number of steps does not depend on the scene.
     let resolved = perturb.clone().resolve(1.0, 1, 1);
     resolved.numbers.iter().filter(|(_, site)| site.on()).map(|(_, site)| site.steps).max().unwrap_or(0) as u32
+}
+
+/// Counts the clean passes of unseen rays. Where they are as many as training rays, each kind costs a step of NeRF.
+fn unseen_evaluations(config: &Config, clean: f64) -> f64 {
+    let rays = config.regularizer.unseen_rays.unwrap_or(config.train.rays);
+    let kinds = config.regularizer.unseen_groups().len();
+    kinds as f64 * clean * rays as f64 / config.train.rays as f64
 }
 
 /// Counts a forward pass, its adjoint, and the two products of the backward pass. The colour head is included in the

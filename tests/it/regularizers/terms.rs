@@ -1,16 +1,18 @@
-//! Terms of few-view training: each is descended, on networks and on hash grids, and costs no reproducibility.
+//! Terms of few-view training, on training rays, unseen rays, points and tables: each is descended, on networks and on hash grids, and costs no reproducibility.
 
 use super::*;
-use augnerf::settings::WeightSchedule;
+use augnerf::settings::{DataKind, TermRays, WeightSchedule};
 
 /// Terms on rays, in space and on tables that are not the paper's, with weights that show.
-const FEW_VIEWS: [(Regularizer, f64); 6] = [
+const FEW_VIEWS: [(Regularizer, f64); 8] = [
     (Regularizer::Occlusion, 0.1),
     (Regularizer::Entropy, 0.1),
     (Regularizer::Cauchy, 0.1),
     (Regularizer::OpacityPrior, 0.3),
     (Regularizer::OpacitySparsity, 1.0),
     (Regularizer::HashDecay, 1e4),
+    (Regularizer::DepthSmoothness, 1.0),
+    (Regularizer::InformationGain, 1.0),
 ];
 
 fn with(on_grid: bool, set: impl Fn(&mut RegularizerConfig)) -> augnerf::settings::Resolved {
@@ -21,12 +23,9 @@ fn with(on_grid: bool, set: impl Fn(&mut RegularizerConfig)) -> augnerf::setting
         }
         config.regularizer.lattice = 8;
         config.regularizer.points_per_step = 64;
+        config.regularizer.unseen_rays = Some(128);
         set(&mut config.regularizer);
     })
-}
-
-fn one(on_grid: bool, term: Regularizer, weight: f64) -> augnerf::settings::Resolved {
-    with(on_grid, |config| (config.kind, config.weight) = (vec![term], vec![weight]))
 }
 
 fn terms_of(on_grid: bool) -> impl Iterator<Item = (Regularizer, f64)> {
@@ -37,10 +36,18 @@ fn terms_of(on_grid: bool) -> impl Iterator<Item = (Regularizer, f64)> {
 /// term is smaller than without.
 #[test]
 fn each_term_is_reported_and_descended() {
-    for on_grid in [false, true] {
+    for (on_grid, rays) in
+        [(false, TermRays::Training), (true, TermRays::Training), (false, TermRays::Unseen), (true, TermRays::Unseen)]
+    {
         for (term, weight) in terms_of(on_grid) {
+            if rays == TermRays::Unseen && ![Regularizer::Occlusion, Regularizer::Entropy].contains(&term) {
+                continue;
+            }
+            let one = |weight: f64| {
+                with(on_grid, |config| (config.kind, config.weight, config.rays) = (vec![term], vec![weight], rays))
+            };
             let column = format!("regularizer.{}", term.name());
-            let [mut weak, mut strong] = [1e-12, weight].map(|weight| trained(&one(on_grid, term, weight), 0));
+            let [mut weak, mut strong] = [1e-12, weight].map(|weight| trained(&one(weight), 0));
             let (a, b) = (weak.step(false).unwrap(), strong.step(false).unwrap());
             let value = b.term(&column).unwrap();
             assert!(value.is_finite() && a.term(&column) == Some(value), "{column} {on_grid}: {value}");
@@ -51,7 +58,7 @@ fn each_term_is_reported_and_descended() {
                 weight * value
             );
             let after = |weight: f64| {
-                let mut trainer = trained(&one(on_grid, term, weight), 60);
+                let mut trainer = trained(&one(weight), 60);
                 trainer.step(false).unwrap().term(&column).unwrap()
             };
             let (weak, strong) = (after(1e-12), after(weight));
@@ -66,7 +73,7 @@ fn all_terms_together_have_the_same_bytes_on_threads_and_after_a_stop() {
     let config = with(true, |config| {
         config.kind = terms_of(true).map(|(term, _)| term).collect();
         config.weight = terms_of(true).map(|(_, weight)| 0.01 * weight).collect();
-        config.schedule = vec![WeightSchedule::Constant; 6];
+        config.schedule = vec![WeightSchedule::Constant; FEW_VIEWS.len()];
         config.schedule[0] = WeightSchedule::Linear { from: 0.2, steps: 4 };
         config.schedule[1] = WeightSchedule::Halved { every: 2 };
     });
@@ -89,6 +96,47 @@ fn all_terms_together_have_the_same_bytes_on_threads_and_after_a_stop() {
     assert_eq!(once, run(2, false));
     assert_eq!(once, run(2, true));
     assert_ne!(once, parameters(&trained(&with(true, |_| {}), 6), &roles));
+}
+
+/// A patch is in one chunk, however small chunks are: the value is the same to rounding.
+#[test]
+fn patches_and_pairs_stay_together_whatever_the_chunk() {
+    for (term, on_grid) in [(Regularizer::DepthSmoothness, true), (Regularizer::InformationGain, false)] {
+        let of = |chunk: usize| {
+            let mut config =
+                with(on_grid, |config| (config.kind, config.weight) = (vec![term], vec![1.0])).into_draft();
+            config.train.chunk = chunk;
+            let config = config.resolve(DataKind::Blender, augnerf::bench::EXTENT).unwrap();
+            let column = format!("regularizer.{}", term.name());
+            trained(&config, 0).step(false).unwrap().term(&column).unwrap()
+        };
+        let whole = of(128);
+        assert!(whole > 0.0);
+        for chunk in [1, 3, 48, 100] {
+            assert!((of(chunk) / whole - 1.0).abs() < 1e-5, "{chunk}: {} for {whole}", of(chunk));
+        }
+    }
+}
+
+/// Unseen rays have random numbers of their own: a term that weighs nothing changes no bit, and a scene whose cameras
+/// look at nothing in common says what to set.
+#[test]
+fn unseen_rays_disturb_nothing_and_need_cameras_that_meet() {
+    let roles = ["coarse", "fine"];
+    let terms = [Regularizer::DepthSmoothness, Regularizer::InformationGain, Regularizer::Entropy];
+    let idle = with(false, |config| {
+        (config.kind, config.weight) = (terms.to_vec(), vec![1e-30; 3]);
+        config.rays = TermRays::Unseen;
+    });
+    let without = with(false, |_| {});
+    assert_eq!(parameters(&trained(&idle, 4), &roles), parameters(&trained(&without, 4), &roles));
+    let mut scene = tiny_scene();
+    for (i, view) in scene.train.iter_mut().enumerate() {
+        view.camera.pose = [[1.0, 0.0, 0.0, i as f64], [0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 1.0, 4.0]];
+    }
+    let runtime = augnerf::runtime::Runtime::new("cpu", Some(1)).unwrap();
+    let said = Trainer::new(&idle, &scene, DType::F32, &runtime).err().unwrap().to_string();
+    assert_says(&said, &["unseen_poses = \"sphere\"", "no common point", "\"between\""]);
 }
 
 /// A schedule changes the weight of a step, and nothing else of it.

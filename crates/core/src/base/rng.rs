@@ -41,6 +41,8 @@ pub enum Stream {
     Views,
     /// Random displacements of weights.
     Sharpness,
+    /// Rays of cameras without photographs, with the random numbers of their passes.
+    Unseen,
 }
 
 impl Stream {
@@ -61,6 +63,7 @@ impl Stream {
             Stream::Axis => 11,
             Stream::Views => 12,
             Stream::Sharpness => 13,
+            Stream::Unseen => 14,
         }
     }
 }

@@ -21,6 +21,7 @@ mod remarks;
 pub mod resample;
 mod rig;
 mod scene_space;
+mod unseen;
 pub mod vector;
 mod views;
 mod world;
@@ -33,6 +34,7 @@ pub use lookalikes::scene_of_file;
 pub use rays::{Footprint, RayBuffer, RayParts, Rays, tangents};
 pub use rig::{Rig, Subject};
 pub use scene_space::SceneSpace;
+pub use unseen::{PATCH_SIDE, RayGroup, UnseenCameras, UnseenRay};
 pub use views::seen_views;
 pub use world::WorldToScene;
 

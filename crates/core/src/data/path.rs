@@ -49,7 +49,7 @@ pub fn centre(poses: &[Pose]) -> Option<Vec3> {
 /// Returns the up direction: perpendicular to the cameras' right axes (people hold cameras level), and otherwise along
 /// their mean up. It is the least squares solution of `right . up` with a ridge towards the mean. The mean alone leans
 /// away from cameras that look down from one side.
-fn up(poses: &[Pose]) -> Option<Vec3> {
+pub(super) fn up(poses: &[Pose]) -> Option<Vec3> {
     let mean = pose::mean(poses.iter().map(|p| pose::column(p, 1)));
     let mut matrix = [[0.0; 3]; 3];
     for right in poses.iter().map(|p| pose::column(p, 0)) {

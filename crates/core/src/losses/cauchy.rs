@@ -15,7 +15,7 @@ impl RayTerm for Cauchy {
         "cauchy"
     }
 
-    fn per_ray(&self, pass: &RayPass) -> Result<Tensor> {
+    fn per_group(&self, pass: &RayPass) -> Result<Tensor> {
         let density = pass.output.density.to_dtype(DType::F64)?;
         Ok((density.sqr()?.affine(2.0, 1.0)?).log()?.mean(D::Minus1)?)
     }

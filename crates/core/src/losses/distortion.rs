@@ -21,7 +21,7 @@ impl RayTerm for Distortion {
         "distortion"
     }
 
-    fn per_ray(&self, pass: &RayPass) -> Result<Tensor> {
+    fn per_group(&self, pass: &RayPass) -> Result<Tensor> {
         distortion(&pass.output.composite.weights, &pass.edges()?)
     }
 }

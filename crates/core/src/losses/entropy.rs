@@ -17,13 +17,13 @@ use super::{RayPass, RayTerm};
 /// between numbers of samples. Rays that accumulate at most 0.1 count 0. The interval behind a last point has no
 /// end: InfoNeRF takes it as opaque, and here it does not count.
 ///
-/// InfoNeRF adds as many unseen rays to a step. Here they are the step's own.
+/// InfoNeRF computes it on as many unseen rays: `regularizer.rays = "unseen"`.
 pub struct Entropy;
 
 /// Accumulation from which on a ray has an entropy.
 const LEAST_ACC: f64 = 0.1;
 /// Keeps quotients and logarithms finite.
-const TINY: f64 = 1e-10;
+pub(super) const TINY: f64 = 1e-10;
 
 impl RayTerm for Entropy {
     fn name(&self) -> &str {
@@ -34,17 +34,28 @@ impl RayTerm for Entropy {
         true
     }
 
-    fn per_ray(&self, pass: &RayPass) -> Result<Tensor> {
-        let samples = pass.samples()?;
-        let bounded = if pass.output.t_vals.dim(1)? > samples { samples } else { samples - 1 };
-        let lengths = intervals(&pass.output.t_vals, pass.direction_norm, samples)?;
-        let part = |tensor: &Tensor| tensor.narrow(1, 0, bounded)?.to_dtype(DType::F64);
-        let alpha = ((part(&pass.output.density)? * part(&lengths)?)?.neg()?.exp()?).affine(-1.0, 1.0)?;
-        let p = alpha.broadcast_div(&alpha.sum_keepdim(D::Minus1)?.affine(1.0, TINY)?)?;
+    fn per_group(&self, pass: &RayPass) -> Result<Tensor> {
+        let p = stopping(pass)?;
         let bits = ((p.affine(1.0, TINY)?.log()? * &p)?.sum(D::Minus1)? * (-1.0 / 2f64.ln()))?;
-        let acc = part(&pass.output.composite.weights)?.sum(D::Minus1)?.detach();
+        let acc = bounded(pass, &pass.output.composite.weights)?.sum(D::Minus1)?.detach();
         Ok((bits * acc.gt(LEAST_ACC)?.to_dtype(DType::F64)?)?)
     }
+}
+
+/// Returns each sample's share of its ray's opacities, p above, `[rays, samples]` in f64, without the sample of an
+/// interval that has no end.
+pub(super) fn stopping(pass: &RayPass) -> Result<Tensor> {
+    let lengths = intervals(&pass.output.t_vals, pass.direction_norm, pass.samples()?)?;
+    let optical = (bounded(pass, &pass.output.density)? * bounded(pass, &lengths)?)?;
+    let alpha = optical.neg()?.exp()?.affine(-1.0, 1.0)?;
+    Ok(alpha.broadcast_div(&alpha.sum_keepdim(D::Minus1)?.affine(1.0, TINY)?)?)
+}
+
+/// Returns the columns of samples whose intervals have ends, in f64.
+fn bounded(pass: &RayPass, of_samples: &Tensor) -> Result<Tensor> {
+    let samples = pass.samples()?;
+    let count = if pass.output.t_vals.dim(1)? > samples { samples } else { samples - 1 };
+    Ok(of_samples.narrow(1, 0, count)?.to_dtype(DType::F64)?)
 }
 
 #[cfg(test)]

@@ -11,10 +11,13 @@
 //! | `entropy` | rays | entropy of the opacities along the ray | InfoNeRF |
 //! | `cauchy` | rays | mean of log(1 + 2 density^2) | SNeRG |
 //! | `opacity-prior` | rays | log(0.1 + acc) + log(1.1 - acc) | Neural Volumes |
+//! | `depth-smoothness` | unseen patches | squared differences of neighbouring pixels' depth | RegNeRF |
+//! | `information-gain` | unseen pairs | divergence of the opacities of a ray and its twin | InfoNeRF |
 //! | `hash-decay` | tables | half the mean square of each level's entries | Zip-NeRF |
 //!
-//! A term on rays is the mean over the rays of a step. A term on tables is of the hash grids' parameters alone. A term in space is an integral over a box: volume / n * sum over
-//! n points. If the points are the midpoints of all cells, volume / n is the paper's delta^3. A term of your own
+//! A term on rays is the mean over a step's rays, which are those of its photographs or unseen ones, or over its pairs or
+//! patches of unseen rays. A term on tables is of the hash grids' parameters alone. A term in space is an integral over a
+//! box: volume / n * sum over n points. If the points are the midpoints of all cells, volume / n is the paper's delta^3. A term of your own
 //! implements [`RayTerm`] or [`SpaceTerm`], and is passed to the trainer ([`crate::methods::Learner::add_term`]).
 
 use std::sync::Arc;
@@ -22,14 +25,17 @@ use std::sync::Arc;
 use candle_core::{Tensor, Var};
 
 use crate::base::Result;
+use crate::data::RayGroup;
 use crate::field::{Cotangents, DensityAt, Order};
 use crate::render::PassOutput;
-use crate::settings::{Regularizer, RegularizerConfig, WeightSchedule};
+use crate::settings::{Regularizer, RegularizerConfig, TermRays, WeightSchedule};
 
 mod cauchy;
+mod depth_smoothness;
 mod distortion;
 mod entropy;
 mod hash_decay;
+mod information_gain;
 mod l1;
 mod laplacian;
 mod occlusion;
@@ -39,9 +45,11 @@ mod spatial;
 mod tv;
 
 pub use cauchy::Cauchy;
+pub use depth_smoothness::DepthSmoothness;
 pub use distortion::Distortion;
 pub use entropy::Entropy;
 pub use hash_decay::HashDecay;
+pub use information_gain::InformationGain;
 pub use l1::L1;
 pub use laplacian::Laplacian;
 pub use occlusion::Occlusion;
@@ -89,7 +97,7 @@ fn edges(t_vals: &Tensor, samples: usize, (near, far): (f64, f64)) -> Result<Ten
     Ok(edges.affine(1.0 / (far - near), -near / (far - near))?)
 }
 
-/// A term with a value per ray.
+/// A term with a value per ray, or per group of rays.
 pub trait RayTerm: Send + Sync {
     /// Returns its name in logs (`regularizer.NAME`) and tables.
     fn name(&self) -> &str;
@@ -97,8 +105,13 @@ pub trait RayTerm: Send + Sync {
     fn is_of_evaluated_pass(&self) -> bool {
         false
     }
-    /// Returns the term of each ray of a clean pass, `[rays]`, differentiable.
-    fn per_ray(&self, pass: &RayPass) -> Result<Tensor>;
+    /// Returns the rays that it has a value for. Pairs and patches are unseen rays.
+    fn group(&self) -> RayGroup {
+        RayGroup::One
+    }
+    /// Returns the term of each group of a clean pass's rays, `[groups]`, differentiable. A group's rays are next to each
+    /// other.
+    fn per_group(&self, pass: &RayPass) -> Result<Tensor>;
 }
 
 /// A term that is integrated over a box.
@@ -130,12 +143,25 @@ pub trait SpaceTerm: Send + Sync {
 /// A term of the loss.
 #[derive(Clone)]
 pub enum LossTerm {
-    /// The mean over the rays of a step.
-    OnRays(Arc<dyn RayTerm>),
+    /// The mean over rays, or groups of them.
+    OnRays(Arc<dyn RayTerm>, TermRays),
     /// An integral over a box.
     InSpace(Arc<dyn SpaceTerm>),
     /// Of the tables of hash grids.
     OnTables(HashDecay),
+}
+
+/// Where a step computes a term's value.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum TermSource {
+    /// The clean passes of the step's own rays.
+    TrainingRays,
+    /// Passes of rays without photographs, in such groups.
+    UnseenRays(RayGroup),
+    /// Points of a box.
+    Space,
+    /// The tables of hash grids.
+    Tables,
 }
 
 /// A term and its weight in the loss.
@@ -150,9 +176,25 @@ pub struct WeightedTerm {
 }
 
 impl LossTerm {
-    /// Creates a term on rays.
+    /// Creates a term on the rays of photographs, or on unseen ones if it needs pairs or patches.
     pub fn on_rays(term: impl RayTerm + 'static) -> LossTerm {
-        LossTerm::OnRays(Arc::new(term))
+        let rays = if term.group() == RayGroup::One { TermRays::Training } else { TermRays::Unseen };
+        LossTerm::OnRays(Arc::new(term), rays)
+    }
+
+    /// Creates a term on unseen rays.
+    pub fn on_unseen_rays(term: impl RayTerm + 'static) -> LossTerm {
+        LossTerm::OnRays(Arc::new(term), TermRays::Unseen)
+    }
+
+    /// Returns where a step computes its value.
+    pub fn source(&self) -> TermSource {
+        match self {
+            LossTerm::OnRays(_, TermRays::Training) => TermSource::TrainingRays,
+            LossTerm::OnRays(term, TermRays::Unseen) => TermSource::UnseenRays(term.group()),
+            LossTerm::InSpace(_) => TermSource::Space,
+            LossTerm::OnTables(_) => TermSource::Tables,
+        }
     }
 
     /// Creates a term in space.
@@ -162,7 +204,7 @@ impl LossTerm {
 
     /// Returns a term with its settings.
     pub fn of(regularizer: Regularizer, config: &RegularizerConfig) -> LossTerm {
-        match regularizer {
+        let term = match regularizer {
             Regularizer::L1 => LossTerm::in_space(L1),
             Regularizer::Tv => LossTerm::in_space(Tv),
             Regularizer::Laplacian => LossTerm::in_space(Laplacian),
@@ -173,13 +215,19 @@ impl LossTerm {
             Regularizer::OpacityPrior => LossTerm::on_rays(OpacityPrior),
             Regularizer::OpacitySparsity => LossTerm::in_space(OpacitySparsity { volume: config.volume() }),
             Regularizer::HashDecay => LossTerm::OnTables(HashDecay),
+            Regularizer::DepthSmoothness => LossTerm::on_rays(DepthSmoothness),
+            Regularizer::InformationGain => LossTerm::on_rays(InformationGain),
+        };
+        match (term, config.rays) {
+            (LossTerm::OnRays(term, _), TermRays::Unseen) => LossTerm::OnRays(term, TermRays::Unseen),
+            (term, _) => term,
         }
     }
 
     /// Returns the name in logs and tables.
     pub fn name(&self) -> &str {
         match self {
-            LossTerm::OnRays(term) => term.name(),
+            LossTerm::OnRays(term, _) => term.name(),
             LossTerm::InSpace(term) => term.name(),
             LossTerm::OnTables(term) => term.name(),
         }
@@ -219,7 +267,7 @@ mod tests {
             let term = LossTerm::of(regularizer, &RegularizerConfig::default());
             assert_eq!(term.name(), regularizer.name());
             let needs = match &term {
-                LossTerm::OnRays(_) => TermNeeds::Samples,
+                LossTerm::OnRays(term, _) => TermNeeds::Samples(term.group()),
                 LossTerm::InSpace(term) => TermNeeds::Density(term.order()),
                 LossTerm::OnTables(_) => TermNeeds::Tables,
             };
@@ -229,36 +277,54 @@ mod tests {
 
     /// A ray from 0 to `far` with evenly spaced points, in f64.
     pub(super) struct TestRay {
+        /// Of all rays, one after the other.
         density: Vec<f64>,
+        rays: usize,
         far: f64,
         has_edges: bool,
     }
 
     pub(super) fn rays(density: &[f64], far: f64) -> TestRay {
-        TestRay { density: density.to_vec(), far, has_edges: false }
+        TestRay { density: density.to_vec(), rays: 1, far, has_edges: false }
     }
 
-    /// The same between edges, the last of which is `far`.
+    /// Two such rays.
+    pub(super) fn pair(density: &[f64], far: f64) -> TestRay {
+        TestRay { rays: 2, ..rays(density, far) }
+    }
+
+    /// Those of a patch.
+    pub(super) fn patch(density: &[f64], samples: usize, far: f64) -> TestRay {
+        assert_eq!(density.len(), samples * RayGroup::Patch.rays());
+        TestRay { rays: RayGroup::Patch.rays(), ..rays(density, far) }
+    }
+
+    /// The same between edges.
     pub(super) fn between_edges(density: &[f64], far: f64) -> TestRay {
-        TestRay { has_edges: true, ..rays(density, far) }
+        rays(density, far).edged()
     }
 
     impl TestRay {
+        /// The same between edges, the last of which is `far`.
+        pub(super) fn edged(self) -> TestRay {
+            TestRay { has_edges: true, ..self }
+        }
+
         /// Returns a term's value, and its derivatives in density.
         fn differentiated(&self, term: &dyn RayTerm) -> (f64, Vec<f64>) {
-            let n = self.density.len();
-            let row = |values: Vec<f64>| Tensor::from_vec(values, (1, n), &Device::Cpu).unwrap();
-            let density = Var::from_tensor(&row(self.density.clone())).unwrap();
+            let (rays, n) = (self.rays, self.density.len() / self.rays);
+            let density = Tensor::from_slice(&self.density, (rays, n), &Device::Cpu).unwrap();
+            let density = Var::from_tensor(&density).unwrap();
             let columns = n + usize::from(self.has_edges);
             let t_vals: Vec<f64> = (0..columns).map(|k| k as f64 * self.far / n as f64).collect();
-            let t_vals = Tensor::from_vec(t_vals, (1, columns), &Device::Cpu).unwrap();
-            let direction_norm = Tensor::new(&[[1.0f64]], &Device::Cpu).unwrap();
-            let rgb = Tensor::zeros((1, n, 3), candle_core::DType::F64, &Device::Cpu).unwrap();
+            let t_vals = Tensor::from_vec(t_vals.repeat(rays), (rays, columns), &Device::Cpu).unwrap();
+            let direction_norm = Tensor::ones((rays, 1), candle_core::DType::F64, &Device::Cpu).unwrap();
+            let rgb = Tensor::zeros((rays, n, 3), candle_core::DType::F64, &Device::Cpu).unwrap();
             let composite = composite_reference(&rgb, &density, &t_vals, &direction_norm, None).unwrap();
             let raw_density = density.as_tensor().clone();
             let output = PassOutput { composite, rgb, density: density.as_tensor().clone(), t_vals, raw_density };
             let pass = RayPass { output: &output, bounds: (0.0, self.far), direction_norm: &direction_norm };
-            let value = term.per_ray(&pass).unwrap();
+            let value = term.per_group(&pass).unwrap();
             let gradients = value.sum_all().unwrap().backward().unwrap();
             let slopes = gradients.get(&density).unwrap().flatten_all().unwrap().to_vec1().unwrap();
             (value.to_vec1::<f64>().unwrap()[0], slopes)

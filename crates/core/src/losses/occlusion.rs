@@ -28,7 +28,7 @@ impl RayTerm for Occlusion {
         true
     }
 
-    fn per_ray(&self, pass: &RayPass) -> Result<Tensor> {
+    fn per_group(&self, pass: &RayPass) -> Result<Tensor> {
         let density = &pass.output.density;
         // The part of each interval that is in the share.
         let inside = pass.edges()?.clamp(0.0, self.share)?.to_dtype(DType::F64)?;

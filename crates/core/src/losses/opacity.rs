@@ -51,7 +51,7 @@ impl RayTerm for OpacityPrior {
         "opacity-prior"
     }
 
-    fn per_ray(&self, pass: &RayPass) -> Result<Tensor> {
+    fn per_group(&self, pass: &RayPass) -> Result<Tensor> {
         let acc = pass.output.composite.acc.to_dtype(DType::F64)?;
         let sum = (acc.affine(1.0, 0.1)?.log()? + acc.affine(-1.0, 1.1)?.log()?)?;
         Ok((sum - (0.1f64.ln() + 1.1f64.ln()))?)

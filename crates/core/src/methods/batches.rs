@@ -4,7 +4,7 @@ use std::sync::Arc;
 
 use crate::base::rng::{Random, Stream};
 use crate::base::{Error, Image, Result};
-use crate::data::{Camera, Ndc, RayBuffer, RayParts, Scene, View};
+use crate::data::{Camera, Ndc, RayBuffer, RayParts, Scene, UnseenRay, View};
 use crate::settings::{Batching, Located, PixelOrigin};
 
 /// The training views' pixels, and the order in which they are drawn. A batch is a function of the seed and the step.
@@ -94,6 +94,17 @@ impl Batches {
         }
         let kept = ((size as f64 * self.precrop_fraction).round() as usize).clamp(1, size);
         (((size - kept) / 2) as u32, kept as u32)
+    }
+
+    /// Returns the cameras of the training views.
+    pub fn cameras(&self) -> &[Camera] {
+        &self.cameras
+    }
+
+    /// Returns rays of any cameras.
+    pub fn rays_of(&self, pixels: &[UnseenRay]) -> RayBuffer {
+        let rays: Vec<(&Camera, u32, u32)> = pixels.iter().map(|(camera, x, y)| (camera, *x, *y)).collect();
+        RayBuffer::new(&rays, self.ndc.as_ref(), self.pixel_origin, self.parts)
     }
 
     /// Returns the batch of a step.

@@ -183,6 +183,7 @@ pub const COLUMNS: &[Column] = &[
     column("resample").where_differing().of(perturbed),
     column("lambda").of(augmented),
     column("regularizers").of(regularized),
+    column("unseen").where_differing().of(regularized),
     column("regularizer_points").of(regularized),
     column("regularizer_domain").of(regularized),
     column("regularizer_fields").of(regularized),

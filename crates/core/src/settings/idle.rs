@@ -33,6 +33,14 @@ impl Config {
         if path == "regularizer.occlusion_share" && !self.regularizer.kind.contains(&Regularizer::Occlusion) {
             return Some("regularizer.kind does not name occlusion".into());
         }
+        let unseen = ["regularizer.unseen_rays", "regularizer.unseen_poses"].contains(&path);
+        if unseen && self.regularizer.unseen_groups().is_empty() {
+            return Some(
+                "no term of regularizer.kind reads unseen rays; depth-smoothness and information-gain do, and others with \
+                 regularizer.rays = \"unseen\""
+                    .into(),
+            );
+        }
         if path == "train.sam_direction" && self.train.sam_radius == 0.0 {
             return Some("train.sam_radius is 0".into());
         }

@@ -43,7 +43,9 @@ pub use layers::{Preset, build, check_assignment, data_section, parse_assignment
 pub use method::{Capability, Method, Representation};
 pub use perturb::{Objective, OutputPlace, PerturbConfig, PerturbField, Resample, ResolvedPerturb};
 pub use planes::{PlanesConfig, PlanesLoss};
-pub use regularizer::{LatticePoints, REGULARIZERS, RegularizedFields, Regularizer, RegularizerConfig, TermNeeds};
+pub use regularizer::{
+    LatticePoints, REGULARIZERS, RegularizedFields, Regularizer, RegularizerConfig, TermNeeds, TermRays, UnseenPoses,
+};
 pub use resolved::{Extent, Located, Resolved};
 pub use sampling::{SamplingConfig, Spacing};
 pub use schedule::WeightSchedule;

@@ -2,6 +2,7 @@
 
 use serde::{Deserialize, Deserializer, Serialize};
 
+use crate::data::RayGroup;
 use crate::field::Order;
 
 use super::registry::{choice, numbers, section};
@@ -32,10 +33,14 @@ pub enum Regularizer {
     OpacitySparsity,
     /// Squares of a hash grid's entries (Zip-NeRF).
     HashDecay,
+    /// Differences of depth between neighbouring pixels of unseen patches (RegNeRF).
+    DepthSmoothness,
+    /// Divergence between the opacities of a ray and of its twin (InfoNeRF).
+    InformationGain,
 }
 
 /// All regularizers in their fixed order.
-pub const REGULARIZERS: [Regularizer; 10] = [
+pub const REGULARIZERS: [Regularizer; 12] = [
     Regularizer::L1,
     Regularizer::Tv,
     Regularizer::Laplacian,
@@ -46,13 +51,15 @@ pub const REGULARIZERS: [Regularizer; 10] = [
     Regularizer::OpacityPrior,
     Regularizer::OpacitySparsity,
     Regularizer::HashDecay,
+    Regularizer::DepthSmoothness,
+    Regularizer::InformationGain,
 ];
 
 /// What a term is computed from.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum TermNeeds {
-    /// The samples of the step's rays.
-    Samples,
+    /// The samples of rays, which come in such groups. Pairs and patches are unseen.
+    Samples(RayGroup),
     /// Density at points of the box of section `regularizer`, up to this derivative.
     Density(Order),
     /// The tables of hash grids.
@@ -73,6 +80,8 @@ impl Regularizer {
             Regularizer::OpacityPrior => "opacity-prior",
             Regularizer::OpacitySparsity => "opacity-sparsity",
             Regularizer::HashDecay => "hash-decay",
+            Regularizer::DepthSmoothness => "depth-smoothness",
+            Regularizer::InformationGain => "information-gain",
         }
     }
 
@@ -87,7 +96,9 @@ impl Regularizer {
             | Regularizer::Occlusion
             | Regularizer::Entropy
             | Regularizer::Cauchy
-            | Regularizer::OpacityPrior => TermNeeds::Samples,
+            | Regularizer::OpacityPrior => TermNeeds::Samples(RayGroup::One),
+            Regularizer::DepthSmoothness => TermNeeds::Samples(RayGroup::Patch),
+            Regularizer::InformationGain => TermNeeds::Samples(RayGroup::Pair),
         }
     }
 
@@ -100,16 +111,52 @@ impl Regularizer {
     /// Returns the default weight. A term of the paper then has a tenth of the photometric loss's gradient norm on fern,
     /// preset `paper-llff`, after 100 steps. Another scene can need hundreds of times as much; `augnerf balance` measures
     /// it. The others have their authors' weights: mip-NeRF 360's, FreeNeRF's, InfoNeRF's on Blender's scenes with 4
-    /// views, SNeRG's, Neural Volumes', PlenOctrees', and Zip-NeRF's on the scenes of mip-NeRF 360.
+    /// views, SNeRG's, Neural Volumes', PlenOctrees', Zip-NeRF's on the scenes of mip-NeRF 360, RegNeRF's after its
+    /// first 512 steps, and InfoNeRF's on DTU.
     fn default_weight(self) -> f64 {
         match self {
             Regularizer::L1 => 1.4e-4,
             Regularizer::Tv => 3.8e-6,
             Regularizer::Laplacian => 7.4e-9,
             Regularizer::Distortion | Regularizer::Occlusion | Regularizer::OpacityPrior => 0.01,
+            Regularizer::InformationGain => 2e-5,
             Regularizer::Entropy | Regularizer::OpacitySparsity => 1e-3,
             Regularizer::Cauchy => 1e-4,
-            Regularizer::HashDecay => 0.1,
+            Regularizer::HashDecay | Regularizer::DepthSmoothness => 0.1,
+        }
+    }
+}
+
+/// The rays on which terms of single rays are computed.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum TermRays {
+    /// Those of the step's photographs.
+    #[default]
+    Training,
+    /// Those of cameras without photographs.
+    Unseen,
+}
+
+/// Where cameras without photographs are. All placements are made from the training cameras alone.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum UnseenPoses {
+    /// In the box around the training cameras, looking at what they look at (RegNeRF on forward-facing scenes).
+    Box,
+    /// Around what the training cameras look at, as far away and at least as high as they are (RegNeRF on objects).
+    Sphere,
+    /// Between two training cameras.
+    Between,
+}
+
+impl UnseenPoses {
+    /// Returns the name in files and tables.
+    pub fn name(self) -> &'static str {
+        match self {
+            UnseenPoses::Box => "box",
+            UnseenPoses::Sphere => "sphere",
+            UnseenPoses::Between => "between",
         }
     }
 }
@@ -136,7 +183,7 @@ pub enum RegularizedFields {
     Fine,
 }
 
-choice!(Regularizer, LatticePoints, RegularizedFields);
+choice!(Regularizer, LatticePoints, RegularizedFields, TermRays, UnseenPoses);
 
 const POINTS: &[&str] = &["regularizer_points"];
 
@@ -144,13 +191,13 @@ section! {
     /// Explicit regularizers. The loss gains weight * term for each.
     pub struct RegularizerConfig {
         /// `l1`, `tv`, `laplacian`, `distortion`, `occlusion`, `entropy`, `cauchy`, `opacity-prior`,
-        /// `opacity-sparsity`, `hash-decay`, or a list of several; empty = none.
+        /// `opacity-sparsity`, `hash-decay`, `depth-smoothness`, `information-gain`, or a list of several; empty = none.
         #[serde(deserialize_with = "kinds")]
         pub kind: Vec<Regularizer> = Vec::new(), numbers().columns(&["regularizers"]);
         /// Weight of each term in `kind`: a number, or a list in the same order. Empty = the default of each term (l1
         /// 1.4e-4, tv 3.8e-6, laplacian 7.4e-9, distortion 0.01, occlusion 0.01, entropy 1e-3, cauchy 1e-4,
-        /// opacity-prior 0.01, opacity-sparsity 1e-3, hash-decay 0.1), which is for one scene; `augnerf balance`
-        /// measures others. A weight of 0 disables the term, unless its schedule begins elsewhere.
+        /// opacity-prior 0.01, opacity-sparsity 1e-3, hash-decay 0.1, depth-smoothness 0.1, information-gain 2e-5), which
+        /// is for one scene; `augnerf balance` measures others. A weight of 0 disables the term, unless its schedule begins elsewhere.
         #[serde(deserialize_with = "weights")]
         pub weight: Vec<f64> = Vec::new(),
             numbers().real(|weight| weight >= 0.0, "0 (off) or positive").columns(&["regularizers"]).same_time();
@@ -178,6 +225,17 @@ section! {
         /// Share of near..far in which `occlusion` counts density. Default: 20 of 128 even samples, as FreeNeRF.
         pub occlusion_share: f64 = 0.15625,
             numbers().real(|share| share > 0.0 && share <= 1.0, "over 0, at most 1").columns(&["regularizers"]).later().same_time();
+        /// The rays of `distortion`, `occlusion`, `entropy`, `cauchy` and `opacity-prior`: `training` (the step's own), or
+        /// `unseen` (as many others, of cameras without photographs).
+        pub rays: TermRays = TermRays::Training, numbers().columns(&["regularizers"]).later();
+        /// Number of unseen rays in a step, for each of single rays, pairs (`information-gain`) and patches
+        /// (`depth-smoothness`) that a term needs. Empty = `train.rays`.
+        pub unseen_rays: Option<usize> = None,
+            numbers().whole(64, 1 << 20, "64 (a patch) to 2^20").columns(&["unseen"]).later();
+        /// Cameras of unseen rays, from the training cameras alone: `box` (in the box around them, looking at what they
+        /// look at), `sphere` (around that, as far and at least as high as they are) or `between` (between two of them).
+        /// Empty = box for forward-facing scenes, sphere for Blender's, between for captures.
+        pub unseen_poses: Option<UnseenPoses> = None, numbers().columns(&["unseen"]).later().same_time();
     }
     sections {}
 }
@@ -191,6 +249,16 @@ impl RegularizerConfig {
     /// Returns the schedule of each term.
     pub fn schedules(&self) -> impl Iterator<Item = WeightSchedule> + '_ {
         self.schedule.iter().copied().chain(std::iter::repeat(WeightSchedule::Constant)).take(self.kind.len())
+    }
+
+    /// Returns the groups in which terms read unseen rays, each once.
+    pub fn unseen_groups(&self) -> Vec<RayGroup> {
+        let groups = [RayGroup::One, RayGroup::Pair, RayGroup::Patch];
+        let reads = |group: &RayGroup| {
+            let of_group = |term: &Regularizer| term.needs() == TermNeeds::Samples(*group);
+            (*group != RayGroup::One || self.rays == TermRays::Unseen) && self.kind.iter().any(of_group)
+        };
+        groups.into_iter().filter(reads).collect()
     }
 
     /// Returns whether any term is an integral over the box.
@@ -226,6 +294,12 @@ impl RegularizerConfig {
             let RegularizerConfig { domain, lattice, points, .. } = RegularizerConfig::default();
             (self.domain, self.lattice, self.points) = (domain, lattice, points);
         }
+        if !self.kind.iter().any(|term| term.needs() == TermNeeds::Samples(RayGroup::One)) {
+            self.rays = TermRays::Training;
+        }
+        if self.unseen_groups().is_empty() {
+            (self.unseen_rays, self.unseen_poses) = (None, None);
+        }
         if !self.kind.contains(&Regularizer::Occlusion) {
             self.occlusion_share = RegularizerConfig::default().occlusion_share;
         }
@@ -239,8 +313,8 @@ impl RegularizerConfig {
 #[derive(Deserialize)]
 #[serde(
     untagged,
-    expecting = "expected l1, tv, laplacian, distortion, occlusion, entropy, cauchy, opacity-prior, opacity-sparsity or \
-                hash-decay, or a list such as [\"l1\", \"tv\"]"
+    expecting = "expected l1, tv, laplacian, distortion, occlusion, entropy, cauchy, opacity-prior, opacity-sparsity, \
+                hash-decay, depth-smoothness or information-gain, or a list such as [\"l1\", \"tv\"]"
 )]
 enum Kinds {
     One(Regularizer),

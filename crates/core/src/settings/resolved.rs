@@ -3,7 +3,7 @@
 
 use std::ops::Deref;
 
-use super::{Batching, Config, DataKind, Representation, ResolvedPerturb};
+use super::{Batching, Config, DataKind, Representation, ResolvedPerturb, UnseenPoses};
 use crate::base::Result;
 
 /// A configuration whose scene is known. It derefs to the draft that it fills in. Settings that depend on the scene's
@@ -19,6 +19,10 @@ pub struct Located {
     pub decay_steps: u64,
     /// Number of steps whose one-image batches use the central part only.
     pub precrop_steps: u64,
+    /// Number of unseen rays of each kind that a term reads in a step.
+    pub unseen_rays: usize,
+    /// Where their cameras are.
+    pub unseen_poses: UnseenPoses,
 }
 
 /// A configuration without open numbers: what is trained, and what a run's `config.toml` holds.
@@ -76,10 +80,20 @@ impl Config {
         let precrop = if batching == Batching::OneImage { 500 } else { 0 };
         let precrop_steps = *self.train.precrop_steps.get_or_insert(precrop);
         self.regularizer.resolve();
+        let around = if kind == DataKind::Blender || kind == DataKind::BuiltinBlender {
+            UnseenPoses::Sphere
+        } else {
+            UnseenPoses::Between
+        };
+        let unseen_poses = self.regularizer.unseen_poses.unwrap_or(if forward { UnseenPoses::Box } else { around });
+        let unseen_rays = self.regularizer.unseen_rays.unwrap_or(self.train.rays);
+        if !self.regularizer.unseen_groups().is_empty() {
+            (self.regularizer.unseen_rays, self.regularizer.unseen_poses) = (Some(unseen_rays), Some(unseen_poses));
+        }
         self.data.corruption.resolve();
         self.validate()?;
         self.forget_other_methods();
-        Ok(Located { config: self, density_noise, batching, decay_steps, precrop_steps })
+        Ok(Located { config: self, density_noise, batching, decay_steps, precrop_steps, unseen_rays, unseen_poses })
     }
 
     /// Calls [`Config::locate`] and [`Located::resolve`] for a scene whose kind and extent are known.

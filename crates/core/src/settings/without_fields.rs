@@ -24,7 +24,7 @@ impl Config {
         for term in &self.regularizer.kind {
             let capability = match term.needs() {
                 TermNeeds::Density(_) => Capability::Derivatives,
-                TermNeeds::Samples => Capability::Samples,
+                TermNeeds::Samples(_) => Capability::Samples,
                 // Refused with the encoding.
                 TermNeeds::Tables => continue,
             };

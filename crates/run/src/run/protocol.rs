@@ -4,7 +4,7 @@ use serde::ser::{Serialize, SerializeMap, Serializer};
 use serde_json::Value;
 
 use crate::augment::{Passes, Site};
-use crate::data::{Camera, Scene, View, seen_views};
+use crate::data::{Camera, RayGroup, Scene, View, seen_views};
 use crate::methods::step_over_radius;
 use crate::metrics::{Lpips, share};
 use crate::model::Model;
@@ -13,8 +13,8 @@ use crate::revision::version;
 use crate::settings::columns::{COLUMNS, find, perturbed, regularized};
 use crate::settings::{
     Config, Core, Encoding, EvalSplit, HashConfig, LatticePoints, Precision, Regularizer, RegularizerConfig,
-    Representation, Resolved, ResolvedPerturb, SamDirection, Schedule, TrainConfig, TrainViews, WeightSchedule,
-    value_at, word,
+    Representation, Resolved, ResolvedPerturb, SamDirection, Schedule, TermNeeds, TermRays, TrainConfig, TrainViews,
+    WeightSchedule, value_at, word,
 };
 use crate::train::checkpoint::State;
 
@@ -132,6 +132,7 @@ fn of_settings(config: &Resolved) -> Found {
         ("attack_numbers", perturb.map(attack_numbers).into()),
         ("norms", perturb.map(norms).into()),
         ("regularizers", regularizer.map(regularizers).into()),
+        ("unseen", regularizer.and_then(|_| unseen(config)).into()),
         ("regularizer_points", in_space.map(regularizer_points).into()),
         ("regularizer_domain", in_space.map(|regularizer| format!("{:?}", regularizer.domain)).into()),
         ("learning_rate", learning_rate(config).into()),
@@ -323,14 +324,21 @@ fn regularizers(regularizer: &RegularizerConfig) -> String {
             Regularizer::Occlusion => format!(" in {} of the ray", regularizer.occlusion_share),
             _ => String::new(),
         };
+        let is_unseen = term.needs() == TermNeeds::Samples(RayGroup::One) && regularizer.rays == TermRays::Unseen;
+        let rays = if is_unseen { " on unseen rays" } else { "" };
         let moves = match schedule {
             WeightSchedule::Constant => String::new(),
             _ => format!(" {}", schedule.described()),
         };
-        format!("{} {weight}{moves}{share}", term.name())
+        format!("{} {weight}{moves}{share}{rays}", term.name())
     };
     let terms = regularizer.terms().zip(regularizer.schedules()).map(described);
     terms.collect::<Vec<String>>().join(", ")
+}
+
+fn unseen(config: &Resolved) -> Option<String> {
+    let is_read = !config.regularizer.unseen_groups().is_empty();
+    is_read.then(|| format!("{} rays, {}", config.unseen_rays, config.unseen_poses.name()))
 }
 
 fn regularizer_points(regularizer: &RegularizerConfig) -> String {

@@ -1,9 +1,11 @@
 //! The drawing of `data check --picture`: cameras, points, ends of rays and the box, from above and from the side.
 
 use crate::base::Result;
+use crate::base::rng::{Random, Stream};
 use crate::data::pose::{self, Vec3};
-use crate::data::{Camera, Scene, View};
+use crate::data::{Camera, Scene, UnseenCameras, View};
 use crate::draw::canvas::{Anchor, BLACK, BLUE, Canvas, Colour, Figure, GREY, ORANGE, PALETTE, SIDE, TEXT, Width};
+use crate::settings::Resolved;
 
 /// Side of a panel.
 const PANEL: f64 = (Width::Page.units() - 2.0 * SIDE - GAP) / 2.0;
@@ -17,6 +19,9 @@ const FAR_SHARE: f64 = 1.5;
 /// Quantiles of the points that decide the extent.
 const SHOWN: [f64; 2] = [0.02, 0.98];
 const GREEN: Colour = PALETTE[1];
+const PURPLE: Colour = PALETTE[5];
+/// Number of cameras of unseen rays that are drawn.
+const UNSEEN: usize = 24;
 
 /// One of two parallel views: its directions to the right and up.
 struct Panel {
@@ -29,12 +34,13 @@ struct Panel {
     half: f64,
 }
 
-/// Draws the scene's cameras (training blue, held out orange), points (grey), box (green) and rays from near to far, from
-/// two sides.
+/// Draws the scene's cameras (training blue, held out orange, some of unseen rays purple if a term reads such), points
+/// (grey), box (green) and rays from near to far, from two sides.
 ///
 /// # Errors
-/// The figure cannot be drawn.
-pub fn scene_picture(scene: &Scene) -> Result<Figure> {
+/// The figure cannot be drawn, or the training cameras do not suit `regularizer.unseen_poses`.
+pub fn scene_picture(config: &Resolved, scene: &Scene) -> Result<Figure> {
+    let unseen = unseen_cameras(config, scene)?;
     let title = format!("{}: {} views to train on, {} held out", scene.name, scene.train.len(), scene.test.len());
     let mut canvas = Canvas::titled(Width::Page, &title);
     let top = canvas.height + 20.0;
@@ -46,11 +52,22 @@ pub fn scene_picture(scene: &Scene) -> Result<Figure> {
     ];
     for (place, (name, axes)) in views.into_iter().enumerate() {
         let left = SIDE + place as f64 * (PANEL + GAP);
-        Panel { name, left, top, axes, middle, half }.draw(&mut canvas, scene);
+        Panel { name, left, top, axes, middle, half }.draw(&mut canvas, scene, &unseen);
     }
     canvas.height = top + PANEL + 6.0;
-    canvas.caption(&caption(scene, half, is_cut));
+    canvas.caption(&caption(scene, &unseen, half, is_cut));
     canvas.finish()
+}
+
+/// Returns some cameras of a run's unseen rays, or none if it reads none.
+fn unseen_cameras(config: &Resolved, scene: &Scene) -> Result<Vec<Camera>> {
+    if config.regularizer.unseen_groups().is_empty() {
+        return Ok(Vec::new());
+    }
+    let cameras: Vec<Camera> = scene.train.iter().map(|view| view.camera).collect();
+    let unseen = UnseenCameras::of(&cameras, config.unseen_poses)?;
+    let mut random = Random::new(config.seed, Stream::Unseen, 0);
+    Ok((0..UNSEEN).map(|_| unseen.draw(&mut random)).collect())
 }
 
 /// Returns right, forward and up of the capture, from all its cameras.
@@ -135,8 +152,11 @@ fn point_corners(scene: &Scene) -> Option<(Vec3, Vec3)> {
     Some((found[0], found[1]))
 }
 
-fn caption(scene: &Scene, half: f64, is_cut: bool) -> String {
+fn caption(scene: &Scene, unseen: &[Camera], half: f64, is_cut: bool) -> String {
     let mut text = String::from("Blue: cameras that are trained on; orange: held out. ");
+    if !unseen.is_empty() {
+        text += &format!("Purple: {} cameras of unseen rays; each step draws others. ", unseen.len());
+    }
     if !scene.space.points.is_empty() {
         text += &format!("Grey: {} points of the capture. ", scene.space.points.len());
     }
@@ -157,7 +177,7 @@ fn caption(scene: &Scene, half: f64, is_cut: bool) -> String {
 }
 
 impl Panel {
-    fn draw(&self, canvas: &mut Canvas, scene: &Scene) {
+    fn draw(&self, canvas: &mut Canvas, scene: &Scene, unseen: &[Camera]) {
         canvas.text((self.left, self.top - 12.0), self.name, TEXT, Anchor::Left, BLACK);
         let every = scene.space.points.len().div_ceil(MOST_POINTS).max(1);
         for point in scene.space.points.iter().step_by(every) {
@@ -165,6 +185,9 @@ impl Panel {
             if self.holds(at) {
                 canvas.dot(at, 1.0, GREY, 0.4);
             }
+        }
+        for camera in unseen {
+            self.draw_camera(canvas, scene, camera, PURPLE);
         }
         for (views, colour) in [(&scene.train, BLUE), (&scene.test, ORANGE)] {
             for view in views {

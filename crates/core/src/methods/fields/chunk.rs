@@ -12,7 +12,8 @@ use super::learner::FieldLearner;
 /// A chunk of one step: rays, targets and the clean pass's random numbers.
 pub(super) struct Chunk {
     pub(super) rays: Rays,
-    pub(super) target: Tensor,
+    /// True colours, `[rays, 3]`. Unseen rays have none.
+    pub(super) target: Option<Tensor>,
     pub(super) t_coarse: Tensor,
     pub(super) noise_coarse: Option<Tensor>,
     pub(super) noise_fine: Option<Tensor>,
@@ -27,13 +28,21 @@ pub(super) struct Chunk {
 }
 
 impl Chunk {
+    /// Returns the true colours of training rays.
+    ///
+    /// # Panics
+    /// The rays are unseen.
+    pub(super) fn photographed(&self) -> &Tensor {
+        self.target.as_ref().expect("training rays have colours")
+    }
+
     pub(super) fn narrow(&self, index: usize, start: usize, count: usize) -> Result<Chunk> {
         // Shared, not copied, if the complete tensor is contiguous.
         let part = |tensor: &Tensor| tensor.narrow(0, start, count)?.contiguous();
         let maybe = |tensor: &Option<Tensor>| tensor.as_ref().map(part).transpose();
         Ok(Chunk {
             rays: self.rays.narrow(start, count)?,
-            target: part(&self.target)?,
+            target: maybe(&self.target)?,
             t_coarse: part(&self.t_coarse)?,
             noise_coarse: maybe(&self.noise_coarse)?,
             noise_fine: maybe(&self.noise_fine)?,
@@ -52,11 +61,17 @@ impl FieldLearner {
         let rays = batch.rays.to_tensors(self.dtype, &self.device)?;
         let target = Tensor::from_vec(batch.target, (rays.len(), 3), &self.device)?.to_dtype(self.dtype)?;
         let mut random = Random::new(self.config.seed, Stream::Jitter, step);
-        self.draw_clean(rays, target, step, &mut random)
+        self.draw_clean(rays, Some(target), step, &mut random)
     }
 
     /// Draws jitter, density noise and inverse-CDF positions of a clean pass, in a fixed order.
-    pub(super) fn draw_clean(&self, rays: Rays, target: Tensor, step: u64, random: &mut Random) -> Result<Chunk> {
+    pub(super) fn draw_clean(
+        &self,
+        rays: Rays,
+        target: Option<Tensor>,
+        step: u64,
+        random: &mut Random,
+    ) -> Result<Chunk> {
         let sampling = &self.config.sampling;
         let (n, coarse, fine) = (rays.len(), sampling.coarse, sampling.fine);
         let (columns, fine_columns) = columns(&self.fields.coarse, sampling);

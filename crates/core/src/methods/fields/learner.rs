@@ -5,7 +5,7 @@ use candle_core::{DType, Device, Var};
 use crate::augment::Site;
 use crate::base::place::is_host;
 use crate::base::{Error, Result};
-use crate::data::{RayParts, Scene};
+use crate::data::{RayParts, Scene, UnseenCameras};
 use crate::losses::WeightedTerm;
 use crate::methods::batches::Batches;
 use crate::render::ray_parts;
@@ -30,6 +30,8 @@ pub struct FieldLearner {
     pub(super) batches: Batches,
     /// Terms of the loss next to the photometric ones.
     pub(super) terms: Vec<WeightedTerm>,
+    /// Cameras without photographs, if a term reads their rays.
+    pub(super) unseen: Option<UnseenCameras>,
 }
 
 impl FieldLearner {
@@ -43,7 +45,8 @@ impl FieldLearner {
     ) -> Result<FieldLearner> {
         check_derivatives(config, device)?;
         let tangents = config.method.is_augmented() && config.perturb.sites[Site::View].on();
-        Ok(FieldLearner {
+        let terms = WeightedTerm::all(&config.regularizer);
+        let mut learner = FieldLearner {
             config: config.clone(),
             bounds: scene.bounds(),
             background: scene.background,
@@ -53,8 +56,12 @@ impl FieldLearner {
             batches: Batches::new(config, scene, RayParts { tangents, ..ray_parts(&fields.coarse) })?,
             variables: fields.variables(),
             fields,
-            terms: WeightedTerm::all(&config.regularizer),
-        })
+            terms: Vec::new(),
+            unseen: None,
+        };
+        learner.place_unseen_cameras(&terms)?;
+        learner.terms = terms;
+        Ok(learner)
     }
 
     /// Returns the fields that are trained.

@@ -16,6 +16,7 @@ mod results;
 mod start;
 mod step;
 mod terms;
+mod unseen;
 
 pub use geometry::{AttackGeometry, step_over_radius};
 pub use learner::FieldLearner;

@@ -35,7 +35,9 @@ impl FieldLearner {
         log: bool,
         stop_check: &StopCheck,
     ) -> Result<ChunkResult> {
-        let size = self.config.train.chunk;
+        // Rays that belong together stay together.
+        let together = step_loss.group().rays();
+        let size = (self.config.train.chunk / together).max(1) * together;
         let starts: Vec<(usize, usize)> = (0..whole.rays.len()).step_by(size).enumerate().collect();
         let prepared = self.fields.prepared()?;
         let work = |part: &[(usize, usize)]| -> Result<ChunkResult> {
@@ -78,6 +80,10 @@ impl FieldLearner {
         step_loss: StepLoss,
         mut result: ChunkResult,
     ) -> Result<ChunkResult> {
+        if chunk.target.is_none() {
+            self.unseen(fields, chunk, step_loss, &mut result)?;
+            return Ok(result);
+        }
         let t_fine = self.clean(fields, chunk, step_loss, &mut result)?;
         if self.config.method.is_augmented() {
             let loss = self.second_pass(fields, chunk, t_fine.as_ref(), step_loss.perturbed, &mut result)?;
@@ -94,7 +100,7 @@ impl FieldLearner {
         step_loss: StepLoss,
         result: &mut ChunkResult,
     ) -> Result<Option<Tensor>> {
-        let Chunk { target, share, .. } = chunk;
+        let (target, share) = (chunk.photographed(), &chunk.share);
         let weight = step_loss.clean * share;
         if let (Some(field), Some(u), false) = (fields.fine(), &chunk.u, self.has_coarse_loss()) {
             let placing = fields.coarse.frozen()?;
@@ -126,7 +132,7 @@ impl FieldLearner {
         step_loss: StepLoss,
         result: &mut ChunkResult,
     ) -> Result<Tensor> {
-        let Chunk { target, share, .. } = chunk;
+        let (target, share) = (chunk.photographed(), &chunk.share);
         let counts = Counts { weight: step_loss.clean * share, share: *share, is_evaluated: true };
         let (loss, fine) =
             self.descend_clean(field, self.fine_pass(chunk, &t_vals), target, step_loss, counts, result)?;

@@ -120,7 +120,7 @@ impl FieldLearner {
         Ok(PerturbedPass {
             field,
             pass,
-            target: &chunk.target,
+            target: chunk.photographed(),
             sets: Sets::new(&perturb.numbers, &perturb.set_choices(), &geometry)?,
             share: chunk.share,
             loss_weight: 1.0,

@@ -3,12 +3,13 @@
 use candle_core::{DType, Tensor};
 
 use crate::base::{Error, Result};
+use crate::data::{RayGroup, UnseenCameras};
 use crate::field::{Field, Order};
-use crate::losses::{HashDecay, LossTerm, SpaceTerm, WeightedTerm, estimate_seconds, regularize_unless};
+use crate::losses::{HashDecay, LossTerm, SpaceTerm, TermSource, WeightedTerm, estimate_seconds, regularize_unless};
 use crate::methods::gradients::Gradients;
 use crate::methods::learner::StopCheck;
 use crate::settings::{
-    Encoding, LatticePoints, REGULARIZERS, RegularizedFields, Regularizer, RegularizerConfig, TermNeeds,
+    Encoding, LatticePoints, REGULARIZERS, RegularizedFields, Regularizer, RegularizerConfig, TermNeeds, TermRays,
 };
 use crate::space::{Lattice, Quadrature};
 
@@ -150,11 +151,25 @@ impl FieldLearner {
     /// after `step` finished ones. `config` says where terms are evaluated. It changes no weights.
     pub fn balance(&mut self, config: &RegularizerConfig, step: u64) -> Result<Vec<Balance>> {
         let whole = self.draw(step)?;
-        let photometric = StepLoss { clean: 1.0, perturbed: 0.0, terms: &[], fields: config.fields };
+        let photometric = StepLoss {
+            clean: 1.0,
+            perturbed: 0.0,
+            terms: &[],
+            source: TermSource::TrainingRays,
+            fields: config.fields,
+        };
         let to_its_end: &StopCheck = &|| Ok(());
         let photometric_gradients = self.passes(&whole, photometric, false, to_its_end)?.gradients;
         let photometric_norm = photometric_gradients.norm()?;
-        let alone = |term: LossTerm| -> Result<Balance> {
+        let field = self.config.field.clone();
+        let has_unseen = UnseenCameras::of(self.batches.cameras(), self.config.unseen_poses).is_ok();
+        let measurable = |term: &Regularizer| match term.needs() {
+            TermNeeds::Density(Order::Laplacian) => field.has_laplacian(),
+            TermNeeds::Tables => field.encoding == Encoding::Hash,
+            TermNeeds::Samples(group) => has_unseen || group == RayGroup::One && config.rays == TermRays::Training,
+            TermNeeds::Density(_) => true,
+        };
+        let mut alone = |term: LossTerm| -> Result<Balance> {
             let name = term.name().to_string();
             let terms = [WeightedTerm::constant(term, 1.0)];
             let gradients = match &terms[0].term {
@@ -162,18 +177,16 @@ impl FieldLearner {
                     self.regularize(&in_space(&terms), config, step, to_its_end)?.expect("a term").1
                 }
                 LossTerm::OnTables(decay) => self.decay(*decay, 1.0, config, &photometric_gradients)?.1,
-                LossTerm::OnRays(_) => {
+                LossTerm::OnRays(term, TermRays::Unseen) => {
+                    self.place_unseen_cameras(&terms)?;
+                    self.on_unseen(term.group(), &terms, step, to_its_end)?.gradients
+                }
+                LossTerm::OnRays(..) => {
                     let alone = StepLoss { clean: 0.0, terms: &terms, ..photometric };
                     self.passes(&whole, alone, false, to_its_end)?.gradients
                 }
             };
             Ok(Balance { term: name, photometric_norm, term_norm: gradients.norm()? })
-        };
-        let field = &self.config.field;
-        let measurable = |term: &Regularizer| match term.needs() {
-            TermNeeds::Density(Order::Laplacian) => field.has_laplacian(),
-            TermNeeds::Tables => field.encoding == Encoding::Hash,
-            _ => true,
         };
         REGULARIZERS.into_iter().filter(measurable).map(|term| alone(LossTerm::of(term, config))).collect()
     }

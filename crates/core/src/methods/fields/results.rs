@@ -82,6 +82,11 @@ impl Losses {
         Ok(())
     }
 
+    /// Returns the values of the terms on rays, in their order.
+    pub(super) fn on_rays(&self) -> Result<Vec<f64>> {
+        Ok(self.on_rays.as_ref().map(Tensor::to_vec1).transpose()?.unwrap_or_default())
+    }
+
     /// Returns the loss of the clean passes, with the coarse one weighted.
     pub(super) fn clean(&self, coarse_weight: f64) -> Result<Option<Tensor>> {
         let coarse = self.coarse.as_ref().map(|loss| loss * coarse_weight).transpose()?;

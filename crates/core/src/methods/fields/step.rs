@@ -1,7 +1,7 @@
 //! One training step: its passes and its terms in space.
 
 use crate::base::{Error, Result};
-use crate::losses::{LossTerm, WeightedTerm};
+use crate::losses::{LossTerm, TermSource, WeightedTerm};
 use crate::methods::learner::{Learner, LogColumns, StepResult, StopCheck};
 use crate::methods::stepper::StepReport;
 use crate::settings::Encoding;
@@ -9,7 +9,7 @@ use crate::settings::Encoding;
 use super::learner::FieldLearner;
 use super::report::{StepLosses, log_columns};
 use super::results::ChunkResult;
-use super::terms;
+use super::terms::{self, TermValues};
 
 impl Learner for FieldLearner {
     fn columns(&self) -> LogColumns {
@@ -34,7 +34,9 @@ impl Learner for FieldLearner {
                 "the term '{name}' needs the tables of a hash grid; set field.encoding = \"hash\""
             )));
         }
-        self.terms.push(WeightedTerm::constant(term, weight));
+        let term = WeightedTerm::constant(term, weight);
+        self.place_unseen_cameras(std::slice::from_ref(&term))?;
+        self.terms.push(term);
         Ok(())
     }
 
@@ -43,27 +45,28 @@ impl Learner for FieldLearner {
         let weighted: Vec<WeightedTerm> = self.terms.iter().map(|term| term.at(step)).collect();
         let ChunkResult { mut gradients, losses, diagnostics, .. } =
             self.passes(&whole, self.step_loss(&weighted), log, stop_check)?;
-        let mut in_space = Vec::new();
+        let mut values = TermValues::of(&weighted);
+        values.fill(TermSource::TrainingRays, &losses.on_rays()?);
+        for group in terms::unseen_groups(&weighted) {
+            let unseen = self.on_unseen(group, &weighted, step, stop_check)?;
+            gradients.merge(unseen.gradients)?;
+            values.fill(TermSource::UnseenRays(group), &unseen.losses.on_rays()?);
+        }
         let terms_in_space = terms::in_space(&weighted);
         let regularized = self.regularize(&terms_in_space, &self.config.regularizer, step, stop_check)?;
-        if let Some((values, terms)) = regularized {
-            gradients.merge(terms)?;
-            in_space = values.to_vec1::<f64>()?;
+        if let Some((in_space, of_terms)) = regularized {
+            gradients.merge(of_terms)?;
+            values.fill(TermSource::Space, &in_space.to_vec1::<f64>()?);
         }
-        let on_rays = losses.on_rays.as_ref().map_or(Ok(Vec::new()), |values| values.to_vec1::<f64>())?;
-        let mut on_tables = Vec::new();
         for WeightedTerm { term, weight, .. } in &weighted {
             if let LossTerm::OnTables(decay) = term {
                 let (value, of_tables) = self.decay(*decay, *weight, &self.config.regularizer, &gradients)?;
                 gradients.merge(of_tables)?;
-                on_tables.push(value);
+                values.fill(TermSource::Tables, &[value]);
             }
         }
-        let regularizers = terms::in_order(&weighted, &on_rays, &in_space, &on_tables);
         let ([coarse, fine, perturbed], extremes) = losses.read()?;
-        let names = weighted.iter().map(|WeightedTerm { term, weight, .. }| (term.name(), *weight));
-        let further = names.zip(regularizers).map(|((name, weight), value)| (name, weight, value)).collect();
-        let step_losses = StepLosses { coarse, fine, perturbed, further };
+        let step_losses = StepLosses { coarse, fine, perturbed, further: values.finish() };
         let clean = step_losses.clean(&self.config);
         let (terms, loss) = step_losses.terms(&self.config);
         let report = StepReport {

@@ -4,38 +4,56 @@ use candle_core::{DType, Tensor};
 
 use crate::base::Result;
 use crate::base::tensors::sum;
+use crate::data::RayGroup;
 use crate::field::Field;
-use crate::losses::{LossTerm, RayPass, RayTerm, SpaceTerm, WeightedTerm};
-use crate::render::{Pass, PassLoss, clean_pass, clean_pass_loss, photometric_loss};
+use crate::losses::{LossTerm, RayPass, RayTerm, SpaceTerm, TermSource, WeightedTerm};
+use crate::render::{Pass, PassLoss, PassOutput, clean_pass, clean_pass_loss, photometric_loss};
 use crate::settings::RegularizedFields;
 
 use super::learner::FieldLearner;
 use super::report::loss_weights;
 use super::results::ChunkResult;
 
-/// What the passes of a step minimize.
+/// What passes of a step minimize.
 #[derive(Clone, Copy)]
 pub(super) struct StepLoss<'a> {
     /// Weight of the clean passes' photometric loss.
     pub clean: f64,
     /// Weight of the perturbed passes' loss.
     pub perturbed: f64,
-    /// Additional terms. Those on rays count in clean passes.
+    /// Additional terms, of which those of `source` count in clean passes.
     pub terms: &'a [WeightedTerm],
+    /// The rays of the passes: the step's own, or unseen ones.
+    pub source: TermSource,
     /// The fields whose passes they count in.
     pub fields: RegularizedFields,
 }
 
 impl StepLoss<'_> {
-    /// Returns the terms on rays, with whether they count in a clean pass: of the evaluated field, or of the coarse one
-    /// before it.
+    /// Returns the terms on rays of this source, with whether they count in a clean pass: of the evaluated field, or of
+    /// the coarse one before it.
     fn terms_on(&self, is_evaluated: bool) -> impl Iterator<Item = (&dyn RayTerm, f64, bool)> {
         let both = self.fields == RegularizedFields::Both;
         let counts = move |term: &dyn RayTerm| is_evaluated || both && !term.is_of_evaluated_pass();
-        self.terms.iter().filter_map(move |WeightedTerm { term, weight, .. }| match term {
-            LossTerm::OnRays(term) => Some((&**term, *weight, counts(&**term))),
-            LossTerm::InSpace(_) | LossTerm::OnTables(_) => None,
+        self.terms.iter().filter(|weighted| weighted.term.source() == self.source).filter_map(move |weighted| {
+            match &weighted.term {
+                LossTerm::OnRays(term, _) => Some((&**term, weighted.weight, counts(&**term))),
+                LossTerm::InSpace(_) | LossTerm::OnTables(_) => None,
+            }
         })
+    }
+
+    /// Returns whether any of them counts in the coarse pass before the evaluated one.
+    pub(super) fn counts_in_coarse_pass(&self) -> bool {
+        self.terms_on(false).any(|(.., counts)| counts)
+    }
+
+    /// Returns the rays that belong together.
+    pub(super) fn group(&self) -> RayGroup {
+        match self.source {
+            TermSource::UnseenRays(group) => group,
+            TermSource::TrainingRays | TermSource::Space | TermSource::Tables => RayGroup::One,
+        }
     }
 }
 
@@ -54,30 +72,46 @@ pub(super) struct Counts {
 pub(super) fn in_space(terms: &[WeightedTerm]) -> Vec<(&dyn SpaceTerm, f64)> {
     let in_space = terms.iter().filter_map(|WeightedTerm { term, weight, .. }| match term {
         LossTerm::InSpace(term) => Some((&**term, *weight)),
-        LossTerm::OnRays(_) | LossTerm::OnTables(_) => None,
+        LossTerm::OnRays(..) | LossTerm::OnTables(_) => None,
     });
     in_space.collect()
 }
 
-/// The values of all terms in their order, from those of each kind in theirs.
-pub(super) fn in_order(terms: &[WeightedTerm], on_rays: &[f64], in_space: &[f64], on_tables: &[f64]) -> Vec<f64> {
-    let (mut on_rays, mut in_space, mut on_tables) = (on_rays.iter(), in_space.iter(), on_tables.iter());
-    let value = |WeightedTerm { term, .. }: &WeightedTerm| {
-        let value = match term {
-            LossTerm::OnRays(_) => on_rays.next(),
-            LossTerm::InSpace(_) => in_space.next(),
-            LossTerm::OnTables(_) => on_tables.next(),
-        };
-        *value.expect("every term has a value")
-    };
-    terms.iter().map(value).collect()
+/// The groups of unseen rays that terms read, in a fixed order.
+pub(super) fn unseen_groups(terms: &[WeightedTerm]) -> impl Iterator<Item = RayGroup> {
+    let is_read = |group: &RayGroup| terms.iter().any(|term| term.term.source() == TermSource::UnseenRays(*group));
+    [RayGroup::One, RayGroup::Pair, RayGroup::Patch].into_iter().filter(is_read)
+}
+
+/// The values of a step's terms, in their order.
+pub(super) struct TermValues<'a> {
+    terms: &'a [WeightedTerm],
+    values: Vec<f64>,
+}
+
+impl<'a> TermValues<'a> {
+    pub(super) fn of(terms: &'a [WeightedTerm]) -> TermValues<'a> {
+        TermValues { terms, values: vec![f64::NAN; terms.len()] }
+    }
+
+    /// Fills in the values of all terms of a source, in their order.
+    pub(super) fn fill(&mut self, source: TermSource, found: &[f64]) {
+        let of_source = self.terms.iter().zip(&mut self.values).filter(|(term, _)| term.term.source() == source);
+        of_source.zip(found).for_each(|((_, value), found)| *value = *found);
+    }
+
+    /// Returns name, weight and value of each.
+    pub(super) fn finish(&self) -> Vec<(&'a str, f64, f64)> {
+        let named = self.terms.iter().zip(&self.values);
+        named.map(|(WeightedTerm { term, weight, .. }, value)| (term.name(), *weight, *value)).collect()
+    }
 }
 
 impl FieldLearner {
     /// What a step of this run minimizes, with these terms.
     pub(super) fn step_loss<'a>(&self, terms: &'a [WeightedTerm]) -> StepLoss<'a> {
         let (clean, perturbed) = loss_weights(&self.config);
-        StepLoss { clean, perturbed, terms, fields: self.config.regularizer.fields }
+        StepLoss { clean, perturbed, terms, source: TermSource::TrainingRays, fields: self.config.regularizer.fields }
     }
 
     /// Renders a clean pass and adds the gradients of its photometric loss and of the terms on its rays, in one way back.
@@ -98,21 +132,36 @@ impl FieldLearner {
             return Ok(((loss * share)?, out));
         }
         let out = clean_pass(field, pass)?;
-        let seen = RayPass { output: &out, bounds: self.bounds, direction_norm: &pass.rays.direction_norm };
         let loss = photometric_loss(&out.composite.rgb, target)?;
-        let mut total = (&loss * weight)?;
+        let (of_terms, values) = self.terms_of(&out, pass, step_loss, share, is_evaluated)?;
+        let total = ((&loss * weight)? + of_terms.to_dtype(loss.dtype())?)?;
+        result.gradients.add(&self.variables, &total.backward()?)?;
+        result.losses.on_rays = sum(result.losses.on_rays.take(), Some(values))?;
+        Ok(((loss.detach().to_dtype(DType::F64)? * share)?, PassLoss::of(out, target)?))
+    }
+
+    /// Returns the weighted sum of the terms on a pass's rays, and the values of all of the source, unweighted and
+    /// detached, `[terms]`. Both are multiplied by the share, and f64.
+    pub(super) fn terms_of(
+        &self,
+        out: &PassOutput,
+        pass: Pass,
+        step_loss: StepLoss,
+        share: f64,
+        is_evaluated: bool,
+    ) -> Result<(Tensor, Tensor)> {
+        let seen = RayPass { output: out, bounds: self.bounds, direction_norm: &pass.rays.direction_norm };
+        let mut total = Tensor::zeros((), DType::F64, &self.device)?;
         let mut values = Vec::new();
         for (term, weight, counts) in step_loss.terms_on(is_evaluated) {
             if !counts {
                 values.push(Tensor::zeros((), DType::F64, &self.device)?);
                 continue;
             }
-            let mean = term.per_ray(&seen)?.mean_all()?;
-            total = (total + (&mean * (weight * share))?.to_dtype(loss.dtype())?)?;
-            values.push((mean.detach().to_dtype(DType::F64)? * share)?);
+            let mean = term.per_group(&seen)?.mean_all()?.to_dtype(DType::F64)?;
+            total = (total + (&mean * (weight * share))?)?;
+            values.push((mean.detach() * share)?);
         }
-        result.gradients.add(&self.variables, &total.backward()?)?;
-        result.losses.on_rays = sum(result.losses.on_rays.take(), Some(Tensor::stack(&values, 0)?))?;
-        Ok(((loss.detach().to_dtype(DType::F64)? * share)?, PassLoss::of(out, target)?))
+        Ok((total, Tensor::stack(&values, 0)?))
     }
 }

@@ -1,0 +1,95 @@
+//! Passes of rays without photographs, which terms of the loss read.
+
+use crate::base::Result;
+use crate::base::rng::{Random, Stream};
+use crate::base::tensors::sum;
+use crate::data::{RayGroup, UnseenCameras};
+use crate::field::Field;
+use crate::losses::{TermSource, WeightedTerm};
+use crate::methods::learner::StopCheck;
+use crate::render::{Pass, PassOutput, clean_pass, place, resample};
+
+use super::chunk::Chunk;
+use super::learner::FieldLearner;
+use super::networks::Fields;
+use super::results::ChunkResult;
+use super::terms::{self, StepLoss};
+
+/// Streams of random numbers of a step: one for each kind of groups.
+const GROUPS: u64 = 3;
+
+impl FieldLearner {
+    /// Makes the cameras of unseen rays if terms read such rays.
+    pub(super) fn place_unseen_cameras(&mut self, terms: &[WeightedTerm]) -> Result<()> {
+        if self.unseen.is_none() && terms::unseen_groups(terms).next().is_some() {
+            self.unseen = Some(UnseenCameras::of(self.batches.cameras(), self.config.unseen_poses)?);
+        }
+        Ok(())
+    }
+
+    /// Returns a step's unseen rays in groups, with the random numbers of their pass.
+    pub(super) fn draw_unseen(&self, group: RayGroup, step: u64) -> Result<Chunk> {
+        let kind = match group {
+            RayGroup::One => 0,
+            RayGroup::Pair => 1,
+            RayGroup::Patch => 2,
+        };
+        let mut random = Random::new(self.config.seed, Stream::Unseen, step * GROUPS + kind);
+        let cameras = self.unseen.as_ref().expect("cameras are placed with the term");
+        let pixels = cameras.rays(group, self.config.unseen_rays / group.rays(), &mut random);
+        let rays = self.batches.rays_of(&pixels).to_tensors(self.dtype, &self.device)?;
+        self.draw_clean(rays, None, step, &mut random)
+    }
+
+    /// Returns values and gradients of the terms on a step's unseen rays in such groups.
+    pub(super) fn on_unseen(
+        &self,
+        group: RayGroup,
+        terms: &[WeightedTerm],
+        step: u64,
+        stop_check: &StopCheck,
+    ) -> Result<ChunkResult> {
+        let step_loss = StepLoss { source: TermSource::UnseenRays(group), ..self.step_loss(terms) };
+        self.passes(&self.draw_unseen(group, step)?, step_loss, false, stop_check)
+    }
+
+    /// Adds values and gradients of the terms on a chunk of unseen rays to a result.
+    pub(super) fn unseen(
+        &self,
+        fields: &Fields,
+        chunk: &Chunk,
+        step_loss: StepLoss,
+        result: &mut ChunkResult,
+    ) -> Result<()> {
+        let (Some(field), Some(u)) = (fields.fine(), &chunk.u) else {
+            return self
+                .descend_unseen(&fields.coarse, self.coarse_pass(chunk), chunk, step_loss, true, result)
+                .map(drop);
+        };
+        let sampling = &self.config.sampling;
+        let t_vals = if step_loss.counts_in_coarse_pass() && self.has_coarse_loss() {
+            let pass = self.coarse_pass(chunk);
+            let coarse = self.descend_unseen(&fields.coarse, pass, chunk, step_loss, false, result)?;
+            resample(&fields.coarse, sampling, &chunk.t_coarse, &coarse.composite.weights, u)?
+        } else {
+            place(&fields.coarse.frozen()?, &chunk.rays, &chunk.t_coarse, sampling, u)?
+        };
+        self.descend_unseen(field, self.fine_pass(chunk, &t_vals), chunk, step_loss, true, result).map(drop)
+    }
+
+    fn descend_unseen(
+        &self,
+        field: &Field,
+        pass: Pass,
+        chunk: &Chunk,
+        step_loss: StepLoss,
+        is_evaluated: bool,
+        result: &mut ChunkResult,
+    ) -> Result<PassOutput> {
+        let out = clean_pass(field, pass)?;
+        let (total, values) = self.terms_of(&out, pass, step_loss, chunk.share, is_evaluated)?;
+        result.gradients.add(&self.variables, &total.backward()?)?;
+        result.losses.on_rays = sum(result.losses.on_rays.take(), Some(values))?;
+        Ok(out)
+    }
+}
