@@ -4,7 +4,7 @@
 use super::{Scene, View};
 use crate::base::rng::{Random, Stream};
 use crate::base::{Error, Result};
-use crate::settings::{Config, DataConfig, EvalSplit, TrainViews};
+use crate::settings::{Config, DataConfig, EvalSplit, RuledViews, TrainViews, ViewsRule};
 
 /// Indices of the stream of choices.
 const TRAINED: u64 = 0;
@@ -37,12 +37,16 @@ pub(super) fn keep_training_views(scene: &mut Scene, config: &DataConfig) -> Res
     let all = scene.train.len();
     let kept = match &config.train_views {
         None => return Ok(()),
-        Some(TrainViews::Number(number)) if *number > all => {
+        Some(TrainViews::Number(count) | TrainViews::Ruled(RuledViews { count, .. })) if *count > all => {
             return Err(Error::Config(format!(
-                "data.train_views = {number} asks for more views than {} has to train on ({all}): give at most {all}, or \
+                "data.train_views = {count} asks for more views than {} has to train on ({all}): give at most {all}, or \
                  leave it empty for all",
                 scene.name
             )));
+        }
+        Some(TrainViews::Ruled(RuledViews { count, rule: ViewsRule::Even })) => even(*count, all),
+        Some(TrainViews::Ruled(RuledViews { count, rule: ViewsRule::Disjoint })) => {
+            disjoint(*count, all, config.views_seed)?
         }
         Some(TrainViews::Number(number)) => draw(*number, all, config.views_seed, TRAINED),
         Some(TrainViews::Named(names)) => named(&scene.train, names)?,
@@ -50,6 +54,29 @@ pub(super) fn keep_training_views(scene: &mut Scene, config: &DataConfig) -> Res
     let mut place = 0..;
     scene.train.retain(|_| kept.contains(&place.next().expect("endless")));
     Ok(())
+}
+
+/// Returns `count` of `all` indices from the first to the last, as even as they can be.
+fn even(count: usize, all: usize) -> Vec<usize> {
+    let step = (all - 1) as f64 / (count.max(2) - 1) as f64;
+    (0..count).map(|i| (i as f64 * step).round_ties_even() as usize).collect()
+}
+
+/// Returns part number `part` of a fixed order of `all` indices, each of `count`, in their order.
+fn disjoint(count: usize, all: usize, part: u64) -> Result<Vec<usize>> {
+    let order = Random::new(0, Stream::Views, TRAINED).distinct(all, all as u32);
+    let start =
+        usize::try_from(part).ok().and_then(|part| part.checked_mul(count)).filter(|start| start + count <= all);
+    let Some(start) = start else {
+        return Err(Error::Config(format!(
+            "data.train_views = \"{count} disjoint\" with data.views_seed = {part}: {all} views to train on have {} parts of \
+             {count}, numbered from 0; lower data.views_seed or the number of views",
+            all / count
+        )));
+    };
+    let mut places: Vec<usize> = order[start..start + count].iter().map(|place| *place as usize).collect();
+    places.sort_unstable();
+    Ok(places)
 }
 
 /// Returns the indices of the views of these names.
@@ -150,6 +177,28 @@ mod tests {
         let held_out = names(&load(&forward()).test)[0].clone();
         let said = refused(TrainViews::Named(vec![held_out.clone()]));
         assert!(said.contains(&held_out) && said.contains(&four[0]), "{said}");
+    }
+
+    /// The places that the released RegNeRF takes of fern's 17 views to train on, from NumPy's linspace and round.
+    #[test]
+    fn even_views_are_the_few_view_protocol_s() {
+        assert_eq!(even(3, 17), [0, 8, 16]);
+        assert_eq!(even(6, 17), [0, 3, 6, 10, 13, 16]);
+        assert_eq!(even(9, 17), [0, 2, 4, 6, 8, 10, 12, 14, 16]);
+        assert_eq!((even(1, 17), even(17, 17)), (vec![0], (0..17).collect()));
+        let ruled = |rule, count, views_seed| {
+            let train_views = Some(TrainViews::Ruled(RuledViews { count, rule }));
+            crate::data::load(&DataConfig { train_views, views_seed, ..forward() }, 0, &())
+        };
+        let all = names(&load(&forward()).train);
+        assert_eq!(names(&ruled(ViewsRule::Even, 3, 5).unwrap().train), [0, 8, 16].map(|place| all[place].clone()));
+        let mut seen: Vec<String> =
+            (0..2).flat_map(|part| names(&ruled(ViewsRule::Disjoint, 8, part).unwrap().train)).collect();
+        seen.sort();
+        seen.dedup();
+        assert_eq!(seen.len(), 16);
+        let said = ruled(ViewsRule::Disjoint, 8, 2).unwrap_err().to_string();
+        assert!(said.contains("2 parts of 8") && said.contains("views_seed"), "{said}");
     }
 
     #[test]

@@ -182,22 +182,90 @@ choice!(Axes, DataKind, Background, EvalSplit, Split, PixelOrigin);
 
 /// Which training views are kept.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(untagged, expecting = "expected a number of views, or a list of their names such as [\"r_2\", \"r_26\"]")]
+#[serde(
+    untagged,
+    expecting = "expected a number of views, a number and a rule such as \"3 even\", or a list of names such as [\"r_2\", \
+                 \"r_26\"]"
+)]
 pub enum TrainViews {
     /// This many, drawn with `data.views_seed`.
     Number(usize),
+    /// This many by a rule.
+    Ruled(RuledViews),
     /// The views with these names.
     Named(Vec<String>),
 }
 
+/// A number of training views and the rule that chooses them.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(try_from = "RuledInFile", into = "String")]
+pub struct RuledViews {
+    /// Number of views.
+    pub count: usize,
+    /// How they are chosen.
+    pub rule: ViewsRule,
+}
+
+/// How training views are chosen.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum ViewsRule {
+    /// Evenly, from the first to the last (RegNeRF): the places round(i (n - 1) / (count - 1)), halves to even.
+    Even,
+    /// Part number `data.views_seed` of a fixed order of all, so that two seeds share no view.
+    Disjoint,
+}
+
+/// The two forms in which a file may have them.
+#[derive(Deserialize)]
+#[serde(untagged)]
+enum RuledInFile {
+    Text(String),
+    Table { count: usize, rule: ViewsRule },
+}
+
+impl TryFrom<RuledInFile> for RuledViews {
+    type Error = String;
+
+    fn try_from(written: RuledInFile) -> Result<RuledViews, String> {
+        let text = match written {
+            RuledInFile::Table { count, rule } => return Ok(RuledViews { count, rule }),
+            RuledInFile::Text(text) => text,
+        };
+        let read = text.split_once(' ').and_then(|(count, rule)| {
+            let rule = [ViewsRule::Even, ViewsRule::Disjoint].into_iter().find(|known| known.name() == rule.trim())?;
+            Some(RuledViews { count: count.parse().ok()?, rule })
+        });
+        read.ok_or_else(|| {
+            format!("\"{text}\" is no number of views with a rule, such as \"3 even\" or \"8 disjoint\"")
+        })
+    }
+}
+
+impl From<RuledViews> for String {
+    fn from(RuledViews { count, rule }: RuledViews) -> String {
+        format!("{count} {}", rule.name())
+    }
+}
+
+impl ViewsRule {
+    fn name(self) -> &'static str {
+        match self {
+            ViewsRule::Even => "even",
+            ViewsRule::Disjoint => "disjoint",
+        }
+    }
+}
+
 impl Settable for TrainViews {
     fn kind() -> String {
-        "whole number, or list of: text".into()
+        "whole number, number and rule, or list of: text".into()
     }
 
     fn outside(&self, _: &Range) -> Option<String> {
         match self {
             TrainViews::Number(number) => (*number == 0).then(|| "0".into()),
+            TrainViews::Ruled(ruled) => (ruled.count == 0).then(|| String::from(*ruled)),
             TrainViews::Named(names) => {
                 let twice = (1..names.len()).any(|i| names[..i].contains(&names[i]));
                 (names.is_empty() || twice).then(|| format!("{names:?}"))
@@ -258,10 +326,12 @@ section! {
         /// Split of a capture with `transforms.json`: `own` (the split that its files name) or `every` (every N-th view
         /// is held out). Empty = its own split if it has one.
         pub split: Option<Split> = None, numbers().columns(SPLIT).later().same_time();
-        /// For few-view studies: the number of training views to keep, drawn with `views_seed`, or a list of their
-        /// names. A smaller number keeps a subset of a larger one. Empty = all.
+        /// For few-view studies: the number of training views to keep, drawn with `views_seed` (a smaller number keeps a
+        /// subset of a larger one); a number and a rule, `3 even` (evenly from the first to the last, as RegNeRF) or
+        /// `8 disjoint` (part number `views_seed` of a fixed order, so that two seeds share no view); or a list of
+        /// names. Empty = all.
         pub train_views: Option<TrainViews> = None,
-            numbers().allowing("at least 1, or a list of names, each once").columns(TRAINED).later().same_time();
+            numbers().allowing("at least 1, such a number with even or disjoint, or a list of names, each once").columns(TRAINED).later().same_time();
         /// Seed of the choices among views: those of `train_views`, and those that `eval.train_views` measures. It is
         /// not the run's seed, so that runs of all seeds use the same views.
         pub views_seed: u64 = 0,

@@ -33,7 +33,9 @@ mod volume;
 mod without_fields;
 
 pub use corruption::{CorruptionConfig, CorruptionKind};
-pub use data::{Axes, Background, DataConfig, DataKind, EvalSplit, PixelOrigin, Split, TrainViews};
+pub use data::{
+    Axes, Background, DataConfig, DataKind, EvalSplit, PixelOrigin, RuledViews, Split, TrainViews, ViewsRule,
+};
 pub use document::{SettingRow, settings_page, settings_rows, settings_text};
 pub use eval::{EvalConfig, MESH_SIDES, MeshConfig, NO_REFERENCE};
 pub use field::{Core, DensityActivation, Encoding, FieldConfig, Init, Precision};

@@ -269,6 +269,7 @@ fn hash_grid(hash: &HashConfig) -> String {
 fn training_views(config: &Config) -> Option<String> {
     config.data.train_views.as_ref().map(|views| match views {
         TrainViews::Number(number) => format!("{number} drawn"),
+        TrainViews::Ruled(ruled) => String::from(*ruled),
         TrainViews::Named(names) => names.join(" "),
     })
 }
