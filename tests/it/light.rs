@@ -107,7 +107,7 @@ impl Setting {
 
     fn pass(&self) -> Pass<'_> {
         let Setting { rays, t_vals, noise, background, .. } = self;
-        Pass { rays, t_vals, density_noise: noise.as_ref(), background: *background }
+        Pass { rays, t_vals, density_noise: noise.as_ref(), background: *background, scales_gradients: false }
     }
 
     /// A random delta of each site, tracked.

@@ -29,6 +29,7 @@ mod light;
 mod loaders;
 mod methods;
 mod metrics;
+mod openings;
 mod output;
 mod page;
 mod paths;

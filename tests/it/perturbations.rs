@@ -101,7 +101,13 @@ impl Setting {
     }
 
     fn pass(&self) -> Pass<'_> {
-        Pass { rays: &self.rays, t_vals: &self.t_vals, density_noise: Some(&self.noise), background: Some([1.0; 3]) }
+        Pass {
+            rays: &self.rays,
+            t_vals: &self.t_vals,
+            density_noise: Some(&self.noise),
+            background: Some([1.0; 3]),
+            scales_gradients: false,
+        }
     }
 
     fn perturbation<'a>(&'a self, deltas: &'a Deltas) -> Perturbation<'a> {
@@ -508,7 +514,7 @@ fn fixed_samples_compute_the_lower_trunk_once() {
     let pixels: Vec<_> = (0..4).map(|x| (&scene.train[0].camera, x, 3)).collect();
     let rays = RayBuffer::new(&pixels, None, Default::default(), RayParts::ALL).to_tensors(DType::F32, &CPU).unwrap();
     let t_vals = single(&setting.t_vals);
-    let pass = Pass { rays: &rays, t_vals: &t_vals, density_noise: None, background: None };
+    let pass = Pass { rays: &rays, t_vals: &t_vals, density_noise: None, background: None, scales_gradients: false };
     let delta = Var::zeros((4, 6, 16), DType::F32, &CPU).unwrap();
     let (mut deltas, sets) = (Deltas::default(), Sets::default());
     deltas.set(Site::Feature, delta.as_tensor().clone());

@@ -172,7 +172,7 @@ impl Attack {
     }
 
     fn pass(&self) -> Pass<'_> {
-        Pass { rays: &self.rays, t_vals: &self.t_vals, density_noise: None, background: None }
+        Pass { rays: &self.rays, t_vals: &self.t_vals, density_noise: None, background: None, scales_gradients: false }
     }
 
     fn perturbed(&self, field: &Field, deltas: &Deltas) -> PerturbedOutput {

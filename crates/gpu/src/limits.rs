@@ -1,7 +1,7 @@
 //! What the device does not do, and how much it does at once.
 
 use augnerf_core::base::{Error, Result};
-use augnerf_core::settings::{Config, Encoding, FieldConfig, Precision, Regularizer, Resolved};
+use augnerf_core::settings::{Config, Encoding, FieldConfig, Precision, Regularizer, Resolved, WeightSchedule};
 
 use crate::device::Gpu;
 use crate::network::Shape;
@@ -26,6 +26,15 @@ pub fn check(config: &Resolved) -> Result<()> {
     }
     if !config.regularizer.schedule.is_empty() {
         return refuse("with scheduled weights (regularizer.schedule)");
+    }
+    if config.sampling.anneal_steps > 0 {
+        return refuse("with annealed samples (sampling.anneal_steps)");
+    }
+    if config.train.gradient_scaling {
+        return refuse("with scaled gradients (train.gradient_scaling)");
+    }
+    if config.perturb.lambda_schedule != WeightSchedule::Constant {
+        return refuse("with a weight of the perturbed pass that moves (perturb.lambda_schedule)");
     }
     if config.train.sam_radius > 0.0 {
         return refuse("with sharpness-aware steps (train.sam_radius)");
@@ -70,6 +79,9 @@ pub(crate) fn check_fields(config: &Config) -> Result<()> {
 pub(crate) fn check_field(config: &FieldConfig) -> Result<()> {
     if config.encoding == Encoding::Integrated {
         return Err(refused("fields that are queried at Gaussians"));
+    }
+    if config.frequency_end > 0.0 {
+        return Err(refused("encodings that open (field.frequency_end)"));
     }
     if !config.width.is_multiple_of(4) {
         return Err(refused(&format!("networks of width {}, which is no multiple of 4,", config.width)));

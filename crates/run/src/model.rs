@@ -113,6 +113,17 @@ impl Model {
         }
     }
 
+    /// Returns the same model as it is after `step` finished steps (see [`Fields::at_step`]).
+    ///
+    /// # Errors
+    /// Errors of candle.
+    pub fn at_step(&self, config: &Config, step: u64) -> Result<Model> {
+        match self {
+            Model::Fields(fields) => Ok(Model::Fields(fields.at_step(config, step)?)),
+            Model::Baseline(..) => Ok(self.clone()),
+        }
+    }
+
     /// Returns a learner of these parameters from the training views of `scene`.
     ///
     /// # Errors

@@ -92,6 +92,28 @@ pub fn trained(config: &Resolved, steps: u64) -> Trainer {
     trainer
 }
 
+/// Asserts that six steps have the same bytes on one and two threads, and after a stop, and returns the parameters.
+pub fn assert_same_bytes(config: &Resolved, roles: &[&str]) -> Vec<f32> {
+    let run = |threads: usize, stops: bool| {
+        let runtime = Runtime::new("cpu", Some(threads)).unwrap();
+        let scene = tiny_scene();
+        let mut trainer = Trainer::new(config, &scene, DType::F32, &runtime).unwrap();
+        for step in 0..6 {
+            if stops && step == 3 {
+                let folder = tempfile::tempdir().unwrap();
+                let checkpoint = trainer.save(folder.path()).unwrap();
+                trainer = Trainer::resume(&checkpoint, config, &scene, DType::F32, &runtime).unwrap();
+            }
+            trainer.step(step % 2 == 1).unwrap();
+        }
+        parameters(&trainer, roles)
+    };
+    let once = run(1, false);
+    assert_eq!(once, run(2, false));
+    assert_eq!(once, run(2, true));
+    once
+}
+
 /// All parameters of the fields whose role is among `roles`, flat.
 pub fn parameters(trainer: &Trainer, roles: &[&str]) -> Vec<f32> {
     let variables = trainer.model().unwrap().variables();

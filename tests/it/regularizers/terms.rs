@@ -1,6 +1,7 @@
 //! Terms of few-view training, on training rays, unseen rays, points and tables: each is descended, on networks and on hash grids, and costs no reproducibility.
 
 use super::*;
+use crate::common::assert_same_bytes;
 use augnerf::settings::{DataKind, TermRays, WeightSchedule};
 
 /// Terms on rays, in space and on tables that are not the paper's, with weights that show.
@@ -78,23 +79,7 @@ fn all_terms_together_have_the_same_bytes_on_threads_and_after_a_stop() {
         config.schedule[1] = WeightSchedule::Halved { every: 2 };
     });
     let roles = ["coarse", "fine"];
-    let run = |threads: usize, stops: bool| {
-        let runtime = augnerf::runtime::Runtime::new("cpu", Some(threads)).unwrap();
-        let scene = tiny_scene();
-        let mut trainer = Trainer::new(&config, &scene, DType::F32, &runtime).unwrap();
-        for step in 0..6 {
-            if stops && step == 3 {
-                let folder = tempfile::tempdir().unwrap();
-                let checkpoint = trainer.save(folder.path()).unwrap();
-                trainer = Trainer::resume(&checkpoint, &config, &scene, DType::F32, &runtime).unwrap();
-            }
-            trainer.step(false).unwrap();
-        }
-        parameters(&trainer, &roles)
-    };
-    let once = run(1, false);
-    assert_eq!(once, run(2, false));
-    assert_eq!(once, run(2, true));
+    let once = assert_same_bytes(&config, &roles);
     assert_ne!(once, parameters(&trained(&with(true, |_| {}), 6), &roles));
 }
 

@@ -26,6 +26,7 @@ mod grid;
 mod grid_plain;
 pub mod hash;
 mod inside;
+mod open;
 mod peak;
 mod rgb_limit;
 mod slopes;
@@ -80,6 +81,9 @@ pub struct Field {
     variables: Vec<(String, Var)>,
     /// A copy of the weights in the layout of the fused core, if it applies (see [`Field::prepared`]).
     network: Option<Arc<fused::Network>>,
+    /// For each layer, factors of its inputs, `[1, inputs]`, if some are hidden (see [`Field::opened`]). The weights above
+    /// are multiplied by them.
+    hidden: Option<Arc<Vec<Option<Tensor>>>>,
     /// Receives the gradients of the weights outside of candle's graph.
     recorder: Option<Arc<fused::Recorder>>,
 }
@@ -252,8 +256,46 @@ impl Field {
             grid,
             variables: Vec::new(),
             network: None,
+            hidden: None,
             recorder: None,
         }
+    }
+
+    /// Returns the same field with the low frequencies of its encodings alone (FreeNeRF, equation 3): of the channels of each
+    /// axis, of which there are n, number i is multiplied by clamp(share n + 1 - i, 0, 1). Of a hash grid these are levels.
+    /// `share` 1 opens all. What is hidden is computed from the current parameters, which are shared.
+    ///
+    /// Hidden channels are hidden in the layers that read them: a channel times a factor is a column of weights times it.
+    ///
+    /// # Panics
+    /// The field is frozen.
+    pub fn opened(&self, share: f64) -> Result<Field> {
+        let tensors: Vec<Tensor> = self.variables.iter().map(|(_, var)| var.as_tensor().clone()).collect();
+        let whole = Field { variables: self.variables.clone(), ..Field::assemble(&self.config, tensors) };
+        let whole = Field { grid: self.grid.clone(), ..whole };
+        if share >= 1.0 {
+            return Ok(whole);
+        }
+        let factors = open::factors(&self.config, share, self.dtype(), self.device())?;
+        let mut field = whole;
+        let layers = field.trunk.iter_mut().chain([&mut field.density, &mut field.feature]);
+        for (layer, factor) in layers.chain(&mut field.view).chain([&mut field.rgb]).zip(&factors) {
+            if let Some(factor) = factor {
+                layer.weight = layer.weight.broadcast_mul(factor)?;
+            }
+        }
+        Ok(Field { hidden: Some(Arc::new(factors)), ..field })
+    }
+
+    /// Multiplies gradients of the layers' weights and biases, in the order of parameters, by the factors of hidden inputs.
+    fn hide(&self, of_layers: &mut [Option<Tensor>]) -> Result<()> {
+        let Some(hidden) = &self.hidden else { return Ok(()) };
+        for (gradient, factor) in of_layers.iter_mut().step_by(2).zip(&**hidden) {
+            if let (Some(gradient), Some(factor)) = (gradient, factor) {
+                *gradient = gradient.broadcast_mul(factor)?;
+            }
+        }
+        Ok(())
     }
 
     /// Returns the same field with a copy of its current weights in the layout of the fused core, if it applies. Fields
@@ -290,7 +332,9 @@ impl Field {
             .into_iter()
             .flat_map(|(_, outputs, inputs)| [vec![outputs, inputs], vec![outputs]])
             .collect();
-        Ok(table.chain(recorder.gradients(shapes)?.into_iter().map(Some)).collect())
+        let mut of_layers: Vec<Option<Tensor>> = recorder.gradients(shapes)?.into_iter().map(Some).collect();
+        self.hide(&mut of_layers)?;
+        Ok(table.chain(of_layers).collect())
     }
 
     /// Returns the hash grid that encodes positions, if there is one. Its table is the first parameter.
@@ -337,7 +381,7 @@ impl Field {
         let table = self.grid.iter().map(|grid| grid.table().detach());
         let of_layers = self.layers().flat_map(|layer| [layer.weight.detach(), layer.bias.detach()]);
         let tensors = table.chain(of_layers).collect();
-        Field { network: self.network.clone(), ..Field::assemble(&self.config, tensors) }
+        Field { network: self.network.clone(), hidden: self.hidden.clone(), ..Field::assemble(&self.config, tensors) }
     }
 
     /// Returns the parameters in their fixed order. Empty for a frozen field.

@@ -233,6 +233,7 @@ impl Spatial<'_> {
                 }
             }
         }
+        field.hide(of_layers)?;
         Ok((gradients, record))
     }
 }

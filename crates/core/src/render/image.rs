@@ -46,7 +46,7 @@ pub fn render_rays(
 ) -> Result<Composite> {
     let columns = columns(coarse, sampling).0;
     let t_vals = sampling::stratified(bounds, sampling.spacing, rays.len(), columns, None, &rays.origins)?;
-    let pass = Pass { rays, t_vals: &t_vals, density_noise: None, background };
+    let pass = Pass { rays, t_vals: &t_vals, density_noise: None, background, scales_gradients: false };
     let Some(fine) = fine else { return Ok(clean_pass(coarse, pass)?.composite) };
     let t_vals = fine_t_vals(coarse, rays, &t_vals, sampling)?;
     Ok(clean_pass(fine, Pass { t_vals: &t_vals, ..pass })?.composite)

@@ -136,7 +136,13 @@ mod tests {
             let composite =
                 Composite { rgb: none.clone(), depth: none.clone(), acc: none.clone(), weights: none.clone() };
             let out = PassLoss { loss: none, composite, t_vals: t_vals.clone(), raw_density: raw_density.clone() };
-            let pass = Pass { rays: &rays, t_vals: &t_vals, density_noise: Some(&noise), background: None };
+            let pass = Pass {
+                rays: &rays,
+                t_vals: &t_vals,
+                density_noise: Some(&noise),
+                background: None,
+                scales_gradients: false,
+            };
             let found = noiseless_acc(&field, &out, pass).unwrap().to_vec1::<f32>().unwrap();
             let expected = noiseless_acc_reference(&field, &out, pass).unwrap().to_vec1::<f32>().unwrap();
             for (found, expected) in found.iter().zip(&expected) {

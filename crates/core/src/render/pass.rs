@@ -20,6 +20,9 @@ pub struct Pass<'a> {
     pub density_noise: Option<&'a Tensor>,
     /// The colour behind missing accumulation.
     pub background: Option<[f32; 3]>,
+    /// Gradients of samples near the camera are multiplied by min(1, distance^2) (Floaters No More: Philip and Deschaintre
+    /// 2023, equation 5).
+    pub scales_gradients: bool,
 }
 
 /// The result of a pass.
@@ -46,7 +49,23 @@ pub fn clean_pass(field: &Field, pass: Pass) -> Result<PassOutput> {
 pub(super) fn clean_raw(field: &Field, pass: Pass) -> Result<RawOutput> {
     let positions = positions_at(field, pass.rays, pass.t_vals)?.flatten(0, 1)?;
     let raw = field.forward(&positions, &pass.rays.viewdirs, None)?;
-    by_ray(raw, pass.rays.len(), samples_of(field, pass.t_vals)?)
+    near_scaled(by_ray(raw, pass.rays.len(), samples_of(field, pass.t_vals)?)?, pass, pass.t_vals)
+}
+
+/// Returns a pass's raw output with the gradients that [`Pass::scales_gradients`] asks for.
+pub(super) fn near_scaled(raw: RawOutput, pass: Pass, t_vals: &Tensor) -> Result<RawOutput> {
+    if !pass.scales_gradients {
+        return Ok(raw);
+    }
+    let (_, samples) = raw.density.dims2()?;
+    let places = volume::middles(t_vals, samples)?.detach();
+    let scale = places.broadcast_mul(&pass.rays.direction_norm)?.sqr()?.minimum(1.0)?;
+    // The value stays, to the bit.
+    let scaled = |values: &Tensor, scale: &Tensor| -> Result<Tensor> {
+        let moved = values.broadcast_mul(scale)?;
+        Ok((values.detach() + (&moved - moved.detach())?)?)
+    };
+    Ok(RawOutput { rgb: scaled(&raw.rgb, &scale.unsqueeze(2)?)?, density: scaled(&raw.density, &scale)?, joined: None })
 }
 
 /// Composites the samples of a pass at `t_vals`.
@@ -79,4 +98,31 @@ pub(super) fn activate(field: &Field, raw: &RawOutput, density_noise: Option<&Te
         None => field.activate_density(&raw.density)?,
     };
     Ok(SampleValues { rgb, density })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use candle_core::{DType, Device, Var};
+
+    /// A quarter at half a unit from the camera, and all from one unit on. Values stay.
+    #[test]
+    fn gradients_near_the_camera_fall_with_the_distance_squared() {
+        let device = Device::Cpu;
+        let of = |values: &[f64]| Tensor::new(values, &device).unwrap().reshape((1, ())).unwrap();
+        let directions = Tensor::new(&[[0.0f64, 0.0, -2.0]], &device).unwrap();
+        let rays = Rays::new(directions.zeros_like().unwrap(), directions.clone(), directions).unwrap();
+        let t_vals = of(&[0.25, 0.5, 2.0]);
+        let pass = Pass { rays: &rays, t_vals: &t_vals, density_noise: None, background: None, scales_gradients: true };
+        let density = Var::from_tensor(&of(&[0.1, 0.7, 0.3])).unwrap();
+        let rgb = Var::from_tensor(&Tensor::ones((1, 3, 3), DType::F64, &device).unwrap()).unwrap();
+        let raw = RawOutput { rgb: rgb.as_tensor().clone(), density: density.as_tensor().clone(), joined: None };
+        let scaled = near_scaled(raw, pass, &t_vals).unwrap();
+        assert_eq!(scaled.density.to_vec2::<f64>().unwrap(), density.to_vec2::<f64>().unwrap());
+        let sum = (scaled.density.sum_all().unwrap() + scaled.rgb.sum_all().unwrap()).unwrap();
+        let slopes = sum.backward().unwrap();
+        assert_eq!(slopes.get(&density).unwrap().to_vec2::<f64>().unwrap(), [[0.25, 1.0, 1.0]]);
+        let of_rgb = slopes.get(&rgb).unwrap().to_vec3::<f64>().unwrap();
+        assert_eq!(of_rgb[0], [[0.25; 3], [1.0; 3], [1.0; 3]]);
+    }
 }

@@ -10,7 +10,7 @@ use crate::field::{FeatureDelta, Field, FixedPoints, RawOutput};
 use crate::settings::OutputPlace;
 
 use super::cast::{positions_at, samples_of};
-use super::pass::{Pass, PassOutput, SampleValues, activate, by_ray, finish};
+use super::pass::{Pass, PassOutput, SampleValues, activate, by_ray, finish, near_scaled};
 
 /// Deltas of a perturbed pass, and how they are added.
 #[derive(Clone, Copy)]
@@ -153,6 +153,7 @@ impl<'a> Queried<'a> {
         let feature = deltas.get(Site::Feature).map(|delta| delta.flatten(0, 1)).transpose()?;
         let feature = feature.as_ref().map(|delta| FeatureDelta { layer: perturbation.injection_layer, delta });
         let raw = by_ray(query(&viewdirs, feature)?, pass.rays.len(), samples_of(field, t_vals)?)?;
+        let raw = near_scaled(raw, pass, t_vals)?;
         Ok(Queried { field, pass, t_vals: t_vals.clone(), perturbation, raw })
     }
 

@@ -41,6 +41,9 @@ impl Config {
                     .into(),
             );
         }
+        if ["sampling.anneal_start", "sampling.anneal_middle"].contains(&path) && self.sampling.anneal_steps == 0 {
+            return Some("sampling.anneal_steps is 0".into());
+        }
         if path == "train.sam_direction" && self.train.sam_radius == 0.0 {
             return Some("train.sam_radius is 0".into());
         }

@@ -10,6 +10,7 @@ use serde::de::{DeserializeSeed, Error, IntoDeserializer, MapAccess, Visitor};
 use serde::{Deserialize, Deserializer, Serialize, Serializer};
 
 use super::registry::{choice, numbers, section};
+use super::schedule::WeightSchedule;
 use super::second_pass::{DeltaSource, SecondPass};
 use super::site::{Levels, SiteConfig, SiteSection, Sizes, switched_off, write_sites};
 use crate::augment::{
@@ -81,6 +82,10 @@ section! {
                 .real(|weight| weight >= 0.0, "0 or positive, and at most 1 with perturb.objective = \"released\"")
                 .column("lambda")
                 .same_time();
+        /// How `lambda` moves: `constant`, `from 0 in 5000 steps` (from there to it) or `halved every 5000 steps`.
+        pub lambda_schedule: WeightSchedule = WeightSchedule::Constant,
+            numbers().allowing("constant, from WEIGHT (at least 0) in N steps, or halved every N steps (N at least 1)")
+                .column("lambda_schedule").later().same_time();
         /// Combination of the losses: `paper` (clean + lambda * perturbed) or `released`
         /// ((1 - lambda) * clean + lambda * perturbed).
         pub objective: Objective = Objective::Paper, numbers().column("objective");

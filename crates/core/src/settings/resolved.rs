@@ -80,6 +80,7 @@ impl Config {
         let precrop = if batching == Batching::OneImage { 500 } else { 0 };
         let precrop_steps = *self.train.precrop_steps.get_or_insert(precrop);
         self.regularizer.resolve();
+        self.sampling.resolve();
         let around = if kind == DataKind::Blender || kind == DataKind::BuiltinBlender {
             UnseenPoses::Sphere
         } else {

@@ -27,6 +27,12 @@ impl Spacing {
 
 choice!(Spacing);
 
+const ANNEAL: &[&str] = &["anneal"];
+
+fn is_share_above_0(share: f64) -> bool {
+    share > 0.0 && share <= 1.0
+}
+
 section! {
     /// Samples along a ray.
     pub struct SamplingConfig {
@@ -42,6 +48,15 @@ section! {
         /// The quantity in which the coarse samples are evenly spaced: `depth`, or `disparity` (1 / depth) for bounds
         /// that are far apart without NDC.
         pub spacing: Spacing = Spacing::Depth, numbers().column("spacing").later().same_time();
+        /// Number of first steps in which the samples of training spread from a part of the ray to all of it (RegNeRF; 0 =
+        /// all from the start).
+        pub anneal_steps: u64 = 0, numbers().columns(ANNEAL).later().same_time();
+        /// The part's share of the ray in the first step.
+        pub anneal_start: f64 = 0.5,
+            numbers().real(is_share_above_0, "above 0, at most 1").columns(ANNEAL).later().same_time();
+        /// Where the part is: the place from near (0) to far (1) that it grows from.
+        pub anneal_middle: f64 = 0.5,
+            numbers().real(|place| (0.0..=1.0).contains(&place), "0 (near) to 1 (far)").columns(ANNEAL).later().same_time();
         /// Jitter samples in training.
         pub jitter: bool = true, numbers().column("jitter");
         /// Standard deviation of the noise on raw density in training. Empty = 1 for forward-facing scenes, 0
@@ -49,4 +64,30 @@ section! {
         pub density_noise: Option<f64> = None, numbers().real(|noise| noise >= 0.0, "0 or positive").column("density_noise");
     }
     sections {}
+}
+
+impl SamplingConfig {
+    /// Returns the ends of the rays' part that the step after `step` finished ones samples, of the `bounds` near and far.
+    ///
+    /// ```
+    /// # use augnerf_core::settings::SamplingConfig;
+    /// let from_half = SamplingConfig { anneal_steps: 256, ..SamplingConfig::default() };
+    /// assert_eq!([0, 128, 256].map(|step| from_half.annealed((2.0, 6.0), step)), [(3.0, 5.0), (2.5, 5.5), (2.0, 6.0)]);
+    /// ```
+    pub fn annealed(&self, (near, far): (f64, f64), step: u64) -> (f64, f64) {
+        if step >= self.anneal_steps {
+            return (near, far);
+        }
+        let share = self.anneal_start + (1.0 - self.anneal_start) * (step as f64 / self.anneal_steps as f64);
+        let middle = near + self.anneal_middle * (far - near);
+        (middle + share * (near - middle), middle + share * (far - middle))
+    }
+
+    /// Resets what has no effect.
+    pub(super) fn resolve(&mut self) {
+        if self.anneal_steps == 0 {
+            let SamplingConfig { anneal_start, anneal_middle, .. } = SamplingConfig::default();
+            (self.anneal_start, self.anneal_middle) = (anneal_start, anneal_middle);
+        }
+    }
 }

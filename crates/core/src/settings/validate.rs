@@ -178,7 +178,13 @@ impl Config {
         let perturb = &self.perturb;
         let lambda = perturb.lambda;
         let allowed = "0 or positive, and at most 1 with perturb.objective = \"released\"";
-        require(perturb.objective == Objective::Paper || lambda <= 1.0, "perturb.lambda", lambda, allowed)?;
+        let first = perturb.lambda_schedule.at(lambda, 0);
+        require(
+            perturb.objective == Objective::Paper || lambda.max(first) <= 1.0,
+            "perturb.lambda",
+            lambda.max(first),
+            allowed,
+        )?;
         let layer = perturb.injection_layer;
         let fresh = perturb.second == SecondPass::Clean;
         let perturbs = self.method.is_augmented() && !fresh;
@@ -281,6 +287,17 @@ impl Config {
                 counted(weights, "number"),
                 counted(kinds.len(), "term")
             )
+        })?;
+        refuse(self.train.gradient_scaling && !self.method.has_fields(), || {
+            format!(
+                "train.gradient_scaling = true with method {}: it has no samples along rays; set it to false",
+                self.method.name()
+            )
+        })?;
+        refuse(self.train.gradient_scaling && self.data.in_ndc(), || {
+            "train.gradient_scaling = true with data.ndc = true: t is no distance in normalized device coordinates; set \
+             data.ndc=false, or train.gradient_scaling=false"
+                .into()
         })?;
         let schedules = regularizer.schedule.len();
         refuse(schedules != 0 && schedules != kinds.len(), || {

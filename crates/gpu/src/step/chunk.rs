@@ -37,7 +37,7 @@ impl<'a> ChunkRecorder<'a> {
     pub(super) fn record(&self, recorder: &mut Recorder<'a>) {
         let steps = self.steps;
         let slots = [COARSE, FINE];
-        let (clean_weight, perturbed_weight) = loss_weights(&steps.config);
+        let (clean_weight, perturbed_weight) = loss_weights(&steps.config, 0);
         self.clean(recorder, CleanPass::First, clean_weight, slots);
         if !steps.config.method.is_augmented() {
             return;

@@ -128,7 +128,7 @@ impl Steps {
         };
         let evaluated = self.evaluated();
         let extremes: Vec<f64> = (1..DISTORTION).map(|what| value(evaluated, what)).collect();
-        let (terms, loss) = losses.terms(config);
+        let (terms, loss) = losses.terms(config, 0);
         let clean = losses.clean(config);
         StepReport {
             terms,

@@ -111,7 +111,10 @@ impl Profile {
                 .to_tensors(DType::F32, device)
         };
         let pass = |field, rays: &Rays, t_vals: &Tensor| {
-            clean_pass(field, Pass { rays, t_vals, density_noise: None, background: scene.background })
+            clean_pass(
+                field,
+                Pass { rays, t_vals, density_noise: None, background: scene.background, scales_gradients: false },
+            )
         };
         let ray = rays(&[pixel])?;
         let sampling = &config.sampling;

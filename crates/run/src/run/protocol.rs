@@ -13,8 +13,8 @@ use crate::revision::version;
 use crate::settings::columns::{COLUMNS, find, perturbed, regularized};
 use crate::settings::{
     Config, Core, Encoding, EvalSplit, HashConfig, LatticePoints, Precision, Regularizer, RegularizerConfig,
-    Representation, Resolved, ResolvedPerturb, SamDirection, Schedule, TermNeeds, TermRays, TrainConfig, TrainViews,
-    WeightSchedule, value_at, word,
+    Representation, Resolved, ResolvedPerturb, SamDirection, SamplingConfig, Schedule, TermNeeds, TermRays,
+    TrainConfig, TrainViews, WeightSchedule, value_at, word,
 };
 use crate::train::checkpoint::State;
 
@@ -137,6 +137,7 @@ fn of_settings(config: &Resolved) -> Found {
         ("regularizer_domain", in_space.map(|regularizer| format!("{:?}", regularizer.domain)).into()),
         ("learning_rate", learning_rate(config).into()),
         ("adam", format!("beta2 {}, epsilon {:e}", config.train.adam_beta2, config.train.adam_epsilon).into()),
+        ("anneal", anneal(config).into()),
         ("clip", clip(&config.train).into()),
         ("sam", sam(&config.train).into()),
         ("srn", config.srn.text().into()),
@@ -312,6 +313,11 @@ fn clip(train: &TrainConfig) -> Option<String> {
     let set: Vec<String> =
         limits.iter().filter(|(_, limit)| *limit > 0.0).map(|(name, limit)| format!("{name} {limit}")).collect();
     (!set.is_empty()).then(|| set.join(", "))
+}
+
+fn anneal(config: &Resolved) -> Option<String> {
+    let SamplingConfig { anneal_steps, anneal_start, anneal_middle, .. } = config.sampling;
+    (anneal_steps > 0).then(|| format!("from {anneal_start} at {anneal_middle} in {anneal_steps} steps"))
 }
 
 fn sam(train: &TrainConfig) -> Option<String> {

@@ -203,7 +203,8 @@ pub fn of_step(checkpoints: &Path, step: u64) -> Result<PathBuf> {
 /// Reads the values of all parameters, in the order of [`Model::parameter_names`].
 pub fn load_model(checkpoint: &Path, config: &Config, dtype: DType, device: &Device) -> Result<Model> {
     let tensors = Tensors::open(checkpoint, dtype, device)?;
-    Model::from_parameters(config, tensors.all("", &Model::parameter_names(config))?)
+    let model = Model::from_parameters(config, tensors.all("", &Model::parameter_names(config))?)?;
+    model.at_step(config, load_state(checkpoint)?.step)
 }
 
 /// Reads all parameters of a checkpoint onto the CPU, named, in their fixed order, each with its moments.
@@ -390,7 +391,7 @@ impl Inputs<'_> {
     pub(super) fn restore(self, checkpoint: &Path, state: State, goes_on: bool) -> Result<Trainer> {
         let names = Model::parameter_names(self.config);
         let tensors = Tensors::open(checkpoint, self.dtype, self.runtime.device())?;
-        let model = Model::from_parameters(self.config, tensors.all("", &names)?)?;
+        let model = Model::from_parameters(self.config, tensors.all("", &names)?)?.at_step(self.config, state.step)?;
         let moments = if goes_on { Some(tensors.moments(&names)?) } else { None };
         let stepper = self.stepper(&model, None, moments)?;
         Ok(self.trainer(model, stepper, state))

@@ -81,7 +81,7 @@ impl FieldLearner {
             false => None,
         };
         let t_coarse = sampling::stratified(
-            self.bounds,
+            self.config.sampling.annealed(self.bounds, step),
             self.config.sampling.spacing,
             n,
             columns,

@@ -85,6 +85,16 @@ impl Fields {
         std::iter::once(("coarse", &self.coarse)).chain(further).collect()
     }
 
+    /// Returns the same fields as they are after `step` finished steps: what `field.frequency_end` still hides is hidden. The
+    /// parameters are shared; what is hidden is computed from their current values.
+    pub fn at_step(&self, config: &Config, step: u64) -> Result<Fields> {
+        let end = config.field.frequency_end * config.train.steps as f64;
+        if end == 0.0 {
+            return Ok(self.clone());
+        }
+        self.map(|field| field.opened((step as f64 / end).min(1.0)))
+    }
+
     /// Returns fields with the same weights, each with its own record of their gradients.
     pub fn recording(&self) -> Result<Fields> {
         self.map(Field::recording)

@@ -153,6 +153,7 @@ impl FieldLearner {
             t_vals: &chunk.t_coarse,
             density_noise: chunk.noise_coarse.as_ref(),
             background: self.background,
+            scales_gradients: self.config.train.gradient_scaling,
         }
     }
 

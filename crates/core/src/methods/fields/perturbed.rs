@@ -64,7 +64,7 @@ impl FieldLearner {
         let fresh = Chunk { share: chunk.share, ..drawn };
         let mut second = ChunkResult::new(gradients.0.len());
         // Terms on rays count in the first clean pass only.
-        let alone = StepLoss { clean: weight, ..self.step_loss(&[]) };
+        let alone = StepLoss { clean: weight, ..self.step_loss(&[], chunk.step) };
         self.clean(fields, &fresh, alone, &mut second)?;
         gradients.merge(second.gradients)?;
         Ok(second.losses.clean(coarse_weight(&self.config))?.expect("every chunk has a clean pass"))
@@ -176,15 +176,17 @@ impl FieldLearner {
     fn search(&self, pass: &PerturbedPass, start: Deltas) -> Result<Deltas> {
         let perturb = &self.config.perturb;
         let field = pass.field.frozen()?;
+        // Scaled gradients are for parameters, not for deltas.
+        let clean = Pass { scales_gradients: false, ..pass.pass };
         let mut fixed = None;
         worst_case(&pass.sets, &perturb.numbers, perturb.step_unit, start, |at| {
             if fixed.is_none() && at.fixes(&FixedSamples::MOVED_BY) {
-                fixed = Some(FixedSamples::new(&field, pass.pass, at.deltas)?);
+                fixed = Some(FixedSamples::new(&field, clean, at.deltas)?);
             }
             let perturbation = self.perturbation(pass, at.deltas);
             let (out, used) = match &fixed {
                 Some(fixed) => fixed.perturbed_pass_loss(perturbation, pass.target)?,
-                None => perturbed_pass_loss(&field, pass.pass, perturbation, pass.target)?,
+                None => perturbed_pass_loss(&field, clean, perturbation, pass.target)?,
             };
             Ok((out.loss, used))
         })

@@ -150,6 +150,7 @@ impl FieldLearner {
     /// Measures the gradient norm of every term at weight 1, and that of the photometric loss, on the batch of the step
     /// after `step` finished ones. `config` says where terms are evaluated. It changes no weights.
     pub fn balance(&mut self, config: &RegularizerConfig, step: u64) -> Result<Vec<Balance>> {
+        self.fields = self.fields.at_step(&self.config, step)?;
         let whole = self.draw(step)?;
         let photometric = StepLoss {
             clean: 1.0,

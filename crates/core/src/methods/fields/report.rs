@@ -23,9 +23,9 @@ pub fn log_columns<'a>(config: &Config, terms: impl Iterator<Item = &'a str>) ->
     LogColumns { photometric, further }
 }
 
-/// Returns the weights of clean and perturbed loss.
-pub fn loss_weights(config: &Config) -> (f64, f64) {
-    let lambda = config.perturb.lambda;
+/// Returns the weights of clean and perturbed loss in the step after `step` finished ones.
+pub fn loss_weights(config: &Config, step: u64) -> (f64, f64) {
+    let lambda = config.perturb.lambda_schedule.at(config.perturb.lambda, step);
     match (config.method.is_augmented(), config.perturb.objective) {
         (false, _) => (1.0, 0.0),
         (true, Objective::Paper) => (1.0, lambda),
@@ -64,9 +64,9 @@ impl StepLosses<'_> {
         self.fine.or(self.coarse).expect("every step has a pass that is evaluated")
     }
 
-    /// Returns the weighted terms and their sum.
-    pub fn terms(&self, config: &Config) -> (Vec<Term>, f64) {
-        let (clean_weight, perturbed_weight) = loss_weights(config);
+    /// Returns the weighted terms of the step after `step` finished ones, and their sum.
+    pub fn terms(&self, config: &Config, step: u64) -> (Vec<Term>, f64) {
+        let (clean_weight, perturbed_weight) = loss_weights(config, step);
         let passes = [
             ("loss_coarse", "loss of the clean coarse pass", self.coarse, clean_weight * coarse_weight(config)),
             ("loss_fine", "loss of the clean fine pass", self.fine, clean_weight),

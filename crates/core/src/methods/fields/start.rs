@@ -24,7 +24,7 @@ impl FieldLearner {
         }
         check_grid(config, scene)?;
         let mut redraws = vec![0; Fields::roles(config).len()];
-        let fields = Fields::init(config, &redraws, dtype, device)?;
+        let fields = Fields::init(config, &redraws, dtype, device)?.at_step(config, 0)?;
         let mut learner = FieldLearner::new(config, scene, fields, dtype, device)?;
         let first = learner.draw(0)?;
         let positions = positions_at(&learner.fields.coarse, &first.rays, &first.t_coarse)?.flatten(0, 1)?;
@@ -44,7 +44,7 @@ impl FieldLearner {
                     )));
                 }
             }
-            learner.fields = Fields::init(config, &redraws, dtype, device)?;
+            learner.fields = Fields::init(config, &redraws, dtype, device)?.at_step(config, 0)?;
             learner.variables = learner.fields.variables();
         }
         Ok((learner, redraws))

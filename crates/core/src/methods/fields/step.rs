@@ -41,10 +41,11 @@ impl Learner for FieldLearner {
     }
 
     fn step(&mut self, step: u64, log: bool, stop_check: &StopCheck) -> Result<StepResult> {
+        self.fields = self.fields.at_step(&self.config, step)?;
         let whole = self.draw(step)?;
         let weighted: Vec<WeightedTerm> = self.terms.iter().map(|term| term.at(step)).collect();
         let ChunkResult { mut gradients, losses, diagnostics, .. } =
-            self.passes(&whole, self.step_loss(&weighted), log, stop_check)?;
+            self.passes(&whole, self.step_loss(&weighted, step), log, stop_check)?;
         let mut values = TermValues::of(&weighted);
         values.fill(TermSource::TrainingRays, &losses.on_rays()?);
         for group in terms::unseen_groups(&weighted) {
@@ -68,7 +69,7 @@ impl Learner for FieldLearner {
         let ([coarse, fine, perturbed], extremes) = losses.read()?;
         let step_losses = StepLosses { coarse, fine, perturbed, further: values.finish() };
         let clean = step_losses.clean(&self.config);
-        let (terms, loss) = step_losses.terms(&self.config);
+        let (terms, loss) = step_losses.terms(&self.config, step);
         let report = StepReport {
             terms,
             loss,

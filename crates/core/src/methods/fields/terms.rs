@@ -108,9 +108,9 @@ impl<'a> TermValues<'a> {
 }
 
 impl FieldLearner {
-    /// What a step of this run minimizes, with these terms.
-    pub(super) fn step_loss<'a>(&self, terms: &'a [WeightedTerm]) -> StepLoss<'a> {
-        let (clean, perturbed) = loss_weights(&self.config);
+    /// What the step after `step` finished ones minimizes, with these terms.
+    pub(super) fn step_loss<'a>(&self, terms: &'a [WeightedTerm], step: u64) -> StepLoss<'a> {
+        let (clean, perturbed) = loss_weights(&self.config, step);
         StepLoss { clean, perturbed, terms, source: TermSource::TrainingRays, fields: self.config.regularizer.fields }
     }
 

@@ -49,7 +49,7 @@ impl FieldLearner {
         step: u64,
         stop_check: &StopCheck,
     ) -> Result<ChunkResult> {
-        let step_loss = StepLoss { source: TermSource::UnseenRays(group), ..self.step_loss(terms) };
+        let step_loss = StepLoss { source: TermSource::UnseenRays(group), ..self.step_loss(terms, step) };
         self.passes(&self.draw_unseen(group, step)?, step_loss, false, stop_check)
     }
 

@@ -1,0 +1,119 @@
+//! What moves during a training: encodings that open, samples that spread, gradients near cameras, the perturbed pass's weight.
+
+use crate::common::{assert_same_bytes, assert_says, parameters, tiny_config, tiny_scene, trained};
+use augnerf::data::{RayBuffer, RayParts};
+use augnerf::methods::{FieldRenderer, Fields, Renderer};
+use augnerf::runtime::Runtime;
+use augnerf::settings::{
+    Config, Encoding, Method, PixelOrigin, Preset, Resolved, WeightSchedule, build, parse_assignment,
+};
+use augnerf::train::Trainer;
+use candle_core::{DType, Device};
+
+const ROLES: [&str; 2] = ["coarse", "fine"];
+
+fn config(on_grid: bool, set: impl Fn(&mut Config)) -> Resolved {
+    tiny_config(Method::AugNerf, |config| {
+        if on_grid {
+            config.field.encoding = Encoding::Hash;
+            (config.field.hash.levels, config.field.hash.log2_table) = (4, 9);
+        }
+        config.train.steps = 10;
+        set(config);
+    })
+}
+
+#[test]
+fn all_of_it_together_has_the_same_bytes_on_threads_and_after_a_stop() {
+    for on_grid in [false, true] {
+        let roles = if on_grid { &ROLES[..1] } else { &ROLES[..] };
+        let all = config(on_grid, |config| {
+            config.field.frequency_end = 0.9;
+            (config.sampling.anneal_steps, config.sampling.anneal_start) = (4, 0.3);
+            config.train.gradient_scaling = true;
+            config.perturb.lambda_schedule = WeightSchedule::Linear { from: 0.0, steps: 4 };
+        });
+        let once = assert_same_bytes(&all, roles);
+        let changes: [fn(&mut Config); 4] = [
+            |config| config.field.frequency_end = 0.0,
+            |config| config.sampling.anneal_steps = 0,
+            |config| config.train.gradient_scaling = false,
+            |config| config.perturb.lambda_schedule = WeightSchedule::Constant,
+        ];
+        for (i, change) in changes.iter().enumerate() {
+            let mut other = all.clone().into_draft();
+            change(&mut other);
+            let other = other.resolve(augnerf::settings::DataKind::Blender, augnerf::bench::EXTENT).unwrap();
+            let differs = parameters(&trained(&other, 6), roles) != once;
+            // All cameras of the scene are farther than a unit from every sample.
+            assert_eq!(differs, i != 2, "{i} on a grid ({on_grid})");
+        }
+    }
+}
+
+/// A model in training, and the same from its checkpoint, are rendered with the frequencies that are open; from the end on with
+/// all.
+#[test]
+fn pictures_have_the_frequencies_that_are_open() {
+    let scene = tiny_scene();
+    let runtime = Runtime::new("cpu", Some(1)).unwrap();
+    let pixels: Vec<_> = (0..16).map(|x| (&scene.test[0].camera, x, 7)).collect();
+    let rays = RayBuffer::new(&pixels, None, PixelOrigin::Corner, RayParts::default());
+    let rays = rays.to_tensors(DType::F32, &Device::Cpu).unwrap();
+    for on_grid in [false, true] {
+        let config = config(on_grid, |config| config.field.frequency_end = 0.5);
+        let mut trainer = Trainer::new(&config, &scene, DType::F32, &runtime).unwrap();
+        for step in 1..=6 {
+            trainer.step(false).unwrap();
+            let folder = tempfile::tempdir().unwrap();
+            let checkpoint = trainer.save(folder.path()).unwrap();
+            let colours = |fields: &Fields| {
+                let renderer = FieldRenderer::new(fields, &config, &scene).unwrap();
+                renderer.render(&rays).unwrap().rgb.flatten_all().unwrap().to_vec1::<f32>().unwrap()
+            };
+            let fields = trainer.model().unwrap().fields().unwrap();
+            let shown = colours(fields);
+            let loaded = Trainer::resume(&checkpoint, &config, &scene, DType::F32, &runtime).unwrap();
+            assert_eq!(shown, colours(loaded.model().unwrap().fields().unwrap()), "step {step}");
+            let all_open = colours(&fields.at_step(&config, u64::MAX).unwrap());
+            // The last of n levels is open after (n - 1) / n of the end.
+            let opens = if on_grid { 4 } else { 5 };
+            assert_eq!(shown == all_open, step >= opens, "step {step} on a grid ({on_grid})");
+        }
+    }
+}
+
+#[test]
+fn the_perturbed_pass_s_weight_follows_its_schedule() {
+    let config = config(true, |config| {
+        config.perturb.lambda = 0.2;
+        config.perturb.lambda_schedule = WeightSchedule::Linear { from: 0.0, steps: 2 };
+    });
+    let mut trainer = trained(&config, 0);
+    for expected in [0.0, 0.1, 0.2, 0.2] {
+        let stats = trainer.step(false).unwrap();
+        let perturbed = stats.terms.iter().find(|term| term.name == "loss_perturbed").unwrap();
+        assert!((perturbed.weight - expected).abs() < 1e-12);
+        let sum: f64 = stats.terms.iter().map(|term| term.weight * term.value).sum();
+        assert!((stats.loss - sum).abs() < 1e-9);
+    }
+}
+
+#[test]
+fn impossible_ones_are_refused_with_words() {
+    let refused = |set: &[&str]| {
+        let set: Vec<_> = set.iter().map(|text| parse_assignment(text).unwrap()).collect();
+        let built = build(Some(Preset::Smoke), None, &set).map_err(|e| e.to_string());
+        built.and_then(|config| config.validate().map_err(|e| e.to_string())).unwrap_err()
+    };
+    assert_says(&refused(&["field.frequency_end=1.5"]), &["field.frequency_end", "1.5", "0 (off) to 1"]);
+    assert_says(&refused(&["sampling.anneal_start=0"]), &["sampling.anneal_start", "above 0"]);
+    assert_says(
+        &refused(&["data.kind=llff", "data.dir=fern", "train.gradient_scaling=true"]),
+        &["train.gradient_scaling", "data.ndc=false"],
+    );
+    assert_says(
+        &refused(&["method=aug-nerf", "perturb.objective=released", "perturb.lambda_schedule=from 2 in 5 steps"]),
+        &["perturb.lambda", "2", "at most 1"],
+    );
+}
