@@ -10,6 +10,7 @@ mod browser;
 mod captures;
 mod cli;
 mod colmap;
+mod controls;
 mod corruption;
 mod device;
 mod docs;

@@ -1,7 +1,10 @@
 //! What the device does not do, and how much it does at once.
 
 use augnerf_core::base::{Error, Result};
-use augnerf_core::settings::{Config, Encoding, FieldConfig, Precision, Regularizer, Resolved, WeightSchedule};
+use augnerf_core::settings::{
+    ChangedEntries, Config, DeltaSource, Encoding, FieldConfig, Precision, Regularizer, Resolved, SecondPass,
+    WeightSchedule,
+};
 
 use crate::device::Gpu;
 use crate::network::Shape;
@@ -26,6 +29,13 @@ pub fn check(config: &Resolved) -> Result<()> {
     }
     if !config.regularizer.schedule.is_empty() {
         return refuse("with scheduled weights (regularizer.schedule)");
+    }
+    if let SecondPass::Perturbed(source @ (DeltaSource::BestCase | DeltaSource::Permuted)) = config.perturb.second {
+        let kind = if source == DeltaSource::BestCase { "best-case" } else { "permuted" };
+        return refuse(&format!("with perturb.kind = \"{kind}\""));
+    }
+    if config.perturb.entries == ChangedEntries::Clean {
+        return refuse("with perturb.entries = \"clean\"");
     }
     if config.sampling.anneal_steps > 0 {
         return refuse("with annealed samples (sampling.anneal_steps)");

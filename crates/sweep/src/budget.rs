@@ -3,9 +3,7 @@
 use serde::{Deserialize, Serialize};
 
 use crate::base::Result;
-use crate::settings::{
-    Config, DeltaSource, LatticePoints, PerturbConfig, RegularizedFields, RegularizerConfig, SecondPass,
-};
+use crate::settings::{Config, LatticePoints, PerturbConfig, RegularizedFields, RegularizerConfig, SecondPass};
 
 use super::definition::BudgetKind;
 
@@ -85,7 +83,7 @@ fn evaluations(config: &Config, placing: usize, trained: usize) -> f64 {
     let second = match (config.method.is_augmented(), config.perturb.second) {
         (false, _) => 0.0,
         (true, SecondPass::Clean) => clean,
-        (true, SecondPass::Perturbed(DeltaSource::WorstCase)) => {
+        (true, SecondPass::Perturbed(source)) if source.searches() => {
             (3.0 + 2.0 * f64::from(search_steps(&config.perturb))) * points(trained)
         }
         (true, SecondPass::Perturbed(_)) => 3.0 * points(trained),

@@ -43,6 +43,8 @@ pub enum Stream {
     Sharpness,
     /// Rays of cameras without photographs, with the random numbers of their passes.
     Unseen,
+    /// Which ray gets which ray's deltas.
+    Permutation,
 }
 
 impl Stream {
@@ -64,6 +66,7 @@ impl Stream {
             Stream::Views => 12,
             Stream::Sharpness => 13,
             Stream::Unseen => 14,
+            Stream::Permutation => 15,
         }
     }
 }

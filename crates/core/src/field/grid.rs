@@ -25,6 +25,8 @@ pub struct TableRecord {
     pub(super) points: Vec<f32>,
     pub(super) gradient: Vec<f32>,
     pub(super) operators: Option<Vec<Operator<f32>>>,
+    /// Left by a step's second pass.
+    pub is_of_second_pass: bool,
 }
 
 impl TableRecord {
@@ -87,10 +89,22 @@ impl Grid {
         })
     }
 
+    /// Marks the records after the first `count` as the second pass's.
+    pub(super) fn mark_second_pass(&self, count: usize) {
+        if let Some(records) = &self.records {
+            let mut records = records.lock().unwrap_or_else(PoisonError::into_inner);
+            records.iter_mut().skip(count).for_each(|record| record.is_of_second_pass = true);
+        }
+    }
+
+    pub(super) fn record_count(&self) -> usize {
+        self.records.as_ref().map_or(0, |records| records.lock().unwrap_or_else(PoisonError::into_inner).len())
+    }
+
     /// Returns the table's gradient, `[entries, features]`, from records in their order.
-    pub(super) fn table_gradient(&self, records: &[TableRecord]) -> Result<Tensor> {
+    pub(super) fn table_gradient<'a>(&self, records: impl IntoIterator<Item = &'a TableRecord>) -> Result<Tensor> {
         let mut sum = vec![0f32; self.shape.entries() * self.shape.features()];
-        let records: Vec<Cotangents> = records.iter().map(TableRecord::cotangents).collect();
+        let records: Vec<Cotangents> = records.into_iter().map(TableRecord::cotangents).collect();
         self.shape.table_gradient(&records, &mut sum);
         Tensor::from_vec(sum, (self.shape.entries(), self.shape.features()), &Device::Cpu)
     }
@@ -185,7 +199,7 @@ impl CustomOp1 for Encode {
             None
         };
         if let Some(records) = records {
-            let record = TableRecord { points: unit, gradient, operators: None };
+            let record = TableRecord { points: unit, gradient, operators: None, is_of_second_pass: false };
             records.lock().unwrap_or_else(PoisonError::into_inner).push(record);
         }
         Ok(d_points)

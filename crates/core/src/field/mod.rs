@@ -347,10 +347,21 @@ impl Field {
         self.grid.as_ref().map_or_else(Vec::new, Grid::take_records)
     }
 
+    /// Marks the records after the first `count` as those of a step's second pass.
+    pub fn mark_second_pass(&self, count: usize) {
+        self.grid.iter().for_each(|grid| grid.mark_second_pass(count));
+    }
+
+    /// Returns the number of records for the table that backward passes have left.
+    pub fn record_count(&self) -> usize {
+        self.grid.as_ref().map_or(0, Grid::record_count)
+    }
+
     /// Returns the gradient of the hash grid's table, `[entries, features]`, from records in their order. `None`
     /// without a grid or records.
-    pub fn table_gradient(&self, records: &[TableRecord]) -> Result<Option<Tensor>> {
-        let Some(grid) = self.grid.as_ref().filter(|_| !records.is_empty()) else { return Ok(None) };
+    pub fn table_gradient<'a>(&self, records: impl IntoIterator<Item = &'a TableRecord>) -> Result<Option<Tensor>> {
+        let mut records = records.into_iter().peekable();
+        let Some(grid) = self.grid.as_ref().filter(|_| records.peek().is_some()) else { return Ok(None) };
         Ok(Some(grid.table_gradient(records)?))
     }
 

@@ -219,6 +219,7 @@ impl Operate {
             points: narrowed(&self.unit),
             gradient: Values::of(d_out).slice()?.to_vec(),
             operators: Some(narrowed_each(&self.operators)),
+            is_of_second_pass: false,
         })
     }
 

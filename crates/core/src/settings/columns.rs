@@ -177,6 +177,7 @@ pub const COLUMNS: &[Column] = &[
     column("attack_numbers").of(perturbed),
     column("step_unit").of(perturbed),
     column("injection_layer").of(|config| perturbed_at(config, Site::Feature)),
+    column("entries").where_differing().of(augmented),
     column("perturb_field").where_differing().of(augmented),
     column("objective").where_differing().of(augmented),
     column("output").where_differing().of(perturbed),

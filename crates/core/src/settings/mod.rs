@@ -43,7 +43,7 @@ pub use hash::{Contraction, HashConfig, Interpolation};
 pub use identity::{scene_name, short_hash, value_at};
 pub use layers::{Preset, build, check_assignment, data_section, parse_assignment};
 pub use method::{Capability, Method, Representation};
-pub use perturb::{Objective, OutputPlace, PerturbConfig, PerturbField, Resample, ResolvedPerturb};
+pub use perturb::{ChangedEntries, Objective, OutputPlace, PerturbConfig, PerturbField, Resample, ResolvedPerturb};
 pub use planes::{PlanesConfig, PlanesLoss};
 pub use regularizer::{
     LatticePoints, REGULARIZERS, RegularizedFields, Regularizer, RegularizerConfig, TermNeeds, TermRays, UnseenPoses,

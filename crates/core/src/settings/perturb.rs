@@ -61,14 +61,26 @@ pub enum Resample {
     Perturbed,
 }
 
-choice!(SecondPass, Objective, PerturbField, OutputPlace, Resample, StepUnit, Radius, Geometry);
+/// Which entries of a hash grid the second pass changes.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum ChangedEntries {
+    /// All that its points read.
+    #[default]
+    All,
+    /// Those that the clean pass changes in the same step.
+    Clean,
+}
+
+choice!(ChangedEntries, SecondPass, Objective, PerturbField, OutputPlace, Resample, StepUnit, Radius, Geometry);
 
 section! {
     /// The second pass of a step.
     #[serde(remote = "Self")]
     pub struct PerturbConfig {
         /// Second pass of a step: `worst-case`, `gaussian` or `uniform` (the clean pass with deltas from that source),
-        /// or `fresh-jitter` (a second clean pass, the control of equal loss weight).
+        /// `best-case` (PGD down the loss), `permuted` (the worst case of other rays), or `fresh-jitter` (a second clean
+        /// pass, the control of equal loss weight).
         #[serde(rename = "kind")]
         pub second: SecondPass = SecondPass::Perturbed(DeltaSource::WorstCase),
             numbers().key("kind").column("perturb_kind");
@@ -89,6 +101,9 @@ section! {
         /// Combination of the losses: `paper` (clean + lambda * perturbed) or `released`
         /// ((1 - lambda) * clean + lambda * perturbed).
         pub objective: Objective = Objective::Paper, numbers().column("objective");
+        /// Entries of a hash grid that the second pass's gradient changes: `all`, or `clean` (those that the step's clean pass
+        /// changes, too).
+        pub entries: ChangedEntries = ChangedEntries::All, numbers().column("entries").later().same_time();
         /// Network of the perturbed pass: `shared` (the evaluated ones) or `separate` (one additional network, as in
         /// the released code).
         pub field: PerturbField = PerturbField::Shared, numbers().column("perturb_field");

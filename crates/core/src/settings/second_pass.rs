@@ -22,6 +22,17 @@ pub enum DeltaSource {
     Gaussian,
     /// Uniform samples in the same constraint sets.
     Uniform,
+    /// PGD down the perturbed loss: as much search, the other way.
+    BestCase,
+    /// The worst case of the rays, each given to another ray: deltas of the same sizes that answer nothing.
+    Permuted,
+}
+
+impl DeltaSource {
+    /// Returns whether PGD searches the deltas.
+    pub fn searches(self) -> bool {
+        matches!(self, DeltaSource::WorstCase | DeltaSource::BestCase | DeltaSource::Permuted)
+    }
 }
 
 /// The names of `perturb.kind`.
@@ -31,6 +42,8 @@ enum Kind {
     WorstCase,
     Gaussian,
     Uniform,
+    BestCase,
+    Permuted,
     #[serde(alias = "clean")]
     FreshJitter,
 }
@@ -41,6 +54,8 @@ impl From<Kind> for SecondPass {
             Kind::WorstCase => SecondPass::Perturbed(DeltaSource::WorstCase),
             Kind::Gaussian => SecondPass::Perturbed(DeltaSource::Gaussian),
             Kind::Uniform => SecondPass::Perturbed(DeltaSource::Uniform),
+            Kind::BestCase => SecondPass::Perturbed(DeltaSource::BestCase),
+            Kind::Permuted => SecondPass::Perturbed(DeltaSource::Permuted),
             Kind::FreshJitter => SecondPass::Clean,
         }
     }
@@ -52,6 +67,8 @@ impl From<SecondPass> for Kind {
             SecondPass::Perturbed(DeltaSource::WorstCase) => Kind::WorstCase,
             SecondPass::Perturbed(DeltaSource::Gaussian) => Kind::Gaussian,
             SecondPass::Perturbed(DeltaSource::Uniform) => Kind::Uniform,
+            SecondPass::Perturbed(DeltaSource::BestCase) => Kind::BestCase,
+            SecondPass::Perturbed(DeltaSource::Permuted) => Kind::Permuted,
             SecondPass::Clean => Kind::FreshJitter,
         }
     }

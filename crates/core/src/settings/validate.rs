@@ -2,8 +2,8 @@
 
 use super::registry::Section;
 use super::{
-    Config, Core, DataKind, Encoding, EvalSplit, LatticePoints, MESH_SIDES, Objective, PerturbField, Precision,
-    Regularizer, Resample, SecondPass, Sizes, Spacing, Split, TermNeeds, word,
+    ChangedEntries, Config, Core, DataKind, Encoding, EvalSplit, LatticePoints, MESH_SIDES, Objective, PerturbField,
+    Precision, Regularizer, Resample, SecondPass, Sizes, Spacing, Split, TermNeeds, word,
 };
 use crate::augment::{Epsilon, Geometry, Norm, Passes, REACH, Site, StepUnit};
 use crate::base::{Error, Result, SettingError};
@@ -185,6 +185,14 @@ impl Config {
             lambda.max(first),
             allowed,
         )?;
+        let separable = self.field.encoding == Encoding::Hash
+            && self.field.core == Core::Fused
+            && perturb.field == PerturbField::Shared;
+        refuse(self.method.is_augmented() && perturb.entries == ChangedEntries::Clean && !separable, || {
+            "perturb.entries = \"clean\" needs the entries of a hash grid that both passes share; use field.encoding = \"hash\", \
+             field.core = \"fused\" and perturb.field = \"shared\""
+                .into()
+        })?;
         let layer = perturb.injection_layer;
         let fresh = perturb.second == SecondPass::Clean;
         let perturbs = self.method.is_augmented() && !fresh;

@@ -9,7 +9,7 @@ use crate::data::{RayParts, Scene, UnseenCameras};
 use crate::losses::WeightedTerm;
 use crate::methods::batches::Batches;
 use crate::render::ray_parts;
-use crate::settings::{Encoding, Resolved};
+use crate::settings::{ChangedEntries, Encoding, Resolved};
 
 use super::geometry::AttackGeometry;
 use super::networks::Fields;
@@ -44,6 +44,11 @@ impl FieldLearner {
         device: &Device,
     ) -> Result<FieldLearner> {
         check_derivatives(config, device)?;
+        let masks = config.method.is_augmented() && config.perturb.entries == ChangedEntries::Clean;
+        if masks && !(is_host(device) && dtype == DType::F32) {
+            let message = "perturb.entries = \"clean\" needs --device cpu in single precision";
+            return Err(Error::Config(message.into()));
+        }
         let tangents = config.method.is_augmented() && config.perturb.sites[Site::View].on();
         let terms = WeightedTerm::all(&config.regularizer);
         let mut learner = FieldLearner {

@@ -4,6 +4,7 @@
 //! chunks whose gradients are added. The chunk bounds memory, and small chunks stay in a CPU's cache.
 
 mod chunk;
+mod entries;
 mod geometry;
 mod learner;
 mod networks;

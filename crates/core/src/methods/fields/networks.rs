@@ -136,13 +136,27 @@ impl Fields {
         self.by_role().into_iter().map(|(_, field)| field.table_records()).collect()
     }
 
-    /// Returns the gradients of hash grids from records, field by field, in the order of all parameters. Other entries
-    /// are `None`.
-    pub fn table_gradients(&self, records: &[Vec<TableRecord>]) -> Result<Vec<Option<Tensor>>> {
+    /// Returns the number of records that each field has so far, in the fixed order.
+    pub fn record_counts(&self) -> Vec<usize> {
+        self.by_role().into_iter().map(|(_, field)| field.record_count()).collect()
+    }
+
+    /// Marks what the fields recorded since these counts as the second pass's.
+    pub fn mark_second_pass(&self, since: &[usize]) {
+        self.by_role().into_iter().zip(since).for_each(|((_, field), count)| field.mark_second_pass(*count));
+    }
+
+    /// Returns the gradients of hash grids from those of the records that `counts` accepts, field by field, in the order of
+    /// all parameters. Other entries are `None`.
+    pub fn table_gradients(
+        &self,
+        records: &[Vec<TableRecord>],
+        counts: impl Fn(&TableRecord) -> bool,
+    ) -> Result<Vec<Option<Tensor>>> {
         let mut gradients = Vec::new();
         for ((_, field), records) in self.by_role().into_iter().zip(records) {
             let mut of_field = vec![None; field.variables().len()];
-            if let Some(gradient) = field.table_gradient(records)? {
+            if let Some(gradient) = field.table_gradient(records.iter().filter(|record| counts(record)))? {
                 of_field[0] = Some(gradient);
             }
             gradients.extend(of_field);

@@ -62,7 +62,9 @@ impl FieldLearner {
         let parts = over_parts(&self.device, &starts, starts.len().div_ceil(PARTS), work)?;
         let mut sum = ChunkResult::sum(parts)?;
         let tables = std::mem::take(&mut sum.tables);
-        sum.gradients.merge(Gradients(self.fields.table_gradients(&tables)?))?;
+        let (of_tables, only_second) = self.of_tables(&tables, log)?;
+        sum.only_second = only_second;
+        sum.gradients.merge(of_tables)?;
         Ok(sum)
     }
 
@@ -86,7 +88,9 @@ impl FieldLearner {
         }
         let t_fine = self.clean(fields, chunk, step_loss, &mut result)?;
         if self.config.method.is_augmented() {
+            let of_clean_pass = fields.record_counts();
             let loss = self.second_pass(fields, chunk, t_fine.as_ref(), step_loss.perturbed, &mut result)?;
+            fields.mark_second_pass(&of_clean_pass);
             result.losses.perturbed = Some(loss);
         }
         Ok(result)

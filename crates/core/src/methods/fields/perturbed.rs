@@ -168,12 +168,29 @@ impl FieldLearner {
         match source {
             DeltaSource::Gaussian => self.draw_deltas(pass, Draw::Gaussian, Stream::Search),
             DeltaSource::Uniform => self.draw_deltas(pass, Draw::Uniform, Stream::Search),
-            DeltaSource::WorstCase => self.search(pass, self.draw_deltas(pass, Draw::Uniform, Stream::Search)?),
+            DeltaSource::WorstCase => self.search(pass, 1.0),
+            DeltaSource::BestCase => self.search(pass, -1.0),
+            DeltaSource::Permuted => self.permute(pass, self.search(pass, 1.0)?),
         }
     }
 
-    /// Runs PGD from `start`.
-    fn search(&self, pass: &PerturbedPass, start: Deltas) -> Result<Deltas> {
+    /// Gives each ray of a pass the deltas of another one, as far as its own sets allow.
+    fn permute(&self, pass: &PerturbedPass, deltas: Deltas) -> Result<Deltas> {
+        let rays = pass.pass.rays.len();
+        let mut random = Random::part(self.config.seed, Stream::Permutation, pass.step, pass.number);
+        let order = Tensor::from_vec(random.distinct(rays, rays as u32), rays, &self.device)?;
+        let mut permuted = Deltas::default();
+        for (site, set) in pass.sets.iter() {
+            if let Some(delta) = deltas.get(site) {
+                permuted.set(site, set.project(&delta.detach().contiguous()?.index_select(&order, 0)?)?);
+            }
+        }
+        Ok(permuted)
+    }
+
+    /// Runs PGD from a random start, on the loss times `sign`.
+    fn search(&self, pass: &PerturbedPass, sign: f64) -> Result<Deltas> {
+        let start = self.draw_deltas(pass, Draw::Uniform, Stream::Search)?;
         let perturb = &self.config.perturb;
         let field = pass.field.frozen()?;
         // Scaled gradients are for parameters, not for deltas.
@@ -188,7 +205,8 @@ impl FieldLearner {
                 Some(fixed) => fixed.perturbed_pass_loss(perturbation, pass.target)?,
                 None => perturbed_pass_loss(&field, clean, perturbation, pass.target)?,
             };
-            Ok((out.loss, used))
+            let loss = if sign == 1.0 { out.loss } else { (out.loss * sign)? };
+            Ok((loss, used))
         })
     }
 

@@ -2,7 +2,7 @@
 
 use crate::methods::diagnostics;
 use crate::methods::learner::{LogColumns, Term};
-use crate::settings::{Config, Objective};
+use crate::settings::{Config, Encoding, Objective};
 
 /// Returns the columns that the steps of a configuration with terms of these names log, in order.
 pub fn log_columns<'a>(config: &Config, terms: impl Iterator<Item = &'a str>) -> LogColumns {
@@ -20,8 +20,14 @@ pub fn log_columns<'a>(config: &Config, terms: impl Iterator<Item = &'a str>) ->
             further.extend(config.perturb.sites_on().flat_map(|(site, _)| diagnostics::columns(site)));
         }
     }
+    if config.method.is_augmented() && config.field.encoding == Encoding::Hash {
+        further.push(ONLY_SECOND.into());
+    }
     LogColumns { photometric, further }
 }
+
+/// Of the hash grid's entries that a step changes, the share that only its second pass changes.
+pub(super) const ONLY_SECOND: &str = "only_second.entries";
 
 /// Returns the weights of clean and perturbed loss in the step after `step` finished ones.
 pub fn loss_weights(config: &Config, step: u64) -> (f64, f64) {

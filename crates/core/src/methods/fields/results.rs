@@ -16,6 +16,8 @@ pub(super) struct ChunkResult {
     pub(super) losses: Losses,
     /// For each field, what its hash grid's gradient is made of.
     pub(super) tables: Vec<Vec<TableRecord>>,
+    /// Of the hash grids' entries that a step changes, the share that only its second pass changes, if requested.
+    pub(super) only_second: Option<f64>,
     /// Diagnostics, if requested.
     pub(super) diagnostics: Option<Sums>,
 }
@@ -36,16 +38,16 @@ pub(super) struct Losses {
 impl ChunkResult {
     pub(super) fn new(parameters: usize) -> ChunkResult {
         let gradients = Gradients::none(parameters);
-        ChunkResult { gradients, losses: Losses::default(), tables: Vec::new(), diagnostics: None }
+        ChunkResult { gradients, losses: Losses::default(), tables: Vec::new(), only_second: None, diagnostics: None }
     }
 
     /// Sums the parts of a step in their order. There is at least one.
     pub(super) fn sum(parts: Vec<ChunkResult>) -> Result<ChunkResult> {
         let (mut gradients, mut rest) = (Vec::with_capacity(parts.len()), None::<ChunkResult>);
         for part in parts {
-            let ChunkResult { gradients: of_part, losses, tables, diagnostics } = part;
+            let ChunkResult { gradients: of_part, losses, tables, diagnostics, .. } = part;
             gradients.push(of_part);
-            let part = ChunkResult { gradients: Gradients::none(0), losses, tables, diagnostics };
+            let part = ChunkResult { losses, tables, diagnostics, ..ChunkResult::new(0) };
             match &mut rest {
                 Some(sum) => sum.add(part)?,
                 None => rest = Some(part),

@@ -7,7 +7,7 @@ use crate::methods::stepper::StepReport;
 use crate::settings::Encoding;
 
 use super::learner::FieldLearner;
-use super::report::{StepLosses, log_columns};
+use super::report::{ONLY_SECOND, StepLosses, log_columns};
 use super::results::ChunkResult;
 use super::terms::{self, TermValues};
 
@@ -44,7 +44,7 @@ impl Learner for FieldLearner {
         self.fields = self.fields.at_step(&self.config, step)?;
         let whole = self.draw(step)?;
         let weighted: Vec<WeightedTerm> = self.terms.iter().map(|term| term.at(step)).collect();
-        let ChunkResult { mut gradients, losses, diagnostics, .. } =
+        let ChunkResult { mut gradients, losses, only_second, diagnostics, .. } =
             self.passes(&whole, self.step_loss(&weighted, step), log, stop_check)?;
         let mut values = TermValues::of(&weighted);
         values.fill(TermSource::TrainingRays, &losses.on_rays()?);
@@ -76,7 +76,7 @@ impl Learner for FieldLearner {
             mse: step_losses.mse(),
             extremes,
             sites: diagnostics.map_or_else(Vec::new, |sums| sums.finish(clean)),
-            of_weights: Vec::new(),
+            of_weights: only_second.map(|share| (ONLY_SECOND.to_string(), share)).into_iter().collect(),
         };
         Ok(StepResult { gradients, report })
     }

@@ -1,0 +1,54 @@
+//! Which entries of hash grids a step's two passes change.
+
+use candle_core::{DType, Tensor};
+
+use crate::base::Result;
+use crate::field::TableRecord;
+use crate::methods::gradients::Gradients;
+use crate::settings::ChangedEntries;
+
+use super::learner::FieldLearner;
+
+impl FieldLearner {
+    /// Returns the gradients of hash grids from a step's records. With `log` it also returns, of the entries that both passes
+    /// change, the share that only the second one changes, if there are two passes.
+    pub(super) fn of_tables(&self, tables: &[Vec<TableRecord>], log: bool) -> Result<(Gradients, Option<f64>)> {
+        let masks = self.config.perturb.entries == ChangedEntries::Clean;
+        let is_of_second = |record: &TableRecord| record.is_of_second_pass;
+        let has_second = tables.iter().flatten().any(is_of_second);
+        if !has_second || !(masks || log) {
+            return Ok((Gradients(self.fields.table_gradients(tables, |_| true)?), None));
+        }
+        let clean = self.fields.table_gradients(tables, |record| !is_of_second(record))?;
+        let second = self.fields.table_gradients(tables, is_of_second)?;
+        let (mut changed, mut only_second) = (0.0, 0.0);
+        let mut masked = Vec::new();
+        for (clean, second) in clean.iter().zip(&second) {
+            let (Some(clean), Some(second)) = (clean, second) else {
+                masked.push(None);
+                continue;
+            };
+            let [by_clean, by_second] = [is_changed(clean)?, is_changed(second)?];
+            changed += count(&by_clean.maximum(&by_second)?)?;
+            only_second += count(&(&by_second * (1.0 - &by_clean)?)?)?;
+            masked.push(Some(second.broadcast_mul(&by_clean)?));
+        }
+        let share = (log && changed > 0.0).then(|| only_second / changed);
+        if !masks {
+            // All at once, whose rounding is that of other steps.
+            return Ok((Gradients(self.fields.table_gradients(tables, |_| true)?), share));
+        }
+        let mut gradients = Gradients(clean);
+        gradients.merge(Gradients(masked))?;
+        Ok((gradients, share))
+    }
+}
+
+/// Returns 1 for entries, `[entries, 1]`, with a gradient, and 0 for others.
+fn is_changed(gradient: &Tensor) -> Result<Tensor> {
+    Ok(gradient.abs()?.max_keepdim(1)?.gt(0.0)?.to_dtype(gradient.dtype())?)
+}
+
+fn count(ones: &Tensor) -> Result<f64> {
+    Ok(ones.to_dtype(DType::F64)?.sum_all()?.to_scalar()?)
+}
