@@ -65,6 +65,7 @@ shipped![
     "baselines" "mip_chair",
     "baselines" "mip_fern",
     "baselines" "regularizers_chair",
+    "few_views" "worst_case_fern",
     "checks" "few_views_chair",
     "checks" "geometry",
     "checks" "geometry_chair",
