@@ -17,7 +17,7 @@ use crate::settings::{Resolved, build, parse_assignment};
 
 use super::UnusedWeights;
 use super::answer::Answer;
-use super::experiment::{Experiment, scene_folder};
+use super::experiment::{Experiment, scene_settings};
 use super::progress::{Console, print, print_shown};
 
 #[derive(Subcommand)]
@@ -57,7 +57,8 @@ const CHECK_EXAMPLES: &str = "Examples:
 
 const EXPORT_EXAMPLES: &str = "Examples:
   augnerf data export-builtin scene              # then: augnerf train --data scene
-  augnerf data export-builtin scene --width 200  # wider views";
+  augnerf data export-builtin scene --width 200  # wider views
+  augnerf data export-builtin other --scene 17   # the objects of --data builtin:17";
 
 const CORRUPT_EXAMPLES: &str = "Examples:
   augnerf data corrupt noisy --data fern --set data.corruption.kind=gaussian-noise
@@ -90,6 +91,9 @@ pub struct ExportArguments {
     /// Width and height of the views in pixels
     #[arg(long, default_value_t = export::DEFAULT_WIDTH, value_name = "PIXELS")]
     width: usize,
+    /// The built-in scene of this number: --scene 17 for --data builtin:17 [default: the still life]
+    #[arg(long, value_name = "N")]
+    scene: Option<u64>,
     #[command(flatten)]
     answer: Answer,
 }
@@ -107,7 +111,7 @@ impl DataCommand {
 impl ExportArguments {
     fn run(self) -> Result<()> {
         let folder = self.dir.display().to_string();
-        let export::Exported { pictures, depths, triangles, .. } = export::export(&self.dir, self.width)?;
+        let export::Exported { pictures, depths, triangles, .. } = export::export(&self.dir, self.width, self.scene)?;
         let answer = json!({ "folder": folder, "pictures": pictures, "depths": depths, "triangles": triangles });
         self.answer.give(&answer, || {
             print(&format!("{folder}: {pictures} images, {depths} depth maps, a mesh of {triangles} triangles"))
@@ -173,8 +177,7 @@ impl CheckArguments {
         let console = Console::new(self.quiet);
         let mut assignments = self.set.iter().map(|text| parse_assignment(text)).collect::<Result<Vec<_>>>()?;
         if let Some(dir) = &self.dir {
-            let dir = toml::Value::String(scene_folder("", dir, &console)?.to_string_lossy().into_owned());
-            assignments.push((vec!["data".into(), "dir".into()], dir));
+            assignments.extend(scene_settings("", dir, &console)?);
         }
         let config = build(None, None, &assignments)?;
         let (config, scene) = load_scene(config, &console)?;

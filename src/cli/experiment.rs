@@ -8,7 +8,9 @@ use toml::Value;
 
 use crate::base::{Error, Result};
 use crate::data::{self, Format};
-use crate::settings::{Config, Encoding, Method, Preset, REGULARIZERS, build, data_section, parse_assignment};
+use crate::settings::{
+    BuiltinScene, Config, Encoding, Method, Preset, REGULARIZERS, build, data_section, parse_assignment,
+};
 
 use super::LpipsWeights;
 use super::progress::Console;
@@ -17,7 +19,8 @@ use super::progress::Console;
 #[derive(Args)]
 #[command(next_help_heading = "Experiment")]
 pub struct Experiment {
-    /// Scene folder (LLFF, Blender, transforms.json, COLMAP), here or in AUGNERF_DATA [default: the built-in scene]
+    /// Scene folder (LLFF, Blender, transforms.json, COLMAP), here or in AUGNERF_DATA; builtin:17 is the built-in scene
+    /// number 17 [default: the built-in scene]
     #[arg(long, value_name = "DIR")]
     data: Option<PathBuf>,
     /// fast, smoke, cpu, paper-llff, paper-blender, released-llff or released-blender [default: fast for the built-in
@@ -46,7 +49,7 @@ const DATA_ROOT: &str = "AUGNERF_DATA";
 ///
 /// # Errors
 /// [`Error::Data`]: no such folder, or several in `AUGNERF_DATA`.
-pub fn scene_folder(flag: &str, named: &Path, console: &Console) -> Result<PathBuf> {
+fn scene_folder(flag: &str, named: &Path, console: &Console) -> Result<PathBuf> {
     let here = std::path::absolute(named).map_err(|e| Error::unreadable(named, &e))?;
     if let Some(folder) = data::scene_of_file(&here) {
         console.say(&format!("scene: {}", folder.display()));
@@ -84,6 +87,20 @@ pub fn scene_folder(flag: &str, named: &Path, console: &Console) -> Result<PathB
             )))
         }
     }
+}
+
+/// Returns the settings that choose the scene of a name: a built-in one, or a folder as [`scene_folder`] finds it.
+///
+/// # Errors
+/// Those of [`scene_folder`].
+pub fn scene_settings(flag: &str, named: &Path, console: &Console) -> Result<Assignments> {
+    let builtin = named.to_str().and_then(BuiltinScene::named);
+    // A folder of that name comes first.
+    if let Some(builtin) = builtin.filter(|_| named.symlink_metadata().is_err()) {
+        return Ok(builtin.assignments());
+    }
+    let dir = scene_folder(flag, named, console)?.to_string_lossy().into_owned();
+    Ok(vec![(vec!["data".into(), "dir".into()], Value::String(dir))])
 }
 
 /// Settings as `(path, value)`.
@@ -155,8 +172,9 @@ impl Experiment {
                 assign(&["data", "kind"], Value::String("auto".into()));
                 assign(&["data", "name"], Value::String(String::new()));
             }
-            let data = scene_folder("--data ", data, console)?;
-            assign(&["data", "dir"], Value::String(data.to_string_lossy().into_owned()));
+            for (path, value) in scene_settings("--data ", data, console)? {
+                assign(&path.iter().map(String::as_str).collect::<Vec<_>>(), value);
+            }
         }
         if let Some(weights) = &weights.lpips_weights {
             let weights = std::path::absolute(weights).map_err(|e| Error::unreadable(weights, &e))?;

@@ -9,8 +9,8 @@ use crate::base::{Error, Result};
 use crate::data::Camera;
 use crate::draw::write_png8;
 use crate::run::{
-    BUILTIN, Coverage, MeshFormat, MeshOptions, MeshPicture, MeshReport, MeshUnits, Trained, Viewpoint, columns,
-    mesh_picture, named_mesh, reference_mesh,
+    Coverage, MeshFormat, MeshOptions, MeshPicture, MeshReport, MeshUnits, Trained, Viewpoint, builtin_surface,
+    columns, mesh_picture, named_mesh, reference_mesh,
 };
 use crate::runtime::Runtime;
 use crate::settings::MESH_SIDES;
@@ -177,7 +177,7 @@ enum Format {
 impl MeshArguments {
     pub fn run(self) -> Result<()> {
         let options = self.options()?;
-        if self.run.is_file() || self.run.as_os_str() == BUILTIN {
+        if self.run.is_file() || self.run.to_str().is_some_and(|name| builtin_surface(name).is_some()) {
             return self.compute.run(|_, _| self.picture_of_file(options.picture));
         }
         self.compute.run(|runtime, console| self.draw(&options, runtime, console))

@@ -16,7 +16,7 @@ use crate::run::{
     Matching, Picture, RunDir, Score, Truth, both_pictures, load_lpips, load_scene, load_scene_of, pictures, score,
 };
 use crate::runtime::Runtime;
-use crate::settings::{Config, Resolved, build, parse_assignment};
+use crate::settings::{BuiltinScene, Config, Resolved, build, parse_assignment};
 use crate::sweep::{Point, Scored, SweepFolder, SweepOutputs};
 
 use super::answer::Answer;
@@ -189,7 +189,9 @@ impl ScoreArguments {
 
     fn config(&self, data: &Path) -> Result<Config> {
         let mut assignments = Vec::new();
-        if data != Path::new("builtin") {
+        if let Some(builtin) = data.to_str().and_then(BuiltinScene::named) {
+            assignments.extend(builtin.assignments());
+        } else {
             let data = std::path::absolute(data).map_err(|e| Error::unreadable(data, &e))?;
             let data = data.to_string_lossy().into_owned();
             assignments.push((vec!["data".into(), "dir".into()], toml::Value::String(data)));

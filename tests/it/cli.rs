@@ -712,3 +712,28 @@ fn bench_says_what_it_did() {
         refuse(&["bench", flag, value], 2, &[flag, value, "not in"]);
     }
 }
+
+/// Built-in scenes by number, as a user names them: trained, resumed, compared with their own surface and no other.
+#[test]
+fn a_built_in_scene_has_a_number() {
+    let dir = TempDir::new().unwrap();
+    let at = |name: &str| dir.path().join(name);
+    for (name, data) in [("a", "builtin:3"), ("b", "builtin:4"), ("c", "builtin-forward:3"), ("still", "builtin")] {
+        succeed(&tiny(&at(name), &["--data", data, "--set", "train.steps=2"]));
+    }
+    let hash = |name: &str| json(&at(name).join("metrics.json"))["protocol"]["data_hash"].to_string();
+    let hashes = ["a", "b", "c", "still"].map(hash);
+    assert!((0..4).all(|i| hashes[..i].iter().all(|other| *other != hashes[i])), "{hashes:?}");
+    let of =
+        |name: &str, key: &str| json(&at(name).join("metrics.json"))["protocol"][key].as_str().unwrap().to_string();
+    assert_eq!(["a", "b", "still"].map(|name| of(name, "scene")), ["builtin-3", "builtin-4", "builtin"]);
+    succeed(&["mesh", at("a").to_str().unwrap(), "--resolution", "24", "--threshold", "0.1", "--quiet"]);
+    let a = at("a").display().to_string();
+    succeed(&["chamfer", &a, "builtin:3"]);
+    refuse(&["chamfer", &a, "builtin:4"], 2, &["builtin-3", "builtin:4", "another scene"]);
+    let exported = at("files");
+    succeed(&["data", "export-builtin", exported.to_str().unwrap(), "--scene", "3", "--width", "16"]);
+    let checked = printed(&["data", "check", exported.to_str().unwrap(), "--json"]);
+    assert_says(&checked, &["blender"]);
+    refuse(&tiny(&at("d"), &["--data", "builtin:x"]), 3, &["builtin:x", "no such folder"]);
+}

@@ -145,7 +145,7 @@ impl Export {
     fn new() -> Export {
         let dir = TempDir::new().unwrap();
         let export = dir.path().join("export");
-        export::export(&export, WIDTH).unwrap();
+        export::export(&export, WIDTH, None).unwrap();
         let kind = DataKind::Blender;
         let config =
             DataConfig { dir: export.display().to_string(), kind, downscale: Some(1), ..DataConfig::default() };

@@ -53,7 +53,7 @@ fn spread(cameras: &[Camera], centre: Vec3) -> f64 {
 
 /// The embedded scene as a transforms.json: its training views that `keep` picks, moved and grown.
 fn transforms(dir: &Path, keep: impl Fn(&Pose) -> bool) {
-    builtin::export(dir, WIDTH).unwrap();
+    builtin::export(dir, WIDTH, None).unwrap();
     let mut document = read_json(&dir.join("transforms_train.json"));
     let moved = |frame: &Value| {
         let number = |row: usize, column: usize| frame["transform_matrix"][row][column].as_f64().unwrap();
@@ -83,7 +83,7 @@ fn embedded_scenes_are_in_every_frame() {
 #[test]
 fn scenes_of_splits_are_in_every_frame() {
     let dir = TempDir::new().unwrap();
-    builtin::export(dir.path(), WIDTH).unwrap();
+    builtin::export(dir.path(), WIDTH, None).unwrap();
     let scene = load(dir.path(), |_| ());
     assert_shown(&scene, 0.2);
     let poses: Vec<Pose> = scene.path.iter().map(|camera| camera.pose).collect();
@@ -125,7 +125,7 @@ fn captures_are_in_the_middle_of_every_frame() {
 #[test]
 fn llff_orbits_are_in_the_middle_of_every_frame() {
     let dir = TempDir::new().unwrap();
-    builtin::export(dir.path(), WIDTH).unwrap();
+    builtin::export(dir.path(), WIDTH, None).unwrap();
     let document = read_json(&dir.path().join("transforms_train.json"));
     let frames = document["frames"].as_array().unwrap();
     let images = dir.path().join("images");

@@ -25,7 +25,7 @@ fn draft(dir: &Path) -> Config {
 /// What version 0.1.0 made of it: bounds are not filled in, pixels count from their corners.
 fn early(dir: &Path, kind: DataKind, [near, far]: [f64; 2]) -> Config {
     let mut config = draft(dir);
-    (config.data.name, config.data.pixel_origin) = (scene_name(&config.data.dir), Some(PixelOrigin::Corner));
+    (config.data.name, config.data.pixel_origin) = (scene_name(&config.data), Some(PixelOrigin::Corner));
     config.resolve(kind, Extent { near, far, domain: None, pixels: 16 }).unwrap().into_draft()
 }
 

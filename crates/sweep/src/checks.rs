@@ -76,7 +76,7 @@ impl Definition {
 
     /// Checks that scenes, seeds, metrics and rows exist, each once.
     fn check_lists(&self) -> std::result::Result<(), String> {
-        let scenes: Vec<&str> = self.scenes.iter().map(|scene| scene_name(scene)).collect();
+        let scenes: Vec<String> = self.scenes.iter().map(|scene| scene_name(scene)).collect();
         not_empty_and_distinct("scenes", &scenes)?;
         not_empty_and_distinct("seeds", &self.seeds)?;
         if let Some(seed) = self.seeds.iter().find(|seed| i64::try_from(**seed).is_err()) {

@@ -12,6 +12,7 @@ use super::axes::Axis;
 use super::extends;
 use crate::metrics::{Backbone, LPIPS, Metric, PSNR, SSIM, Scope};
 use crate::report::{AxisValue, PublishedKey, RowSpec};
+use crate::settings::BuiltinScene;
 
 /// A sweep file.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -21,7 +22,7 @@ pub struct Definition {
     pub title: String,
     /// Preset that every point starts from.
     pub preset: String,
-    /// Scene folders below the data root, or `builtin`, `builtin-forward`.
+    /// Scene folders below the data root, or `builtin`, `builtin-forward`, either with a number: `builtin:17`.
     pub scenes: Vec<String>,
     /// Every row is trained once with each seed.
     pub seeds: Vec<u64>,
@@ -328,7 +329,10 @@ fn checked(parsed: std::result::Result<Definition, toml::de::Error>, origin: &st
     Ok(definition)
 }
 
-/// Returns the name of a scene in tables: the last component of its folder.
-pub(super) fn scene_name(scene: &str) -> &str {
-    scene.trim_end_matches('/').rsplit('/').next().unwrap_or(scene)
+/// Returns the name of a scene in tables: the last component of its folder, or the built-in scene's.
+pub(super) fn scene_name(scene: &str) -> String {
+    match BuiltinScene::named(scene) {
+        Some(_) => scene.replace(':', "-"),
+        None => scene.trim_end_matches('/').rsplit('/').next().unwrap_or(scene).to_string(),
+    }
 }

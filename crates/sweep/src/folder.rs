@@ -230,7 +230,8 @@ impl SweepFolder {
                 });
             }
         }
-        let scenes = positions(definition.scenes.iter().map(|scene| scene_name(scene)));
+        let names: Vec<String> = definition.scenes.iter().map(|scene| scene_name(scene)).collect();
+        let scenes = positions(names.iter().map(String::as_str));
         let rows = positions(definition.row.iter().map(|row| row.name.as_str()));
         let places = definition.axis_positions();
         records.sort_by_cached_key(|record| {

@@ -10,7 +10,7 @@ use crate::base::{Error, Result};
 use crate::metrics::Scope;
 use crate::report::{AxisValue, label};
 use crate::run::locate_scene;
-use crate::settings::{Config, Preset, build, check_assignment};
+use crate::settings::{BuiltinScene, Config, DataKind, Preset, build, check_assignment};
 
 use super::axes::{Axis, AxisPoint};
 use super::definition::{BudgetKind, Combine, Definition, Row, scene_name};
@@ -94,9 +94,9 @@ fn combinations<'a>(definition: &'a Definition, row: &'a Row) -> Result<Vec<Comb
 
 /// Returns the folder of a scene; empty for the built-in ones.
 pub(super) fn scene_folder(scene: &str, data_root: Option<&Path>) -> PathBuf {
-    match scene {
-        "builtin" | "builtin-forward" => PathBuf::new(),
-        folder => data_root.map_or_else(|| PathBuf::from(folder), |root| root.join(folder)),
+    match BuiltinScene::named(scene) {
+        Some(_) => PathBuf::new(),
+        None => data_root.map_or_else(|| PathBuf::from(scene), |root| root.join(scene)),
     }
 }
 
@@ -195,10 +195,16 @@ impl Builder<'_> {
                 .for_each(|(table, value)| flatten(table, value, &mut |key, value| assign(&origin, key, value)));
             point.sets.iter().for_each(|(key, value)| assign(&origin, key, value.clone()));
         }
-        match self.scene {
-            "builtin" => {}
-            "builtin-forward" => assign("scenes", "data.kind", Value::String("builtin-forward".into())),
-            _ => assign("scenes", "data.dir", Value::String(self.folder.to_string_lossy().into_owned())),
+        match BuiltinScene::named(self.scene) {
+            Some(BuiltinScene { kind, seed }) => {
+                if kind == DataKind::BuiltinForward {
+                    assign("scenes", "data.kind", Value::String(kind.name().into()));
+                }
+                if let Some(seed) = seed {
+                    assign("scenes", "data.scene_seed", Value::Integer(seed as i64));
+                }
+            }
+            None => assign("scenes", "data.dir", Value::String(self.folder.to_string_lossy().into_owned())),
         }
         assign("seeds", "seed", Value::Integer(self.seed as i64));
         if let Some(error) = wrong {

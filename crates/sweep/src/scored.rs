@@ -91,7 +91,7 @@ impl Scored {
             return Err(format!("the row '{}' is one of the sweep's own; give the scored row another name", self.row));
         }
         if !definition.scenes.iter().any(|scene| scene_name(scene) == self.scene) {
-            let scenes: Vec<&str> = definition.scenes.iter().map(|scene| scene_name(scene)).collect();
+            let scenes: Vec<String> = definition.scenes.iter().map(|scene| scene_name(scene)).collect();
             return Err(format!(
                 "the scene '{}' is not in the sweep; its scenes are {}",
                 self.scene,

@@ -27,7 +27,7 @@ impl Definition {
     pub(super) fn check_words(&self) -> Checked {
         let is_break = |letter: char| letter == '\n' || letter == '\t';
         check_name("title", &self.full_title().replace(is_break, " "))?;
-        self.scenes.iter().try_for_each(|scene| check_name("the scene's name", scene_name(scene)))?;
+        self.scenes.iter().try_for_each(|scene| check_name("the scene's name", &scene_name(scene)))?;
         self.quoted.iter().try_for_each(|method| check_name("the quoted method", method))?;
         self.row.iter().try_for_each(|row| check_name("the row's name", &row.name))?;
         for axis in self.all_axes() {

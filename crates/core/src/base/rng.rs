@@ -45,6 +45,8 @@ pub enum Stream {
     Unseen,
     /// Which ray gets which ray's deltas.
     Permutation,
+    /// Built-in scenes by seed.
+    Scene,
 }
 
 impl Stream {
@@ -67,6 +69,7 @@ impl Stream {
             Stream::Sharpness => 13,
             Stream::Unseen => 14,
             Stream::Permutation => 15,
+            Stream::Scene => 16,
         }
     }
 }

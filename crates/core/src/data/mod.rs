@@ -265,5 +265,5 @@ fn background(config: &DataConfig) -> [f32; 3] {
 }
 
 fn name_of(config: &DataConfig) -> String {
-    scene_name(&config.dir)
+    scene_name(config)
 }

@@ -180,6 +180,51 @@ impl PixelOrigin {
 
 choice!(Axes, DataKind, Background, EvalSplit, Split, PixelOrigin);
 
+/// The name of a built-in scene: `builtin`, `builtin-forward`, or either with a number, such as `builtin:17`.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct BuiltinScene {
+    /// Cameras all around, or forward-facing ones.
+    pub kind: DataKind,
+    /// `data.scene_seed`.
+    pub seed: Option<u64>,
+}
+
+impl BuiltinScene {
+    /// Reads a name. `None` if it names no built-in scene.
+    ///
+    /// ```
+    /// # use augnerf_core::settings::{BuiltinScene, DataKind};
+    /// let scene = BuiltinScene::named("builtin-forward:17").unwrap();
+    /// assert_eq!((scene.kind, scene.seed), (DataKind::BuiltinForward, Some(17)));
+    /// assert!(BuiltinScene::named("builtin:x").is_none() && BuiltinScene::named("fern").is_none());
+    /// ```
+    pub fn named(name: &str) -> Option<BuiltinScene> {
+        let (kind, seed) = match name.split_once(':') {
+            Some((kind, seed)) => (kind, Some(seed.parse().ok()?)),
+            None => (name, None),
+        };
+        let kind = match kind {
+            "builtin" => DataKind::BuiltinBlender,
+            "builtin-forward" => DataKind::BuiltinForward,
+            _ => return None,
+        };
+        Some(BuiltinScene { kind, seed })
+    }
+
+    /// Returns the settings that choose it.
+    pub fn assignments(self) -> Vec<(Vec<String>, toml::Value)> {
+        let of_data = |key: &str, value: toml::Value| (vec!["data".to_string(), key.to_string()], value);
+        let mut all = vec![of_data("dir", "".into()), of_data("kind", self.kind.name().into())];
+        all.extend(self.seed.map(|seed| of_data("scene_seed", toml::Value::Integer(seed as i64))));
+        all
+    }
+}
+
+/// Returns the name of a built-in scene in results, `builtin` or `builtin-17`.
+pub fn builtin_name(seed: Option<u64>) -> String {
+    seed.map_or_else(|| "builtin".into(), |seed| format!("builtin-{seed}"))
+}
+
 /// Which training views are kept.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(
@@ -295,7 +340,10 @@ section! {
     pub struct DataConfig {
         /// Scene folder. Empty = the built-in scene.
         pub dir: String = String::new(), path();
-        /// The scene's name in results. Empty = the folder's name, or `builtin` for the built-in scene.
+        /// The built-in scene of this number: other objects, materials and lights. Empty = the still life.
+        pub scene_seed: Option<u64> = None,
+            numbers().whole(0, i64::MAX as u64, "at most 2^63 - 1").columns(&["scene"]).later().same_time();
+        /// The scene's name in results. Empty = the folder's name, or `builtin` for the built-in scene, or `builtin-17`.
         pub name: String = String::new(),
             numbers().text(is_plain_name, "a name without path separators").columns(&["scene"]);
         /// Which reader loads the folder. `auto` decides by the files found.

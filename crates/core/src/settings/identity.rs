@@ -4,7 +4,9 @@ use sha2::{Digest, Sha256};
 use toml::{Table, Value};
 
 use super::registry::{Effect, REGISTRY, Section};
-use super::{Config, Encoding, EvalConfig, Method, NO_REFERENCE, PerturbConfig, Split, TrainConfig};
+use super::{
+    Config, DataConfig, Encoding, EvalConfig, Method, NO_REFERENCE, PerturbConfig, Split, TrainConfig, builtin_name,
+};
 use crate::augment::Passes;
 
 impl Config {
@@ -140,7 +142,7 @@ impl Config {
     fn named(&self) -> Config {
         let mut named = self.clone();
         if named.data.name.is_empty() {
-            named.data.name = scene_name(&self.data.dir);
+            named.data.name = scene_name(&self.data);
         }
         named
     }
@@ -170,10 +172,10 @@ pub fn short_hash(hash: Sha256) -> String {
     hash.finalize().iter().take(6).map(|byte| format!("{byte:02x}")).collect()
 }
 
-/// Returns the last component of a scene's folder, or `builtin` if there is none.
-pub fn scene_name(dir: &str) -> String {
-    let name = std::path::Path::new(dir).file_name().map(|n| n.to_string_lossy().into_owned());
-    name.unwrap_or_else(|| "builtin".into())
+/// Returns the last component of a scene's folder, or the built-in scene's name if there is none.
+pub fn scene_name(data: &DataConfig) -> String {
+    let name = std::path::Path::new(&data.dir).file_name().map(|n| n.to_string_lossy().into_owned());
+    name.unwrap_or_else(|| builtin_name(data.scene_seed))
 }
 
 #[cfg(test)]

@@ -85,9 +85,9 @@ pub enum Reference {
 }
 
 impl Reference {
-    /// Returns the built-in scene as its Blender-style cameras see it.
-    pub fn builtin() -> Reference {
-        Reference::Builtin(builtin::blender_stage())
+    /// Returns the built-in scene, or that of a seed, as its Blender-style cameras see it.
+    pub fn builtin(seed: Option<u64>) -> Reference {
+        Reference::Builtin(builtin::blender_stage(seed))
     }
 
     /// Returns the complete mesh. For the built-in scene these are the surfaces of all solids, with their colours.
@@ -259,7 +259,7 @@ mod tests {
 
     #[test]
     fn the_embedded_scene_hides_what_lies_within_it() {
-        let reference = Reference::builtin();
+        let reference = Reference::builtin(None);
         let Reference::Builtin(stage) = &reference else { unreachable!() };
         let cloud = reference.sample(20_000, 0).unwrap();
         assert!(cloud.points.iter().all(|&p| stage.distance(p) > -BEFORE), "none is left inside of a solid");

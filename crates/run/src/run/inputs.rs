@@ -12,7 +12,7 @@ use crate::metrics::{Backbone, Lpips};
 use crate::settings::{Config, DataKind, Located, NO_REFERENCE, Resolved, Spacing, Split, scene_name};
 
 use super::scene_file::{RecordedScene, is_early};
-use super::{BUILTIN, RunDir};
+use super::{RunDir, builtin_surface};
 
 /// Finds kind and location of the scene, and fills the settings that depend on them.
 ///
@@ -44,13 +44,14 @@ fn find(mut config: Config) -> Result<Config> {
         config.data.dir = dir.to_string_lossy().into_owned();
     }
     let mesh = &mut config.eval.mesh;
-    if mesh.resolution > 0 && !["", BUILTIN, NO_REFERENCE].contains(&mesh.reference.as_str()) {
+    let is_named = ["", NO_REFERENCE].contains(&mesh.reference.as_str()) || builtin_surface(&mesh.reference).is_some();
+    if mesh.resolution > 0 && !is_named {
         let file = Path::new(&mesh.reference);
         let file = std::fs::canonicalize(file).map_err(|e| Error::unreadable(file, &e))?;
         mesh.reference = file.to_string_lossy().into_owned();
     }
     if config.data.name.is_empty() {
-        config.data.name = scene_name(&config.data.dir);
+        config.data.name = scene_name(&config.data);
     }
     config.data.kind = kind;
     Ok(config)

@@ -12,7 +12,7 @@ use crate::base::{Error, Event, Listener, Result};
 use crate::data::{Format, WorldToScene, npy};
 use crate::draw::write_png8;
 use crate::revision::version;
-use crate::settings::{Capability, DataKind};
+use crate::settings::Capability;
 use crate::space::{
     self, DensityRange, Drawing, FinishedMesh, Lattice, LevelSet, Mesh, Normals, Reference, finish_mesh, level_set,
 };
@@ -21,7 +21,7 @@ use super::coverage::Coverage;
 use super::mesh_picture::{MeshPicture, mesh_picture};
 use super::scene_file::WorldMatrix;
 use super::{
-    BUILTIN, Protocol, RunDir, Trained, folder::free_bytes, most_memory_mib, reference_mesh, surface_box,
+    Protocol, RunDir, Trained, builtin_surface, folder::free_bytes, most_memory_mib, reference_mesh, surface_box,
     surface_threshold,
 };
 
@@ -337,7 +337,7 @@ fn density_file(path: &Path, lattice: &Lattice) -> Result<BufWriter<File>> {
 /// The file is not a mesh; the run has no mesh; a run of another scene is compared with `builtin`, whose units differ.
 pub fn named_mesh(name: &str, other: &str) -> Result<Reference> {
     let path = Path::new(name);
-    if name == BUILTIN || !path.is_dir() {
+    if builtin_surface(name).is_some() || !path.is_dir() {
         return reference_mesh(name);
     }
     let run = RunDir::open(path)?;
@@ -348,12 +348,12 @@ pub fn named_mesh(name: &str, other: &str) -> Result<Reference> {
         "compare runs of nerf, aug-nerf or nv",
     )?;
     let scene = config.data;
-    if other == BUILTIN && !Format::of(scene.kind).is_some_and(|format| format.has_mesh) {
+    let has_mesh = Format::of(scene.kind).is_some_and(|format| format.has_mesh);
+    if builtin_surface(other).is_some_and(|seed| !has_mesh || seed != scene.scene_seed) {
         return Err(Error::Config(format!(
-            "{name} is of {} ({}), in other units; `{BUILTIN}` is only the surface of {}",
+            "{name} is of {} ({}), and `{other}` is the surface of another scene",
             scene.name,
-            scene.kind.name(),
-            DataKind::BuiltinBlender.name()
+            scene.kind.name()
         )));
     }
     let files: [PathBuf; 2] = MeshFormat::ALL.map(|format| run.mesh().join(format.file()));

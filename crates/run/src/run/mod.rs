@@ -57,7 +57,8 @@ pub use score::{Matching, Picture, Score, ScoredView, Truth, both_pictures, pict
 pub use session::{Between, EVALUATION_COLUMNS, Outcome, Session, TRAINING_VIEW_COLUMNS, interrupted};
 pub use smoothness::{FieldSmoothness, SMOOTHNESS_SIDE, SmoothnessReport, check_measurable, smoothness_box};
 pub use surface::{
-    BUILTIN, Surface, most_memory_mib, reference_mesh, surface_box, surface_reference, surface_threshold,
+    BUILTIN, Surface, builtin_surface, most_memory_mib, reference_mesh, surface_box, surface_reference,
+    surface_threshold,
 };
 pub use tensorboard::EventWriter;
 use trained::Measurement;

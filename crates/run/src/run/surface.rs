@@ -5,7 +5,7 @@ use std::path::Path;
 use crate::base::{Error, Event, Image, Listener, Result};
 use crate::data::{Camera, Scene};
 use crate::runtime::free_memory_mib;
-use crate::settings::{Config, MeshConfig, NO_REFERENCE, Representation};
+use crate::settings::{BuiltinScene, Config, DataKind, MeshConfig, NO_REFERENCE, Representation};
 use crate::space::{Chamfer, Drawing, Lattice, Reference, chamfer, in_scene, level_set, read_mesh, sample};
 
 use super::mesh_picture::surface_picture;
@@ -53,9 +53,18 @@ pub fn surface_threshold(config: &Config, scene: &Scene) -> f64 {
     std::f64::consts::LN_2 * samples as f64 / length
 }
 
-/// Reads a reference mesh: `builtin`, or a file.
+/// Returns the number of a built-in scene whose surface a name means: `builtin`, or `builtin:17`.
+pub fn builtin_surface(name: &str) -> Option<Option<u64>> {
+    let scene = BuiltinScene::named(name).filter(|scene| scene.kind == DataKind::BuiltinBlender);
+    scene.map(|scene| scene.seed)
+}
+
+/// Reads a reference mesh: `builtin`, `builtin:17`, or a file.
 pub fn reference_mesh(name: &str) -> Result<Reference> {
-    if name == BUILTIN { Ok(Reference::builtin()) } else { read_mesh(Path::new(name)).map(Reference::Mesh) }
+    match builtin_surface(name) {
+        Some(seed) => Ok(Reference::builtin(seed)),
+        None => read_mesh(Path::new(name)).map(Reference::Mesh),
+    }
 }
 
 /// Returns the reference mesh of a configuration's surface, or `None` if no surface or no comparison is configured. A
@@ -86,7 +95,7 @@ pub fn surface_reference(config: &Config, scene: &Scene) -> Result<Option<Refere
     if reference == NO_REFERENCE {
         return Ok(None);
     }
-    reference_mesh(if own { BUILTIN } else { reference }).map(Some)
+    if own { Ok(Some(Reference::builtin(config.data.scene_seed))) } else { reference_mesh(reference).map(Some) }
 }
 
 /// Returns the surface's part of a protocol, or `None` if no surface is configured.

@@ -42,25 +42,25 @@ pub struct Exported {
 /// coordinates (`data.pixel_origin = corner`). `depth/` has the z-depth of each test view: `r_0.npy` (32-bit floats
 /// `[rows, columns]`, scene units, infinite for nothing) and `r_0.png` (16 bit, [`DEPTH_LEVELS`] per unit, 0 for
 /// nothing). `mesh.ply` has the surfaces.
-pub fn export(dir: &Path, width: usize) -> Result<Exported> {
+pub fn export(dir: &Path, width: usize, seed: Option<u64>) -> Result<Exported> {
     if !(4..=MAX_WIDTH).contains(&width) {
         return Err(Error::Config(format!(
             "the export's width = {width} is out of range: it must be 4 to {MAX_WIDTH}"
         )));
     }
     let folder = AtomicDir::vacant(dir)?;
-    let exported = fill(folder.path(), width)?;
+    let exported = fill(folder.path(), width, seed)?;
     folder.commit()?;
     Ok(exported)
 }
 
 /// Fills a new folder.
-fn fill(dir: &Path, width: usize) -> Result<Exported> {
+fn fill(dir: &Path, width: usize, seed: Option<u64>) -> Result<Exported> {
     for sub in ["train", "val", "test", "depth"] {
         let sub = dir.join(sub);
         fs::create_dir(&sub).map_err(|e| Error::unwritable(&sub, &e))?;
     }
-    let stage = blender_stage();
+    let stage = blender_stage(seed);
     let mut pictures = 0;
     for split in [Split::Train, Split::Val, Split::Test] {
         pictures += export_split(dir, &stage, split, width)?;

@@ -30,11 +30,7 @@ pub struct Mesh {
 impl Mesh {
     /// Creates the surfaces of every solid of a stage.
     pub fn of(stage: &Stage) -> Mesh {
-        let mut mesh = Mesh::default();
-        for solid in stage.solids() {
-            mesh.append(solid);
-        }
-        mesh
+        of_solids(stage.solids())
     }
 
     fn append(&mut self, solid: &Solid) {
@@ -53,6 +49,13 @@ impl Mesh {
         let surface = ply::Surface { vertices, normals: &[], colours, triangles };
         surface.write_ply("surfaces of the augnerf builtin scene", out)
     }
+}
+
+/// Creates the surfaces of solids.
+pub(super) fn of_solids(solids: &[Solid]) -> Mesh {
+    let mut mesh = Mesh::default();
+    solids.iter().for_each(|solid| mesh.append(solid));
+    mesh
 }
 
 type Surface = (Vec<Vec3>, Vec<[u32; 3]>);

@@ -2,6 +2,7 @@
 //! shape are known exactly.
 
 pub mod export;
+mod family;
 pub mod material;
 pub mod mesh;
 pub mod picture;
@@ -11,6 +12,7 @@ pub mod stage;
 mod still_life;
 mod views;
 
+use family::Drawn;
 use rayon::prelude::*;
 
 pub use export::{Exported, export};
@@ -22,7 +24,7 @@ use crate::base::{Error, Result};
 use crate::data::formats::Capture;
 use crate::data::resample::composite;
 use crate::data::{Camera, Ndc, Scene, SceneSpace, View, background};
-use crate::settings::{DataConfig, DataKind, EvalSplit};
+use crate::settings::{DataConfig, DataKind, EvalSplit, builtin_name};
 use views::Split;
 
 /// Default width of the built-in scene's images.
@@ -30,22 +32,29 @@ const WIDTH: usize = 100;
 /// Largest width; wider images would need more memory than the scene's detail is worth.
 const MAX_WIDTH: usize = 4096;
 
-/// Returns the still life on its board, in the cameras' frame: all of it within 1.2 of the origin, z up.
-pub fn blender_stage() -> Stage {
-    Stage::new(still_life::on_board(), Frame::SAME)
+/// Returns the still life, or the objects of a seed, on a board in the cameras' frame: all of it within 1.2 of the origin,
+/// z up.
+pub fn blender_stage(seed: Option<u64>) -> Stage {
+    let Some(seed) = seed else { return Stage::new(still_life::on_board(), Frame::SAME) };
+    let Drawn { mut objects, board, light, .. } = family::draw(seed);
+    objects.push(board);
+    Stage::lit(objects, Frame::SAME, light)
 }
 
-/// Returns the still life on a table before a wall, in the normalized frame of forward-facing scenes. The cameras near
-/// the origin look towards -z, and everything is at z < -1.
-pub fn forward_stage() -> Stage {
-    Stage::new(still_life::on_table(), views::forward_frame())
+/// Returns the same on a table before a wall, in the normalized frame of forward-facing scenes. The cameras near the origin
+/// look towards -z, and everything is at z < -1.
+pub fn forward_stage(seed: Option<u64>) -> Stage {
+    let Some(seed) = seed else { return Stage::new(still_life::on_table(), views::forward_frame()) };
+    let Drawn { mut objects, room, light, .. } = family::draw(seed);
+    objects.extend(room);
+    Stage::lit(objects, views::forward_frame(), light)
 }
 
 /// Renders the built-in scene with cameras all around. `config` sets width or downscale, splits, background and pixel
 /// origin.
 pub fn load_blender(config: &DataConfig) -> Result<Scene> {
     let width = columns(config)?;
-    let stage = blender_stage();
+    let stage = blender_stage(config.scene_seed);
     let background = background(config);
     let split = match config.eval_split {
         EvalSplit::Test => Split::Test,
@@ -56,7 +65,7 @@ pub fn load_blender(config: &DataConfig) -> Result<Scene> {
     };
     let held_out: Vec<_> = views::around(split, width).into_iter().step_by(config.test_skip.max(1)).collect();
     Ok(Scene {
-        name: "builtin".into(),
+        name: builtin_name(config.scene_seed),
         kind: DataKind::BuiltinBlender.name(),
         train: render(&views::around(Split::Train, width)),
         test: render(&held_out),
@@ -73,7 +82,7 @@ pub fn load_blender(config: &DataConfig) -> Result<Scene> {
 /// Renders the forward-facing built-in scene. `config` sets width or downscale, hold-out, NDC and pixel origin.
 pub fn load_forward(config: &DataConfig) -> Result<Scene> {
     let width = columns(config)?;
-    let stage = forward_stage();
+    let stage = forward_stage(config.scene_seed);
     let cameras = views::before(width);
     let all: Vec<View> =
         cameras.par_iter().map(|(name, camera)| view(&stage, name, camera, config, [0.0; 3])).collect();
@@ -90,7 +99,7 @@ pub fn load_forward(config: &DataConfig) -> Result<Scene> {
         background: None,
         space: SceneSpace::default(),
     };
-    Ok(capture.hold_out("builtin".into(), DataKind::BuiltinForward.name(), config))
+    Ok(capture.hold_out(builtin_name(config.scene_seed), DataKind::BuiltinForward.name(), config))
 }
 
 /// Returns the working width in pixels.

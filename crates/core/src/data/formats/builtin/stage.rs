@@ -1,5 +1,6 @@
 //! The arranged solids, and ray intersections with them.
 
+use super::shading::Light;
 use super::shapes::Solid;
 use crate::data::vector::{Vec3, add, along, dot, length, scale, sub};
 
@@ -62,18 +63,29 @@ pub struct Stage {
     solids: Vec<Solid>,
     groups: Vec<Group>,
     frame: Frame,
+    light: Light,
 }
 
 impl Stage {
-    /// Creates a stage with objects, each of several solids.
+    /// Creates a stage with objects, each of several solids, in the still life's light.
     pub fn new(objects: Vec<Vec<Solid>>, frame: Frame) -> Stage {
+        Stage::lit(objects, frame, Light::of_still_life())
+    }
+
+    /// Creates a stage with objects, each of several solids.
+    pub fn lit(objects: Vec<Vec<Solid>>, frame: Frame, light: Light) -> Stage {
         let mut first = 0;
         let groups = objects.iter().map(|solids| {
             first += solids.len();
             Group::around(solids, first - solids.len())
         });
         let groups = groups.collect();
-        Stage { solids: objects.into_iter().flatten().collect(), groups, frame }
+        Stage { solids: objects.into_iter().flatten().collect(), groups, frame, light }
+    }
+
+    /// Returns the lights.
+    pub fn light(&self) -> &Light {
+        &self.light
     }
 
     /// Returns every solid, in still-life coordinates.

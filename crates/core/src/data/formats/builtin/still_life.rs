@@ -7,7 +7,7 @@ use super::shapes::{Shape, Solid};
 use crate::data::vector::{Vec3, add, axes_along, scale};
 
 /// Height of the surface that everything stands on.
-const TOP: f64 = -0.72;
+pub(super) const TOP: f64 = -0.72;
 
 const CREAM: Vec3 = [0.95, 0.88, 0.74];
 const COBALT: Vec3 = [0.10, 0.20, 0.55];

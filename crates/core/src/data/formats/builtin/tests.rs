@@ -147,7 +147,7 @@ fn config(kind: DataKind, width: u32) -> DataConfig {
 /// A camera straight above the bare board: the depth is its height less the board's.
 #[test]
 fn depth_is_exact_on_a_known_pixel() {
-    let stage = blender_stage();
+    let stage = blender_stage(None);
     let (x, y) = (0.25, -0.1);
     let pose = [[1.0, 0.0, 0.0, x], [0.0, 1.0, 0.0, y], [0.0, 0.0, 1.0, 4.0]];
     let camera = Camera { width: 9, height: 9, focal: [400.0; 2], centre: [4.0; 2], pose };
@@ -179,7 +179,7 @@ fn a_blender_scene_has_what_training_needs() {
 
 #[test]
 fn everything_lies_within_the_scenes_box() {
-    let stage = blender_stage();
+    let stage = blender_stage(None);
     let mesh = Mesh::of(&stage);
     assert!(mesh.vertices.iter().flatten().all(|v| v.abs() <= 1.2));
 }
@@ -197,7 +197,7 @@ fn a_forward_scene_fills_every_pixel_beyond_the_near_plane() {
             assert!(o[2] + f64::from(depth) * d[2] < -1.0, "{}: depth {depth}", view.name);
         }
     }
-    let stage = forward_stage();
+    let stage = forward_stage(None);
     for camera in scene.path.iter().chain(scene.train.iter().map(|view| &view.camera)) {
         let picture = stage.render(camera, crate::settings::PixelOrigin::Corner);
         assert!(picture.image.pixels.iter().skip(3).step_by(4).all(|&alpha| alpha == 1.0));
@@ -242,7 +242,7 @@ fn settings_that_make_no_scene_are_refused_in_words() {
 #[test]
 fn alpha_is_coverage() {
     let camera = views::around(Split::Test, 48)[1].1;
-    let picture = blender_stage().render(&camera, crate::settings::PixelOrigin::Corner);
+    let picture = blender_stage(None).render(&camera, crate::settings::PixelOrigin::Corner);
     let alphas: Vec<f32> = picture.image.pixels.iter().skip(3).step_by(4).copied().collect();
     assert!(alphas.iter().all(|a| (0.0..=1.0).contains(a)));
     assert!(alphas.contains(&0.0) && alphas.contains(&1.0));
@@ -252,7 +252,7 @@ fn alpha_is_coverage() {
 /// Glossy, mirror and matte points seen from two sides: only the first two change colour.
 #[test]
 fn colour_depends_on_the_view_where_the_surface_is_glossy() {
-    let stage = blender_stage();
+    let stage = blender_stage(None);
     let glossy = |solid: &Solid| solid.material.gloss > 0.0;
     let (mut changing, mut steady) = (0, 0);
     for i in 0..3000 {
@@ -286,14 +286,14 @@ fn the_number_of_threads_changes_nothing() {
     let camera = views::around(Split::Test, 40)[2].1;
     let render = |threads: usize| {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
-        pool.install(|| blender_stage().render(&camera, crate::settings::PixelOrigin::Corner))
+        pool.install(|| blender_stage(None).render(&camera, crate::settings::PixelOrigin::Corner))
     };
     assert_eq!(render(1), render(2));
 }
 
 #[test]
 fn mesh_vertices_lie_on_the_surfaces() {
-    let stage = blender_stage();
+    let stage = blender_stage(None);
     let mesh = Mesh::of(&stage);
     assert_eq!(mesh.parts.len(), stage.solids().len());
     for (solid, part) in stage.solids().iter().zip(&mesh.parts) {
@@ -307,7 +307,7 @@ fn mesh_vertices_lie_on_the_surfaces() {
 
 #[test]
 fn mesh_parts_are_closed_and_face_outwards() {
-    let stage = blender_stage();
+    let stage = blender_stage(None);
     let mesh = Mesh::of(&stage);
     for (solid, part) in stage.solids().iter().zip(&mesh.parts) {
         let mut edges = std::collections::HashMap::new();
@@ -346,9 +346,9 @@ fn camera_from_json(json: &serde_json::Value, frame: usize, width: usize) -> Cam
 fn exported_pictures_and_poses_reproduce_the_render() {
     const WIDTH: usize = 28;
     let dir = tempfile::tempdir().unwrap();
-    let exported = export(dir.path(), WIDTH).unwrap();
+    let exported = export(dir.path(), WIDTH, None).unwrap();
     assert_eq!((exported.pictures, exported.depths), (52, 8));
-    let stage = blender_stage();
+    let stage = blender_stage(None);
     for split in ["train", "val", "test"] {
         let json = read_json(&dir.path().join(format!("transforms_{split}.json")));
         for frame in 0..3 {
@@ -389,9 +389,9 @@ fn check_ply(ply: &[u8], exported: &Exported) {
 fn export_leaves_folders_alone_that_hold_something() {
     let dir = tempfile::tempdir().unwrap();
     std::fs::write(dir.path().join("notes.txt"), "mine").unwrap();
-    let error = export(dir.path(), 16).unwrap_err();
+    let error = export(dir.path(), 16, None).unwrap_err();
     assert_eq!(error.exit_code(), 4);
     assert!(error.to_string().contains("already holds files"), "{error}");
     assert_eq!(std::fs::read_dir(dir.path()).unwrap().count(), 1);
-    assert_eq!(export(&dir.path().join("new"), 2).unwrap_err().exit_code(), 2);
+    assert_eq!(export(&dir.path().join("new"), 2, None).unwrap_err().exit_code(), 2);
 }
