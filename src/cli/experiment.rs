@@ -89,18 +89,19 @@ fn scene_folder(flag: &str, named: &Path, console: &Console) -> Result<PathBuf> 
     }
 }
 
-/// Returns the settings that choose the scene of a name: a built-in one, or a folder as [`scene_folder`] finds it.
+/// Returns the settings that choose the scene of a name: a folder as [`scene_folder`] finds it, or a built-in scene.
 ///
 /// # Errors
 /// Those of [`scene_folder`].
 pub fn scene_settings(flag: &str, named: &Path, console: &Console) -> Result<Assignments> {
-    let builtin = named.to_str().and_then(BuiltinScene::named);
+    let of_data = |key: &str, value: &str| (vec!["data".to_string(), key.to_string()], Value::String(value.into()));
+    let folder = scene_folder(flag, named, console);
     // A folder of that name comes first.
-    if let Some(builtin) = builtin.filter(|_| named.symlink_metadata().is_err()) {
-        return Ok(builtin.assignments());
+    if let (Err(_), Some(builtin)) = (&folder, named.to_str().and_then(BuiltinScene::named)) {
+        let (dir, kind) = builtin.settings();
+        return Ok(vec![of_data("dir", &dir), of_data("kind", kind)]);
     }
-    let dir = scene_folder(flag, named, console)?.to_string_lossy().into_owned();
-    Ok(vec![(vec!["data".into(), "dir".into()], Value::String(dir))])
+    Ok(vec![of_data("dir", &folder?.to_string_lossy())])
 }
 
 /// Settings as `(path, value)`.

@@ -189,12 +189,13 @@ impl ScoreArguments {
 
     fn config(&self, data: &Path) -> Result<Config> {
         let mut assignments = Vec::new();
+        let of_data = |key: &str, value: String| (vec!["data".into(), key.into()], toml::Value::String(value));
         if let Some(builtin) = data.to_str().and_then(BuiltinScene::named) {
-            assignments.extend(builtin.assignments());
+            let (dir, kind) = builtin.settings();
+            assignments.extend([of_data("dir", dir), of_data("kind", kind.to_string())]);
         } else {
             let data = std::path::absolute(data).map_err(|e| Error::unreadable(data, &e))?;
-            let data = data.to_string_lossy().into_owned();
-            assignments.push((vec!["data".into(), "dir".into()], toml::Value::String(data)));
+            assignments.push(of_data("dir", data.to_string_lossy().into_owned()));
         }
         for text in &self.set {
             assignments.push(parse_assignment(text)?);

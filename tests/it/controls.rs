@@ -3,8 +3,7 @@
 use crate::common::{assert_same_bytes, assert_says, parameters, tiny_config, trained};
 use augnerf::augment::{Epsilon, Site};
 use augnerf::settings::{
-    ChangedEntries, Config, DeltaSource, Encoding, Method, PerturbField, Preset, Resolved, SecondPass, Sizes, build,
-    parse_assignment,
+    ChangedEntries, Config, DeltaSource, Encoding, Method, Preset, Resolved, SecondPass, Sizes, build, parse_assignment,
 };
 
 fn config(on_grid: bool, second: SecondPass, set: impl Fn(&mut Config)) -> Resolved {
@@ -103,5 +102,14 @@ fn a_mask_without_a_shared_grid_is_refused() {
         &refused(&["method=aug-nerf", "perturb.entries=clean"]),
         &["perturb.entries", "field.encoding = \"hash\""],
     );
-    assert_eq!(PerturbField::default(), PerturbField::Shared);
+    let on_grid = ["method=aug-nerf", "field.encoding=hash", "perturb.entries=clean"];
+    for other in ["field.core=plain", "perturb.field=separate"] {
+        assert_says(&refused(&[&on_grid[..], &[other]].concat()), &["perturb.entries", "field.core", "perturb.field"]);
+    }
+    let permuted = ["method=aug-nerf", "perturb.kind=permuted"];
+    assert_says(&refused(&[&permuted[..], &["train.chunk=1"]].concat()), &["permuted", "train.chunk = 1"]);
+    assert_says(
+        &refused(&[&permuted[..], &["train.rays=65", "train.chunk=32"]].concat()),
+        &["permuted", "train.rays = 65"],
+    );
 }

@@ -27,6 +27,9 @@ pub fn check(config: &Resolved) -> Result<()> {
             return refuse(&format!("with regularizer {}", term.name()));
         }
     }
+    if !config.regularizer.unseen_groups().is_empty() {
+        return refuse("with terms on unseen rays (regularizer.rays)");
+    }
     if !config.regularizer.schedule.is_empty() {
         return refuse("with scheduled weights (regularizer.schedule)");
     }
@@ -90,8 +93,8 @@ pub(crate) fn check_field(config: &FieldConfig) -> Result<()> {
     if config.encoding == Encoding::Integrated {
         return Err(refused("fields that are queried at Gaussians"));
     }
-    if config.frequency_end > 0.0 {
-        return Err(refused("encodings that open (field.frequency_end)"));
+    if config.frequency_steps > 0 {
+        return Err(refused("encodings that open (field.frequency_steps)"));
     }
     if !config.width.is_multiple_of(4) {
         return Err(refused(&format!("networks of width {}, which is no multiple of 4,", config.width)));

@@ -114,10 +114,13 @@ pub fn scene() -> Scene {
     let pixels = (0..64 * 64 * 3).map(|i| (i * 7919 % 256) as f32 / 255.0).collect();
     let image = Image { width: 64, height: 64, channels: 3, pixels };
     let view = View { name: "noise".into(), camera, image: image.into(), depth: None, mask: None };
+    // A second view from the side, between which and the first there are unseen ones.
+    let mut beside = View { name: "noise beside".into(), ..view.clone() };
+    beside.camera.pose = [[0.8, 0.0, 0.6, 2.4], [0.0, 1.0, 0.0, 0.0], [-0.6, 0.0, 0.8, 3.2]];
     Scene {
         name: "noise".into(),
         kind: "blender",
-        train: vec![view],
+        train: vec![view, beside],
         test: vec![],
         near: 2.0,
         far: 6.0,

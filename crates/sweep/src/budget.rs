@@ -3,7 +3,10 @@
 use serde::{Deserialize, Serialize};
 
 use crate::base::Result;
-use crate::settings::{Config, LatticePoints, PerturbConfig, RegularizedFields, RegularizerConfig, SecondPass};
+use crate::data::RayGroup;
+use crate::settings::{
+    Config, LatticePoints, PerturbConfig, RegularizedFields, RegularizerConfig, SecondPass, TermNeeds,
+};
 
 use super::definition::BudgetKind;
 
@@ -90,7 +93,7 @@ fn evaluations(config: &Config, placing: usize, trained: usize) -> f64 {
     };
     // A sharpness-aware step computes everything twice.
     let times = if config.train.sam_radius > 0.0 { 2.0 } else { 1.0 };
-    times * (clean + second + unseen_evaluations(config, clean) + regularizer_evaluations(config))
+    times * (clean + second + unseen_evaluations(config, placing, trained) + regularizer_evaluations(config))
 }
 
 /// Returns the PGD steps of the search: the largest number of any site.
@@ -100,11 +103,22 @@ fn search_steps(perturb: &PerturbConfig) -> u32 {
     resolved.numbers.iter().filter(|(_, site)| site.on()).map(|(_, site)| site.steps).max().unwrap_or(0) as u32
 }
 
-/// Counts the clean passes of unseen rays. Where they are as many as training rays, each kind costs a step of NeRF.
-fn unseen_evaluations(config: &Config, clean: f64) -> f64 {
-    let rays = config.regularizer.unseen_rays.unwrap_or(config.train.rays);
-    let kinds = config.regularizer.unseen_groups().len();
-    kinds as f64 * clean * rays as f64 / config.train.rays as f64
+/// Counts the clean passes of unseen rays. A coarse pass in which no term counts only places samples.
+fn unseen_evaluations(config: &Config, placing: usize, trained: usize) -> f64 {
+    let RegularizerConfig { kind, fields, unseen_rays, .. } = &config.regularizer;
+    let rays = unseen_rays.unwrap_or(config.train.rays);
+    let (coarse, _) = config.samples();
+    let of_group = |group: RayGroup| {
+        let mut terms = kind.iter().filter(|term| term.needs() == TermNeeds::Samples(group));
+        let trains_coarse = *fields == RegularizedFields::Both && terms.any(|term| !term.is_of_evaluated_pass());
+        let has_fine = config.sampling.fine > 0;
+        let (placing, trained) = match placing == 0 && has_fine && !trains_coarse {
+            true => (coarse, trained - coarse),
+            false => (placing, trained),
+        };
+        (rays * placing) as f64 + 3.0 * (rays * trained) as f64
+    };
+    config.regularizer.unseen_groups().into_iter().map(of_group).sum()
 }
 
 /// Counts a forward pass, its adjoint, and the two products of the backward pass. The colour head is included in the

@@ -332,7 +332,8 @@ fn checked(parsed: std::result::Result<Definition, toml::de::Error>, origin: &st
 /// Returns the name of a scene in tables: the last component of its folder, or the built-in scene's.
 pub(super) fn scene_name(scene: &str) -> String {
     match BuiltinScene::named(scene) {
-        Some(_) => scene.replace(':', "-"),
+        Some(builtin) if builtin.seed.is_some() => builtin.label(),
+        Some(builtin) => builtin.to_string(),
         None => scene.trim_end_matches('/').rsplit('/').next().unwrap_or(scene).to_string(),
     }
 }

@@ -92,10 +92,10 @@ fn combinations<'a>(definition: &'a Definition, row: &'a Row) -> Result<Vec<Comb
     })
 }
 
-/// Returns the folder of a scene; empty for the built-in ones.
+/// Returns the folder of a scene as `data.dir` names it: empty for the built-in ones, and `builtin:17` by number.
 pub(super) fn scene_folder(scene: &str, data_root: Option<&Path>) -> PathBuf {
     match BuiltinScene::named(scene) {
-        Some(_) => PathBuf::new(),
+        Some(builtin) => PathBuf::from(builtin.settings().0),
         None => data_root.map_or_else(|| PathBuf::from(scene), |root| root.join(scene)),
     }
 }
@@ -196,15 +196,9 @@ impl Builder<'_> {
             point.sets.iter().for_each(|(key, value)| assign(&origin, key, value.clone()));
         }
         match BuiltinScene::named(self.scene) {
-            Some(BuiltinScene { kind, seed }) => {
-                if kind == DataKind::BuiltinForward {
-                    assign("scenes", "data.kind", Value::String(kind.name().into()));
-                }
-                if let Some(seed) = seed {
-                    assign("scenes", "data.scene_seed", Value::Integer(seed as i64));
-                }
-            }
-            None => assign("scenes", "data.dir", Value::String(self.folder.to_string_lossy().into_owned())),
+            Some(BuiltinScene { kind: DataKind::BuiltinBlender, seed: None }) => {}
+            Some(BuiltinScene { kind, seed: None }) => assign("scenes", "data.kind", Value::String(kind.name().into())),
+            _ => assign("scenes", "data.dir", Value::String(self.folder.to_string_lossy().into_owned())),
         }
         assign("seeds", "seed", Value::Integer(self.seed as i64));
         if let Some(error) = wrong {

@@ -11,6 +11,16 @@ use crate::settings::{DataConfig, DataKind};
 /// otherwise. It looks for `poses_bounds.npy`, `transforms_train.json`, `transforms.json` and COLMAP's `sparse/0`, in
 /// the order of [`FORMATS`](super::FORMATS). Without a folder it is the built-in scene.
 pub fn detect(config: &DataConfig) -> Result<DataKind> {
+    if let Some(scene) = config.numbered_scene() {
+        return match config.kind {
+            kind if kind == DataKind::Auto || kind == scene.kind => Ok(scene.kind),
+            kind => Err(Error::Config(format!(
+                "data.kind = \"{}\" and data.dir = \"{}\" are different scenes; set data.kind=auto",
+                kind.name(),
+                config.dir
+            ))),
+        };
+    }
     let embedded = Format::of(config.kind).is_some_and(|format| format.marker.is_none());
     if config.dir.is_empty() {
         return match config.kind {

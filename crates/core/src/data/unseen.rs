@@ -69,7 +69,7 @@ impl UnseenCameras {
     ///
     /// # Errors
     /// [`Error::Config`] if there are fewer than two training cameras, or none of their axes meet where the placement
-    /// needs it, or an image is smaller than a patch.
+    /// needs it.
     pub fn of(cameras: &[Camera], poses: UnseenPoses) -> Result<UnseenCameras> {
         let refuse = |why: &str, instead: &str| {
             let name = poses.name();
@@ -77,10 +77,6 @@ impl UnseenCameras {
         };
         if cameras.len() < 2 {
             return refuse("there is one training view, and poses are found from two or more", "add training views");
-        }
-        if let Some(small) = cameras.iter().find(|camera| camera.width.min(camera.height) < PATCH_SIDE) {
-            let size = format!("an image of {} x {} pixels is smaller than a patch", small.width, small.height);
-            return refuse(&size, &format!("use images of at least {PATCH_SIDE} x {PATCH_SIDE}"));
         }
         let all: Vec<Pose> = cameras.iter().map(|camera| camera.pose).collect();
         let focus = path::centre(&all);
@@ -99,6 +95,21 @@ impl UnseenCameras {
             UnseenPoses::Sphere => around(&all, at, up),
         };
         Ok(UnseenCameras { cameras: cameras.to_vec(), place, focus })
+    }
+
+    /// Returns an error if an image is smaller than the pixels of a group.
+    ///
+    /// # Errors
+    /// [`Error::Config`].
+    pub fn check(&self, group: RayGroup) -> Result<()> {
+        let side = if group == RayGroup::Patch { PATCH_SIDE } else { 2 };
+        match self.cameras.iter().find(|camera| camera.width.min(camera.height) < side) {
+            None => Ok(()),
+            Some(small) => Err(Error::Config(format!(
+                "a term of the loss reads patches of {PATCH_SIDE} x {PATCH_SIDE} pixels, and an image has {} x {}; lower data.downscale",
+                small.width, small.height
+            ))),
+        }
     }
 
     /// Returns the rays of `count` groups, group by group. A pair is a training camera's ray and its twin: a

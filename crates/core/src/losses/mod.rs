@@ -272,6 +272,9 @@ mod tests {
                 LossTerm::OnTables(_) => TermNeeds::Tables,
             };
             assert_eq!(needs, regularizer.needs(), "{}", term.name());
+            if let LossTerm::OnRays(on_rays, _) = &term {
+                assert_eq!(on_rays.is_of_evaluated_pass(), regularizer.is_of_evaluated_pass(), "{}", term.name());
+            }
         }
     }
 

@@ -221,7 +221,7 @@ pub const COLUMNS: &[Column] = &[
     column("position_octaves").where_differing().of(without_hash_grid),
     column("view_octaves").where_differing().of(of_fields),
     column("skips").where_differing().of(of_fields),
-    column("frequency_end").where_differing().of(of_fields),
+    column("frequency_steps").where_differing().of(of_fields),
     column("rgb_padding").where_differing().of(of_fields),
     column("rgb_limit").where_differing().of(of_fields),
     column("resample_padding").where_differing().of(at_intervals),

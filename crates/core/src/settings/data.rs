@@ -185,7 +185,7 @@ choice!(Axes, DataKind, Background, EvalSplit, Split, PixelOrigin);
 pub struct BuiltinScene {
     /// Cameras all around, or forward-facing ones.
     pub kind: DataKind,
-    /// `data.scene_seed`.
+    /// Its number. `None` is the still life.
     pub seed: Option<u64>,
 }
 
@@ -211,18 +211,25 @@ impl BuiltinScene {
         Some(BuiltinScene { kind, seed })
     }
 
-    /// Returns the settings that choose it.
-    pub fn assignments(self) -> Vec<(Vec<String>, toml::Value)> {
-        let of_data = |key: &str, value: toml::Value| (vec!["data".to_string(), key.to_string()], value);
-        let mut all = vec![of_data("dir", "".into()), of_data("kind", self.kind.name().into())];
-        all.extend(self.seed.map(|seed| of_data("scene_seed", toml::Value::Integer(seed as i64))));
-        all
+    /// Returns `data.dir` and `data.kind` of it.
+    pub fn settings(self) -> (String, &'static str) {
+        (self.seed.map_or_else(String::new, |_| self.to_string()), self.kind.name())
+    }
+
+    /// Returns the name in results: `builtin` for the still life, and `builtin-17` or `builtin-forward-17` by number.
+    pub fn label(self) -> String {
+        self.seed.map_or_else(|| "builtin".into(), |_| self.to_string().replace(':', "-"))
     }
 }
 
-/// Returns the name of a built-in scene in results, `builtin` or `builtin-17`.
-pub fn builtin_name(seed: Option<u64>) -> String {
-    seed.map_or_else(|| "builtin".into(), |seed| format!("builtin-{seed}"))
+impl std::fmt::Display for BuiltinScene {
+    fn fmt(&self, f: &mut std::fmt::Formatter) -> std::fmt::Result {
+        let name = if self.kind == DataKind::BuiltinForward { "builtin-forward" } else { "builtin" };
+        match self.seed {
+            None => f.write_str(name),
+            Some(seed) => write!(f, "{name}:{seed}"),
+        }
+    }
 }
 
 /// Which training views are kept.
@@ -338,11 +345,8 @@ impl DataConfig {
 section! {
     /// The scene and how it is read.
     pub struct DataConfig {
-        /// Scene folder. Empty = the built-in scene.
+        /// Scene folder, or a built-in scene by number such as `builtin:17`. Empty = the built-in still life.
         pub dir: String = String::new(), path();
-        /// The built-in scene of this number: other objects, materials and lights. Empty = the still life.
-        pub scene_seed: Option<u64> = None,
-            numbers().whole(0, i64::MAX as u64, "at most 2^63 - 1").columns(&["scene"]).later().same_time();
         /// The scene's name in results. Empty = the folder's name, or `builtin` for the built-in scene, or `builtin-17`.
         pub name: String = String::new(),
             numbers().text(is_plain_name, "a name without path separators").columns(&["scene"]);
@@ -429,6 +433,21 @@ impl DataConfig {
     /// Returns whether rays are in normalized device coordinates, as far as is known before the scene is loaded.
     pub fn in_ndc(&self) -> bool {
         self.kind.forward_facing() && self.ndc && !self.spherify
+    }
+
+    /// Returns the built-in scene that `dir` names by number.
+    pub fn numbered_scene(&self) -> Option<BuiltinScene> {
+        BuiltinScene::named(&self.dir)
+    }
+
+    /// Returns whether the scene is built in.
+    pub fn is_builtin(&self) -> bool {
+        self.dir.is_empty() || self.numbered_scene().is_some()
+    }
+
+    /// Returns the number of a built-in scene. `None` is the still life.
+    pub fn scene_number(&self) -> Option<u64> {
+        self.numbered_scene().and_then(|scene| scene.seed)
     }
 
     /// Returns `pixel_origin`, or the default of the kind.

@@ -90,10 +90,9 @@ section! {
         pub view_depth: usize = 1, numbers().whole(1, 8, "1 to 8 layers").column("view_depth").later();
         /// Width of these layers. Empty = half of `field.width`.
         pub view_width: Option<usize> = None, numbers().whole(2, 4096, "2 to 4096 neurons").column("view_width").later();
-        /// Share of the steps in which the encodings open from low to high frequencies (FreeNeRF): octave by octave, of a hash
-        /// grid level by level (0 = all open from the start).
-        pub frequency_end: f64 = 0.0,
-            numbers().real(|share| (0.0..=1.0).contains(&share), "0 (off) to 1").column("frequency_end").later().same_time();
+        /// Number of first steps in which the encodings open from low to high frequencies (FreeNeRF): octave by octave, of a
+        /// hash grid level by level (0 = all open from the start).
+        pub frequency_steps: u64 = 0, numbers().column("frequency_steps").later().same_time();
         /// How weights are initialized.
         pub init: Init = Init::Glorot, numbers().column("init");
         /// The function from raw density to density.

@@ -4,9 +4,7 @@ use sha2::{Digest, Sha256};
 use toml::{Table, Value};
 
 use super::registry::{Effect, REGISTRY, Section};
-use super::{
-    Config, DataConfig, Encoding, EvalConfig, Method, NO_REFERENCE, PerturbConfig, Split, TrainConfig, builtin_name,
-};
+use super::{Config, DataConfig, Encoding, EvalConfig, Method, NO_REFERENCE, PerturbConfig, Split, TrainConfig};
 use crate::augment::Passes;
 
 impl Config {
@@ -39,6 +37,10 @@ impl Config {
     pub fn without_paths(&self) -> Config {
         let mut anywhere = self.named();
         anywhere.reset(&Config::default(), |rule| rule.effect == Effect::Path);
+        // The name of a built-in scene is no path.
+        if self.data.numbered_scene().is_some() {
+            anywhere.data.dir.clone_from(&self.data.dir);
+        }
         // A mesh file of this machine is no reference elsewhere; a mesh with a name is.
         let reference = &self.eval.mesh.reference;
         let is_file = std::path::Path::new(reference).is_absolute();
@@ -174,8 +176,11 @@ pub fn short_hash(hash: Sha256) -> String {
 
 /// Returns the last component of a scene's folder, or the built-in scene's name if there is none.
 pub fn scene_name(data: &DataConfig) -> String {
+    if let Some(scene) = data.numbered_scene() {
+        return scene.label();
+    }
     let name = std::path::Path::new(&data.dir).file_name().map(|n| n.to_string_lossy().into_owned());
-    name.unwrap_or_else(|| builtin_name(data.scene_seed))
+    name.unwrap_or_else(|| "builtin".into())
 }
 
 #[cfg(test)]

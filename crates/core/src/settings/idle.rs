@@ -1,7 +1,8 @@
 //! Settings that have no effect in a configuration, with the reason.
 
 use super::registry::REGISTRY;
-use super::{Config, Encoding, Method, REGULARIZERS, Regularizer, word};
+use super::{Config, Encoding, Method, REGULARIZERS, Regularizer, TermNeeds, word};
+use crate::data::RayGroup;
 
 impl Config {
     /// Returns why the setting `path` has no effect in this configuration, or `None` if it may have one. An unknown setting
@@ -32,6 +33,13 @@ impl Config {
         }
         if path == "regularizer.occlusion_share" && !self.regularizer.kind.contains(&Regularizer::Occlusion) {
             return Some("regularizer.kind does not name occlusion".into());
+        }
+        let is_of_single_rays = |term: &Regularizer| term.needs() == TermNeeds::Samples(RayGroup::One);
+        if path == "regularizer.rays" && !self.regularizer.kind.iter().any(is_of_single_rays) {
+            return Some(
+                "no term of regularizer.kind is computed on single rays; distortion and occlusion are, among others"
+                    .into(),
+            );
         }
         let unseen = ["regularizer.unseen_rays", "regularizer.unseen_poses"].contains(&path);
         if unseen && self.regularizer.unseen_groups().is_empty() {

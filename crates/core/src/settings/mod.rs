@@ -35,7 +35,7 @@ mod without_fields;
 pub use corruption::{CorruptionConfig, CorruptionKind};
 pub use data::{
     Axes, Background, BuiltinScene, DataConfig, DataKind, EvalSplit, PixelOrigin, RuledViews, Split, TrainViews,
-    ViewsRule, builtin_name,
+    ViewsRule,
 };
 pub use document::{SettingRow, settings_page, settings_rows, settings_text};
 pub use eval::{EvalConfig, MESH_SIDES, MeshConfig, NO_REFERENCE};

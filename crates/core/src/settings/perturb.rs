@@ -103,7 +103,7 @@ section! {
         pub objective: Objective = Objective::Paper, numbers().column("objective");
         /// Entries of a hash grid that the second pass's gradient changes: `all`, or `clean` (those that the step's clean pass
         /// changes, too).
-        pub entries: ChangedEntries = ChangedEntries::All, numbers().column("entries").later().same_time();
+        pub entries: ChangedEntries = ChangedEntries::All, numbers().column("entries").later();
         /// Network of the perturbed pass: `shared` (the evaluated ones) or `separate` (one additional network, as in
         /// the released code).
         pub field: PerturbField = PerturbField::Shared, numbers().column("perturb_field");

@@ -102,6 +102,14 @@ impl Regularizer {
         }
     }
 
+    /// Returns whether the term counts in the evaluated pass alone, whatever [`RegularizerConfig::fields`] says.
+    pub fn is_of_evaluated_pass(self) -> bool {
+        matches!(
+            self,
+            Regularizer::Occlusion | Regularizer::Entropy | Regularizer::DepthSmoothness | Regularizer::InformationGain
+        )
+    }
+
     /// Returns whether the term is an integral over the box of section `regularizer`, of density or its derivatives at
     /// points.
     pub fn in_space(self) -> bool {
@@ -226,12 +234,12 @@ section! {
         pub occlusion_share: f64 = 0.15625,
             numbers().real(|share| share > 0.0 && share <= 1.0, "over 0, at most 1").columns(&["regularizers"]).later().same_time();
         /// The rays of `distortion`, `occlusion`, `entropy`, `cauchy` and `opacity-prior`: `training` (the step's own), or
-        /// `unseen` (as many others, of cameras without photographs).
+        /// `unseen` (`unseen_rays` of cameras without photographs).
         pub rays: TermRays = TermRays::Training, numbers().columns(&["regularizers"]).later();
-        /// Number of unseen rays in a step, for each of single rays, pairs (`information-gain`) and patches
-        /// (`depth-smoothness`) that a term needs. Empty = `train.rays`.
+        /// Number of unseen rays in a step, for each of single rays, pairs (`information-gain`) and patches of 64
+        /// (`depth-smoothness`) that a term needs. Empty = `train.rays`, in whole pairs and patches.
         pub unseen_rays: Option<usize> = None,
-            numbers().whole(64, 1 << 20, "64 (a patch) to 2^20").columns(&["unseen"]).later();
+            numbers().whole(1, 1 << 20, "1 to 2^20, in whole pairs and patches of 64").columns(&["unseen"]).later();
         /// Cameras of unseen rays, from the training cameras alone: `box` (in the box around them, looking at what they
         /// look at), `sphere` (around that, as far and at least as high as they are) or `between` (between two of them).
         /// Empty = box for forward-facing scenes, sphere for Blender's, between for captures.

@@ -86,8 +86,14 @@ impl Config {
         } else {
             UnseenPoses::Between
         };
-        let unseen_poses = self.regularizer.unseen_poses.unwrap_or(if forward { UnseenPoses::Box } else { around });
-        let unseen_rays = self.regularizer.unseen_rays.unwrap_or(self.train.rays);
+        let unseen_poses = self.regularizer.unseen_poses.unwrap_or(if forward && !self.data.spherify {
+            UnseenPoses::Box
+        } else {
+            around
+        });
+        // Whole patches and pairs, of as many rays as a step's.
+        let together = self.regularizer.unseen_groups().last().map_or(1, |group| group.rays());
+        let unseen_rays = self.regularizer.unseen_rays.unwrap_or((self.train.rays / together).max(1) * together);
         if !self.regularizer.unseen_groups().is_empty() {
             (self.regularizer.unseen_rays, self.regularizer.unseen_poses) = (Some(unseen_rays), Some(unseen_poses));
         }

@@ -93,7 +93,7 @@ section! {
         pub sam_direction: SamDirection = SamDirection::Gradient, numbers().columns(SAM).later().same_time();
         /// Gradients of samples closer to the camera than one scene unit are multiplied by their distance squared
         /// (Philip and Deschaintre 2023). Not with NDC, where t is no distance.
-        pub gradient_scaling: bool = false, numbers().column("gradient_scaling").later().same_time();
+        pub gradient_scaling: bool = false, numbers().column("gradient_scaling").later();
         /// Weight of the coarse pass's loss; the fine pass's is 1 (1 for NeRF, 0.1 for MipNeRF; hash grids have no
         /// coarse loss).
         pub coarse_weight: f64 = 1.0,

@@ -2,11 +2,12 @@
 
 use super::registry::Section;
 use super::{
-    ChangedEntries, Config, Core, DataKind, Encoding, EvalSplit, LatticePoints, MESH_SIDES, Objective, PerturbField,
-    Precision, Regularizer, Resample, SecondPass, Sizes, Spacing, Split, TermNeeds, word,
+    ChangedEntries, Config, Core, DataKind, DeltaSource, Encoding, EvalSplit, LatticePoints, MESH_SIDES, Objective,
+    PerturbField, Precision, Regularizer, Resample, SecondPass, Sizes, Spacing, Split, TermNeeds, UnseenPoses, word,
 };
 use crate::augment::{Epsilon, Geometry, Norm, Passes, REACH, Site, StepUnit};
 use crate::base::{Error, Result, SettingError};
+use crate::data::RayGroup;
 
 /// Largest number of points of a step. They are drawn at once, and this many take a few hundred megabytes.
 const MOST_POINTS_PER_STEP: usize = 1 << 22;
@@ -193,6 +194,19 @@ impl Config {
              field.core = \"fused\" and perturb.field = \"shared\""
                 .into()
         })?;
+        let permutes = perturb.second == SecondPass::Perturbed(DeltaSource::Permuted);
+        refuse(
+            self.method.is_augmented()
+                && permutes
+                && (self.train.chunk == 1 || self.train.rays % self.train.chunk == 1),
+            || {
+                format!(
+                    "perturb.kind = \"permuted\" with train.chunk = {} and train.rays = {}: a chunk has one ray, whose deltas no other ray \
+                 can take; choose a train.chunk that leaves no chunk of one ray",
+                    self.train.chunk, self.train.rays
+                )
+            },
+        )?;
         let layer = perturb.injection_layer;
         let fresh = perturb.second == SecondPass::Clean;
         let perturbs = self.method.is_augmented() && !fresh;
@@ -307,6 +321,19 @@ impl Config {
              data.ndc=false, or train.gradient_scaling=false"
                 .into()
         })?;
+        refuse(regularizer.unseen_poses == Some(UnseenPoses::Sphere) && self.data.in_ndc(), || {
+            "regularizer.unseen_poses = \"sphere\" with data.ndc = true: cameras on all sides see nothing of a forward-facing scene; \
+             choose box or between"
+                .into()
+        })?;
+        if let (Some(rays), Some(group)) = (regularizer.unseen_rays, regularizer.unseen_groups().last()) {
+            let allowed = format!(
+                "a multiple of {}, the rays of a {}",
+                group.rays(),
+                if *group == RayGroup::Patch { "patch" } else { "pair" }
+            );
+            require(rays.is_multiple_of(group.rays()), "regularizer.unseen_rays", rays, &allowed)?;
+        }
         let schedules = regularizer.schedule.len();
         refuse(schedules != 0 && schedules != kinds.len(), || {
             format!(

@@ -64,6 +64,8 @@ fn balance_here(
         )));
     }
     let regularizer = std::mem::take(&mut config.regularizer);
+    (config.regularizer.unseen_rays, config.regularizer.unseen_poses) =
+        (regularizer.unseen_rays, regularizer.unseen_poses);
     let (config, scene) = load_scene(config, events)?;
     Lattice { domain: regularizer.domain, side: regularizer.lattice }.check_meets(&scene, "regularizer.domain")?;
     let mut trainer = Trainer::new(&config, &scene, DType::F32, runtime)?;

@@ -37,7 +37,7 @@ fn locate(config: Config) -> Result<(Located, Option<String>)> {
 /// Finds the kind of scene, and the paths of scene and mesh.
 fn find(mut config: Config) -> Result<Config> {
     let kind = data::detect(&config.data)?;
-    if !config.data.dir.is_empty() {
+    if !config.data.is_builtin() {
         // Absolute, so that it is found from any working directory; `.` gets its real name.
         let dir = Path::new(&config.data.dir);
         let dir = std::fs::canonicalize(dir).map_err(|e| Error::unreadable(dir, &e))?;

@@ -74,7 +74,17 @@ pub fn surface_reference(config: &Config, scene: &Scene) -> Result<Option<Refere
     if *resolution == 0 {
         return Ok(None);
     }
-    let own = reference.is_empty() || reference == BUILTIN;
+    let named = builtin_surface(reference);
+    if let Some(seed) =
+        named.filter(|seed| scene.format().is_some_and(|format| format.has_mesh) && *seed != config.data.scene_number())
+    {
+        let other = seed.map_or_else(|| BUILTIN.to_string(), |seed| format!("{BUILTIN}:{seed}"));
+        return Err(Error::Config(format!(
+            "eval.mesh.reference = \"{other}\" is the surface of another scene than {}; leave it empty for the scene's own",
+            scene.name
+        )));
+    }
+    let own = reference.is_empty() || named.is_some();
     if own && !scene.format().is_some_and(|format| format.has_mesh) {
         return Err(Error::Config(format!(
             "eval.mesh.resolution = {resolution} needs a reference mesh for the Chamfer distance, but {} ({}) has none; set \
@@ -95,7 +105,7 @@ pub fn surface_reference(config: &Config, scene: &Scene) -> Result<Option<Refere
     if reference == NO_REFERENCE {
         return Ok(None);
     }
-    if own { Ok(Some(Reference::builtin(config.data.scene_seed))) } else { reference_mesh(reference).map(Some) }
+    if own { Ok(Some(Reference::builtin(config.data.scene_number()))) } else { reference_mesh(reference).map(Some) }
 }
 
 /// Returns the surface's part of a protocol, or `None` if no surface is configured.

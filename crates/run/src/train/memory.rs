@@ -56,7 +56,8 @@ fn check(need: &Need, free: f64) -> Result<()> {
 /// one takes more.
 pub fn graphs_mib(config: &Resolved, threads: usize) -> f64 {
     let (field, train) = (&config.field, &config.train);
-    let chunk = train.chunk.min(train.rays).max(1);
+    let together = config.regularizer.unseen_groups().last().map_or(1, |group| group.rays());
+    let chunk = train.chunk.min(train.rays).max(together);
     let at_work = parts(train.rays.div_ceil(chunk)).min(threads);
     let (width, depth) = (field.width as f64, field.depth as f64);
     let (position, view) = (position_channels(field) as f64, encoded_channels(field.view_octaves) as f64);

@@ -237,7 +237,7 @@ impl Trainer {
         let limit = self.config.train.collapse_steps;
         let stats = if wait || stepping.is_due() { stepping.catch_up(limit)? } else { None };
         self.state.step += 1;
-        if self.config.field.frequency_end > 0.0 {
+        if self.config.field.frequency_steps > 0 {
             self.model = self.model.at_step(&self.config, self.state.step)?;
         }
         Ok(stats)

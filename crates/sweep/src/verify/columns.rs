@@ -100,7 +100,7 @@ fn decided(point: &Point, record: &Record) -> Result<Decided> {
 fn kind(config: &Config, dataset: &str) -> DataKind {
     let named = DataKind::ALL.into_iter().find(|kind| *kind != DataKind::Auto && kind.name() == dataset);
     match config.data.kind {
-        DataKind::Auto if config.data.dir.is_empty() => DataKind::BuiltinBlender,
+        DataKind::Auto if config.data.is_builtin() => DataKind::BuiltinBlender,
         DataKind::Auto => named.unwrap_or(DataKind::Transforms),
         kind => kind,
     }

@@ -3,13 +3,23 @@
 use candle_core::{DType, Tensor};
 
 use crate::base::Result;
+use crate::base::place::is_host;
 use crate::field::TableRecord;
 use crate::methods::gradients::Gradients;
-use crate::settings::ChangedEntries;
+use crate::settings::{ChangedEntries, Core, Encoding, PerturbField};
 
 use super::learner::FieldLearner;
 
 impl FieldLearner {
+    /// Returns whether the gradients of a hash grid's two passes are known apart.
+    pub(super) fn separates_entries(&self) -> bool {
+        let on_grid = self.config.field.encoding == Encoding::Hash && self.config.field.core == Core::Fused;
+        on_grid
+            && is_host(&self.device)
+            && self.dtype == DType::F32
+            && self.config.perturb.field == PerturbField::Shared
+    }
+
     /// Returns the gradients of hash grids from a step's records. With `log` it also returns, of the entries that both passes
     /// change, the share that only the second one changes, if there are two passes.
     pub(super) fn of_tables(&self, tables: &[Vec<TableRecord>], log: bool) -> Result<(Gradients, Option<f64>)> {

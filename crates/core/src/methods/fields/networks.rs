@@ -85,14 +85,14 @@ impl Fields {
         std::iter::once(("coarse", &self.coarse)).chain(further).collect()
     }
 
-    /// Returns the same fields as they are after `step` finished steps: what `field.frequency_end` still hides is hidden. The
+    /// Returns the same fields as they are after `step` finished steps: what `field.frequency_steps` still hide is hidden. The
     /// parameters are shared; what is hidden is computed from their current values.
     pub fn at_step(&self, config: &Config, step: u64) -> Result<Fields> {
-        let end = config.field.frequency_end * config.train.steps as f64;
-        if end == 0.0 {
+        let end = config.field.frequency_steps;
+        if end == 0 {
             return Ok(self.clone());
         }
-        self.map(|field| field.opened((step as f64 / end).min(1.0)))
+        self.map(|field| field.opened(step.min(end) as f64 / end as f64))
     }
 
     /// Returns fields with the same weights, each with its own record of their gradients.

@@ -178,7 +178,11 @@ impl FieldLearner {
     fn permute(&self, pass: &PerturbedPass, deltas: Deltas) -> Result<Deltas> {
         let rays = pass.pass.rays.len();
         let mut random = Random::part(self.config.seed, Stream::Permutation, pass.step, pass.number);
-        let order = Tensor::from_vec(random.distinct(rays, rays as u32), rays, &self.device)?;
+        // A random circle, on which each ray takes the deltas of the next one.
+        let circle = random.distinct(rays, rays as u32);
+        let mut order = vec![0u32; rays];
+        (0..rays).for_each(|i| order[circle[i] as usize] = circle[(i + 1) % rays]);
+        let order = Tensor::from_vec(order, rays, &self.device)?;
         let mut permuted = Deltas::default();
         for (site, set) in pass.sets.iter() {
             if let Some(delta) = deltas.get(site) {

@@ -164,10 +164,12 @@ impl FieldLearner {
         let photometric_norm = photometric_gradients.norm()?;
         let field = self.config.field.clone();
         let has_unseen = UnseenCameras::of(self.batches.cameras(), self.config.unseen_poses).is_ok();
+        let unseen_rays = self.config.unseen_rays;
         let measurable = |term: &Regularizer| match term.needs() {
             TermNeeds::Density(Order::Laplacian) => field.has_laplacian(),
             TermNeeds::Tables => field.encoding == Encoding::Hash,
-            TermNeeds::Samples(group) => has_unseen || group == RayGroup::One && config.rays == TermRays::Training,
+            TermNeeds::Samples(RayGroup::One) if config.rays == TermRays::Training => true,
+            TermNeeds::Samples(group) => has_unseen && unseen_rays >= group.rays(),
             TermNeeds::Density(_) => true,
         };
         let mut alone = |term: LossTerm| -> Result<Balance> {

@@ -2,7 +2,7 @@
 
 use crate::methods::diagnostics;
 use crate::methods::learner::{LogColumns, Term};
-use crate::settings::{Config, Encoding, Objective};
+use crate::settings::{Config, Objective};
 
 /// Returns the columns that the steps of a configuration with terms of these names log, in order.
 pub fn log_columns<'a>(config: &Config, terms: impl Iterator<Item = &'a str>) -> LogColumns {
@@ -19,9 +19,6 @@ pub fn log_columns<'a>(config: &Config, terms: impl Iterator<Item = &'a str>) ->
         if config.perturb.source().is_some() {
             further.extend(config.perturb.sites_on().flat_map(|(site, _)| diagnostics::columns(site)));
         }
-    }
-    if config.method.is_augmented() && config.field.encoding == Encoding::Hash {
-        further.push(ONLY_SECOND.into());
     }
     LogColumns { photometric, further }
 }

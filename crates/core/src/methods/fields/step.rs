@@ -13,7 +13,11 @@ use super::terms::{self, TermValues};
 
 impl Learner for FieldLearner {
     fn columns(&self) -> LogColumns {
-        log_columns(&self.config, self.terms.iter().map(|WeightedTerm { term, .. }| term.name()))
+        let mut columns = log_columns(&self.config, self.terms.iter().map(|WeightedTerm { term, .. }| term.name()));
+        if self.config.method.is_augmented() && self.separates_entries() {
+            columns.further.push(ONLY_SECOND.into());
+        }
+        columns
     }
 
     fn add_term(&mut self, term: LossTerm, weight: f64) -> Result<()> {

@@ -1,8 +1,8 @@
 //! Passes of rays without photographs, which terms of the loss read.
 
-use crate::base::Result;
 use crate::base::rng::{Random, Stream};
 use crate::base::tensors::sum;
+use crate::base::{Error, Result};
 use crate::data::{RayGroup, UnseenCameras};
 use crate::field::Field;
 use crate::losses::{TermSource, WeightedTerm};
@@ -24,7 +24,17 @@ impl FieldLearner {
         if self.unseen.is_none() && terms::unseen_groups(terms).next().is_some() {
             self.unseen = Some(UnseenCameras::of(self.batches.cameras(), self.config.unseen_poses)?);
         }
-        Ok(())
+        let cameras = self.unseen.as_ref();
+        terms::unseen_groups(terms).try_for_each(|group| {
+            if self.config.unseen_rays < group.rays() {
+                return Err(Error::Config(format!(
+                    "a term of the loss reads {} unseen rays at once, and regularizer.unseen_rays is {}; raise it, or train.rays",
+                    group.rays(),
+                    self.config.unseen_rays
+                )));
+            }
+            cameras.map_or(Ok(()), |cameras| cameras.check(group))
+        })
     }
 
     /// Returns a step's unseen rays in groups, with the random numbers of their pass.

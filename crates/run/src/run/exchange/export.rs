@@ -28,7 +28,9 @@ type Parameter = (String, Tensor, Moments);
 /// safetensors, the scene cannot be read (its `world_to_scene` is written). The file cannot be written.
 pub fn export(run: &Path, file: &Path, data: Option<&Path>, runtime: &Runtime, events: &dyn Listener) -> Result<u64> {
     let format = Format::of(file)?;
-    check_fields(&RunDir::open(run)?.read_config()?)?;
+    let config = RunDir::open(run)?.read_config()?;
+    check_fields(&config)?;
+    check_open(&config, checkpoint::load_state(&checkpoint::latest(&RunDir::open(run)?.checkpoints())?)?.step)?;
     if let (Some(data), Format::Torch) = (data, format) {
         return Err(Error::Config(format!(
             "--data {}: a file for nerf-pytorch does not contain the scene; omit --data, or export \
@@ -50,6 +52,18 @@ pub fn export(run: &Path, file: &Path, data: Option<&Path>, runtime: &Runtime, e
         .map_err(|e| Error::Output(format!("cannot write {}: {e}", file.display())))?;
     write_named(file, &bytes)?;
     Ok(state.step)
+}
+
+/// Returns an error for weights whose encodings are not all open: other programs read all of them.
+fn check_open(config: &Config, step: u64) -> Result<()> {
+    if step >= config.field.frequency_steps {
+        return Ok(());
+    }
+    Err(Error::Config(format!(
+        "the run is at step {step}, and its encodings are all open from step {} on (field.frequency_steps), which no file says; train on \
+         with `augnerf resume`, and export then",
+        config.field.frequency_steps
+    )))
 }
 
 /// Returns an error for a run without radiance fields.

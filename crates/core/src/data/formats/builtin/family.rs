@@ -433,6 +433,22 @@ mod tests {
         assert!(*counts.iter().min().unwrap() >= 3 && *counts.iter().max().unwrap() >= 8, "{counts:?}");
     }
 
+    /// In the forward-facing frame all is behind NDC's near plane, and every pixel sees something.
+    #[test]
+    fn forward_facing_scenes_fill_the_picture_behind_the_near_plane() {
+        for seed in 0..12 {
+            let stage = super::super::forward_stage(Some(seed));
+            for vertex in &super::super::mesh::Mesh::of(&stage).vertices {
+                let back = super::super::views::forward_frame().into_scene(vertex.map(f64::from))[2];
+                assert!(back < -1.0, "{seed}: {back}");
+            }
+            for (_, camera) in super::super::views::before(12) {
+                let picture = stage.render(&camera, crate::settings::PixelOrigin::Centre);
+                assert!(picture.depth.iter().all(|depth| depth.is_finite()), "{seed}");
+            }
+        }
+    }
+
     #[test]
     fn a_seed_is_a_scene_and_seeds_differ() {
         assert_eq!(draw(17).objects, draw(17).objects);

@@ -24,7 +24,7 @@ use crate::base::{Error, Result};
 use crate::data::formats::Capture;
 use crate::data::resample::composite;
 use crate::data::{Camera, Ndc, Scene, SceneSpace, View, background};
-use crate::settings::{DataConfig, DataKind, EvalSplit, builtin_name};
+use crate::settings::{DataConfig, DataKind, EvalSplit, scene_name};
 use views::Split;
 
 /// Default width of the built-in scene's images.
@@ -54,7 +54,7 @@ pub fn forward_stage(seed: Option<u64>) -> Stage {
 /// origin.
 pub fn load_blender(config: &DataConfig) -> Result<Scene> {
     let width = columns(config)?;
-    let stage = blender_stage(config.scene_seed);
+    let stage = blender_stage(config.scene_number());
     let background = background(config);
     let split = match config.eval_split {
         EvalSplit::Test => Split::Test,
@@ -65,7 +65,7 @@ pub fn load_blender(config: &DataConfig) -> Result<Scene> {
     };
     let held_out: Vec<_> = views::around(split, width).into_iter().step_by(config.test_skip.max(1)).collect();
     Ok(Scene {
-        name: builtin_name(config.scene_seed),
+        name: scene_name(config),
         kind: DataKind::BuiltinBlender.name(),
         train: render(&views::around(Split::Train, width)),
         test: render(&held_out),
@@ -82,7 +82,7 @@ pub fn load_blender(config: &DataConfig) -> Result<Scene> {
 /// Renders the forward-facing built-in scene. `config` sets width or downscale, hold-out, NDC and pixel origin.
 pub fn load_forward(config: &DataConfig) -> Result<Scene> {
     let width = columns(config)?;
-    let stage = forward_stage(config.scene_seed);
+    let stage = forward_stage(config.scene_number());
     let cameras = views::before(width);
     let all: Vec<View> =
         cameras.par_iter().map(|(name, camera)| view(&stage, name, camera, config, [0.0; 3])).collect();
@@ -99,7 +99,7 @@ pub fn load_forward(config: &DataConfig) -> Result<Scene> {
         background: None,
         space: SceneSpace::default(),
     };
-    Ok(capture.hold_out(builtin_name(config.scene_seed), DataKind::BuiltinForward.name(), config))
+    Ok(capture.hold_out(scene_name(config), DataKind::BuiltinForward.name(), config))
 }
 
 /// Returns the working width in pixels.

@@ -41,6 +41,12 @@ impl Frame {
         add(self.direction(p), self.shift)
     }
 
+    /// Maps a still-life point to the scene.
+    #[cfg(test)]
+    pub(super) fn into_scene(self, p: Vec3) -> Vec3 {
+        scale(self.turned_back(sub(p, self.shift)), 1.0 / self.scale)
+    }
+
     /// Maps a still-life unit direction to the scene.
     fn turned_back(&self, d: Vec3) -> Vec3 {
         let [x, y, z] = self.axes;
