@@ -143,7 +143,7 @@ fn choices_among_views_that_cannot_be_are_refused_in_words() {
     refused(&[forward, "data.validation=1"], &["data.validation", "at least 2"]);
     refused(&["data.train_views=0"], &["data.train_views", "at least 1"]);
     refused(&["data.train_views=[\"r_1\", \"r_1\"]"], &["data.train_views", "once"]);
-    refused(&["data.train_views=few"], &["train_views", "a number of views, or a list of their names"]);
+    refused(&["data.train_views=few"], &["train_views", "a number and a rule such as"]);
 }
 
 fn names(scene: &Scene) -> [Vec<String>; 2] {

@@ -42,7 +42,10 @@ fn compare_within(settings: &[&str], allowed: Allowed) {
         }
     }
     let mut steps = Steps::new(gpu(), &config, &scene, learner.fields(), None).unwrap();
-    assert_eq!(steps.columns(), learner.columns());
+    let mut columns = learner.columns();
+    // The device sums both passes' gradients of a table at once.
+    columns.further.retain(|column| column != "only_second.entries");
+    assert_eq!(steps.columns(), columns);
     let (mut reference, _) = FieldLearner::start(&config, &scene, DType::F64, &Device::Cpu).unwrap();
     for ((_, to), (_, from)) in reference.fields().variables().iter().zip(learner.fields().variables()) {
         to.set(&from.to_dtype(DType::F64).unwrap()).unwrap();
