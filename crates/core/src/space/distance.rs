@@ -81,13 +81,13 @@ pub enum Reference {
     /// A mesh as it is, including hidden surfaces.
     Mesh(Mesh),
     /// The built-in scene with cameras all around: triangles whose corners are on it.
-    Builtin(Stage),
+    Builtin(Box<Stage>),
 }
 
 impl Reference {
     /// Returns the built-in scene, or that of a seed, as its Blender-style cameras see it.
     pub fn builtin(seed: Option<u64>) -> Reference {
-        Reference::Builtin(builtin::blender_stage(seed))
+        Reference::Builtin(Box::new(builtin::blender_stage(seed)))
     }
 
     /// Returns the complete mesh. For the built-in scene these are the surfaces of all solids, with their colours.
