@@ -43,7 +43,8 @@ fn adam_takes_the_originals_step() {
         .collect();
     let gradients: Vec<Option<Tensor>> =
         variables.iter().map(|(name, _)| Some(wide(format!("srn.grad.{name}")))).collect();
-    let mut adam = Adam::new(AdamSettings { beta2: 0.999, epsilon: 1e-8 }, variables.clone()).unwrap();
+    let mut adam =
+        Adam::new(AdamSettings { beta2: 0.999, epsilon: 1e-8, weight_decay: 0.0 }, variables.clone()).unwrap();
     adam.update(&gradients, 5e-5, 1).unwrap();
     for (name, var) in &variables {
         for (found, expected) in flat(var).into_iter().zip(reference.values(&format!("srn.adam.{name}"))) {

@@ -20,12 +20,15 @@ pub struct AdamSettings {
     pub beta2: f64,
     /// Added to the divisor.
     pub epsilon: f64,
+    /// Decoupled decay of layers' weights (Loshchilov and Hutter 2019, algorithm 2): before an update they are multiplied by 1
+    /// minus this times the learning rate. Biases and tables do not decay.
+    pub weight_decay: f64,
 }
 
 impl AdamSettings {
     /// Returns the settings of a run.
     pub fn of(train: &TrainConfig) -> AdamSettings {
-        AdamSettings { beta2: train.adam_beta2, epsilon: train.adam_epsilon }
+        AdamSettings { beta2: train.adam_beta2, epsilon: train.adam_epsilon, weight_decay: train.weight_decay }
     }
 }
 
@@ -61,7 +64,7 @@ pub struct Moments {
     pub second: Tensor,
 }
 
-/// Adam (Kingma and Ba 2015) without weight decay.
+/// Adam (Kingma and Ba 2015).
 pub struct Adam {
     settings: AdamSettings,
     variables: Vec<(String, Var)>,
@@ -98,7 +101,13 @@ impl Adam {
     /// for the first). A missing gradient counts as 0.
     pub fn update(&mut self, gradients: &[Option<Tensor>], learning_rate: f64, updates: u64) -> Result<()> {
         let correction1 = 1.0 - BETA1.powf(updates as f64);
-        let AdamSettings { beta2, epsilon } = self.settings;
+        let AdamSettings { beta2, epsilon, weight_decay } = self.settings;
+        if weight_decay > 0.0 {
+            let weights = self.variables.iter().filter(|(name, _)| name.ends_with(".weight"));
+            weights
+                .map(|(_, var)| var)
+                .try_for_each(|var| var.set(&(var.as_tensor() * (1.0 - learning_rate * weight_decay))?))?;
+        }
         let correction2 = 1.0 - beta2.powf(updates as f64);
         if self.variables.iter().all(|(_, var)| is_ours(var)) {
             let update = Update { settings: self.settings, rate: learning_rate / correction1, correction2 };
@@ -196,7 +205,7 @@ impl Update {
     /// Updates blocks of a table in parallel, because it is far larger than all other parameters together.
     fn pass_table(&self, Moving { values, first, second }: Moving, gradient: &[f32], features: usize) {
         const ENTRIES: usize = 1 << 14;
-        let AdamSettings { beta2, epsilon } = self.settings;
+        let AdamSettings { beta2, epsilon, .. } = self.settings;
         let (rate, correction2) = (self.rate, self.correction2);
         let adam = SparseAdam { rate, correction2, betas: [BETA1, beta2], epsilon };
         let size = ENTRIES * features;
@@ -234,7 +243,7 @@ impl Update {
     ) {
         let sizes = [first.len(), second.len(), gradient.len()];
         assert!(sizes.iter().all(|size| *size == parameters.len()), "one moment and one gradient a parameter");
-        let AdamSettings { beta2, epsilon } = self.settings;
+        let AdamSettings { beta2, epsilon, .. } = self.settings;
         let [keep1, take1, keep2, take2] = [BETA1, 1.0 - BETA1, beta2, 1.0 - beta2].map(T::from_f64);
         let [rate, correction2, epsilon] = [self.rate, self.correction2, epsilon].map(T::from_f64);
         vectorized(
@@ -303,5 +312,20 @@ mod tests {
             adam.update(&[Some(Tensor::new(&[g], &Device::Cpu).unwrap())], 0.01, t as u64).unwrap();
         }
         assert!((var.to_vec1::<f64>().unwrap()[0] - p).abs() < 1e-12);
+    }
+
+    /// Without a gradient a weight falls by the rate times the decay, times itself; a bias and a table keep their size.
+    #[test]
+    fn weights_alone_decay() {
+        let names = ["coarse.trunk.0.weight", "coarse.trunk.0.bias", "coarse.table"];
+        let variables = names.map(|name| (name.to_string(), Var::new(&[[2.0f64]], &Device::Cpu).unwrap()));
+        let train = TrainConfig { weight_decay: 0.5, ..TrainConfig::default() };
+        let mut adam = Adam::new(AdamSettings::of(&train), variables.to_vec()).unwrap();
+        let zero = Tensor::new(&[[0.0f64]], &Device::Cpu).unwrap();
+        for updates in 1..=2 {
+            adam.update(&[Some(zero.clone()), None, None], 0.1, updates).unwrap();
+        }
+        let found = variables.map(|(_, var)| var.to_vec2::<f64>().unwrap()[0][0]);
+        assert_eq!(found, [2.0 * 0.95 * 0.95, 2.0, 2.0]);
     }
 }

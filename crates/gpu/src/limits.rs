@@ -52,6 +52,9 @@ pub fn check(config: &Resolved) -> Result<()> {
     if config.train.sam_radius > 0.0 {
         return refuse("with sharpness-aware steps (train.sam_radius)");
     }
+    if config.train.weight_decay > 0.0 {
+        return refuse("with weights that decay (train.weight_decay)");
+    }
     if config.train.clip_value > 0.0 || config.train.clip_norm > 0.0 {
         return refuse("with limits of gradients (train.clip_value, train.clip_norm)");
     }

@@ -82,6 +82,9 @@ section! {
         pub adam_beta2: f64 = 0.999, numbers().real(is_memory, "at least 0, below 1").columns(&["adam"]).later().same_time();
         /// Adam's epsilon, added to the divisor (1e-15 for hash grids, whose gradients are small).
         pub adam_epsilon: f64 = 1e-8, numbers().real(is_positive, "positive").columns(&["adam"]).later().same_time();
+        /// Decay of layers' weights, apart from Adam's step (AdamW): each update multiplies them by 1 minus this times the
+        /// learning rate. Tables of hash grids have `regularizer.kind = "hash-decay"`.
+        pub weight_decay: f64 = 0.0, numbers().real(is_limit, "0 (off) or positive").columns(&["adam"]).later().same_time();
         /// Largest absolute value of an entry of the gradient (0 = no limit).
         pub clip_value: f64 = 0.0, numbers().real(is_limit, "0 (off) or positive").columns(CLIP).later();
         /// Largest norm of the gradient over all parameters, after `clip_value` (0 = no limit).

@@ -136,7 +136,7 @@ fn of_settings(config: &Resolved) -> Found {
         ("regularizer_points", in_space.map(regularizer_points).into()),
         ("regularizer_domain", in_space.map(|regularizer| format!("{:?}", regularizer.domain)).into()),
         ("learning_rate", learning_rate(config).into()),
-        ("adam", format!("beta2 {}, epsilon {:e}", config.train.adam_beta2, config.train.adam_epsilon).into()),
+        ("adam", adam(&config.train).into()),
         ("anneal", anneal(config).into()),
         ("clip", clip(&config.train).into()),
         ("sam", sam(&config.train).into()),
@@ -306,6 +306,11 @@ fn norms(perturb: &ResolvedPerturb) -> String {
     let on = perturb.numbers.iter().filter(|(site, numbers): &(Site, _)| numbers.on() && !site.about().scalar);
     let named = on.map(|(site, numbers)| format!("{} {}", site.name(), numbers.norm.name()));
     named.collect::<Vec<String>>().join(", ")
+}
+
+fn adam(train: &TrainConfig) -> String {
+    let decay = if train.weight_decay > 0.0 { format!(", weight decay {}", train.weight_decay) } else { String::new() };
+    format!("beta2 {}, epsilon {:e}{decay}", train.adam_beta2, train.adam_epsilon)
 }
 
 fn clip(train: &TrainConfig) -> Option<String> {

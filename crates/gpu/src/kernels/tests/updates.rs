@@ -26,7 +26,7 @@ fn random_numbers_have_the_hosts_bits() {
 fn adam() {
     let gpu = gpu();
     let (count, features, steps) = (60, 3, 4);
-    let settings = AdamSettings { beta2: 0.99, epsilon: 1e-15 };
+    let settings = AdamSettings { beta2: 0.99, epsilon: 1e-15, weight_decay: 0.0 };
     let start = numbers(count, 1.0, 15);
     for (name, kernel) in [
         ("fine.weight", Kernel::new("adam_weights")),
