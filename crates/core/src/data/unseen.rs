@@ -106,7 +106,7 @@ impl UnseenCameras {
         match self.cameras.iter().find(|camera| camera.width.min(camera.height) < side) {
             None => Ok(()),
             Some(small) => Err(Error::Config(format!(
-                "a term of the loss reads patches of {PATCH_SIDE} x {PATCH_SIDE} pixels, and an image has {} x {}; lower data.downscale",
+                "a term of the loss reads {side} x {side} neighbouring pixels, and an image has {} x {}; lower data.downscale",
                 small.width, small.height
             ))),
         }
