@@ -536,7 +536,7 @@ fn wrong_regularizers_are_refused_with_exit_code_2() {
         refuse(&tiny(&out, &set), 2, words);
         assert!(!out.exists());
     };
-    check(&["regularizer.kind=tvv"], &["regularizer.kind", "l1, tv, laplacian, distortion", "or information-gain"]);
+    check(&["regularizer.kind=tvv"], &["regularizer.kind", "l1, tv, laplacian, distortion", "or orientation"]);
     check(&["regularizer.kind=tv", "regularizer.weight=-1"], &["regularizer.weight", "-1", "0 (off) or positive"]);
     check(&["regularizer.kind=tv", "regularizer.weight=nan"], &["regularizer.weight", "positive"]);
     check(&["regularizer.kind=tv", "regularizer.weight=[1,2]"], &["2 numbers", "1 term;"]);

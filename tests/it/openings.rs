@@ -28,7 +28,7 @@ fn all_of_it_together_has_the_same_bytes_on_threads_and_after_a_stop() {
     for on_grid in [false, true] {
         let roles = if on_grid { &ROLES[..1] } else { &ROLES[..] };
         let all = config(on_grid, |config| {
-            config.field.frequency_steps = 1350;
+            config.field.frequency_steps = 10;
             (config.sampling.anneal_steps, config.sampling.anneal_start) = (4, 0.3);
             config.train.gradient_scaling = true;
             config.perturb.lambda_schedule = WeightSchedule::Linear { from: 0.0, steps: 4 };
@@ -126,6 +126,9 @@ fn impossible_ones_are_refused_with_words() {
         let built = build(Some(Preset::Smoke), None, &set).map_err(|e| e.to_string());
         built.and_then(|config| config.validate().map_err(|e| e.to_string())).unwrap_err()
     };
+    let too_long = |setting: &str| refused(&["train.steps=100", &format!("{setting}=101")]);
+    assert_says(&too_long("field.frequency_steps"), &["field.frequency_steps", "101", "at most train.steps (100)"]);
+    assert_says(&too_long("sampling.anneal_steps"), &["sampling.anneal_steps", "101", "never sees whole rays"]);
     assert_says(&refused(&["sampling.anneal_start=0"]), &["sampling.anneal_start", "above 0"]);
     assert_says(
         &refused(&["data.kind=llff", "data.dir=fern", "train.gradient_scaling=true"]),

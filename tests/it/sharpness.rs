@@ -53,9 +53,14 @@ fn weights_that_move_up_lose_more_than_random_ones() {
         let gains = (of(&up, "gain.weights"), of(&random, "gain.weights"));
         assert!(gains.0 > 0.0 && gains.0 > 5.0 * gains.1.abs(), "{on_grid}: {gains:?}");
         assert!(of(&up, "gain_over_random.weights") > 0.8 * gains.0);
-        // A small move gains its length times the gradient's norm.
-        let ratio = gains.0 / of(&run(&["train.sam_radius=0.0025"], 20), "gain.weights");
-        assert!((ratio - 2.0).abs() < 0.5, "{on_grid}: {ratio}");
+        // A small move gains its length times the gradient's norm, and shifts colours by as much as it is long.
+        let half = run(&["train.sam_radius=0.0025"], 20);
+        for column in ["gain.weights", "shift.weights"] {
+            let ratio = of(&up, column) / of(&half, column);
+            assert!((ratio - 2.0).abs() < 0.5, "{column} on a grid ({on_grid}): {ratio}");
+        }
+        let shifts = (of(&up, "shift.weights"), of(&random, "shift.weights"));
+        assert!(shifts.0 > shifts.1 && shifts.1 > 0.0 && shifts.0 < 255.0, "{on_grid}: {shifts:?}");
     }
 }
 

@@ -5,7 +5,7 @@ use serde::{Deserialize, Serialize};
 use crate::base::Result;
 use crate::data::RayGroup;
 use crate::settings::{
-    Config, LatticePoints, PerturbConfig, RegularizedFields, RegularizerConfig, SecondPass, TermNeeds,
+    Config, LatticePoints, PerturbConfig, RegularizedFields, RegularizerConfig, SecondPass, TermNeeds, TermRays,
 };
 
 use super::definition::BudgetKind;
@@ -109,7 +109,7 @@ fn unseen_evaluations(config: &Config, placing: usize, trained: usize) -> f64 {
     let rays = unseen_rays.unwrap_or(config.train.rays);
     let (coarse, _) = config.samples();
     let of_group = |group: RayGroup| {
-        let mut terms = kind.iter().filter(|term| term.needs() == TermNeeds::Samples(group));
+        let mut terms = kind.iter().filter(|term| term.group() == Some(group));
         let trains_coarse = *fields == RegularizedFields::Both && terms.any(|term| !term.is_of_evaluated_pass());
         let has_fine = config.sampling.fine > 0;
         let (placing, trained) = match placing == 0 && has_fine && !trains_coarse {
@@ -124,14 +124,23 @@ fn unseen_evaluations(config: &Config, placing: usize, trained: usize) -> f64 {
 /// Counts a forward pass, its adjoint, and the two products of the backward pass. The colour head is included in the
 /// count.
 fn regularizer_evaluations(config: &Config) -> f64 {
-    let RegularizerConfig { kind, points, points_per_step, lattice, fields, .. } = &config.regularizer;
+    let RegularizerConfig { kind, points, points_per_step, lattice, fields, rays, unseen_rays, .. } =
+        &config.regularizer;
+    let of_slopes = match kind.iter().any(|kind| kind.needs() == TermNeeds::Slopes) {
+        true => {
+            let rays = if *rays == TermRays::Unseen { *unseen_rays } else { None };
+            let (coarse, fine) = config.samples();
+            4.0 * (rays.unwrap_or(config.train.rays) * if fine > 0 { fine } else { coarse }) as f64
+        }
+        false => 0.0,
+    };
     if !kind.iter().any(|kind| kind.in_space()) {
-        return 0.0;
+        return of_slopes;
     }
     let points = match points {
         LatticePoints::Sampled => *points_per_step,
         LatticePoints::Full => lattice.pow(3),
     };
     let fields = if *fields == RegularizedFields::Both && config.sampling.fine > 0 { 2.0 } else { 1.0 };
-    4.0 * fields * points as f64
+    of_slopes + 4.0 * fields * points as f64
 }

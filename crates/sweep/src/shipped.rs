@@ -67,6 +67,8 @@ shipped![
     "baselines" "regularizers_chair",
     "few_views" "few_views_blender_4",
     "few_views" "few_views_blender_8",
+    "few_views" "few_views_choice_chair",
+    "few_views" "few_views_choice_fern",
     "few_views" "few_views_llff_3",
     "few_views" "few_views_llff_6",
     "few_views" "few_views_llff_9",

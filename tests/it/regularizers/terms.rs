@@ -2,10 +2,11 @@
 
 use super::*;
 use crate::common::assert_same_bytes;
+use augnerf::methods::Learner;
 use augnerf::settings::{DataKind, TermRays, WeightSchedule};
 
 /// Terms on rays, in space and on tables that are not the paper's, with weights that show.
-const FEW_VIEWS: [(Regularizer, f64); 8] = [
+const FEW_VIEWS: [(Regularizer, f64); 9] = [
     (Regularizer::Occlusion, 0.1),
     (Regularizer::Entropy, 0.1),
     (Regularizer::Cauchy, 0.1),
@@ -14,6 +15,7 @@ const FEW_VIEWS: [(Regularizer, f64); 8] = [
     (Regularizer::HashDecay, 1e4),
     (Regularizer::DepthSmoothness, 1.0),
     (Regularizer::InformationGain, 1.0),
+    (Regularizer::Orientation, 0.3),
 ];
 
 fn with(on_grid: bool, set: impl Fn(&mut RegularizerConfig)) -> augnerf::settings::Resolved {
@@ -41,7 +43,9 @@ fn each_term_is_reported_and_descended() {
         [(false, TermRays::Training), (true, TermRays::Training), (false, TermRays::Unseen), (true, TermRays::Unseen)]
     {
         for (term, weight) in terms_of(on_grid) {
-            if rays == TermRays::Unseen && ![Regularizer::Occlusion, Regularizer::Entropy].contains(&term) {
+            if rays == TermRays::Unseen
+                && ![Regularizer::Occlusion, Regularizer::Entropy, Regularizer::Orientation].contains(&term)
+            {
                 continue;
             }
             let one = |weight: f64| {
@@ -65,6 +69,62 @@ fn each_term_is_reported_and_descended() {
             let (weak, strong) = (after(1e-12), after(weight));
             assert!(strong < 0.95 * weak, "{column} on a grid ({on_grid}): {strong} with the term, {weak} without");
         }
+    }
+}
+
+/// Starts to learn with a term, from parameters that are the same in f32 and f64.
+fn learner(term: Regularizer, weight: f64, on_grid: bool, dtype: DType) -> FieldLearner {
+    let config = with(on_grid, |config| (config.kind, config.weight) = (vec![term], vec![weight]));
+    let (learner, _) = FieldLearner::start(&config, &tiny_scene(), dtype, &CPU).unwrap();
+    for (i, (_, var)) in learner.fields().variables().iter().enumerate() {
+        let noise = |k: usize| 0.1 * (1.3 * (k + i) as f64).sin();
+        let noise: Vec<f64> = (0..var.elem_count()).map(noise).collect();
+        let noise = Tensor::from_vec(noise, var.shape(), &CPU).unwrap().to_dtype(dtype).unwrap();
+        var.set(&(var.as_tensor() + noise).unwrap()).unwrap();
+    }
+    learner
+}
+
+/// In f64 the loss changes with the evaluated network's parameters as its gradients say. Its samples do not move with
+/// them, for another network places them.
+#[test]
+fn the_gradients_of_a_step_with_a_term_are_those_of_differences() {
+    // Depth's opacity has no gradient, as in RegNeRF.
+    for (term, weight) in terms_of(false).filter(|(term, _)| *term != Regularizer::DepthSmoothness) {
+        let mut learner = learner(term, 10.0 * weight, false, DType::F64);
+        let fine = learner.fields().variables().into_iter().filter(|(name, _)| name.starts_with("fine"));
+        let fine: Vec<_> = fine.map(|(_, var)| var).collect();
+        let mut step = || learner.step(3, false, &|| Ok(())).unwrap();
+        let gradients = step().gradients.0;
+        let of_fine = fine.iter().zip(&gradients[gradients.len() - fine.len()..]);
+        let trained =
+            of_fine.filter_map(|(var, gradient)| Some((var, var.as_tensor().copy().unwrap(), gradient.as_ref()?)));
+        let trained: Vec<_> = trained.collect();
+        // Along the gradient, where the loss changes most.
+        let norm = trained.iter().flat_map(|(.., gradient)| flat(gradient)).map(|g| g * g).sum::<f64>().sqrt();
+        let mut loss_at = |by: f64| {
+            for (var, before, gradient) in &trained {
+                var.set(&(before + (*gradient * (by / norm)).unwrap()).unwrap()).unwrap();
+            }
+            step().report.loss
+        };
+        let slope = (loss_at(1e-6) - loss_at(-1e-6)) / 2e-6;
+        assert!((norm / slope - 1.0).abs() < 1e-5, "{}: {norm} for {slope}", term.name());
+    }
+}
+
+/// The records of a hash grid in f32 make the gradients of the plain operations in f64.
+#[test]
+fn the_gradients_of_a_term_on_a_hash_grid_are_those_of_f64() {
+    for (term, weight) in terms_of(true) {
+        let of = |dtype: DType| -> Vec<f64> {
+            let result = learner(term, 10.0 * weight, true, dtype).step(3, false, &|| Ok(())).unwrap();
+            result.gradients.0.iter().flatten().flat_map(flat).collect()
+        };
+        let (single, double) = (of(DType::F32), of(DType::F64));
+        let norm = |values: &mut dyn Iterator<Item = f64>| values.map(|x| x * x).sum::<f64>().sqrt();
+        let off = norm(&mut single.iter().zip(&double).map(|(a, b)| a - b)) / norm(&mut double.iter().copied());
+        assert!(single.len() == double.len() && off < 2e-3, "{}: {off}", term.name());
     }
 }
 

@@ -82,6 +82,13 @@ impl Grid {
         Grid { table: self.table.detach(), records: Some(Arc::default()), ..self.clone() }
     }
 
+    /// Adds a record to its own, or returns the table's gradient from it if it has none.
+    pub(super) fn leave(&self, record: TableRecord) -> Result<Option<Tensor>> {
+        let Some(records) = &self.records else { return self.table_gradient(&[record]).map(Some) };
+        records.lock().unwrap_or_else(PoisonError::into_inner).push(record);
+        Ok(None)
+    }
+
     pub(super) fn take_records(&self) -> Vec<TableRecord> {
         let records = self.records.as_ref();
         records.map_or_else(Vec::new, |records| {

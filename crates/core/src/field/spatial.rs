@@ -205,6 +205,15 @@ impl Spatial<'_> {
         Ok(gradients)
     }
 
+    /// The same for a field that records ([`Field::recording`]): what a hash grid's table gets is left with its records.
+    pub fn recording_gradients(&self, loss: &Cotangents) -> Result<Vec<Option<Tensor>>> {
+        let (mut gradients, record) = self.recorded_gradients(loss)?;
+        if let (Some(record), Some(grid)) = (record, &self.tape.field.grid) {
+            gradients[0] = grid.leave(record)?;
+        }
+        Ok(gradients)
+    }
+
     /// The same, except that the gradient of a hash grid's table may be a record for [`Field::table_gradient`]. That
     /// gradient is as large as the table, and is best made of many records at once.
     pub fn recorded_gradients(&self, loss: &Cotangents) -> Result<(Vec<Option<Tensor>>, Option<TableRecord>)> {

@@ -13,6 +13,7 @@
 //! | `opacity-prior` | rays | log(0.1 + acc) + log(1.1 - acc) | Neural Volumes |
 //! | `depth-smoothness` | unseen patches | squared differences of neighbouring pixels' depth | RegNeRF |
 //! | `information-gain` | unseen pairs | divergence of the opacities of a ray and its twin | InfoNeRF |
+//! | `orientation` | rays | weights where density falls along the ray | Ref-NeRF |
 //! | `hash-decay` | tables | half the mean square of each level's entries | Zip-NeRF |
 //!
 //! A term on rays is the mean over a step's rays, which are those of its photographs or unseen ones, or over its pairs or
@@ -40,6 +41,7 @@ mod l1;
 mod laplacian;
 mod occlusion;
 mod opacity;
+mod orientation;
 mod smoothness;
 mod spatial;
 mod tv;
@@ -54,6 +56,7 @@ pub use l1::L1;
 pub use laplacian::Laplacian;
 pub use occlusion::Occlusion;
 pub use opacity::{OpacityPrior, OpacitySparsity};
+pub use orientation::Orientation;
 pub use smoothness::{Smoothness, measure, measure_density};
 pub use spatial::{Regularized, WeightedSpaceTerm, estimate_seconds, regularize, regularize_at, regularize_unless};
 pub use tv::Tv;
@@ -66,6 +69,10 @@ pub struct RayPass<'a> {
     pub bounds: (f64, f64),
     /// Lengths of the rays' directions, `[rays, 1]`.
     pub direction_norm: &'a Tensor,
+    /// The rays' directions in the space in which the field is queried, `[rays, 3]`, of any length.
+    pub directions: &'a Tensor,
+    /// Density's gradient at the samples, `[rays, samples, 3]`, if a term of the pass reads it.
+    pub slopes: Option<&'a Tensor>,
 }
 
 impl RayPass<'_> {
@@ -108,6 +115,11 @@ pub trait RayTerm: Send + Sync {
     /// Returns the rays that it has a value for. Pairs and patches are unseen rays.
     fn group(&self) -> RayGroup {
         RayGroup::One
+    }
+    /// Returns whether it reads density's gradient at the samples ([`RayPass::slopes`]), which costs about as much as two
+    /// further passes.
+    fn reads_slopes(&self) -> bool {
+        false
     }
     /// Returns the term of each group of a clean pass's rays, `[groups]`, differentiable. A group's rays are next to each
     /// other.
@@ -217,6 +229,7 @@ impl LossTerm {
             Regularizer::HashDecay => LossTerm::OnTables(HashDecay),
             Regularizer::DepthSmoothness => LossTerm::on_rays(DepthSmoothness),
             Regularizer::InformationGain => LossTerm::on_rays(InformationGain),
+            Regularizer::Orientation => LossTerm::on_rays(Orientation),
         };
         match (term, config.rays) {
             (LossTerm::OnRays(term, _), TermRays::Unseen) => LossTerm::OnRays(term, TermRays::Unseen),
@@ -267,6 +280,7 @@ mod tests {
             let term = LossTerm::of(regularizer, &RegularizerConfig::default());
             assert_eq!(term.name(), regularizer.name());
             let needs = match &term {
+                LossTerm::OnRays(term, _) if term.reads_slopes() => TermNeeds::Slopes,
                 LossTerm::OnRays(term, _) => TermNeeds::Samples(term.group()),
                 LossTerm::InSpace(term) => TermNeeds::Density(term.order()),
                 LossTerm::OnTables(_) => TermNeeds::Tables,
@@ -285,10 +299,12 @@ mod tests {
         rays: usize,
         far: f64,
         has_edges: bool,
+        /// Density's gradients at the samples, three numbers each. They do not depend on the densities above.
+        slopes: Vec<f64>,
     }
 
     pub(super) fn rays(density: &[f64], far: f64) -> TestRay {
-        TestRay { density: density.to_vec(), rays: 1, far, has_edges: false }
+        TestRay { density: density.to_vec(), rays: 1, far, has_edges: false, slopes: vec![0.0; 3 * density.len()] }
     }
 
     /// Two such rays.
@@ -313,7 +329,12 @@ mod tests {
             TestRay { has_edges: true, ..self }
         }
 
-        /// Returns a term's value, and its derivatives in density.
+        /// The same with these gradients of density. The ray's direction is +z.
+        pub(super) fn sloped(self, slopes: Vec<f64>) -> TestRay {
+            TestRay { slopes, ..self }
+        }
+
+        /// Returns a term's value, and its derivatives in density, and in density's gradients if it reads them.
         fn differentiated(&self, term: &dyn RayTerm) -> (f64, Vec<f64>) {
             let (rays, n) = (self.rays, self.density.len() / self.rays);
             let density = Tensor::from_slice(&self.density, (rays, n), &Device::Cpu).unwrap();
@@ -326,11 +347,21 @@ mod tests {
             let composite = composite_reference(&rgb, &density, &t_vals, &direction_norm, None).unwrap();
             let raw_density = density.as_tensor().clone();
             let output = PassOutput { composite, rgb, density: density.as_tensor().clone(), t_vals, raw_density };
-            let pass = RayPass { output: &output, bounds: (0.0, self.far), direction_norm: &direction_norm };
+            let slopes = Tensor::from_slice(&self.slopes, (rays, n, 3), &Device::Cpu).unwrap();
+            let slopes = Var::from_tensor(&slopes).unwrap();
+            let directions = Tensor::from_vec([0.0, 0.0, 1.0].repeat(rays), (rays, 3), &Device::Cpu).unwrap();
+            let pass = RayPass {
+                output: &output,
+                bounds: (0.0, self.far),
+                direction_norm: &direction_norm,
+                directions: &directions,
+                slopes: term.reads_slopes().then_some(slopes.as_tensor()),
+            };
             let value = term.per_group(&pass).unwrap();
             let gradients = value.sum_all().unwrap().backward().unwrap();
-            let slopes = gradients.get(&density).unwrap().flatten_all().unwrap().to_vec1().unwrap();
-            (value.to_vec1::<f64>().unwrap()[0], slopes)
+            let of = |var: &Var| gradients.get(var).map(|found| found.flatten_all().unwrap().to_vec1().unwrap());
+            let found = of(&density).unwrap().into_iter().chain(of(&slopes).unwrap_or_default());
+            (value.to_vec1::<f64>().unwrap()[0], found.collect())
         }
 
         pub(super) fn value(&self, term: &dyn RayTerm) -> f64 {
@@ -350,9 +381,9 @@ mod tests {
         let (_, found) = ray.differentiated(term);
         for (i, found) in found.iter().enumerate() {
             let moved = |by: f64| {
-                let mut density = ray.density.clone();
-                density[i] += by;
-                TestRay { density, ..*ray }.value(term)
+                let (mut density, mut slopes) = (ray.density.clone(), ray.slopes.clone());
+                *density.iter_mut().chain(&mut slopes).nth(i).expect("as many as were found") += by;
+                TestRay { density, slopes, ..*ray }.value(term)
             };
             let slope = (moved(1e-6) - moved(-1e-6)) / 2e-6;
             assert!((found - slope).abs() < 1e-7, "{i}: {found} for {slope}");

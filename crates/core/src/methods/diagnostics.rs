@@ -2,6 +2,7 @@
 
 use std::path::Path;
 
+use candle_core::{DType, Tensor};
 use serde::Serialize;
 
 use crate::augment::Site;
@@ -13,6 +14,14 @@ use crate::settings::columns::{InactiveBy, LEAST_SHIFT};
 const INACTIVE_SHARE: f64 = 1e-4;
 /// Number of last log steps whose mean shift decides whether a site is inactive in a run.
 const LAST_LOGS: usize = 10;
+
+/// Number of steps of an 8-bit colour between 0 and 1.
+const EIGHT_BIT: f64 = 255.0;
+
+/// Returns the mean absolute difference between colours of the same rays, in 8-bit steps.
+pub(super) fn colour_shift(moved: &Tensor, unmoved: &Tensor) -> Result<f64> {
+    Ok(EIGHT_BIT * (moved - unmoved)?.abs()?.mean_all()?.to_dtype(DType::F64)?.to_scalar::<f64>()?)
+}
 
 /// The effect of one site's deltas in one step, coarse + fine.
 #[derive(Clone, Copy, Debug, PartialEq)]

@@ -7,6 +7,7 @@ use crate::losses::LossTerm;
 use crate::optimizer::{Adam, AdamSettings, Moments};
 use crate::settings::{Config, TrainConfig};
 
+use super::diagnostics::colour_shift;
 use super::gradients::Gradients;
 use super::learner::{Learner, LogColumns, StepResult, StopCheck};
 use super::sharpness::{Draw, Sharpness, at_moved, clipped};
@@ -15,6 +16,8 @@ use super::stepper::{StepAt, StepReport, Stepper, not_finite};
 /// The loss at moved weights minus that where they are, and minus that of weights that moved as far at random.
 const GAIN: &str = "gain.weights";
 const GAIN_OVER_RANDOM: &str = "gain_over_random.weights";
+/// The mean absolute change of the rays' colours, in 8-bit steps.
+const SHIFT: &str = "shift.weights";
 
 /// A learner and Adam, whose parameters are the model's variables.
 pub struct HostStepper {
@@ -97,16 +100,20 @@ fn at_moved_weights(
     StepResult { gradients, mut report }: StepResult,
     stop_check: &StopCheck,
 ) -> Result<StepResult> {
-    let mut moved =
-        |displacement: &Gradients| at_moved(variables, displacement, || learner.step(step, false, stop_check));
-    let result = moved(&sharpness.displacement(&gradients, step)?)?;
+    let displacement = sharpness.displacement(&gradients, step)?;
+    let result = at_moved(variables, &displacement, || learner.step(step, false, stop_check))?;
     report.of_weights.push((GAIN.into(), result.report.loss - report.loss));
     if log {
-        let random = moved(&sharpness.random(&gradients, step, Draw::Compared)?)?;
+        let random = sharpness.random(&gradients, step, Draw::Compared)?;
+        let random = at_moved(variables, &random, || learner.step(step, false, stop_check))?;
         report.of_weights.push((GAIN_OVER_RANDOM.into(), result.report.loss - random.report.loss));
+        let colours = at_moved(variables, &displacement, || learner.colours(step))?;
+        if let Some((moved, unmoved)) = colours.zip(learner.colours(step)?) {
+            report.of_weights.push((SHIFT.into(), colour_shift(&moved, &unmoved)?));
+        }
     }
     // A comparison that is not a number ends no training.
-    report.of_weights.retain(|(_, gain)| gain.is_finite());
+    report.of_weights.retain(|(_, found)| found.is_finite());
     Ok(StepResult { gradients: result.gradients, report })
 }
 
@@ -114,7 +121,7 @@ impl Stepper for HostStepper {
     fn columns(&self) -> LogColumns {
         let mut columns = self.learner.columns();
         if self.sharpness.is_some() {
-            columns.further.extend([GAIN, GAIN_OVER_RANDOM].map(String::from));
+            columns.further.extend([GAIN, GAIN_OVER_RANDOM, SHIFT].map(String::from));
         }
         columns
     }

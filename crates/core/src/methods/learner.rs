@@ -1,5 +1,7 @@
 //! A method's view of a step: loss and gradients.
 
+use candle_core::Tensor;
+
 use crate::base::Result;
 use crate::losses::LossTerm;
 
@@ -50,6 +52,12 @@ pub trait Learner: Send {
     /// # Errors
     /// If there is a term of that name, or the method cannot compute it.
     fn add_term(&mut self, term: LossTerm, weight: f64) -> Result<()>;
+
+    /// Returns the colours that the rays of the step after `step` finished ones have in an evaluation, `[rays, 3]`. `None`
+    /// if the method does not tell.
+    fn colours(&mut self, _step: u64) -> Result<Option<Tensor>> {
+        Ok(None)
+    }
 
     /// Computes loss and gradients of the step after `step` finished ones. It changes no parameter. Its random numbers
     /// depend on seed and step only. `log` requests diagnostics, which cost additional passes. A long step calls

@@ -1,7 +1,7 @@
 //! Settings that have no effect in a configuration, with the reason.
 
 use super::registry::REGISTRY;
-use super::{Config, Encoding, Method, REGULARIZERS, Regularizer, TermNeeds, word};
+use super::{Config, Encoding, Method, REGULARIZERS, Regularizer, word};
 use crate::data::RayGroup;
 
 impl Config {
@@ -34,7 +34,7 @@ impl Config {
         if path == "regularizer.occlusion_share" && !self.regularizer.kind.contains(&Regularizer::Occlusion) {
             return Some("regularizer.kind does not name occlusion".into());
         }
-        let is_of_single_rays = |term: &Regularizer| term.needs() == TermNeeds::Samples(RayGroup::One);
+        let is_of_single_rays = |term: &Regularizer| term.group() == Some(RayGroup::One);
         if path == "regularizer.rays" && !self.regularizer.kind.iter().any(is_of_single_rays) {
             return Some(
                 "no term of regularizer.kind is computed on single rays; distortion and occlusion are, among others"

@@ -37,10 +37,12 @@ pub enum Regularizer {
     DepthSmoothness,
     /// Divergence between the opacities of a ray and of its twin (InfoNeRF).
     InformationGain,
+    /// Weights where density falls along the ray, as on the far side of a surface (Ref-NeRF).
+    Orientation,
 }
 
 /// All regularizers in their fixed order.
-pub const REGULARIZERS: [Regularizer; 12] = [
+pub const REGULARIZERS: [Regularizer; 13] = [
     Regularizer::L1,
     Regularizer::Tv,
     Regularizer::Laplacian,
@@ -53,6 +55,7 @@ pub const REGULARIZERS: [Regularizer; 12] = [
     Regularizer::HashDecay,
     Regularizer::DepthSmoothness,
     Regularizer::InformationGain,
+    Regularizer::Orientation,
 ];
 
 /// What a term is computed from.
@@ -60,6 +63,8 @@ pub const REGULARIZERS: [Regularizer; 12] = [
 pub enum TermNeeds {
     /// The samples of rays, which come in such groups. Pairs and patches are unseen.
     Samples(RayGroup),
+    /// The samples of single rays with density's gradient there.
+    Slopes,
     /// Density at points of the box of section `regularizer`, up to this derivative.
     Density(Order),
     /// The tables of hash grids.
@@ -82,6 +87,7 @@ impl Regularizer {
             Regularizer::HashDecay => "hash-decay",
             Regularizer::DepthSmoothness => "depth-smoothness",
             Regularizer::InformationGain => "information-gain",
+            Regularizer::Orientation => "orientation",
         }
     }
 
@@ -99,6 +105,16 @@ impl Regularizer {
             | Regularizer::OpacityPrior => TermNeeds::Samples(RayGroup::One),
             Regularizer::DepthSmoothness => TermNeeds::Samples(RayGroup::Patch),
             Regularizer::InformationGain => TermNeeds::Samples(RayGroup::Pair),
+            Regularizer::Orientation => TermNeeds::Slopes,
+        }
+    }
+
+    /// Returns the groups in which rays come whose samples the term reads. `None` for other terms.
+    pub fn group(self) -> Option<RayGroup> {
+        match self.needs() {
+            TermNeeds::Samples(group) => Some(group),
+            TermNeeds::Slopes => Some(RayGroup::One),
+            TermNeeds::Density(_) | TermNeeds::Tables => None,
         }
     }
 
@@ -106,7 +122,11 @@ impl Regularizer {
     pub fn is_of_evaluated_pass(self) -> bool {
         matches!(
             self,
-            Regularizer::Occlusion | Regularizer::Entropy | Regularizer::DepthSmoothness | Regularizer::InformationGain
+            Regularizer::Occlusion
+                | Regularizer::Entropy
+                | Regularizer::DepthSmoothness
+                | Regularizer::InformationGain
+                | Regularizer::Orientation
         )
     }
 
@@ -116,17 +136,24 @@ impl Regularizer {
         matches!(self.needs(), TermNeeds::Density(_))
     }
 
+    /// Returns whether the term reads density or its derivatives at points, of the box or of rays.
+    pub fn reads_points(self) -> bool {
+        self.in_space() || self.needs() == TermNeeds::Slopes
+    }
+
     /// Returns the default weight. A term of the paper then has a tenth of the photometric loss's gradient norm on fern,
     /// preset `paper-llff`, after 100 steps. Another scene can need hundreds of times as much; `augnerf balance` measures
     /// it. The others have their authors' weights: mip-NeRF 360's, FreeNeRF's, InfoNeRF's on Blender's scenes with 4
     /// views, SNeRG's, Neural Volumes', PlenOctrees', Zip-NeRF's on the scenes of mip-NeRF 360, RegNeRF's after its
-    /// first 512 steps, and InfoNeRF's on DTU.
+    /// first 512 steps, InfoNeRF's on DTU, and FlipNeRF's on Blender's scenes.
     fn default_weight(self) -> f64 {
         match self {
             Regularizer::L1 => 1.4e-4,
             Regularizer::Tv => 3.8e-6,
             Regularizer::Laplacian => 7.4e-9,
-            Regularizer::Distortion | Regularizer::Occlusion | Regularizer::OpacityPrior => 0.01,
+            Regularizer::Distortion | Regularizer::Occlusion | Regularizer::OpacityPrior | Regularizer::Orientation => {
+                0.01
+            }
             Regularizer::InformationGain => 2e-5,
             Regularizer::Entropy | Regularizer::OpacitySparsity => 1e-3,
             Regularizer::Cauchy => 1e-4,
@@ -199,12 +226,12 @@ section! {
     /// Explicit regularizers. The loss gains weight * term for each.
     pub struct RegularizerConfig {
         /// `l1`, `tv`, `laplacian`, `distortion`, `occlusion`, `entropy`, `cauchy`, `opacity-prior`,
-        /// `opacity-sparsity`, `hash-decay`, `depth-smoothness`, `information-gain`, or a list of several; empty = none.
+        /// `opacity-sparsity`, `hash-decay`, `depth-smoothness`, `information-gain`, `orientation`, or a list of several; empty = none.
         #[serde(deserialize_with = "kinds")]
         pub kind: Vec<Regularizer> = Vec::new(), numbers().columns(&["regularizers"]);
         /// Weight of each term in `kind`: a number, or a list in the same order. Empty = the default of each term (l1
         /// 1.4e-4, tv 3.8e-6, laplacian 7.4e-9, distortion 0.01, occlusion 0.01, entropy 1e-3, cauchy 1e-4,
-        /// opacity-prior 0.01, opacity-sparsity 1e-3, hash-decay 0.1, depth-smoothness 0.1, information-gain 2e-5), which
+        /// opacity-prior 0.01, opacity-sparsity 1e-3, hash-decay 0.1, depth-smoothness 0.1, information-gain 2e-5, orientation 0.01), which
         /// is for one scene; `augnerf balance` measures others. A weight of 0 disables the term, unless its schedule begins elsewhere.
         #[serde(deserialize_with = "weights")]
         pub weight: Vec<f64> = Vec::new(),
@@ -263,7 +290,7 @@ impl RegularizerConfig {
     pub fn unseen_groups(&self) -> Vec<RayGroup> {
         let groups = [RayGroup::One, RayGroup::Pair, RayGroup::Patch];
         let reads = |group: &RayGroup| {
-            let of_group = |term: &Regularizer| term.needs() == TermNeeds::Samples(*group);
+            let of_group = |term: &Regularizer| term.group() == Some(*group);
             (*group != RayGroup::One || self.rays == TermRays::Unseen) && self.kind.iter().any(of_group)
         };
         groups.into_iter().filter(reads).collect()
@@ -272,6 +299,11 @@ impl RegularizerConfig {
     /// Returns whether any term is an integral over the box.
     pub fn has_space_terms(&self) -> bool {
         self.kind.iter().any(|kind| kind.in_space())
+    }
+
+    /// Returns whether any term reads density or its derivatives at points.
+    pub fn reads_points(&self) -> bool {
+        self.kind.iter().any(|kind| kind.reads_points())
     }
 
     /// Returns the box's volume, in cubic units of the points.
@@ -302,7 +334,7 @@ impl RegularizerConfig {
             let RegularizerConfig { domain, lattice, points, .. } = RegularizerConfig::default();
             (self.domain, self.lattice, self.points) = (domain, lattice, points);
         }
-        if !self.kind.iter().any(|term| term.needs() == TermNeeds::Samples(RayGroup::One)) {
+        if !self.kind.iter().any(|term| term.group() == Some(RayGroup::One)) {
             self.rays = TermRays::Training;
         }
         if self.unseen_groups().is_empty() {
@@ -322,7 +354,7 @@ impl RegularizerConfig {
 #[serde(
     untagged,
     expecting = "expected l1, tv, laplacian, distortion, occlusion, entropy, cauchy, opacity-prior, opacity-sparsity, \
-                hash-decay, depth-smoothness or information-gain, or a list such as [\"l1\", \"tv\"]"
+                hash-decay, depth-smoothness, information-gain or orientation, or a list such as [\"l1\", \"tv\"]"
 )]
 enum Kinds {
     One(Regularizer),

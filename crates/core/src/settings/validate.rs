@@ -126,10 +126,10 @@ impl Config {
                 word(field.encoding),
             )));
         };
-        refuse(!representation.has_derivatives_at_points() && self.regularizer.has_space_terms(), || {
+        refuse(!representation.has_derivatives_at_points() && self.regularizer.reads_points(), || {
             format!(
-                "regularizer.kind with method {method}: terms in space are made of derivatives at points, and this field is \
-                 queried at Gaussians; use nerf or aug-nerf, or terms on rays alone, such as distortion"
+                "regularizer.kind with method {method}: terms in space and orientation read density at points, and this \
+                 field is queried at Gaussians; use nerf or aug-nerf, or other terms on rays, such as distortion"
             )
         })?;
         if let Some((name, value, allowed)) = field.hash.wrong() {
@@ -310,6 +310,14 @@ impl Config {
                 counted(kinds.len(), "term")
             )
         })?;
+        let openings = [
+            ("field.frequency_steps", self.field.frequency_steps, "or the encodings never open"),
+            ("sampling.anneal_steps", self.sampling.anneal_steps, "or training never sees whole rays"),
+        ];
+        for (name, steps, why) in openings {
+            let allowed = format!("at most train.steps ({}), {why}", self.train.steps);
+            require(steps <= self.train.steps || !self.method.has_fields(), name, steps, &allowed)?;
+        }
         refuse(self.train.gradient_scaling && !self.method.has_fields(), || {
             format!(
                 "train.gradient_scaling = true with method {}: it has no samples along rays; set it to false",

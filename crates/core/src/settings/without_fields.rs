@@ -23,7 +23,7 @@ impl Config {
         }
         for term in &self.regularizer.kind {
             let capability = match term.needs() {
-                TermNeeds::Density(_) => Capability::Derivatives,
+                TermNeeds::Density(_) | TermNeeds::Slopes => Capability::Derivatives,
                 TermNeeds::Samples(_) => Capability::Samples,
                 // Refused with the encoding.
                 TermNeeds::Tables => continue,

@@ -75,13 +75,13 @@ impl FieldLearner {
     }
 }
 
-/// Returns an error for terms in space of hash grids on a device of candle that is no CPU.
+/// Returns an error for terms on derivatives of hash grids on a device of candle that is no CPU.
 fn check_derivatives(config: &Resolved, device: &Device) -> Result<()> {
-    let in_space = config.regularizer.terms().find(|(term, _)| term.in_space());
-    match in_space {
+    let read = config.regularizer.terms().find(|(term, _)| term.reads_points());
+    match read {
         Some((term, _)) if config.field.encoding == Encoding::Hash && !is_host(device) => Err(Error::Config(format!(
-            "regularizer {} of a hash grid needs --device cpu or --device gpu; candle's other devices have no derivatives of hash \
-             grids",
+            "regularizer {} of a hash grid needs --device cpu (l1 and tv: or --device gpu); candle's other devices have no derivatives \
+             of hash grids",
             term.name()
         ))),
         _ => Ok(()),

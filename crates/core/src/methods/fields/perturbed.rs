@@ -19,10 +19,7 @@ use super::networks::Fields;
 use super::report::coarse_weight;
 use super::results::ChunkResult;
 use super::terms::StepLoss;
-use crate::methods::diagnostics::{SiteEffect, Sums};
-
-/// Number of steps of an 8-bit colour between 0 and 1.
-const EIGHT_BIT: f64 = 255.0;
+use crate::methods::diagnostics::{SiteEffect, Sums, colour_shift};
 
 /// One perturbed pass of a chunk: its field, samples and sets.
 struct PerturbedPass<'a> {
@@ -235,7 +232,7 @@ impl FieldLearner {
             };
             let (with, moved) = render(&used.deltas.only(site))?;
             let (with_random, _) = render(&drawn.only(site))?;
-            let shift = EIGHT_BIT * scalar(&(moved - &unmoved)?.abs()?.mean_all()?)?;
+            let shift = colour_shift(&moved, &unmoved)?;
             let (gain, gain_over_random) = (with - without, with - with_random);
             let at_bound = set.share_at_bound(delta)?;
             sums.add(site, SiteEffect { share, gain, gain_over_random, shift, at_bound });

@@ -1,9 +1,13 @@
 //! One training step: its passes and its terms in space.
 
+use candle_core::Tensor;
+
 use crate::base::{Error, Result};
 use crate::losses::{LossTerm, TermSource, WeightedTerm};
 use crate::methods::learner::{Learner, LogColumns, StepResult, StopCheck};
 use crate::methods::stepper::StepReport;
+use crate::render::render_rays;
+use crate::runtime::over_parts;
 use crate::settings::Encoding;
 
 use super::learner::FieldLearner;
@@ -25,7 +29,12 @@ impl Learner for FieldLearner {
             let name = term.name();
             return Err(Error::Config(format!("the loss already has a term '{name}'; rename the new one")));
         }
-        if matches!(term, LossTerm::InSpace(_)) && !self.config.representation().has_derivatives_at_points() {
+        let reads_derivatives = match &term {
+            LossTerm::InSpace(_) => true,
+            LossTerm::OnRays(term, _) => term.reads_slopes(),
+            LossTerm::OnTables(_) => false,
+        };
+        if reads_derivatives && !self.config.representation().has_derivatives_at_points() {
             return Err(Error::Config(format!(
                 "the term '{}' needs density's derivatives at points, which method {} lacks; use nerf or aug-nerf",
                 term.name(),
@@ -42,6 +51,18 @@ impl Learner for FieldLearner {
         self.place_unseen_cameras(std::slice::from_ref(&term))?;
         self.terms.push(term);
         Ok(())
+    }
+
+    fn colours(&mut self, step: u64) -> Result<Option<Tensor>> {
+        let fields = self.fields.at_step(&self.config, step)?.frozen()?;
+        let rays = self.batches.batch(step).rays.to_tensors(self.dtype, &self.device)?;
+        let (sampling, size) = (&self.config.sampling, self.config.train.chunk);
+        let starts: Vec<usize> = (0..rays.len()).step_by(size).collect();
+        let of_part = |starts: &[usize]| -> Result<Tensor> {
+            let part = rays.narrow(starts[0], size.min(rays.len() - starts[0]))?;
+            Ok(render_rays(&fields.coarse, fields.fine(), &part, self.bounds, sampling, self.background)?.rgb)
+        };
+        Ok(Some(Tensor::cat(&over_parts(&self.device, &starts, 1, of_part)?, 0)?))
     }
 
     fn step(&mut self, step: u64, log: bool, stop_check: &StopCheck) -> Result<StepResult> {

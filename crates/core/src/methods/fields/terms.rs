@@ -1,13 +1,15 @@
 //! What a step minimizes next to the photometric losses: terms on the rays of its clean passes, and terms in space.
 
-use candle_core::{DType, Tensor};
+use candle_core::backprop::GradStore;
+use candle_core::{DType, Tensor, Var};
 
 use crate::base::Result;
 use crate::base::tensors::sum;
 use crate::data::RayGroup;
-use crate::field::Field;
+use crate::field::{Cotangents, Field, Order, Spatial};
 use crate::losses::{LossTerm, RayPass, RayTerm, SpaceTerm, TermSource, WeightedTerm};
-use crate::render::{Pass, PassLoss, PassOutput, clean_pass, clean_pass_loss, photometric_loss};
+use crate::methods::gradients::Gradients;
+use crate::render::{Pass, PassLoss, PassOutput, clean_pass, clean_pass_loss, photometric_loss, positions_at};
 use crate::settings::RegularizedFields;
 
 use super::learner::FieldLearner;
@@ -133,24 +135,53 @@ impl FieldLearner {
         }
         let out = clean_pass(field, pass)?;
         let loss = photometric_loss(&out.composite.rgb, target)?;
-        let (of_terms, values) = self.terms_of(&out, pass, step_loss, share, is_evaluated)?;
-        let total = ((&loss * weight)? + of_terms.to_dtype(loss.dtype())?)?;
-        result.gradients.add(&self.variables, &total.backward()?)?;
-        result.losses.on_rays = sum(result.losses.on_rays.take(), Some(values))?;
+        let counts = Counts { weight, share, is_evaluated };
+        self.descend_terms(field, (&out, pass), Some(&loss), step_loss, counts, result)?;
         Ok(((loss.detach().to_dtype(DType::F64)? * share)?, PassLoss::of(out, target)?))
+    }
+
+    /// Adds the gradients of a pass's loss, if it has one, and of the terms on its rays, in one way back. The terms' means
+    /// are added to the result's losses.
+    pub(super) fn descend_terms(
+        &self,
+        field: &Field,
+        (out, pass): (&PassOutput, Pass),
+        loss: Option<&Tensor>,
+        step_loss: StepLoss,
+        Counts { weight, share, is_evaluated }: Counts,
+        result: &mut ChunkResult,
+    ) -> Result<()> {
+        let reads_slopes = step_loss.terms_on(is_evaluated).any(|(term, _, counts)| counts && term.reads_slopes());
+        let slopes = reads_slopes.then(|| SampleSlopes::of(field, pass)).transpose()?;
+        let seen = RayPass {
+            output: out,
+            bounds: self.bounds,
+            direction_norm: &pass.rays.direction_norm,
+            directions: &pass.rays.directions,
+            slopes: slopes.as_ref().map(|slopes| slopes.at_samples.as_tensor()),
+        };
+        let (mut total, values) = self.terms_of(&seen, step_loss, share, is_evaluated)?;
+        if let Some(loss) = loss {
+            total = ((loss * weight)? + total.to_dtype(loss.dtype())?)?;
+        }
+        let store = total.backward()?;
+        result.gradients.add(&self.variables, &store)?;
+        if let Some(slopes) = slopes {
+            slopes.descend(field, &self.variables, &store, &mut result.gradients)?;
+        }
+        result.losses.on_rays = sum(result.losses.on_rays.take(), Some(values))?;
+        Ok(())
     }
 
     /// Returns the weighted sum of the terms on a pass's rays, and the values of all of the source, unweighted and
     /// detached, `[terms]`. Both are multiplied by the share, and f64.
-    pub(super) fn terms_of(
+    fn terms_of(
         &self,
-        out: &PassOutput,
-        pass: Pass,
+        seen: &RayPass,
         step_loss: StepLoss,
         share: f64,
         is_evaluated: bool,
     ) -> Result<(Tensor, Tensor)> {
-        let seen = RayPass { output: out, bounds: self.bounds, direction_norm: &pass.rays.direction_norm };
         let mut total = Tensor::zeros((), DType::F64, &self.device)?;
         let mut values = Vec::new();
         for (term, weight, counts) in step_loss.terms_on(is_evaluated) {
@@ -158,10 +189,47 @@ impl FieldLearner {
                 values.push(Tensor::zeros((), DType::F64, &self.device)?);
                 continue;
             }
-            let mean = term.per_group(&seen)?.mean_all()?.to_dtype(DType::F64)?;
+            let mean = term.per_group(seen)?.mean_all()?.to_dtype(DType::F64)?;
             total = (total + (&mean * (weight * share))?)?;
             values.push((mean.detach() * share)?);
         }
         Ok((total, Tensor::stack(&values, 0)?))
+    }
+}
+
+/// Density's gradient at the samples of a pass, whose derivatives go back to the field's weights.
+struct SampleSlopes<'a> {
+    spatial: Spatial<'a>,
+    /// `[rays, samples, 3]`.
+    at_samples: Var,
+}
+
+impl SampleSlopes<'_> {
+    fn of<'a>(field: &'a Field, pass: Pass) -> Result<SampleSlopes<'a>> {
+        let positions = positions_at(field, pass.rays, pass.t_vals)?;
+        let spatial = field.spatial_up_to(Order::Gradient, &positions.flatten(0, 1)?)?;
+        let at_samples = Var::from_tensor(&spatial.at.gradient.reshape(positions.shape())?)?;
+        Ok(SampleSlopes { spatial, at_samples })
+    }
+
+    /// Adds the field's gradients that `store` asks for.
+    fn descend(
+        self,
+        field: &Field,
+        variables: &[(String, Var)],
+        store: &GradStore,
+        gradients: &mut Gradients,
+    ) -> Result<()> {
+        let Some(slope) = store.get(&self.at_samples) else { return Ok(()) };
+        let slope = slope.detach().flatten(0, 1)?;
+        let of_field =
+            self.spatial.recording_gradients(&Cotangents { gradient: Some(slope), ..Cotangents::default() })?;
+        let first = field.variables().first().expect("a field that trains has parameters");
+        let start =
+            variables.iter().position(|(_, var)| var.id() == first.1.id()).expect("the field is one of the model's");
+        for (total, gradient) in gradients.0[start..].iter_mut().zip(of_field) {
+            *total = sum(total.take(), gradient)?;
+        }
+        Ok(())
     }
 }

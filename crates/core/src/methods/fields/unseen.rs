@@ -1,7 +1,6 @@
 //! Passes of rays without photographs, which terms of the loss read.
 
 use crate::base::rng::{Random, Stream};
-use crate::base::tensors::sum;
 use crate::base::{Error, Result};
 use crate::data::{RayGroup, UnseenCameras};
 use crate::field::Field;
@@ -13,7 +12,7 @@ use super::chunk::Chunk;
 use super::learner::FieldLearner;
 use super::networks::Fields;
 use super::results::ChunkResult;
-use super::terms::{self, StepLoss};
+use super::terms::{self, Counts, StepLoss};
 
 /// Streams of random numbers of a step: one for each kind of groups.
 const GROUPS: u64 = 3;
@@ -97,9 +96,8 @@ impl FieldLearner {
         result: &mut ChunkResult,
     ) -> Result<PassOutput> {
         let out = clean_pass(field, pass)?;
-        let (total, values) = self.terms_of(&out, pass, step_loss, chunk.share, is_evaluated)?;
-        result.gradients.add(&self.variables, &total.backward()?)?;
-        result.losses.on_rays = sum(result.losses.on_rays.take(), Some(values))?;
+        let counts = Counts { weight: 0.0, share: chunk.share, is_evaluated };
+        self.descend_terms(field, (&out, pass), None, step_loss, counts, result)?;
         Ok(out)
     }
 }
