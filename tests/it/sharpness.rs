@@ -3,7 +3,9 @@
 use crate::common::{assert_same_bytes, parameters, tiny_config, trained};
 use augnerf::run::load_scene;
 use augnerf::runtime::Runtime;
-use augnerf::settings::{Config, Encoding, Method, Preset, Resolved, SamDirection, build, parse_assignment};
+use augnerf::settings::{
+    Config, Encoding, Method, Preset, Resolved, SamDirection, VolumeConfig, build, parse_assignment,
+};
 use augnerf::train::{StepStats, Trainer};
 use candle_core::DType;
 
@@ -102,7 +104,12 @@ fn limits_that_nothing_reaches_change_nothing() {
 #[cfg(feature = "baselines")]
 fn methods_without_fields_have_sharpness_aware_steps() {
     for method in [Method::Srn, Method::Nv] {
-        let with = |radius: f64| tiny_config(method, |config| config.train.sam_radius = radius);
+        let with = |radius: f64| {
+            tiny_config(method, |config| {
+                config.nv = VolumeConfig { resolution: 16, divide: 16, warp_resolution: 4, ..VolumeConfig::default() };
+                config.train.sam_radius = radius;
+            })
+        };
         let stats = trained(&with(1e-3), 2).step(true).unwrap();
         assert_eq!(stats.of_weights.len(), 2, "{method:?}");
         assert_eq!(trained(&with(1e-3), 0).step(true).unwrap().loss, trained(&with(0.0), 0).step(true).unwrap().loss);

@@ -53,18 +53,18 @@ texts! {
     "density": "common", "activation", "density";
     "space": "common", "activation", "space_point", "space";
     "space_back": "common", "activation", "space_point", "space_back";
-    "integrals": "integrals";
-    "march": "common", "rays", "march";
-    "composite": "common", "rays", "composite";
-    "loss": "rays", "loss";
-    "shift": "shift";
+    "integrals": "sizes", "integrals";
+    "march": "sizes", "common", "rays", "march";
+    "composite": "sizes", "common", "rays", "composite";
+    "loss": "sizes", "rays", "loss";
+    "shift": "sizes", "shift";
     "t_radius": "common", "t_radius";
     "xyz_radius": "common", "rays", "xyz_radius";
     "draw": "common", "set", "draw";
     "ascend": "common", "set", "ascend";
     "at_bound": "common", "set", "at_bound";
     "reduce": "common", "reduce";
-    "check": "common", "finite", "check";
+    "check": "sizes", "common", "finite", "check";
     "adam_weights": "common", "finite", "adam", "adam_weights";
     "adam_tables": "common", "finite", "adam", "adam_tables";
 }

@@ -8,7 +8,7 @@ use augnerf_core::settings::{
 
 use crate::device::Gpu;
 use crate::network::Shape;
-use crate::record::Scratch;
+use crate::record::{ON_RAYS, Scratch};
 
 /// Samples that the groups of one dispatch of a product reach.
 const MOST_POINTS: usize = 64 * 65_535;
@@ -23,7 +23,8 @@ pub fn check(config: &Resolved) -> Result<()> {
     check_fields(config)?;
     let refuse = |what: &str| Err(Error::Config(format!("device gpu does not train {what} yet; use --device cpu")));
     for (term, _) in config.regularizer.terms() {
-        if !matches!(term, Regularizer::L1 | Regularizer::Tv | Regularizer::Distortion) {
+        let on_rays = ON_RAYS.iter().any(|(known, _)| *known == term);
+        if !on_rays && !matches!(term, Regularizer::L1 | Regularizer::Tv) {
             return refuse(&format!("with regularizer {}", term.name()));
         }
     }

@@ -1,7 +1,7 @@
 //! Records the dispatches of passes through a field: forward, and back to what is asked for.
 
 use augnerf_core::augment::Site;
-use augnerf_core::settings::{DensityActivation, FieldConfig};
+use augnerf_core::settings::{DensityActivation, FieldConfig, Regularizer};
 use wgpu::Buffer;
 
 use crate::device::{Dispatch, Gpu, rows};
@@ -18,8 +18,24 @@ mod space;
 pub(crate) use scratch::Scratch;
 pub(crate) use space::{Integrand, SpaceAt};
 
-/// Numbers of a ray in a pass's output; `composite.wgsl` says which.
-pub(crate) const OUT: usize = 8;
+/// Numbers of a ray in a pass's output; `composite.wgsl` says which, and `sizes.wgsl` how many.
+pub(crate) const OUT: usize = 12;
+
+/// The terms on rays that the device has, with the parts of `composite.wgsl` that compute them, in the order of their
+/// numbers in outputs and slots.
+pub(crate) const ON_RAYS: [(Regularizer, &str); 5] = [
+    (Regularizer::Distortion, "DISTORTION"),
+    (Regularizer::Occlusion, "OCCLUSION"),
+    (Regularizer::Entropy, "ENTROPY"),
+    (Regularizer::Cauchy, "CAUCHY"),
+    (Regularizer::OpacityPrior, "OPACITY_PRIOR"),
+];
+
+/// Numbers of a slot of results; `sizes.wgsl` says the same.
+pub(crate) const SLOT: usize = 20;
+
+/// The numbers of a slot of results before those of terms on rays; `loss.wgsl` says which they are.
+pub(crate) const FIRST_TERM: usize = 14;
 
 /// The words of a kernel's parameters.
 #[derive(Default)]
@@ -132,12 +148,14 @@ impl PassAt<'_> {
 }
 
 /// The loss of a pass.
-#[derive(Clone, Copy)]
+#[derive(Clone, Copy, Default)]
 pub(crate) struct PassLoss {
     /// Weight of the squared error of one channel of one ray.
     pub(crate) weight: f64,
-    /// Weight of the distortion of one ray.
-    pub(crate) distortion: f64,
+    /// Weights of the terms of one ray, as [`ON_RAYS`].
+    pub(crate) terms: [f64; ON_RAYS.len()],
+    /// The share of near..far in which occlusion counts density.
+    pub(crate) occlusion_share: f64,
 }
 
 /// Where a gradient of a delta is: buffer, numbers between two vectors, place of the first.
@@ -180,7 +198,7 @@ impl<'a> Recorder<'a> {
 
     /// Records the sums over all rays of a pass.
     pub(crate) fn sums(&mut self, rays: usize, out: &Buffer, slot: usize, results: &Buffer) {
-        let words = Words::default().u(rays).u(slot).u(0).u(0);
+        let words = Words::default().u(rays).u(slot).u(FIRST_TERM + ON_RAYS.len()).u(0);
         self.run(Kernel::new("loss"), words, &[(1, self.rays), (2, out), (3, results)], [1, 1, 1]);
     }
 

@@ -116,6 +116,12 @@ steps! {
     nerf_with_distortion: "method=nerf", "regularizer.kind=distortion", "regularizer.weight=0.1";
     nerf_with_distortion_of_the_fine_field: "method=nerf", "regularizer.kind=distortion", "regularizer.weight=0.1",
         "regularizer.fields=fine", "train.coarse_weight=0.3";
+    nerf_with_terms_on_rays: "method=nerf",
+        "regularizer.kind=[\"distortion\",\"occlusion\",\"entropy\",\"cauchy\",\"opacity-prior\"]",
+        "regularizer.weight=[0.1,0.2,0.1,0.3,0.1]", "regularizer.occlusion_share=0.4";
+    hash_grid_with_terms_on_rays: "method=nerf", "field.encoding=hash", "regularizer.kind=[\"entropy\",\"occlusion\",\"cauchy\",\"opacity-prior\"]",
+        "regularizer.weight=[0.1,0.2,0.3,0.1]";
+    nerf_coarse_only_with_entropy: "method=nerf", "sampling.fine=0", "regularizer.kind=entropy", "regularizer.weight=0.1";
     nerf_deep_with_two_skips: "method=nerf", "field.depth=6", "field.skips=[2,4]", "field.view_depth=3", "field.width=40";
     nerf_wide: "method=nerf", "field.width=136";
     hash: "method=nerf", "field.encoding=hash";

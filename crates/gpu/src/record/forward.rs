@@ -7,7 +7,7 @@ use crate::kernels::Kernel;
 use crate::network::FieldBuffers;
 
 use super::products::{Matrix, Output, Rows};
-use super::{Outputs, PassAt, PassLoss, Recorder, Words};
+use super::{ON_RAYS, Outputs, PassAt, PassLoss, Recorder, Words};
 
 impl<'a> Recorder<'a> {
     /// Whether points can be outside of where density is.
@@ -151,15 +151,18 @@ impl<'a> Recorder<'a> {
     fn composite(&mut self, pass: &PassAt<'a>, t_vals: &Buffer, loss: Option<PassLoss>) {
         let scratch = self.scratch;
         let background = self.background.unwrap_or_default().map(f64::from);
-        let PassLoss { weight, distortion } = loss.unwrap_or(PassLoss { weight: 0.0, distortion: 0.0 });
+        let PassLoss { weight, terms, occlusion_share } = loss.unwrap_or_default();
         let words = Words::default().u(pass.rays).u(pass.samples).u(pass.columns).u(pass.ray0);
         let words = background.into_iter().fold(words, Words::f).flag(self.background.is_some());
-        let words = words.f(weight * self.loss_scale).f(distortion * self.loss_scale).f(self.bounds.0).f(self.bounds.1);
+        let words = words.f(weight * self.loss_scale).f(self.bounds.0).f(self.bounds.1).f(occlusion_share);
+        let words = terms.iter().fold(words, |words, weight| words.f(weight * self.loss_scale)).f(0.0).f(0.0).f(0.0);
         let mut buffers = vec![(1, self.rays), (2, t_vals), (3, &scratch.values), (4, &scratch.weights), (5, pass.out)];
         if loss.is_some() {
             buffers.extend([(6, &scratch.before), (7, &scratch.d_values), (8, &scratch.d_t)]);
         }
-        let kernel = Kernel::new("composite").with("BACK", loss.is_some()).with("DISTORTION", distortion != 0.0);
+        let kernel = Kernel::new("composite").with("BACK", loss.is_some());
+        let kernel =
+            ON_RAYS.iter().zip(terms).fold(kernel, |kernel, ((_, part), weight)| kernel.with(part, weight != 0.0));
         self.run(kernel, words, &buffers, [pass.rays.div_ceil(32) as u32, 1, 1]);
     }
 }

@@ -10,11 +10,11 @@ use wgpu::Buffer;
 use crate::device::Gpu;
 use crate::network::Shape;
 use crate::rays::{RAY, bins};
-use crate::record::{OUT, Scratch};
+use crate::record::{OUT, SLOT, Scratch};
 use crate::sets::{PassSets, PassSize, SetBuffers, numbers_to_draw};
 
 use super::MOST_REPORTS;
-use super::results::{COUNTS, DIAGNOSED, FLAGS, LEFT, SLOT, SLOTS};
+use super::results::{COUNTS, DIAGNOSED, FLAGS, LEFT, SLOTS};
 
 pub(super) struct StepBuffers {
     pub(super) now: Buffer,

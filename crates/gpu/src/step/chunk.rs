@@ -3,15 +3,13 @@
 use augnerf_core::augment::{Draw, Site};
 use augnerf_core::base::rng::Stream;
 use augnerf_core::methods::{coarse_weight, loss_weights};
-use augnerf_core::settings::{
-    DeltaSource, OutputPlace, PerturbField, RegularizedFields, Regularizer, Resample, Resolved, SecondPass,
-};
+use augnerf_core::settings::{DeltaSource, OutputPlace, PerturbField, Regularizer, Resample, Resolved, SecondPass};
 use wgpu::Buffer;
 
 use crate::device::groups;
 use crate::kernels::Kernel;
 use crate::network::FieldBuffers;
-use crate::record::{DeltaBuffers, PassAt, PassLoss, Recorder, Resampling, Wanted, Words};
+use crate::record::{DeltaBuffers, ON_RAYS, PassAt, PassLoss, Recorder, Resampling, Wanted, Words};
 use crate::sets::{Deltas, DrawAt, HostChunks, Stretch};
 
 use super::Steps;
@@ -145,22 +143,22 @@ impl<'a> ChunkRecorder<'a> {
         recorder.run(Kernel::new("sample"), words, &bound, groups(self.rays * columns));
         let coarse = self.pass(steps.coarse(), true, &buffers.t_coarse, coarse_slot);
         let is_first = which == CleanPass::First;
-        let distortion = |is_evaluated: bool| {
-            let counts = is_first && (is_evaluated || config.regularizer.fields == RegularizedFields::Both);
-            let weights = config
-                .regularizer
-                .terms()
-                .filter(|(term, _)| counts && *term == Regularizer::Distortion)
-                .map(|(_, weight)| weight);
-            weights.sum::<f64>() / config.train.rays as f64
+        let loss_of = |weight: f64, is_evaluated: bool| {
+            let counts = |term: Regularizer| is_first && steps.counts_in_pass(term, is_evaluated);
+            let of = |term: Regularizer| config.regularizer.terms().find(|(known, _)| *known == term && counts(term));
+            let per_ray = |(_, weight): (Regularizer, f64)| weight / config.train.rays as f64;
+            PassLoss {
+                weight: self.weight(weight),
+                terms: ON_RAYS.map(|(term, _)| of(term).map_or(0.0, per_ray)),
+                occlusion_share: config.regularizer.occlusion_share,
+            }
         };
         let trained = Wanted { weights: true, ..Wanted::default() };
         if config.representation().has_coarse_loss() {
             let noise = self.noise(recorder, which, true);
             let coarse = PassAt { noise, ..coarse };
-            let weight = self.weight(weight * coarse_weight(&steps.config));
-            let loss = PassLoss { weight, distortion: distortion(steps.fine().is_none()) };
-            recorder.forward(&coarse, Some(loss));
+            let weight = weight * coarse_weight(&steps.config);
+            recorder.forward(&coarse, Some(loss_of(weight, steps.fine().is_none())));
             recorder.back(&coarse, trained);
         } else {
             recorder.place_by_density(&coarse);
@@ -172,7 +170,7 @@ impl<'a> ChunkRecorder<'a> {
         recorder.resample(self.resampling(), &buffers.t_coarse, &buffers.u, t_fine);
         let noise = self.noise(recorder, which, false);
         let fine = PassAt { noise, ..self.pass(field, false, t_fine, fine_slot) };
-        recorder.forward(&fine, Some(PassLoss { weight: self.weight(weight), distortion: distortion(true) }));
+        recorder.forward(&fine, Some(loss_of(weight, true)));
         recorder.back(&fine, trained);
     }
 
@@ -243,10 +241,10 @@ impl<'a> ChunkRecorder<'a> {
         recorder.draw(&at);
         let deltas = buffers.of_pass(sets, Deltas::Searched, perturb.injection_layer, before);
         let pass = PassAt { deltas, ..pass };
-        let loss = PassLoss { weight: self.weight(weight), distortion: 0.0 };
+        let loss = PassLoss { weight: self.weight(weight), ..PassLoss::default() };
         if source == DeltaSource::WorstCase {
             // A loss without a weight: lambda may be 0.
-            let searched = PassLoss { weight: self.weight(1.0), distortion: 0.0 };
+            let searched = PassLoss { weight: self.weight(1.0), ..PassLoss::default() };
             for step in 0..sets.steps() {
                 let moving = sets.moving(step);
                 let on = |site: Site| moving.contains(&site);

@@ -4,15 +4,14 @@ use augnerf_core::augment::Site;
 use augnerf_core::methods::{Extremes, SiteDiagnostics, StepLosses, StepReport, coarse_weight};
 use augnerf_core::settings::{RegularizedFields, Regularizer};
 
+use crate::record::{FIRST_TERM, ON_RAYS, SLOT};
+
 use super::Steps;
 
 const EIGHT_BIT: f64 = 255.0;
 
-/// Numbers of a slot of results; `loss.wgsl` says which.
-pub(super) const SLOT: usize = 16;
-/// In a slot: mean squared error, 13 extremes, distortion.
+/// In a slot: mean squared error, 13 extremes, terms on rays.
 const MSE: usize = 0;
-const DISTORTION: usize = 14;
 /// In the slot of a field's terms in space; `integrals.wgsl` says which.
 const L1: usize = 0;
 const TV: usize = 1;
@@ -127,7 +126,7 @@ impl Steps {
                 .collect(),
         };
         let evaluated = self.evaluated();
-        let extremes: Vec<f64> = (1..DISTORTION).map(|what| value(evaluated, what)).collect();
+        let extremes: Vec<f64> = (1..FIRST_TERM).map(|what| value(evaluated, what)).collect();
         let (terms, loss) = losses.terms(config, 0);
         let clean = losses.clean(config);
         StepReport {
@@ -151,13 +150,18 @@ impl Steps {
         match term {
             Regularizer::L1 => in_space(L1),
             Regularizer::Tv => in_space(TV),
-            Regularizer::Distortion => {
-                let both = self.config.regularizer.fields == RegularizedFields::Both;
-                let counts = |slot: &usize| *slot == self.evaluated() || both && *slot == COARSE;
-                self.slots(false).iter().filter(|slot| counts(slot)).map(|slot| value(*slot, DISTORTION)).sum()
+            _ => {
+                let index = ON_RAYS.iter().position(|(known, _)| *known == term).expect("others are refused");
+                let is_clean = |slot: &usize| *slot == COARSE || *slot == FINE;
+                let counts = |slot: &usize| is_clean(slot) && self.counts_in_pass(term, *slot == self.evaluated());
+                self.slots(false).iter().filter(|slot| counts(slot)).map(|slot| value(*slot, FIRST_TERM + index)).sum()
             }
-            _ => unreachable!("refused before"),
         }
+    }
+
+    /// Whether a term on rays counts in a clean pass: the one that is evaluated, or the coarse one before it.
+    pub(super) fn counts_in_pass(&self, term: Regularizer, is_evaluated: bool) -> bool {
+        is_evaluated || self.config.regularizer.fields == RegularizedFields::Both && !term.is_of_evaluated_pass()
     }
 
     /// Makes the diagnostics of each site from the losses of its passes.

@@ -3,7 +3,7 @@
 struct Integrals { points: u32, slot: u32, volume: f32, are_first: u32 }
 @group(0) @binding(0) var<uniform> p: Integrals;
 @group(0) @binding(1) var<storage, read> at: array<vec4<f32>>;         // [points, density and gradient]
-@group(0) @binding(2) var<storage, read_write> results: array<f32>;    // [slots, 16]
+@group(0) @binding(2) var<storage, read_write> results: array<f32>;    // [slots, SLOT]
 var<workgroup> sums: array<vec2<f32>, 256>;
 @compute @workgroup_size(256)
 fn main(@builtin(local_invocation_index) thread: u32) {
@@ -19,7 +19,7 @@ fn main(@builtin(local_invocation_index) thread: u32) {
         workgroupBarrier();
     }
     if (thread < 2u) {
-        let i = 16u * p.slot + thread;
+        let i = SLOT * p.slot + thread;
         results[i] = select(results[i], 0.0, p.are_first == 1u) + p.volume * sums[0][thread];
     }
 }

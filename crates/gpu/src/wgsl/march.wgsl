@@ -31,6 +31,6 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>) {
         depth.x += optical;
     }
     //#if ACC
-    out[8u * (p.ray0 + ray) + 6u] = acc;
+    out[OUT * (p.ray0 + ray) + 6u] = acc;
     //#end
 }

@@ -9,7 +9,7 @@ var<workgroup> sums: array<f32, 256>;
 fn main(@builtin(local_invocation_index) thread: u32) {
     var sum = 0.0;
     for (var i = thread; i < 3u * p.rays; i += 256u) {
-        let at = 8u * (i / 3u) + i % 3u;
+        let at = OUT * (i / 3u) + i % 3u;
         sum += abs(a[at] - b[at]);
     }
     sums[thread] = sum;
@@ -18,5 +18,5 @@ fn main(@builtin(local_invocation_index) thread: u32) {
         if (thread < half) { sums[thread] += sums[thread + half]; }
         workgroupBarrier();
     }
-    if (thread == 0u) { results[16u * p.slot] = sums[0] / f32(3u * p.rays); }
+    if (thread == 0u) { results[SLOT * p.slot] = sums[0] / f32(3u * p.rays); }
 }

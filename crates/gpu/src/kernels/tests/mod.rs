@@ -13,7 +13,7 @@ use wgpu::Buffer;
 use super::*;
 use crate::device::{Gpu, groups};
 use crate::rays::RAY;
-use crate::record::{FIXED_SCALE, OUT, Words};
+use crate::record::{FIRST_TERM, FIXED_SCALE, ON_RAYS, OUT, SLOT, Words};
 
 mod encodings;
 mod outputs;

@@ -30,7 +30,8 @@ fn compositing() {
     let [weights, out, before, d_values, d_t] =
         [n * samples, n * OUT, n * samples, 4 * n * samples, n * samples].map(|count| gpu.numbers(count));
     let words = Words::default().u(n).u(samples).u(samples).u(0).f(1.0).f(0.5).f(0.25).u(1);
-    let words = words.f(0.7).f(0.0).f(near_end).f(far_end);
+    let words = words.f(0.7).f(near_end).f(far_end).f(0.0);
+    let words = (0..8).fold(words, |words, _| words.f(0.0));
     let buffers = [
         (1, &rays_buffer),
         (2, &t_buffer),
@@ -202,7 +203,8 @@ fn distortion() {
         let [weights, out, before, d_values, d_t] =
             [n, rays * OUT, n, 4 * n, rays * columns].map(|count| gpu.numbers(count));
         let words = Words::default().u(rays).u(samples).u(columns).u(0).f(0.0).f(0.0).f(0.0).u(0);
-        let words = words.f(0.0).f(weight).f(near_end).f(far_end);
+        let words = words.f(0.0).f(near_end).f(far_end).f(0.0).f(weight);
+        let words = (0..7).fold(words, |words, _| words.f(0.0));
         let to = [&rays_buffer, &t_buffer, &values_buffer, &weights, &out, &before, &d_values, &d_t];
         let buffers: Vec<(u32, &Buffer)> = (1..).zip(to).collect();
         let kernel = Kernel::new("composite").with("BACK", true).with("DISTORTION", true);
@@ -236,6 +238,14 @@ fn distortion() {
     }
 }
 
+/// The host and the kernels mean the same sizes.
+#[test]
+fn sizes_are_those_of_the_kernels() {
+    let text = include_str!("../../wgsl/sizes.wgsl");
+    assert!(text.contains(&format!("OUT: u32 = {OUT}u;")) && text.contains(&format!("SLOT: u32 = {SLOT}u;")));
+    assert!(FIRST_TERM + ON_RAYS.len() <= SLOT && 7 + ON_RAYS.len() <= OUT);
+}
+
 /// Sums and extremes over more rays than a group has threads, and the shift of colours between two passes.
 #[test]
 fn sums_over_rays() {
@@ -244,12 +254,18 @@ fn sums_over_rays() {
     let packed = random_rays(rays, 130);
     let [a, b] = [131, 132].map(|seed| numbers(rays * OUT, 1.0, seed));
     let [rays_buffer, a_buffer, b_buffer] = [&packed, &a, &b].map(|values| gpu.storage(values));
-    let results = gpu.numbers(64);
+    let results = gpu.numbers(4 * SLOT);
     let buffers = [(1, &rays_buffer), (2, &a_buffer), (3, &results)];
-    run(&gpu, Kernel::new("loss"), Words::default().u(rays).u(slot).u(0).u(0), &buffers, [1, 1, 1]);
+    run(
+        &gpu,
+        Kernel::new("loss"),
+        Words::default().u(rays).u(slot).u(FIRST_TERM + ON_RAYS.len()).u(0),
+        &buffers,
+        [1, 1, 1],
+    );
     let buffers = [(1, &a_buffer), (2, &b_buffer), (3, &results)];
     run(&gpu, Kernel::new("shift"), Words::default().u(rays).u(3).u(0).u(0), &buffers, [1, 1, 1]);
-    let found = gpu.read_f32(&results, 64).unwrap();
+    let found = gpu.read_f32(&results, 4 * SLOT).unwrap();
 
     let of = |values: &[f32], every: usize, at: usize| -> Vec<f64> {
         values.chunks(every).map(|ray| f64::from(ray[at])).collect()
@@ -262,8 +278,8 @@ fn sums_over_rays() {
     expected.extend((0..3).map(|c| smallest(of(&a, OUT, c))));
     expected.extend((15..18).map(|c| largest(of(&packed, RAY, c))));
     expected.extend((15..18).map(|c| smallest(of(&packed, RAY, c))));
-    expected.push(sum(of(&a, OUT, 7)) / rays as f64);
-    near("loss", &found[16 * slot..16 * slot + 15], &expected, 1e-6);
+    expected.extend((0..ON_RAYS.len()).map(|term| sum(of(&a, OUT, 7 + term)) / rays as f64));
+    near("loss", &found[SLOT * slot..SLOT * slot + FIRST_TERM + ON_RAYS.len()], &expected, 1e-6);
     let apart = (0..3).flat_map(|c| of(&a, OUT, c).into_iter().zip(of(&b, OUT, c))).map(|(a, b)| (a - b).abs());
-    near("shift", &found[48..49], &[apart.sum::<f64>() / (3 * rays) as f64], 1e-6);
+    near("shift", &found[3 * SLOT..3 * SLOT + 1], &[apart.sum::<f64>() / (3 * rays) as f64], 1e-6);
 }

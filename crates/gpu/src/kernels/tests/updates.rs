@@ -115,7 +115,7 @@ fn what_is_not_finite_sets_flags() {
         run(&gpu, Kernel::new("check"), words, &buffers, groups(count));
         bytemuck::pod_collect_to_vec(&gpu.read(&[&flags]).unwrap()[0][..16])
     };
-    let (gradient, results) = (numbers(count, 1.0, 163), numbers(16 * slots, 1.0, 164));
+    let (gradient, results) = (numbers(count, 1.0, 163), numbers(SLOT * slots, 1.0, 164));
     const NONE: u32 = u32::MAX;
     assert_eq!(check(&gradient, &results), [0, NONE, NONE, NONE]);
     let with = |values: &[f32], at: usize, value: f32| {
@@ -125,8 +125,8 @@ fn what_is_not_finite_sets_flags() {
     };
     assert_eq!(check(&with(&gradient, 31, f32::NAN), &results), [1, NONE, NONE, 31]);
     assert_eq!(check(&with(&with(&gradient, 31, f32::INFINITY), 7, f32::NAN), &results), [1, NONE, NONE, 7]);
-    // The loss, TV and distortion of a slot; extremes may be infinite.
-    for (at, flag) in [(16, 8), (33, 8), (14, 8), (18, 0)] {
+    // The loss, TV and terms on rays of a slot; extremes may be infinite.
+    for (at, flag) in [(SLOT, 8), (2 * SLOT + 1, 8), (14, 8), (18, 8), (SLOT + 2, 0), (13, 0)] {
         assert_eq!(check(&gradient, &with(&results, at, f32::INFINITY)), [flag, NONE, NONE, NONE], "{at}");
     }
 }
