@@ -116,7 +116,7 @@ steps! {
     nerf_with_distortion: "method=nerf", "regularizer.kind=distortion", "regularizer.weight=0.1";
     nerf_with_distortion_of_the_fine_field: "method=nerf", "regularizer.kind=distortion", "regularizer.weight=0.1",
         "regularizer.fields=fine", "train.coarse_weight=0.3";
-    nerf_with_terms_on_rays: "method=nerf",
+    nerf_with_terms_on_rays: "method=nerf", "field.density_activation=relu",
         "regularizer.kind=[\"distortion\",\"occlusion\",\"entropy\",\"cauchy\",\"opacity-prior\"]",
         "regularizer.weight=[0.1,0.2,0.1,0.3,0.1]", "regularizer.occlusion_share=0.4";
     hash_grid_with_terms_on_rays: "method=nerf", "field.encoding=hash", "regularizer.kind=[\"entropy\",\"occlusion\",\"cauchy\",\"opacity-prior\"]",
@@ -308,7 +308,7 @@ fn what_is_not_there_is_refused_by_name() {
     for (settings, named) in [
         (["method=mip-nerf", "field.encoding=integrated"], "method mip-nerf"),
         (["method=nerf", "regularizer.kind=laplacian"], "regularizer laplacian"),
-        (["method=nerf", "regularizer.kind=entropy"], "regularizer entropy"),
+        (["method=nerf", "regularizer.kind=orientation"], "regularizer orientation"),
         (["regularizer.kind=tv", "regularizer.schedule=halved every 9 steps"], "regularizer.schedule"),
         (["method=nerf", "train.sam_radius=0.1"], "train.sam_radius"),
         (["method=nerf", "train.clip_norm=0.1"], "train.clip_norm"),

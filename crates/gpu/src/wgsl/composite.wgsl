@@ -123,9 +123,10 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>) {
     var sparsity = 0.0;
     //#end
     //#if OPACITY_PRIOR
-    // log((0.1 + acc) (1.1 - acc) / 0.11).
-    let half_way = acc * (1.0 - acc);
-    let d_acc = p.opacity_prior * (1.0 - 2.0 * acc) / (0.11 + half_way);
+    // log((0.1 + acc) (1.1 - acc) / 0.11), precisely where nearly all light is stopped.
+    let left = exp(-passed);
+    let half_way = left * (1.0 - left);
+    let d_acc = p.opacity_prior * (2.0 * left - 1.0) / (0.11 + half_way);
     //#end
     // What lies behind a sample, seen from it. 1 - acc shows the background.
     var of_background = 0.0;

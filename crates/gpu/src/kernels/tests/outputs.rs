@@ -204,7 +204,7 @@ fn density_in_space() {
         let inside: Vec<u32> = (0..n).map(|i| u32::from(i % 4 > 0)).collect();
         let (head_buffer, inside_buffer) = (gpu.storage(&head), gpu.numbers(n));
         gpu.write(&inside_buffer, bytemuck::cast_slice(&inside));
-        let [out, d_head, results] = [4 * n, 4 * n * columns, 32].map(|count| gpu.numbers(count));
+        let [out, d_head, results] = [4 * n, 4 * n * columns, 2 * SLOT].map(|count| gpu.numbers(count));
         let words = || Words::default().u(n).u(columns).u(activation).u(0).f(l1).f(tv).u(0).u(0);
         let kernel = |name| Kernel::new(name).with("INSIDE", true).with("JETS", true);
         let buffers = |to| [(1, &head_buffer), (2, to), (3, &inside_buffer)];
@@ -231,7 +231,7 @@ fn density_in_space() {
         let sums = expected
             .chunks(4)
             .fold([0.0; 2], |[density, length], at| [density + at[0], length + norm([at[0], at[1], at[2], at[3]])]);
-        let found = gpu.read_f2 * SLOT(&results, 32).unwrap();
+        let found = gpu.read_f32(&results, 2 * SLOT).unwrap();
         near("integrals", &found[SLOT..SLOT + 2], &sums.map(|sum| 2.0 * volume * sum), 1e-5);
 
         // Slopes of density by differences need wider ones here.
