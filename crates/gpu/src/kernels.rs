@@ -63,6 +63,7 @@ texts! {
     "draw": "common", "set", "draw";
     "ascend": "common", "set", "ascend";
     "at_bound": "common", "set", "at_bound";
+    "multiply": "common", "multiply";
     "reduce": "common", "reduce";
     "check": "sizes", "common", "finite", "check";
     "adam_weights": "common", "finite", "adam", "adam_weights";

@@ -97,9 +97,6 @@ pub(crate) fn check_field(config: &FieldConfig) -> Result<()> {
     if config.encoding == Encoding::Integrated {
         return Err(refused("fields that are queried at Gaussians"));
     }
-    if config.frequency_steps > 0 {
-        return Err(refused("encodings that open (field.frequency_steps)"));
-    }
     if !config.width.is_multiple_of(4) {
         return Err(refused(&format!("networks of width {}, which is no multiple of 4,", config.width)));
     }

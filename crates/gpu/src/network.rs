@@ -2,9 +2,9 @@
 
 use augnerf_core::base::Result;
 use augnerf_core::field::hash::{HashGrid, Level};
-use augnerf_core::field::{Field, encoded_channels, position_channels};
+use augnerf_core::field::{Field, encoded_channels, opening_factors, position_channels};
 use augnerf_core::settings::{Contraction, Encoding, FieldConfig, Interpolation};
-use candle_core::{Device, Tensor};
+use candle_core::{DType, Device, Tensor};
 use wgpu::Buffer;
 
 use crate::device::Gpu;
@@ -196,6 +196,21 @@ impl Shape {
         Ok(values)
     }
 
+    /// Returns the factors of all weights and biases where `share` of the encodings' opening is over
+    /// ([`FieldConfig::frequency_steps`]).
+    pub(crate) fn opening(&self, config: &FieldConfig, share: f64) -> Result<Vec<f32>> {
+        let mut values = vec![1f32; self.weights()];
+        let factors = opening_factors(config, share, DType::F32, &Device::Cpu)?;
+        for (host, factor) in self.host_layers().into_iter().zip(factors) {
+            let Some(factor) = factor else { continue };
+            for (input, factor) in factor.flatten_all()?.to_vec1::<f32>()?.into_iter().enumerate() {
+                let start = host.layer.offset + host.row(input) * host.layer.outputs + host.first;
+                values[start..start + host.outputs].fill(factor);
+            }
+        }
+        Ok(values)
+    }
+
     /// Returns the host's weights and biases, in the order of its parameters.
     pub(crate) fn to_host(&self, values: &[f32]) -> Result<Vec<Tensor>> {
         let mut parameters = Vec::new();
@@ -215,6 +230,7 @@ impl Shape {
 }
 
 /// Parameters and moments of matrices or tables, and what their gradient is summed in.
+#[derive(Clone)]
 pub(crate) struct Learned {
     pub(crate) values: Buffer,
     pub(crate) first: Buffer,
@@ -241,6 +257,7 @@ impl Learned {
 }
 
 /// A field on the device.
+#[derive(Clone)]
 pub(crate) struct FieldBuffers {
     pub(crate) weights: Learned,
     pub(crate) tables: Option<Learned>,
@@ -271,10 +288,15 @@ impl FieldBuffers {
         Ok(FieldBuffers { weights: Learned::new(gpu, &weights, of_weights, 1), tables })
     }
 
-    /// Copies a field's current parameters to the device.
+    /// Returns the same field with weights of its own, which are those that passes read. Gradients and the rest are shared.
+    pub(crate) fn with_own_weights(&self, gpu: &Gpu) -> FieldBuffers {
+        let weights = Learned { values: gpu.numbers(self.weights.count), ..self.weights.clone() };
+        FieldBuffers { weights, tables: self.tables.clone() }
+    }
+
+    /// Copies a field's current parameters, as passes read them, to the device.
     pub(crate) fn of(gpu: &Gpu, shape: &Shape, field: &Field) -> Result<FieldBuffers> {
-        let values: Vec<Tensor> = field.variables().iter().map(|(_, var)| var.as_detached_tensor()).collect();
-        FieldBuffers::new(gpu, shape, &values, None)
+        FieldBuffers::new(gpu, shape, &field.seen_parameters(), None)
     }
 
     /// Reads parameters, first and second moments, in the host's order and shapes.

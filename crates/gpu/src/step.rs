@@ -41,6 +41,10 @@ pub struct Steps {
     batches: Batches,
     /// In the order of [`Fields::by_role`].
     learned: Vec<FieldBuffers>,
+    /// The same as passes read them: while the encodings open, with weights of their own.
+    seen: Vec<FieldBuffers>,
+    /// What these weights are multiplied by, and the share of the opening that it is for.
+    opening: Option<(Buffer, f64)>,
     roles: Vec<&'static str>,
     sets: [Option<PassSets>; 2],
     buffers: StepBuffers,
@@ -78,6 +82,12 @@ impl Steps {
         let parts = RayParts { tangents: has_tangents(config), ..RayParts::default() };
         let batches = Batches::new(config, scene, parts)?;
         let learned = gpu.checked("copying the parameters", || copied(gpu, &shape, fields, moments))??;
+        let opening = (config.field.frequency_steps > 0).then(|| (gpu.numbers(shape.weights()), f64::NAN));
+        let of_passes = |field: &FieldBuffers| match opening {
+            Some(_) => field.with_own_weights(gpu),
+            None => field.clone(),
+        };
+        let seen = learned.iter().map(of_passes).collect();
         let mut sets: [Option<PassSets>; 2] = [None, None];
         if config.method.is_augmented() && config.perturb.source().is_some() {
             for (set, size) in sets.iter_mut().zip(pass_sizes(config)) {
@@ -97,6 +107,8 @@ impl Steps {
             shape,
             batches,
             learned,
+            seen,
+            opening,
             roles: fields.by_role().into_iter().map(|(role, _)| role).collect(),
             sets,
             buffers,
@@ -226,8 +238,22 @@ impl Steps {
             Some(space) => space.send(&self.gpu, &self.config, step)?,
             None => 0,
         };
-        self.sent = 4 * (words.words().len() + rays.len()) + of_points;
+        self.sent = 4 * (words.words().len() + rays.len()) + of_points + self.send_opening(step)?;
         Ok(())
+    }
+
+    /// Sends the factors of an opening if they changed, and returns their bytes.
+    fn send_opening(&mut self, step: u64) -> Result<usize> {
+        let Some((factors, known)) = &mut self.opening else { return Ok(0) };
+        let field = &self.config.field;
+        let share = step.min(field.frequency_steps) as f64 / field.frequency_steps as f64;
+        if share == *known {
+            return Ok(0);
+        }
+        *known = share;
+        let values = self.shape.opening(field, share)?;
+        self.gpu.write(factors, bytemuck::cast_slice(&values));
+        Ok(4 * values.len())
     }
 
     /// Copies parameters into the model's variables, and returns the moments in their order.
@@ -312,7 +338,7 @@ impl Steps {
 
     fn field(&self, role: &str) -> Option<&FieldBuffers> {
         let index = self.roles.iter().position(|known| *known == role)?;
-        Some(&self.learned[index])
+        Some(&self.seen[index])
     }
 
     /// The field of clean fine passes.
@@ -328,11 +354,13 @@ impl Steps {
     fn record(&self, log: bool) -> (Vec<Dispatch>, Work) {
         let mut recorder = self.recorder();
         let (rays, chunk) = (self.config.train.rays, self.buffers.chunk);
+        self.record_opening(&mut recorder, true);
         for ray0 in (0..rays).step_by(chunk) {
             let count = chunk.min(rays - ray0);
             ChunkRecorder { steps: self, ray0, rays: count, log }.record(&mut recorder);
         }
         self.record_space(&mut recorder);
+        self.record_opening(&mut recorder, false);
         for slot in self.slots(log) {
             recorder.sums(rays, &self.buffers.outs[slot], slot, &self.buffers.results);
         }
@@ -342,10 +370,24 @@ impl Steps {
         (recorder.dispatches, recorder.work)
     }
 
+    /// Records what the opening of the encodings multiplies: before passes the weights that they read, and after them their
+    /// gradients.
+    fn record_opening(&self, recorder: &mut Recorder, before: bool) {
+        let Some((factors, _)) = &self.opening else { return };
+        for (learned, seen) in self.learned.iter().zip(&self.seen) {
+            let [learned, seen] = [&learned.weights, &seen.weights];
+            let to = if before { &seen.values } else { &learned.gradient };
+            let mut buffers = vec![(1, factors), (2, to)];
+            buffers.extend(before.then_some((3, &learned.values)));
+            let words = Words::default().u(learned.count).u(0).u(0).u(0);
+            recorder.run(Kernel::new("multiply").with("FROM", before), words, &buffers, groups(learned.count));
+        }
+    }
+
     /// Index and buffers of the fields in which terms in space count.
     fn regularized(&self) -> impl Iterator<Item = (usize, &FieldBuffers)> {
         let counts = |role: &str| is_regularized(&self.config.regularizer, &self.roles, role);
-        self.learned.iter().enumerate().filter(move |(index, _)| counts(self.roles[*index]))
+        self.seen.iter().enumerate().filter(move |(index, _)| counts(self.roles[*index]))
     }
 
     /// Records the terms in space.

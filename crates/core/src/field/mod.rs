@@ -45,6 +45,7 @@ use grid::Grid;
 pub use grid::TableRecord;
 use hash::HashGrid;
 use inside::{Inside, NOTHING};
+pub use open::opening_factors;
 pub use peak::peak_gflops;
 pub(crate) use rgb_limit::leads_away;
 pub use spatial::{DensityAt, Order, Spatial, spatial_reference};
@@ -276,7 +277,7 @@ impl Field {
         if share >= 1.0 {
             return Ok(whole);
         }
-        let factors = open::factors(&self.config, share, self.dtype(), self.device())?;
+        let factors = opening_factors(&self.config, share, self.dtype(), self.device())?;
         let mut field = whole;
         let layers = field.trunk.iter_mut().chain([&mut field.density, &mut field.feature]);
         for (layer, factor) in layers.chain(&mut field.view).chain([&mut field.rgb]).zip(&factors) {
@@ -285,6 +286,13 @@ impl Field {
             }
         }
         Ok(Field { hidden: Some(Arc::new(factors)), ..field })
+    }
+
+    /// Returns the current parameters as passes read them, in the order of [`Field::parameter_names`]: weights of hidden
+    /// inputs are multiplied ([`Field::opened`]).
+    pub fn seen_parameters(&self) -> Vec<Tensor> {
+        let table = self.grid.iter().map(|grid| grid.table().detach());
+        table.chain(self.layers().flat_map(|layer| [layer.weight.detach(), layer.bias.detach()])).collect()
     }
 
     /// Multiplies gradients of the layers' weights and biases, in the order of parameters, by the factors of hidden inputs.

@@ -7,8 +7,9 @@ use crate::settings::{Encoding, FieldConfig};
 
 use super::{encoded_channels, layer_shapes, position_channels};
 
-/// Returns for each layer, in the order of parameters, the factors of its inputs, `[1, inputs]`, or `None` if all are 1.
-pub(super) fn factors(config: &FieldConfig, share: f64, dtype: DType, device: &Device) -> Result<Vec<Option<Tensor>>> {
+/// Returns for each layer, in the order of parameters, the factors of its inputs, `[1, inputs]`, or `None` if all are 1. `share` of
+/// the opening is over ([`FieldConfig::frequency_steps`]).
+pub fn opening_factors(config: &FieldConfig, share: f64, dtype: DType, device: &Device) -> Result<Vec<Option<Tensor>>> {
     // Channels next to each other that open together: one of each axis, or a level's features.
     let together = if config.encoding == Encoding::Hash { config.hash.features } else { 3 };
     let of_positions = of_channels(position_channels(config), together, share);
@@ -65,7 +66,7 @@ mod tests {
 
     /// The same field with its weights multiplied by hand.
     fn by_hand(field: &Field, config: &FieldConfig, share: f64) -> (Field, Vec<Option<Tensor>>) {
-        let factors = factors(config, share, field.dtype(), field.device()).unwrap();
+        let factors = opening_factors(config, share, field.dtype(), field.device()).unwrap();
         let tables = usize::from(field.hash_grid().is_some());
         let factor = |i: usize| i.checked_sub(tables).filter(|i| i % 2 == 0).and_then(|i| factors[i / 2].clone());
         let all: Vec<Option<Tensor>> = (0..field.variables().len()).map(factor).collect();

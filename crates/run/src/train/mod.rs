@@ -1,6 +1,6 @@
 //! Training: steps, checks whether a run is alive, and checkpoints.
 
-use std::cell::RefCell;
+use std::cell::{OnceCell, RefCell};
 use std::time::Instant;
 
 use candle_core::DType;
@@ -66,6 +66,8 @@ pub struct Trainer {
     runtime: Runtime,
     /// Its variables may lack the newest steps: see [`Trainer::model`].
     model: Model,
+    /// The model after the newest step, once it was asked for.
+    shown: OnceCell<Model>,
     stepping: RefCell<Stepping>,
     /// Counters, and the provenance of earlier steps.
     state: State,
@@ -107,6 +109,7 @@ impl Inputs<'_> {
             config: config.clone(),
             runtime: runtime.clone(),
             model,
+            shown: OnceCell::new(),
             stepping: RefCell::new(Stepping::new(stepper, state.empty_steps)),
             state: State { format: checkpoint::FORMAT, config_hash: config.hash(), ..state },
         }
@@ -175,7 +178,11 @@ impl Trainer {
     /// be read from their device.
     pub fn model(&self) -> Result<&Model> {
         self.stepping.borrow_mut().fetch(self.config.train.collapse_steps)?;
-        Ok(&self.model)
+        if self.shown.get().is_none() {
+            // What is hidden depends on the step, and is computed from the fetched parameters.
+            let _ = self.shown.set(self.model.at_step(&self.config, self.state.step)?);
+        }
+        Ok(self.shown.get().expect("it was set"))
     }
 
     /// Returns the number of completed steps.
@@ -229,6 +236,7 @@ impl Trainer {
     }
 
     fn step_here(&mut self, log: bool, wait: bool, stop_check: &StopCheck) -> Result<Option<StepStats>> {
+        self.shown.take();
         let State { step, adam_since, .. } = self.state;
         let rate = learning_rate(&self.config, step);
         let at = StepAt { step, updates: step + 1 - adam_since, learning_rate: rate, log };
@@ -237,9 +245,6 @@ impl Trainer {
         let limit = self.config.train.collapse_steps;
         let stats = if wait || stepping.is_due() { stepping.catch_up(limit)? } else { None };
         self.state.step += 1;
-        if self.config.field.frequency_steps > 0 {
-            self.model = self.model.at_step(&self.config, self.state.step)?;
-        }
         Ok(stats)
     }
 }

@@ -100,6 +100,14 @@ fn numbers_in_place() {
     let expected: Vec<f64> = a.iter().zip(&b).map(|(a, b)| f64::from(*a) + f64::from(*b)).collect();
     near("add", &gpu.read_f32(&sum, count).unwrap(), &expected, 1e-6);
     assert_eq!(gpu.read_f32(&copied, count).unwrap(), a);
+
+    // From one buffer to another, and in place.
+    let buffers = [(1, &b_buffer), (2, &sum), (3, &a_buffer)];
+    run(&gpu, Kernel::new("multiply").with("FROM", true), words(), &buffers, groups(count));
+    run(&gpu, Kernel::new("multiply"), words(), &[(1, &b_buffer), (2, &copied)], groups(count));
+    let expected: Vec<f64> = a.iter().zip(&b).map(|(a, b)| f64::from(*a) * f64::from(*b)).collect();
+    near("multiply", &gpu.read_f32(&sum, count).unwrap(), &expected, 1e-6);
+    near("multiply, in place", &gpu.read_f32(&copied, count).unwrap(), &expected, 1e-6);
 }
 
 /// What is not finite sets the flag of its kind, and is named by its place.
