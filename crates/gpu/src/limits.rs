@@ -41,9 +41,6 @@ pub fn check(config: &Resolved) -> Result<()> {
     if config.perturb.entries == ChangedEntries::Clean {
         return refuse("with perturb.entries = \"clean\"");
     }
-    if config.sampling.anneal_steps > 0 {
-        return refuse("with annealed samples (sampling.anneal_steps)");
-    }
     if config.train.gradient_scaling {
         return refuse("with scaled gradients (train.gradient_scaling)");
     }

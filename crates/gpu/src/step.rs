@@ -13,7 +13,7 @@ use crate::device::{Dispatch, Gpu, groups};
 use crate::kernels::{Kernel, Tiles};
 use crate::limits::{check, check_precision, rays_of_chunk};
 use crate::network::{FieldBuffers, Shape};
-use crate::rays::packed;
+use crate::rays::{bins, packed};
 use crate::record::{FIXED_SCALE, Integrand, Outputs, Recorder, SpaceAt, Words, Work};
 use crate::sets::PassSets;
 
@@ -238,6 +238,12 @@ impl Steps {
             Some(space) => space.send(&self.gpu, &self.config, step)?,
             None => 0,
         };
+        let sampling = &self.config.sampling;
+        if sampling.anneal_steps > 0 {
+            let columns = self.config.field.encoding.t_vals(sampling.coarse);
+            let rows = bins(sampling.spacing, sampling.annealed(self.scene_bounds, step), columns, sampling.jitter);
+            self.gpu.write(&self.buffers.rows, bytemuck::cast_slice(&rows));
+        }
         self.sent = 4 * (words.words().len() + rays.len()) + of_points + self.send_opening(step)?;
         Ok(())
     }

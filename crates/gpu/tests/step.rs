@@ -124,6 +124,7 @@ steps! {
     nerf_with_frequencies_that_open: "method=nerf", "field.frequency_steps=9", "regularizer.kind=occlusion", "regularizer.weight=0.2";
     aug_nerf_with_frequencies_that_open: "method=aug-nerf", "field.frequency_steps=12", "regularizer.kind=tv";
     hash_with_levels_that_open: "method=nerf", "field.encoding=hash", "field.frequency_steps=9", "regularizer.kind=tv";
+    nerf_with_samples_that_spread: "method=nerf", "sampling.anneal_steps=10", "sampling.anneal_start=0.1";
     nerf_coarse_only_with_entropy: "method=nerf", "sampling.fine=0", "regularizer.kind=entropy", "regularizer.weight=0.1";
     nerf_deep_with_two_skips: "method=nerf", "field.depth=6", "field.skips=[2,4]", "field.view_depth=3", "field.width=40";
     nerf_wide: "method=nerf", "field.width=136";
