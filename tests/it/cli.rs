@@ -219,8 +219,8 @@ fn balance_prints_a_grid_of_weights() {
     arguments.extend(TINY);
     let table = printed(&arguments);
     let rows: Vec<Vec<&str>> = table.lines().skip(1).map(|line| line.split(',').collect()).collect();
-    // A network has no tables.
-    assert_eq!(rows.len(), 5 * (REGULARIZERS.len() - 1), "five shares of each term: {table}");
+    // A network has no tables, and the built-in scene no triangulated points.
+    assert_eq!(rows.len(), 5 * (REGULARIZERS.len() - 2), "five shares of each term: {table}");
     for row in rows {
         if row[6].is_empty() {
             assert_eq!(row[4].parse::<f64>(), Ok(0.0), "no weight without a gradient: {row:?}");
@@ -536,7 +536,7 @@ fn wrong_regularizers_are_refused_with_exit_code_2() {
         refuse(&tiny(&out, &set), 2, words);
         assert!(!out.exists());
     };
-    check(&["regularizer.kind=tvv"], &["regularizer.kind", "l1, tv, laplacian, distortion", "or orientation"]);
+    check(&["regularizer.kind=tvv"], &["regularizer.kind", "l1, tv, laplacian, distortion", "or sparse-depth"]);
     check(&["regularizer.kind=tv", "regularizer.weight=-1"], &["regularizer.weight", "-1", "0 (off) or positive"]);
     check(&["regularizer.kind=tv", "regularizer.weight=nan"], &["regularizer.weight", "positive"]);
     check(&["regularizer.kind=tv", "regularizer.weight=[1,2]"], &["2 numbers", "1 term;"]);

@@ -5,12 +5,13 @@ use std::fs;
 use std::path::Path;
 use std::sync::Mutex;
 
+use augnerf::base::rng::{Random, Stream};
 use augnerf::base::{Event, Listener};
 use augnerf::data::formats::builtin::export;
 use augnerf::data::pose::{self, Pose, Vec3};
-use augnerf::data::{self, Camera, Scene, View};
+use augnerf::data::{self, Camera, PointRays, Scene, View};
 use augnerf::run::load_scene;
-use augnerf::settings::{Config, DataConfig, DataKind};
+use augnerf::settings::{Config, DataConfig, DataKind, PixelOrigin};
 use augnerf::space::read_mesh;
 use tempfile::TempDir;
 
@@ -236,6 +237,35 @@ fn every_eighth_view_by_name_is_held_out() {
     names.sort_unstable();
     let held_out: Vec<&str> = names.into_iter().step_by(8).collect();
     assert_eq!(scene.test.iter().map(|view| view.name.as_str()).collect::<Vec<&str>>(), held_out);
+}
+
+/// A ray to a point is that of the pixel that the point is in, and t is its depth.
+#[test]
+fn rays_to_points_pass_them() {
+    let export = Export::new();
+    export.model().write(&export.capture().join("sparse/0"), true);
+    let mut scene = export.load(|_| {}).unwrap();
+    for origin in [PixelOrigin::Corner, PixelOrigin::Centre] {
+        let rays = PointRays::of(&scene, origin);
+        assert!(rays.count() > scene.train.len());
+        let (drawn, t) = rays.draw(200, &mut Random::new(1, Stream::Points, 0));
+        for ((camera, x, y), t) in drawn.into_iter().zip(t) {
+            let (from, along) = camera.ray(f64::from(x) + origin.shift(), f64::from(y) + origin.shift());
+            let place: Vec3 = std::array::from_fn(|axis| from[axis] + f64::from(t) * along[axis]);
+            let apart = |point: &[f32; 3]| pose::length(pose::sub(place, point.map(f64::from)));
+            let nearest = scene.space.points.iter().map(apart).fold(f64::INFINITY, f64::min);
+            // Half a pixel along each side.
+            assert!(nearest <= 0.71 * f64::from(t) / camera.focal[0] + 1e-6, "{nearest} at {t}");
+        }
+    }
+    // Views without sightings have no rays, and masked pixels neither.
+    let View { name, camera, .. } = scene.train[0].clone();
+    scene.space.sightings.retain(|(of, _)| *of == name);
+    let of_one = PointRays::of(&scene, PixelOrigin::Centre);
+    let (drawn, _) = of_one.draw(50, &mut Random::new(2, Stream::Points, 0));
+    assert!(drawn.iter().all(|ray| ray.0 == camera));
+    scene.train[0].mask = Some(vec![false; camera.width * camera.height].into());
+    assert_eq!(PointRays::of(&scene, PixelOrigin::Centre).count(), 0);
 }
 
 #[test]

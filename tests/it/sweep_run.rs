@@ -11,7 +11,7 @@ use augnerf::augment::{Epsilon, Site};
 use augnerf::base::{Error, Listener, Result};
 use augnerf::report::Status;
 use augnerf::runtime::Runtime;
-use augnerf::settings::{Config, DeltaSource, SecondPass};
+use augnerf::settings::{Config, DeltaSource, Regularizer, SecondPass};
 use augnerf::sweep::{
     Change, Claim, Definition, Options, Overrides, Point, PointFolder, PointResult, Progress, Runner, Sharing,
     StepCosts, SweepFolder, Work, begin, evaluations_per_step, expand,
@@ -589,6 +589,9 @@ fn passes_that_only_place_samples_cost_a_forward_pass() {
     let evaluations = |config: &Config| evaluations_per_step(config) / config.train.rays as f64;
     assert_eq!(evaluations(nerf), f64::from(48 + 3 * 32));
     assert_eq!(evaluations(augmented), f64::from(48 + 3 * 32 + (3 + 3 * 2) * 32));
+    let mut with_slopes = nerf.clone();
+    with_slopes.regularizer.kind = vec![Regularizer::Orientation];
+    assert_eq!(evaluations(&with_slopes), evaluations(nerf) + f64::from(4 * 32));
     assert_eq!(augmented.train.steps, nerf.train.steps / 3);
     let mut second = augmented.clone();
     second.perturb.second = SecondPass::Clean;

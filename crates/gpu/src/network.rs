@@ -296,7 +296,7 @@ impl FieldBuffers {
 
     /// Copies a field's current parameters, as passes read them, to the device.
     pub(crate) fn of(gpu: &Gpu, shape: &Shape, field: &Field) -> Result<FieldBuffers> {
-        FieldBuffers::new(gpu, shape, &field.seen_parameters(), None)
+        FieldBuffers::new(gpu, shape, &field.opened_parameters(), None)
     }
 
     /// Reads parameters, first and second moments, in the host's order and shapes.

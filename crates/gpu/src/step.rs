@@ -42,7 +42,7 @@ pub struct Steps {
     /// In the order of [`Fields::by_role`].
     learned: Vec<FieldBuffers>,
     /// The same as passes read them: while the encodings open, with weights of their own.
-    seen: Vec<FieldBuffers>,
+    opened: Vec<FieldBuffers>,
     /// What these weights are multiplied by, and the share of the opening that it is for.
     opening: Option<(Buffer, f64)>,
     roles: Vec<&'static str>,
@@ -81,13 +81,16 @@ impl Steps {
         let shape = Shape::of(&config.field);
         let parts = RayParts { tangents: has_tangents(config), ..RayParts::default() };
         let batches = Batches::new(config, scene, parts)?;
-        let learned = gpu.checked("copying the parameters", || copied(gpu, &shape, fields, moments))??;
-        let opening = (config.field.frequency_steps > 0).then(|| (gpu.numbers(shape.weights()), f64::NAN));
-        let of_passes = |field: &FieldBuffers| match opening {
-            Some(_) => field.with_own_weights(gpu),
-            None => field.clone(),
-        };
-        let seen = learned.iter().map(of_passes).collect();
+        let (learned, opened, opening) = gpu.checked("copying the parameters", || -> Result<_> {
+            let learned = copied(gpu, &shape, fields, moments)?;
+            let opening = (config.field.frequency_steps > 0).then(|| (gpu.numbers(shape.weights()), f64::NAN));
+            let of_passes = |field: &FieldBuffers| match opening {
+                Some(_) => field.with_own_weights(gpu),
+                None => field.clone(),
+            };
+            let opened = learned.iter().map(of_passes).collect();
+            Ok((learned, opened, opening))
+        })??;
         let mut sets: [Option<PassSets>; 2] = [None, None];
         if config.method.is_augmented() && config.perturb.source().is_some() {
             for (set, size) in sets.iter_mut().zip(pass_sizes(config)) {
@@ -107,7 +110,7 @@ impl Steps {
             shape,
             batches,
             learned,
-            seen,
+            opened,
             opening,
             roles: fields.by_role().into_iter().map(|(role, _)| role).collect(),
             sets,
@@ -238,14 +241,21 @@ impl Steps {
             Some(space) => space.send(&self.gpu, &self.config, step)?,
             None => 0,
         };
-        let sampling = &self.config.sampling;
-        if sampling.anneal_steps > 0 {
-            let columns = self.config.field.encoding.t_vals(sampling.coarse);
-            let rows = bins(sampling.spacing, sampling.annealed(self.scene_bounds, step), columns, sampling.jitter);
-            self.gpu.write(&self.buffers.rows, bytemuck::cast_slice(&rows));
-        }
-        self.sent = 4 * (words.words().len() + rays.len()) + of_points + self.send_opening(step)?;
+        self.sent =
+            4 * (words.words().len() + rays.len()) + of_points + self.send_opening(step)? + self.send_bins(step);
         Ok(())
+    }
+
+    /// Sends the bins of samples that spread, and returns their bytes.
+    fn send_bins(&self, step: u64) -> usize {
+        let sampling = &self.config.sampling;
+        if sampling.anneal_steps == 0 || step > sampling.anneal_steps {
+            return 0;
+        }
+        let columns = self.config.field.encoding.t_vals(sampling.coarse);
+        let bins = bins(sampling.spacing, sampling.annealed(self.scene_bounds, step), columns, sampling.jitter);
+        self.gpu.write(&self.buffers.rows, bytemuck::cast_slice(&bins));
+        4 * bins.len()
     }
 
     /// Sends the factors of an opening if they changed, and returns their bytes.
@@ -344,7 +354,7 @@ impl Steps {
 
     fn field(&self, role: &str) -> Option<&FieldBuffers> {
         let index = self.roles.iter().position(|known| *known == role)?;
-        Some(&self.seen[index])
+        Some(&self.opened[index])
     }
 
     /// The field of clean fine passes.
@@ -380,9 +390,9 @@ impl Steps {
     /// gradients.
     fn record_opening(&self, recorder: &mut Recorder, before: bool) {
         let Some((factors, _)) = &self.opening else { return };
-        for (learned, seen) in self.learned.iter().zip(&self.seen) {
-            let [learned, seen] = [&learned.weights, &seen.weights];
-            let to = if before { &seen.values } else { &learned.gradient };
+        for (learned, opened) in self.learned.iter().zip(&self.opened) {
+            let [learned, opened] = [&learned.weights, &opened.weights];
+            let to = if before { &opened.values } else { &learned.gradient };
             let mut buffers = vec![(1, factors), (2, to)];
             buffers.extend(before.then_some((3, &learned.values)));
             let words = Words::default().u(learned.count).u(0).u(0).u(0);
@@ -393,7 +403,7 @@ impl Steps {
     /// Index and buffers of the fields in which terms in space count.
     fn regularized(&self) -> impl Iterator<Item = (usize, &FieldBuffers)> {
         let counts = |role: &str| is_regularized(&self.config.regularizer, &self.roles, role);
-        self.seen.iter().enumerate().filter(move |(index, _)| counts(self.roles[*index]))
+        self.opened.iter().enumerate().filter(move |(index, _)| counts(self.roles[*index]))
     }
 
     /// Records the terms in space.

@@ -119,12 +119,15 @@ steps! {
     nerf_with_terms_on_rays: "method=nerf", "field.density_activation=relu",
         "regularizer.kind=[\"distortion\",\"occlusion\",\"entropy\",\"cauchy\",\"opacity-prior\"]",
         "regularizer.weight=[0.1,0.2,0.1,0.3,0.1]", "regularizer.occlusion_share=0.4";
+    nerf_with_noise_and_terms_on_rays: "method=nerf", "sampling.density_noise=0.5", "regularizer.fields=fine",
+        "regularizer.kind=[\"entropy\",\"occlusion\",\"cauchy\"]", "regularizer.weight=[0.1,0.2,0.3]";
     hash_grid_with_terms_on_rays: "method=nerf", "field.encoding=hash", "regularizer.kind=[\"entropy\",\"occlusion\",\"cauchy\",\"opacity-prior\"]",
         "regularizer.weight=[0.1,0.2,0.3,0.1]";
     nerf_with_frequencies_that_open: "method=nerf", "field.frequency_steps=9", "regularizer.kind=occlusion", "regularizer.weight=0.2";
-    aug_nerf_with_frequencies_that_open: "method=aug-nerf", "field.frequency_steps=12", "regularizer.kind=tv";
-    hash_with_levels_that_open: "method=nerf", "field.encoding=hash", "field.frequency_steps=9", "regularizer.kind=tv";
+    aug_nerf_with_frequencies_that_open: "method=aug-nerf", "field.frequency_steps=12", "regularizer.kind=tv", "regularizer.weight=0.1", "field.skips=[1,3]", "perturb.field=separate";
+    hash_with_levels_that_open: "method=nerf", "field.encoding=hash", "field.frequency_steps=9", "regularizer.kind=tv", "regularizer.weight=0.1";
     nerf_with_samples_that_spread: "method=nerf", "sampling.anneal_steps=10", "sampling.anneal_start=0.1";
+    aug_nerf_with_samples_that_spread: "method=aug-nerf", "sampling.anneal_steps=10";
     nerf_coarse_only_with_entropy: "method=nerf", "sampling.fine=0", "regularizer.kind=entropy", "regularizer.weight=0.1";
     nerf_deep_with_two_skips: "method=nerf", "field.depth=6", "field.skips=[2,4]", "field.view_depth=3", "field.width=40";
     nerf_wide: "method=nerf", "field.width=136";
@@ -228,8 +231,9 @@ fn products_in_f16() {
 /// Two runs have the same bytes, and a device that goes on from fetched numbers has those of one that did not stop.
 #[test]
 fn the_same_bytes_twice_and_after_a_fetch() {
-    for settings in [["method=aug-nerf", "field.encoding=hash"], ["method=nerf", "field.encoding=positional"]] {
-        let (config, scene) = (config(&settings), scene());
+    let opening = ["field.frequency_steps=3", "sampling.anneal_steps=3", "method=nerf"];
+    for settings in [&["method=aug-nerf", "field.encoding=hash"][..], &["method=nerf"], &opening] {
+        let (config, scene) = (config(settings), scene());
         let (learner, _) = FieldLearner::start(&config, &scene, DType::F32, &Device::Cpu).unwrap();
         let start: Vec<Tensor> =
             learner.fields().variables().iter().map(|(_, var)| var.as_tensor().copy().unwrap()).collect();

@@ -138,9 +138,12 @@ pub(super) fn point(planned: &PlannedRun, costs: &dyn StepCosts) -> Result<Point
     if let (Some((kind, like)), Some(decay_steps)) = (&planned.budget, planned.decay_steps) {
         let steps = steps_within(*kind, &config, like, costs)?;
         // The decay of the learning rate is stretched with the steps. Without it a longer run would not learn at its
-        // end.
+        // end, as a shorter one would not with encodings that open after it.
         let stretch = steps as f64 / config.train.steps as f64;
-        config.train.decay_steps = Some(((decay_steps as f64 * stretch).round() as u64).max(1));
+        let stretched = |of: u64| (of as f64 * stretch).round() as u64;
+        config.train.decay_steps = Some(stretched(decay_steps).max(1));
+        config.field.frequency_steps = stretched(config.field.frequency_steps).min(steps);
+        config.sampling.anneal_steps = stretched(config.sampling.anneal_steps).min(steps);
         config.train.steps = steps;
         let row = || format!("row '{}'", label(&planned.place.row, &planned.place.axes));
         config.validate().map_err(|error| error.within(&row()))?;

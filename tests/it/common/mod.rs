@@ -10,7 +10,7 @@ use std::sync::OnceLock;
 use std::time::Instant;
 
 use augnerf::base::Image;
-use augnerf::data::{Camera, Scene, View};
+use augnerf::data::{Camera, Scene, SceneSpace, View};
 use augnerf::runtime::Runtime;
 use augnerf::settings::{Config, DataKind, DensityActivation, Encoding, Method, Resolved};
 use augnerf::train::Trainer;
@@ -35,6 +35,9 @@ pub fn tiny_scene() -> Scene {
         let image = Image { width: 16, height: 16, channels: 3, pixels: pixels.collect() };
         View { name: format!("view{index}"), camera, image: image.into(), depth: None, mask: None }
     };
+    // Where the ball's front may be.
+    let points = (0..5).map(|i| [0.1 * i as f32 - 0.2, 0.0, 0.8]).collect();
+    let sightings = (0..3).map(|index| (format!("view{index}"), (0..5).collect())).collect();
     Scene {
         name: "ball".into(),
         kind: "blender",
@@ -46,7 +49,7 @@ pub fn tiny_scene() -> Scene {
         background: Some([1.0; 3]),
         path: vec![],
         corrupted: None,
-        space: Default::default(),
+        space: SceneSpace { points, sightings, ..SceneSpace::default() },
     }
 }
 

@@ -6,7 +6,7 @@ use augnerf::methods::Learner;
 use augnerf::settings::{DataKind, TermRays, WeightSchedule};
 
 /// Terms on rays, in space and on tables that are not the paper's, with weights that show.
-const FEW_VIEWS: [(Regularizer, f64); 9] = [
+const FEW_VIEWS: [(Regularizer, f64); 10] = [
     (Regularizer::Occlusion, 0.1),
     (Regularizer::Entropy, 0.1),
     (Regularizer::Cauchy, 0.1),
@@ -16,6 +16,7 @@ const FEW_VIEWS: [(Regularizer, f64); 9] = [
     (Regularizer::DepthSmoothness, 1.0),
     (Regularizer::InformationGain, 1.0),
     (Regularizer::Orientation, 0.3),
+    (Regularizer::SparseDepth, 0.3),
 ];
 
 fn with(on_grid: bool, set: impl Fn(&mut RegularizerConfig)) -> augnerf::settings::Resolved {
@@ -89,7 +90,7 @@ fn learner(term: Regularizer, weight: f64, on_grid: bool, dtype: DType) -> Field
 /// them, for another network places them.
 #[test]
 fn the_gradients_of_a_step_with_a_term_are_those_of_differences() {
-    // Depth's opacity has no gradient, as in RegNeRF.
+    // The opacity of a patch has no gradient, as in RegNeRF.
     for (term, weight) in terms_of(false).filter(|(term, _)| *term != Regularizer::DepthSmoothness) {
         let mut learner = learner(term, 10.0 * weight, false, DType::F64);
         let fine = learner.fields().variables().into_iter().filter(|(name, _)| name.starts_with("fine"));
@@ -181,6 +182,10 @@ fn unseen_rays_disturb_nothing_and_need_cameras_that_meet() {
     }
     let runtime = augnerf::runtime::Runtime::new("cpu", Some(1)).unwrap();
     let said = Trainer::new(&idle, &scene, DType::F32, &runtime).err().unwrap().to_string();
+    let to_points = with(false, |config| config.kind = vec![Regularizer::SparseDepth]);
+    scene.space.sightings.clear();
+    let none = Trainer::new(&to_points, &scene, DType::F32, &runtime).err().unwrap().to_string();
+    assert_says(&none, &["depth at points", "COLMAP"]);
     assert_says(&said, &["unseen_poses = \"sphere\"", "no common point", "\"between\""]);
 }
 
@@ -235,5 +240,9 @@ fn impossible_terms_and_schedules_are_refused() {
         &refused(&["regularizer.kind=tv", "regularizer.schedule=rising"]),
         &["from WEIGHT in N steps", "halved every N steps"],
     );
+    let orientation = |other: &str| refused(&["regularizer.kind=orientation", other]);
+    assert_says(&orientation("method=mip-nerf"), &["orientation", "Gaussians", "nerf or aug-nerf"]);
+    assert_says(&orientation("method=srn"), &["orientation", "srn"]);
+    assert_says(&orientation("train.gradient_scaling=true"), &["orientation", "gradient_scaling"]);
     assert_says(&refused(&["regularizer.kind=occlusion", "regularizer.occlusion_share=2"]), &["occlusion_share", "2"]);
 }

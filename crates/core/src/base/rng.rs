@@ -47,6 +47,8 @@ pub enum Stream {
     Permutation,
     /// Built-in scenes by seed.
     Scene,
+    /// Rays to known points, with the random numbers of their passes.
+    Points,
 }
 
 impl Stream {
@@ -70,6 +72,7 @@ impl Stream {
             Stream::Unseen => 14,
             Stream::Permutation => 15,
             Stream::Scene => 16,
+            Stream::Points => 17,
         }
     }
 }

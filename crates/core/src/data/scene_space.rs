@@ -13,6 +13,8 @@ pub struct SceneSpace {
     pub domain: Option<[[f64; 3]; 2]>,
     /// Points of the scene, if the capture has some (COLMAP), in scene units.
     pub points: Vec<[f32; 3]>,
+    /// By name of a view, the numbers of the points that were triangulated in it (COLMAP).
+    pub sightings: Vec<(String, Vec<u32>)>,
     /// The reader's choices and their reasons, for people: label and words.
     pub notes: Vec<(&'static str, String)>,
 }

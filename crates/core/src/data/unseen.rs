@@ -28,6 +28,8 @@ pub enum RayGroup {
     One,
     /// A ray and its twin from nearby.
     Pair,
+    /// A photograph's ray through a point of the capture, of which t is known.
+    Point,
     /// The rays of [`PATCH_SIDE`] x [`PATCH_SIDE`] pixels, row by row.
     Patch,
 }
@@ -36,7 +38,7 @@ impl RayGroup {
     /// Returns the number of its rays.
     pub fn rays(self) -> usize {
         match self {
-            RayGroup::One => 1,
+            RayGroup::One | RayGroup::Point => 1,
             RayGroup::Pair => 2,
             RayGroup::Patch => PATCH_SIDE * PATCH_SIDE,
         }
@@ -127,6 +129,7 @@ impl UnseenCameras {
                 vec![ray, self.twin(ray, random)]
             }
             RayGroup::Patch => patch(self.draw(random), random),
+            RayGroup::Point => unreachable!("rays to points are those of photographs"),
         };
         (0..count).flat_map(one_group).collect()
     }

@@ -290,7 +290,7 @@ impl Field {
 
     /// Returns the current parameters as passes read them, in the order of [`Field::parameter_names`]: weights of hidden
     /// inputs are multiplied ([`Field::opened`]).
-    pub fn seen_parameters(&self) -> Vec<Tensor> {
+    pub fn opened_parameters(&self) -> Vec<Tensor> {
         let table = self.grid.iter().map(|grid| grid.table().detach());
         table.chain(self.layers().flat_map(|layer| [layer.weight.detach(), layer.bias.detach()])).collect()
     }
@@ -397,9 +397,7 @@ impl Field {
     }
 
     fn detached(&self) -> Field {
-        let table = self.grid.iter().map(|grid| grid.table().detach());
-        let of_layers = self.layers().flat_map(|layer| [layer.weight.detach(), layer.bias.detach()]);
-        let tensors = table.chain(of_layers).collect();
+        let tensors = self.opened_parameters();
         Field { network: self.network.clone(), hidden: self.hidden.clone(), ..Field::assemble(&self.config, tensors) }
     }
 

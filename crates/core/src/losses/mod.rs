@@ -14,6 +14,7 @@
 //! | `depth-smoothness` | unseen patches | squared differences of neighbouring pixels' depth | RegNeRF |
 //! | `information-gain` | unseen pairs | divergence of the opacities of a ray and its twin | InfoNeRF |
 //! | `orientation` | rays | weights where density falls along the ray | Ref-NeRF |
+//! | `sparse-depth` | rays to points | squared difference of the ray's depth and the point's | DS-NeRF |
 //! | `hash-decay` | tables | half the mean square of each level's entries | Zip-NeRF |
 //!
 //! A term on rays is the mean over a step's rays, which are those of its photographs or unseen ones, or over its pairs or
@@ -43,6 +44,7 @@ mod occlusion;
 mod opacity;
 mod orientation;
 mod smoothness;
+mod sparse_depth;
 mod spatial;
 mod tv;
 
@@ -58,6 +60,7 @@ pub use occlusion::Occlusion;
 pub use opacity::{OpacityPrior, OpacitySparsity};
 pub use orientation::Orientation;
 pub use smoothness::{Smoothness, measure, measure_density};
+pub use sparse_depth::SparseDepth;
 pub use spatial::{Regularized, WeightedSpaceTerm, estimate_seconds, regularize, regularize_at, regularize_unless};
 pub use tv::Tv;
 
@@ -73,6 +76,8 @@ pub struct RayPass<'a> {
     pub directions: &'a Tensor,
     /// Density's gradient at the samples, `[rays, samples, 3]`, if a term of the pass reads it.
     pub slopes: Option<&'a Tensor>,
+    /// The t of the known point on each ray, `[rays]`, if the rays are those to points ([`RayGroup::Point`]).
+    pub point_t: Option<&'a Tensor>,
 }
 
 impl RayPass<'_> {
@@ -230,6 +235,7 @@ impl LossTerm {
             Regularizer::DepthSmoothness => LossTerm::on_rays(DepthSmoothness),
             Regularizer::InformationGain => LossTerm::on_rays(InformationGain),
             Regularizer::Orientation => LossTerm::on_rays(Orientation),
+            Regularizer::SparseDepth => LossTerm::on_rays(SparseDepth),
         };
         match (term, config.rays) {
             (LossTerm::OnRays(term, _), TermRays::Unseen) => LossTerm::OnRays(term, TermRays::Unseen),
@@ -301,10 +307,19 @@ mod tests {
         has_edges: bool,
         /// Density's gradients at the samples, three numbers each. They do not depend on the densities above.
         slopes: Vec<f64>,
+        /// The t of a known point.
+        point_t: Option<f64>,
     }
 
     pub(super) fn rays(density: &[f64], far: f64) -> TestRay {
-        TestRay { density: density.to_vec(), rays: 1, far, has_edges: false, slopes: vec![0.0; 3 * density.len()] }
+        TestRay {
+            density: density.to_vec(),
+            rays: 1,
+            far,
+            has_edges: false,
+            slopes: vec![0.0; 3 * density.len()],
+            point_t: None,
+        }
     }
 
     /// Two such rays.
@@ -334,6 +349,11 @@ mod tests {
             TestRay { slopes, ..self }
         }
 
+        /// The same with a known point on it.
+        pub(super) fn to_point(self, t: f64) -> TestRay {
+            TestRay { point_t: Some(t), ..self }
+        }
+
         /// Returns a term's value, and its derivatives in density, and in density's gradients if it reads them.
         fn differentiated(&self, term: &dyn RayTerm) -> (f64, Vec<f64>) {
             let (rays, n) = (self.rays, self.density.len() / self.rays);
@@ -349,6 +369,7 @@ mod tests {
             let output = PassOutput { composite, rgb, density: density.as_tensor().clone(), t_vals, raw_density };
             let slopes = Tensor::from_slice(&self.slopes, (rays, n, 3), &Device::Cpu).unwrap();
             let slopes = Var::from_tensor(&slopes).unwrap();
+            let point_t = self.point_t.map(|t| Tensor::from_slice(&[t], 1, &Device::Cpu).unwrap());
             let directions = Tensor::from_vec([0.0, 0.0, 1.0].repeat(rays), (rays, 3), &Device::Cpu).unwrap();
             let pass = RayPass {
                 output: &output,
@@ -356,6 +377,7 @@ mod tests {
                 direction_norm: &direction_norm,
                 directions: &directions,
                 slopes: term.reads_slopes().then_some(slopes.as_tensor()),
+                point_t: point_t.as_ref(),
             };
             let value = term.per_group(&pass).unwrap();
             let gradients = value.sum_all().unwrap().backward().unwrap();

@@ -121,7 +121,8 @@ impl Stepper for HostStepper {
     fn columns(&self) -> LogColumns {
         let mut columns = self.learner.columns();
         if self.sharpness.is_some() {
-            columns.further.extend([GAIN, GAIN_OVER_RANDOM, SHIFT].map(String::from));
+            columns.further.extend([GAIN, GAIN_OVER_RANDOM].map(String::from));
+            columns.further.extend(self.learner.has_colours().then(|| SHIFT.into()));
         }
         columns
     }

@@ -53,6 +53,11 @@ pub trait Learner: Send {
     /// If there is a term of that name, or the method cannot compute it.
     fn add_term(&mut self, term: LossTerm, weight: f64) -> Result<()>;
 
+    /// Returns whether the method tells the colours of a step's rays ([`Learner::colours`]).
+    fn has_colours(&self) -> bool {
+        false
+    }
+
     /// Returns the colours that the rays of the step after `step` finished ones have in an evaluation, `[rays, 3]`. `None`
     /// if the method does not tell.
     fn colours(&mut self, _step: u64) -> Result<Option<Tensor>> {

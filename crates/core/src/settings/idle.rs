@@ -41,8 +41,9 @@ impl Config {
                     .into(),
             );
         }
-        let unseen = ["regularizer.unseen_rays", "regularizer.unseen_poses"].contains(&path);
-        if unseen && self.regularizer.unseen_groups().is_empty() {
+        let is_idle = path == "regularizer.unseen_rays" && self.regularizer.unseen_groups().is_empty()
+            || path == "regularizer.unseen_poses" && !self.regularizer.reads_unseen_cameras();
+        if is_idle {
             return Some(
                 "no term of regularizer.kind reads unseen rays; depth-smoothness and information-gain do, and others with \
                  regularizer.rays = \"unseen\""

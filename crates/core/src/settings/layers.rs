@@ -354,7 +354,7 @@ mod tests {
             ("method=nerv", "'nerv' is not one of nerf, aug-nerf, "),
             ("train.steps=1e30", "'1e30' is not a whole number"),
             ("train.learning_rate=-1e300", "train.learning_rate = -1e300 is out of range"),
-            ("regularizer.kind=none", "information-gain or orientation, nor a list of them; [] is none"),
+            ("regularizer.kind=none", "orientation or sparse-depth, nor a list of them; [] is none"),
             (
                 "regularizer=tv",
                 "'tv' is the value of a setting, and regularizer is a section; set one of its settings, such as \

@@ -39,10 +39,12 @@ pub enum Regularizer {
     InformationGain,
     /// Weights where density falls along the ray, as on the far side of a surface (Ref-NeRF).
     Orientation,
+    /// Depth at the points that COLMAP triangulated (DS-NeRF).
+    SparseDepth,
 }
 
 /// All regularizers in their fixed order.
-pub const REGULARIZERS: [Regularizer; 13] = [
+pub const REGULARIZERS: [Regularizer; 14] = [
     Regularizer::L1,
     Regularizer::Tv,
     Regularizer::Laplacian,
@@ -56,6 +58,7 @@ pub const REGULARIZERS: [Regularizer; 13] = [
     Regularizer::DepthSmoothness,
     Regularizer::InformationGain,
     Regularizer::Orientation,
+    Regularizer::SparseDepth,
 ];
 
 /// What a term is computed from.
@@ -71,42 +74,58 @@ pub enum TermNeeds {
     Tables,
 }
 
+/// What settings know of a term.
+struct Known {
+    name: &'static str,
+    needs: TermNeeds,
+    default_weight: f64,
+    is_of_evaluated_pass: bool,
+}
+
+const fn known(name: &'static str, needs: TermNeeds, default_weight: f64) -> Known {
+    Known { name, needs, default_weight, is_of_evaluated_pass: false }
+}
+
+/// The same of a term that counts in the evaluated pass alone.
+const fn known_alone(name: &'static str, needs: TermNeeds, default_weight: f64) -> Known {
+    Known { is_of_evaluated_pass: true, ..known(name, needs, default_weight) }
+}
+
 impl Regularizer {
+    /// Name, what it is computed from, and default weight of each term. With that weight a term of the paper has a tenth of
+    /// the photometric loss's gradient norm on fern, preset `paper-llff`, after 100 steps. Another scene can need hundreds
+    /// of times as much; `augnerf balance` measures it. The others have their authors' weights: mip-NeRF 360's,
+    /// FreeNeRF's, InfoNeRF's on Blender's scenes with 4 views, SNeRG's, Neural Volumes', PlenOctrees', Zip-NeRF's on the
+    /// scenes of mip-NeRF 360, RegNeRF's after its first 512 steps, InfoNeRF's on DTU, FlipNeRF's on
+    /// Blender's scenes, and DS-NeRF's.
+    fn known(self) -> Known {
+        const RAYS: TermNeeds = TermNeeds::Samples(RayGroup::One);
+        match self {
+            Regularizer::L1 => known("l1", TermNeeds::Density(Order::Density), 1.4e-4),
+            Regularizer::Tv => known("tv", TermNeeds::Density(Order::Gradient), 3.8e-6),
+            Regularizer::Laplacian => known("laplacian", TermNeeds::Density(Order::Laplacian), 7.4e-9),
+            Regularizer::Distortion => known("distortion", RAYS, 0.01),
+            Regularizer::Occlusion => known_alone("occlusion", RAYS, 0.01),
+            Regularizer::Entropy => known_alone("entropy", RAYS, 1e-3),
+            Regularizer::Cauchy => known("cauchy", RAYS, 1e-4),
+            Regularizer::OpacityPrior => known("opacity-prior", RAYS, 0.01),
+            Regularizer::OpacitySparsity => known("opacity-sparsity", TermNeeds::Density(Order::Density), 1e-3),
+            Regularizer::HashDecay => known("hash-decay", TermNeeds::Tables, 0.1),
+            Regularizer::DepthSmoothness => known_alone("depth-smoothness", TermNeeds::Samples(RayGroup::Patch), 0.1),
+            Regularizer::InformationGain => known_alone("information-gain", TermNeeds::Samples(RayGroup::Pair), 2e-5),
+            Regularizer::Orientation => known_alone("orientation", TermNeeds::Slopes, 0.01),
+            Regularizer::SparseDepth => known_alone("sparse-depth", TermNeeds::Samples(RayGroup::Point), 0.1),
+        }
+    }
+
     /// Returns the name in files and tables.
     pub fn name(self) -> &'static str {
-        match self {
-            Regularizer::L1 => "l1",
-            Regularizer::Tv => "tv",
-            Regularizer::Laplacian => "laplacian",
-            Regularizer::Distortion => "distortion",
-            Regularizer::Occlusion => "occlusion",
-            Regularizer::Entropy => "entropy",
-            Regularizer::Cauchy => "cauchy",
-            Regularizer::OpacityPrior => "opacity-prior",
-            Regularizer::OpacitySparsity => "opacity-sparsity",
-            Regularizer::HashDecay => "hash-decay",
-            Regularizer::DepthSmoothness => "depth-smoothness",
-            Regularizer::InformationGain => "information-gain",
-            Regularizer::Orientation => "orientation",
-        }
+        self.known().name
     }
 
     /// Returns what the term is computed from.
     pub fn needs(self) -> TermNeeds {
-        match self {
-            Regularizer::L1 | Regularizer::OpacitySparsity => TermNeeds::Density(Order::Density),
-            Regularizer::Tv => TermNeeds::Density(Order::Gradient),
-            Regularizer::Laplacian => TermNeeds::Density(Order::Laplacian),
-            Regularizer::HashDecay => TermNeeds::Tables,
-            Regularizer::Distortion
-            | Regularizer::Occlusion
-            | Regularizer::Entropy
-            | Regularizer::Cauchy
-            | Regularizer::OpacityPrior => TermNeeds::Samples(RayGroup::One),
-            Regularizer::DepthSmoothness => TermNeeds::Samples(RayGroup::Patch),
-            Regularizer::InformationGain => TermNeeds::Samples(RayGroup::Pair),
-            Regularizer::Orientation => TermNeeds::Slopes,
-        }
+        self.known().needs
     }
 
     /// Returns the groups in which rays come whose samples the term reads. `None` for other terms.
@@ -120,14 +139,7 @@ impl Regularizer {
 
     /// Returns whether the term counts in the evaluated pass alone, whatever [`RegularizerConfig::fields`] says.
     pub fn is_of_evaluated_pass(self) -> bool {
-        matches!(
-            self,
-            Regularizer::Occlusion
-                | Regularizer::Entropy
-                | Regularizer::DepthSmoothness
-                | Regularizer::InformationGain
-                | Regularizer::Orientation
-        )
+        self.known().is_of_evaluated_pass
     }
 
     /// Returns whether the term is an integral over the box of section `regularizer`, of density or its derivatives at
@@ -139,26 +151,6 @@ impl Regularizer {
     /// Returns whether the term reads density or its derivatives at points, of the box or of rays.
     pub fn reads_points(self) -> bool {
         self.in_space() || self.needs() == TermNeeds::Slopes
-    }
-
-    /// Returns the default weight. A term of the paper then has a tenth of the photometric loss's gradient norm on fern,
-    /// preset `paper-llff`, after 100 steps. Another scene can need hundreds of times as much; `augnerf balance` measures
-    /// it. The others have their authors' weights: mip-NeRF 360's, FreeNeRF's, InfoNeRF's on Blender's scenes with 4
-    /// views, SNeRG's, Neural Volumes', PlenOctrees', Zip-NeRF's on the scenes of mip-NeRF 360, RegNeRF's after its
-    /// first 512 steps, InfoNeRF's on DTU, and FlipNeRF's on Blender's scenes.
-    fn default_weight(self) -> f64 {
-        match self {
-            Regularizer::L1 => 1.4e-4,
-            Regularizer::Tv => 3.8e-6,
-            Regularizer::Laplacian => 7.4e-9,
-            Regularizer::Distortion | Regularizer::Occlusion | Regularizer::OpacityPrior | Regularizer::Orientation => {
-                0.01
-            }
-            Regularizer::InformationGain => 2e-5,
-            Regularizer::Entropy | Regularizer::OpacitySparsity => 1e-3,
-            Regularizer::Cauchy => 1e-4,
-            Regularizer::HashDecay | Regularizer::DepthSmoothness => 0.1,
-        }
     }
 }
 
@@ -226,12 +218,12 @@ section! {
     /// Explicit regularizers. The loss gains weight * term for each.
     pub struct RegularizerConfig {
         /// `l1`, `tv`, `laplacian`, `distortion`, `occlusion`, `entropy`, `cauchy`, `opacity-prior`,
-        /// `opacity-sparsity`, `hash-decay`, `depth-smoothness`, `information-gain`, `orientation`, or a list of several; empty = none.
+        /// `opacity-sparsity`, `hash-decay`, `depth-smoothness`, `information-gain`, `orientation`, `sparse-depth`, or a list of several; empty = none.
         #[serde(deserialize_with = "kinds")]
         pub kind: Vec<Regularizer> = Vec::new(), numbers().columns(&["regularizers"]);
         /// Weight of each term in `kind`: a number, or a list in the same order. Empty = the default of each term (l1
         /// 1.4e-4, tv 3.8e-6, laplacian 7.4e-9, distortion 0.01, occlusion 0.01, entropy 1e-3, cauchy 1e-4,
-        /// opacity-prior 0.01, opacity-sparsity 1e-3, hash-decay 0.1, depth-smoothness 0.1, information-gain 2e-5, orientation 0.01), which
+        /// opacity-prior 0.01, opacity-sparsity 1e-3, hash-decay 0.1, depth-smoothness 0.1, information-gain 2e-5, orientation 0.01, sparse-depth 0.1), which
         /// is for one scene; `augnerf balance` measures others. A weight of 0 disables the term, unless its schedule begins elsewhere.
         #[serde(deserialize_with = "weights")]
         pub weight: Vec<f64> = Vec::new(),
@@ -260,11 +252,11 @@ section! {
         /// Share of near..far in which `occlusion` counts density. Default: 20 of 128 even samples, as FreeNeRF.
         pub occlusion_share: f64 = 0.15625,
             numbers().real(|share| share > 0.0 && share <= 1.0, "over 0, at most 1").columns(&["regularizers"]).later().same_time();
-        /// The rays of `distortion`, `occlusion`, `entropy`, `cauchy` and `opacity-prior`: `training` (the step's own), or
+        /// The rays of `distortion`, `occlusion`, `entropy`, `cauchy`, `opacity-prior` and `orientation`: `training` (the step's own), or
         /// `unseen` (`unseen_rays` of cameras without photographs).
         pub rays: TermRays = TermRays::Training, numbers().columns(&["regularizers"]).later();
-        /// Number of unseen rays in a step, for each of single rays, pairs (`information-gain`) and patches of 64
-        /// (`depth-smoothness`) that a term needs. Empty = `train.rays`, in whole pairs and patches.
+        /// Number of unseen rays in a step, for each of single rays, pairs (`information-gain`), patches of 64
+        /// (`depth-smoothness`) and rays to points (`sparse-depth`) that a term needs. Empty = `train.rays`, in whole pairs and patches.
         pub unseen_rays: Option<usize> = None,
             numbers().whole(1, 1 << 20, "1 to 2^20, in whole pairs and patches of 64").columns(&["unseen"]).later();
         /// Cameras of unseen rays, from the training cameras alone: `box` (in the box around them, looking at what they
@@ -286,9 +278,14 @@ impl RegularizerConfig {
         self.schedule.iter().copied().chain(std::iter::repeat(WeightSchedule::Constant)).take(self.kind.len())
     }
 
-    /// Returns the groups in which terms read unseen rays, each once.
+    /// Returns whether any term reads rays of cameras without photographs.
+    pub fn reads_unseen_cameras(&self) -> bool {
+        self.unseen_groups().iter().any(|group| *group != RayGroup::Point)
+    }
+
+    /// Returns the groups in which terms read rays without photographs' colours, each once.
     pub fn unseen_groups(&self) -> Vec<RayGroup> {
-        let groups = [RayGroup::One, RayGroup::Pair, RayGroup::Patch];
+        let groups = [RayGroup::Point, RayGroup::One, RayGroup::Pair, RayGroup::Patch];
         let reads = |group: &RayGroup| {
             let of_group = |term: &Regularizer| term.group() == Some(*group);
             (*group != RayGroup::One || self.rays == TermRays::Unseen) && self.kind.iter().any(of_group)
@@ -317,7 +314,7 @@ impl RegularizerConfig {
     /// run without them.
     pub(super) fn resolve(&mut self) {
         if self.weight.is_empty() {
-            self.weight = self.kind.iter().map(|kind| kind.default_weight()).collect();
+            self.weight = self.kind.iter().map(|kind| kind.known().default_weight).collect();
         }
         let counts = |(_, weight): &(Regularizer, f64), schedule: &WeightSchedule| {
             *weight != 0.0 || matches!(schedule, WeightSchedule::Linear { from, .. } if *from != 0.0)
@@ -338,7 +335,10 @@ impl RegularizerConfig {
             self.rays = TermRays::Training;
         }
         if self.unseen_groups().is_empty() {
-            (self.unseen_rays, self.unseen_poses) = (None, None);
+            self.unseen_rays = None;
+        }
+        if !self.reads_unseen_cameras() {
+            self.unseen_poses = None;
         }
         if !self.kind.contains(&Regularizer::Occlusion) {
             self.occlusion_share = RegularizerConfig::default().occlusion_share;
@@ -354,7 +354,7 @@ impl RegularizerConfig {
 #[serde(
     untagged,
     expecting = "expected l1, tv, laplacian, distortion, occlusion, entropy, cauchy, opacity-prior, opacity-sparsity, \
-                hash-decay, depth-smoothness, information-gain or orientation, or a list such as [\"l1\", \"tv\"]"
+                hash-decay, depth-smoothness, information-gain, orientation or sparse-depth, or a list such as [\"l1\", \"tv\"]"
 )]
 enum Kinds {
     One(Regularizer),
@@ -403,7 +403,17 @@ fn schedules<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Vec<WeightSch
 #[cfg(test)]
 mod tests {
     use super::REGULARIZERS;
+    use crate::data::RayGroup;
     use crate::settings::registry::REGISTRY;
+
+    #[test]
+    fn the_text_of_rays_names_every_term_on_single_rays() {
+        let doc = &REGISTRY.get("regularizer.rays").unwrap().doc;
+        for term in REGULARIZERS {
+            let named = doc.contains(&format!("`{}`", term.name()));
+            assert_eq!(named, term.group() == Some(RayGroup::One), "{}", term.name());
+        }
+    }
 
     #[test]
     fn the_text_of_weights_names_every_default() {
@@ -414,6 +424,6 @@ mod tests {
             .map(|pair| pair.split_once(' ').unwrap())
             .map(|(name, w)| (name, w.parse().unwrap()))
             .collect();
-        assert_eq!(named, REGULARIZERS.map(|term| (term.name(), term.default_weight())));
+        assert_eq!(named, REGULARIZERS.map(|term| (term.name(), term.known().default_weight)));
     }
 }

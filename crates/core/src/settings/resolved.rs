@@ -95,7 +95,10 @@ impl Config {
         let together = self.regularizer.unseen_groups().last().map_or(1, |group| group.rays());
         let unseen_rays = self.regularizer.unseen_rays.unwrap_or((self.train.rays / together).max(1) * together);
         if !self.regularizer.unseen_groups().is_empty() {
-            (self.regularizer.unseen_rays, self.regularizer.unseen_poses) = (Some(unseen_rays), Some(unseen_poses));
+            self.regularizer.unseen_rays = Some(unseen_rays);
+        }
+        if self.regularizer.reads_unseen_cameras() {
+            self.regularizer.unseen_poses = Some(unseen_poses);
         }
         self.data.corruption.resolve();
         self.validate()?;

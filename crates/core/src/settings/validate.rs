@@ -46,6 +46,7 @@ impl Config {
             self.validate_perturb()?;
         }
         self.validate_sites()?;
+        self.validate_openings()?;
         self.validate_regularizer()?;
         let side = self.eval.mesh.resolution;
         let allowed = format!("0 (no surface), or {} to {} cells a side", MESH_SIDES.start(), MESH_SIDES.end());
@@ -294,6 +295,19 @@ impl Config {
         }
     }
 
+    /// Rejects encodings and samples that open after the training.
+    fn validate_openings(&self) -> Result<()> {
+        let openings = [
+            ("field.frequency_steps", self.field.frequency_steps, "or the encodings never open"),
+            ("sampling.anneal_steps", self.sampling.anneal_steps, "or training never sees whole rays"),
+        ];
+        for (name, steps, why) in openings {
+            let allowed = format!("at most train.steps ({}), {why}", self.train.steps);
+            require(steps <= self.train.steps || !self.method.has_fields(), name, steps, &allowed)?;
+        }
+        Ok(())
+    }
+
     fn validate_regularizer(&self) -> Result<()> {
         let regularizer = &self.regularizer;
         let (kinds, weights) = (&regularizer.kind, regularizer.weight.len());
@@ -310,19 +324,14 @@ impl Config {
                 counted(kinds.len(), "term")
             )
         })?;
-        let openings = [
-            ("field.frequency_steps", self.field.frequency_steps, "or the encodings never open"),
-            ("sampling.anneal_steps", self.sampling.anneal_steps, "or training never sees whole rays"),
-        ];
-        for (name, steps, why) in openings {
-            let allowed = format!("at most train.steps ({}), {why}", self.train.steps);
-            require(steps <= self.train.steps || !self.method.has_fields(), name, steps, &allowed)?;
-        }
         refuse(self.train.gradient_scaling && !self.method.has_fields(), || {
             format!(
                 "train.gradient_scaling = true with method {}: it has no samples along rays; set it to false",
                 self.method.name()
             )
+        })?;
+        refuse(self.train.gradient_scaling && kinds.contains(&Regularizer::Orientation), || {
+            "train.gradient_scaling = true with regularizer.kind = \"orientation\": gradients of normals are not scaled; choose one of them".into()
         })?;
         refuse(self.train.gradient_scaling && self.data.in_ndc(), || {
             "train.gradient_scaling = true with data.ndc = true: t is no distance in normalized device coordinates; set \
@@ -332,6 +341,10 @@ impl Config {
         refuse(regularizer.unseen_poses == Some(UnseenPoses::Sphere) && self.data.in_ndc(), || {
             "regularizer.unseen_poses = \"sphere\" with data.ndc = true: cameras on all sides see nothing of a forward-facing scene; \
              choose box or between"
+                .into()
+        })?;
+        refuse(kinds.contains(&Regularizer::SparseDepth) && self.data.in_ndc(), || {
+            "regularizer.kind = \"sparse-depth\" with data.ndc = true: t is no depth in normalized device coordinates; set data.ndc=false"
                 .into()
         })?;
         if let (Some(rays), Some(group)) = (regularizer.unseen_rays, regularizer.unseen_groups().last()) {

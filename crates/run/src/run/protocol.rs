@@ -13,8 +13,8 @@ use crate::revision::version;
 use crate::settings::columns::{COLUMNS, find, perturbed, regularized};
 use crate::settings::{
     Config, Core, Encoding, EvalSplit, HashConfig, LatticePoints, Precision, Regularizer, RegularizerConfig,
-    Representation, Resolved, ResolvedPerturb, SamDirection, SamplingConfig, Schedule, TermNeeds, TermRays,
-    TrainConfig, TrainViews, WeightSchedule, value_at, word,
+    Representation, Resolved, ResolvedPerturb, SamDirection, SamplingConfig, Schedule, TermRays, TrainConfig,
+    TrainViews, WeightSchedule, value_at, word,
 };
 use crate::train::checkpoint::State;
 
@@ -336,7 +336,7 @@ fn regularizers(regularizer: &RegularizerConfig) -> String {
             Regularizer::Occlusion => format!(" in {} of the ray", regularizer.occlusion_share),
             _ => String::new(),
         };
-        let is_unseen = term.needs() == TermNeeds::Samples(RayGroup::One) && regularizer.rays == TermRays::Unseen;
+        let is_unseen = term.group() == Some(RayGroup::One) && regularizer.rays == TermRays::Unseen;
         let rays = if is_unseen { " on unseen rays" } else { "" };
         let moves = match schedule {
             WeightSchedule::Constant => String::new(),
@@ -349,8 +349,10 @@ fn regularizers(regularizer: &RegularizerConfig) -> String {
 }
 
 fn unseen(config: &Resolved) -> Option<String> {
-    let is_read = !config.regularizer.unseen_groups().is_empty();
-    is_read.then(|| format!("{} rays, {}", config.unseen_rays, config.unseen_poses.name()))
+    let regularizer = &config.regularizer;
+    let poses =
+        if regularizer.reads_unseen_cameras() { format!(", {}", config.unseen_poses.name()) } else { String::new() };
+    (!regularizer.unseen_groups().is_empty()).then(|| format!("{} rays{poses}", config.unseen_rays))
 }
 
 fn regularizer_points(regularizer: &RegularizerConfig) -> String {

@@ -61,7 +61,7 @@ pub fn scene_picture(config: &Resolved, scene: &Scene) -> Result<Figure> {
 
 /// Returns some cameras of a run's unseen rays, or none if it reads none.
 fn unseen_cameras(config: &Resolved, scene: &Scene) -> Result<Vec<Camera>> {
-    if config.regularizer.unseen_groups().is_empty() {
+    if !config.regularizer.reads_unseen_cameras() {
         return Ok(Vec::new());
     }
     let cameras: Vec<Camera> = scene.train.iter().map(|view| view.camera).collect();

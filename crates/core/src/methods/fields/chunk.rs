@@ -14,6 +14,8 @@ pub(super) struct Chunk {
     pub(super) rays: Rays,
     /// True colours, `[rays, 3]`. Unseen rays have none.
     pub(super) target: Option<Tensor>,
+    /// The t of the known point on each ray, `[rays]`, of rays to points.
+    pub(super) point_t: Option<Tensor>,
     pub(super) t_coarse: Tensor,
     pub(super) noise_coarse: Option<Tensor>,
     pub(super) noise_fine: Option<Tensor>,
@@ -43,6 +45,7 @@ impl Chunk {
         Ok(Chunk {
             rays: self.rays.narrow(start, count)?,
             target: maybe(&self.target)?,
+            point_t: maybe(&self.point_t)?,
             t_coarse: part(&self.t_coarse)?,
             noise_coarse: maybe(&self.noise_coarse)?,
             noise_fine: maybe(&self.noise_fine)?,
@@ -105,6 +108,6 @@ impl FieldLearner {
             }
             (_, false) => Some(sampling::even_u(n, fine_columns, &t_coarse)?),
         };
-        Ok(Chunk { rays, target, t_coarse, noise_coarse, noise_fine, u, share: 1.0, step, index: 0 })
+        Ok(Chunk { rays, target, point_t: None, t_coarse, noise_coarse, noise_fine, u, share: 1.0, step, index: 0 })
     }
 }

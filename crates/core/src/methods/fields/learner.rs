@@ -5,7 +5,7 @@ use candle_core::{DType, Device, Var};
 use crate::augment::Site;
 use crate::base::place::is_host;
 use crate::base::{Error, Result};
-use crate::data::{RayParts, Scene, UnseenCameras};
+use crate::data::{PointRays, RayParts, Scene, UnseenCameras};
 use crate::losses::WeightedTerm;
 use crate::methods::batches::Batches;
 use crate::render::ray_parts;
@@ -32,6 +32,8 @@ pub struct FieldLearner {
     pub(super) terms: Vec<WeightedTerm>,
     /// Cameras without photographs, if a term reads their rays.
     pub(super) unseen: Option<UnseenCameras>,
+    /// The training views' rays to points.
+    pub(super) points: PointRays,
 }
 
 impl FieldLearner {
@@ -63,6 +65,7 @@ impl FieldLearner {
             fields,
             terms: Vec::new(),
             unseen: None,
+            points: PointRays::of(scene, config.data.origin_of_pixels()),
         };
         learner.place_unseen_cameras(&terms)?;
         learner.terms = terms;

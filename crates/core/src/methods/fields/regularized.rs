@@ -164,13 +164,14 @@ impl FieldLearner {
         let photometric_norm = photometric_gradients.norm()?;
         let field = self.config.field.clone();
         let has_unseen = UnseenCameras::of(self.batches.cameras(), self.config.unseen_poses).is_ok();
-        let (unseen_rays, has_slopes) =
-            (self.config.unseen_rays, self.config.representation().has_derivatives_at_points());
+        let (unseen_rays, has_points) = (self.config.unseen_rays, self.points.count() > 0);
+        let has_slopes = self.config.representation().has_derivatives_at_points();
         let measurable = |term: &Regularizer| match term.needs() {
             TermNeeds::Density(Order::Laplacian) => field.has_laplacian(),
             TermNeeds::Tables => field.encoding == Encoding::Hash,
             TermNeeds::Slopes if !has_slopes => false,
             TermNeeds::Samples(RayGroup::One) | TermNeeds::Slopes if config.rays == TermRays::Training => true,
+            TermNeeds::Samples(RayGroup::Point) => has_points,
             TermNeeds::Samples(group) => has_unseen && unseen_rays >= group.rays(),
             TermNeeds::Slopes => has_unseen,
             TermNeeds::Density(_) => true,

@@ -53,6 +53,10 @@ impl Learner for FieldLearner {
         Ok(())
     }
 
+    fn has_colours(&self) -> bool {
+        true
+    }
+
     fn colours(&mut self, step: u64) -> Result<Option<Tensor>> {
         let fields = self.fields.at_step(&self.config, step)?.frozen()?;
         let rays = self.batches.batch(step).rays.to_tensors(self.dtype, &self.device)?;

@@ -70,6 +70,16 @@ pub(super) struct Counts {
     pub is_evaluated: bool,
 }
 
+/// A rendered clean pass, whose terms are to be descended.
+pub(super) struct Rendered<'a> {
+    pub out: &'a PassOutput,
+    pub pass: Pass<'a>,
+    /// Its photometric loss, if it has one.
+    pub loss: Option<&'a Tensor>,
+    /// See [`RayPass::point_t`].
+    pub point_t: Option<&'a Tensor>,
+}
+
 /// The terms in space with their weights.
 pub(super) fn in_space(terms: &[WeightedTerm]) -> Vec<(&dyn SpaceTerm, f64)> {
     let in_space = terms.iter().filter_map(|WeightedTerm { term, weight, .. }| match term {
@@ -82,7 +92,7 @@ pub(super) fn in_space(terms: &[WeightedTerm]) -> Vec<(&dyn SpaceTerm, f64)> {
 /// The groups of unseen rays that terms read, in a fixed order.
 pub(super) fn unseen_groups(terms: &[WeightedTerm]) -> impl Iterator<Item = RayGroup> {
     let is_read = |group: &RayGroup| terms.iter().any(|term| term.term.source() == TermSource::UnseenRays(*group));
-    [RayGroup::One, RayGroup::Pair, RayGroup::Patch].into_iter().filter(is_read)
+    [RayGroup::Point, RayGroup::One, RayGroup::Pair, RayGroup::Patch].into_iter().filter(is_read)
 }
 
 /// The values of a step's terms, in their order.
@@ -136,7 +146,8 @@ impl FieldLearner {
         let out = clean_pass(field, pass)?;
         let loss = photometric_loss(&out.composite.rgb, target)?;
         let counts = Counts { weight, share, is_evaluated };
-        self.descend_terms(field, (&out, pass), Some(&loss), step_loss, counts, result)?;
+        let rendered = Rendered { out: &out, pass, loss: Some(&loss), point_t: None };
+        self.descend_terms(field, rendered, step_loss, counts, result)?;
         Ok(((loss.detach().to_dtype(DType::F64)? * share)?, PassLoss::of(out, target)?))
     }
 
@@ -145,8 +156,7 @@ impl FieldLearner {
     pub(super) fn descend_terms(
         &self,
         field: &Field,
-        (out, pass): (&PassOutput, Pass),
-        loss: Option<&Tensor>,
+        Rendered { out, pass, loss, point_t }: Rendered,
         step_loss: StepLoss,
         Counts { weight, share, is_evaluated }: Counts,
         result: &mut ChunkResult,
@@ -159,6 +169,7 @@ impl FieldLearner {
             direction_norm: &pass.rays.direction_norm,
             directions: &pass.rays.directions,
             slopes: slopes.as_ref().map(|slopes| slopes.at_samples.as_tensor()),
+            point_t,
         };
         let (mut total, values) = self.terms_of(&seen, step_loss, share, is_evaluated)?;
         if let Some(loss) = loss {

@@ -1,5 +1,7 @@
 //! Passes of rays without photographs, which terms of the loss read.
 
+use candle_core::Tensor;
+
 use crate::base::rng::{Random, Stream};
 use crate::base::{Error, Result};
 use crate::data::{RayGroup, UnseenCameras};
@@ -12,15 +14,19 @@ use super::chunk::Chunk;
 use super::learner::FieldLearner;
 use super::networks::Fields;
 use super::results::ChunkResult;
-use super::terms::{self, Counts, StepLoss};
+use super::terms::{self, Counts, Rendered, StepLoss};
 
 /// Streams of random numbers of a step: one for each kind of groups.
 const GROUPS: u64 = 3;
 
 impl FieldLearner {
     /// Makes the cameras of unseen rays if terms read such rays.
+    ///
+    /// # Errors
+    /// There are no such cameras, no points, or fewer rays than terms read at once.
     pub(super) fn place_unseen_cameras(&mut self, terms: &[WeightedTerm]) -> Result<()> {
-        if self.unseen.is_none() && terms::unseen_groups(terms).next().is_some() {
+        let of_cameras = |group: &RayGroup| *group != RayGroup::Point;
+        if self.unseen.is_none() && terms::unseen_groups(terms).any(|group| of_cameras(&group)) {
             self.unseen = Some(UnseenCameras::of(self.batches.cameras(), self.config.unseen_poses)?);
         }
         let cameras = self.unseen.as_ref();
@@ -32,22 +38,38 @@ impl FieldLearner {
                     self.config.unseen_rays
                 )));
             }
-            cameras.map_or(Ok(()), |cameras| cameras.check(group))
+            if group == RayGroup::Point && self.points.count() == 0 {
+                return Err(Error::Config(format!(
+                    "a term of the loss reads depth at points that the training views show, and {} has none; it needs a COLMAP \
+                     model with its points",
+                    self.config.data.dir
+                )));
+            }
+            cameras.filter(|_| of_cameras(&group)).map_or(Ok(()), |cameras| cameras.check(group))
         })
     }
 
-    /// Returns a step's unseen rays in groups, with the random numbers of their pass.
+    /// Returns a step's rays without photographs' colours in groups, with the random numbers of their pass.
     pub(super) fn draw_unseen(&self, group: RayGroup, step: u64) -> Result<Chunk> {
         let kind = match group {
             RayGroup::One => 0,
             RayGroup::Pair => 1,
             RayGroup::Patch => 2,
+            RayGroup::Point => return self.draw_points(step),
         };
         let mut random = Random::new(self.config.seed, Stream::Unseen, step * GROUPS + kind);
         let cameras = self.unseen.as_ref().expect("cameras are placed with the term");
         let pixels = cameras.rays(group, self.config.unseen_rays / group.rays(), &mut random);
         let rays = self.batches.rays_of(&pixels).to_tensors(self.dtype, &self.device)?;
         self.draw_clean(rays, None, step, &mut random)
+    }
+
+    fn draw_points(&self, step: u64) -> Result<Chunk> {
+        let mut random = Random::new(self.config.seed, Stream::Points, step);
+        let (pixels, t) = self.points.draw(self.config.unseen_rays, &mut random);
+        let rays = self.batches.rays_of(&pixels).to_tensors(self.dtype, &self.device)?;
+        let point_t = Tensor::from_vec(t, pixels.len(), &self.device)?.to_dtype(self.dtype)?;
+        Ok(Chunk { point_t: Some(point_t), ..self.draw_clean(rays, None, step, &mut random)? })
     }
 
     /// Returns values and gradients of the terms on a step's unseen rays in such groups.
@@ -97,7 +119,8 @@ impl FieldLearner {
     ) -> Result<PassOutput> {
         let out = clean_pass(field, pass)?;
         let counts = Counts { weight: 0.0, share: chunk.share, is_evaluated };
-        self.descend_terms(field, (&out, pass), None, step_loss, counts, result)?;
+        let rendered = Rendered { out: &out, pass, loss: None, point_t: chunk.point_t.as_ref() };
+        self.descend_terms(field, rendered, step_loss, counts, result)?;
         Ok(out)
     }
 }

@@ -91,6 +91,8 @@ pub fn load(config: &DataConfig, events: &dyn Listener) -> Result<Scene> {
     let targets = targets(config, &source, &frames)?;
     let cameras: Vec<Camera> = frames.iter().zip(&targets).map(|(frame, &target)| frame.camera(target)).collect();
     let (mut space, (near, far)) = bounds::of(&model, &cameras, world, BOUNDS);
+    let sightings = model.sightings().into_iter().zip(&there).filter(|(_, there)| **there).map(|(points, _)| points);
+    space.sightings = names.iter().cloned().zip(sightings).collect();
     space.note("images", folder_words(&frames, targets[0]));
     notes(&mut space, &model, &frames, &missing, &source);
     let first = cameras[0];

@@ -70,19 +70,30 @@ pub(super) struct Model {
 }
 
 impl Model {
-    /// Returns the depths of the points that each photo sees, sorted, by photo.
-    pub(super) fn depths(&self) -> Vec<Vec<f64>> {
+    /// Returns the numbers of the points that each photo sees, by photo.
+    pub(super) fn sightings(&self) -> Vec<Vec<u32>> {
         let places: HashMap<u32, usize> =
             self.photographs.iter().enumerate().map(|(place, photograph)| (photograph.id, place)).collect();
-        let mut depths = vec![Vec::new(); self.photographs.len()];
-        for point in &self.points {
+        let mut seen = vec![Vec::new(); self.photographs.len()];
+        for (number, point) in self.points.iter().enumerate() {
             for place in point.seen_in.iter().filter_map(|id| places.get(id)) {
-                let pose = &self.photographs[*place].pose;
-                depths[*place].push(-pose::dot(pose::sub(point.place, pose::column(pose, 3)), pose::column(pose, 2)));
+                seen[*place].push(number as u32);
             }
         }
-        depths.iter_mut().for_each(|depths| depths.sort_by(f64::total_cmp));
-        depths
+        seen
+    }
+
+    /// Returns the depths of the points that each photo sees, sorted, by photo.
+    pub(super) fn depths(&self) -> Vec<Vec<f64>> {
+        let of_photograph = |(photograph, seen): (&Photograph, Vec<u32>)| {
+            let pose = &photograph.pose;
+            let depth =
+                |point: &Point| -pose::dot(pose::sub(point.place, pose::column(pose, 3)), pose::column(pose, 2));
+            let mut depths: Vec<f64> = seen.iter().map(|number| depth(&self.points[*number as usize])).collect();
+            depths.sort_by(f64::total_cmp);
+            depths
+        };
+        self.photographs.iter().zip(self.sightings()).map(of_photograph).collect()
     }
 }
 
