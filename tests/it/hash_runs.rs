@@ -90,7 +90,8 @@ fn weights_of_terms_are_balanced_on_a_grid() {
     let further = ["--set", "field.hash.interpolation=smoothstep", "--set", "regularizer.points_per_step=64"];
     let balance = ["balance", "--quiet", "--preset", "fast", "--steps", "3"];
     let table = rows(&printed(&[&balance[..], &small(), &further].concat()));
-    assert_eq!(table.len(), 5 * REGULARIZERS.len(), "five shares of each term: {table:?}");
+    // The scene has no triangulated points.
+    assert_eq!(table.len(), 5 * (REGULARIZERS.len() - 1), "five shares of each term: {table:?}");
     for row in table.into_iter().filter(|row| row["term_norm"].parse() != Ok(0.0)) {
         assert!(row["weight"].parse::<f64>().unwrap() > 0.0, "{row:?}");
     }
