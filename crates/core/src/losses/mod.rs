@@ -350,7 +350,7 @@ mod tests {
         }
 
         /// The same with a known point on it.
-        pub(super) fn to_point(self, t: f64) -> TestRay {
+        pub(super) fn with_point(self, t: f64) -> TestRay {
             TestRay { point_t: Some(t), ..self }
         }
 

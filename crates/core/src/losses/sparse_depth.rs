@@ -46,15 +46,15 @@ mod tests {
     /// Of a ray that is stopped at t = 1 by its second sample, the square of the distance from there.
     #[test]
     fn closed_forms() {
-        let of = |point: f64| rays(&[0.0, 1e9, 0.5, 2.0], 4.0).to_point(point).value(&SparseDepth);
+        let of = |point: f64| rays(&[0.0, 1e9, 0.5, 2.0], 4.0).with_point(point).value(&SparseDepth);
         assert_eq!(of(1.0), 0.0);
         assert!((of(2.5) - 2.25).abs() < 1e-12);
         // A ray that nothing stops has depth 0.
-        assert!((rays(&[0.0; 4], 4.0).to_point(3.0).value(&SparseDepth) - 9.0).abs() < 1e-12);
+        assert!((rays(&[0.0; 4], 4.0).with_point(3.0).value(&SparseDepth) - 9.0).abs() < 1e-12);
     }
 
     #[test]
     fn slopes_are_those_of_differences() {
-        assert_slopes_by_differences(&SparseDepth, &rays(&[0.3, 0.9, 0.2, 0.6], 4.0).to_point(1.3));
+        assert_slopes_by_differences(&SparseDepth, &rays(&[0.3, 0.9, 0.2, 0.6], 4.0).with_point(1.3));
     }
 }
