@@ -7,11 +7,13 @@
 #
 # CUDA is a program that was built with --features cuda, to be timed as well. `prepare` needs no GPU, and `run` no network. As
 # root, on a machine without a Vulkan loader, `run` installs the one that was prepared. WITHOUT_PEERS="nerf aug-nerf" leaves out
-# PyTorch and CUDA, and MOST_SECONDS=300 ends the day earlier.
+# PyTorch and CUDA, MOST_SECONDS=300 ends the day earlier, and BLOCKS="right terms" runs those blocks.
 set -uo pipefail
 
 # The tests of the device, by their files.
 tests="augnerf_gpu step renderer density"
+# The blocks of a day. `precision` fits in with NETWORK_STEPS=1000; with more it takes the place of the others.
+all="right speed terms trainings precision paper"
 
 prepare() {
   local data=$1 cuda=${2:-} day=.gpu_day
@@ -72,15 +74,30 @@ run() {
   cuda=$(python3 -c 'import nvidia, glob; print(":".join(glob.glob(nvidia.__path__[0] + "/*/lib")))' 2> /dev/null)
   export LD_LIBRARY_PATH=$cuda:/usr/local/nvidia/lib64:${LD_LIBRARY_PATH:-} RUST_BACKTRACE=1 PYTHONUNBUFFERED=1
   # The paper's training has the last two minutes, and packing the last seconds.
-  local most=${MOST_SECONDS:-570}
-  deadline=$((most - 120))
+  local most=${MOST_SECONDS:-570} blocks=${BLOCKS:-$all}
+  deadline=$most
+  [[ $blocks == *paper* ]] && deadline=$((most - 120))
   # 0. The devices.
   try 15 0-smi nvidia-smi
   try 15 0-devices ./augnerf devices
-  # 1. Is it right?
+  local block
+  for block in $blocks; do "$block"; done
+  cd "$out" || exit
+  # Tables of hash grids are large; the last training's checkpoint is for `resume`.
+  for folder in */; do
+    [[ $folder == fern-paper/ ]] || rm -rf "$folder/checkpoints"
+    tar cf - --exclude='*.mp4' --exclude='*.gif' "$folder" | gzip -1 > "${folder%/}.tgz" && rm -r "$folder"
+  done
+}
+
+# 1. Is it right?
+right() {
   local test
   for test in $tests; do try 90 "1-$test" "./test-$test" --test-threads=1 --nocapture --include-ignored; done
-  # 2. How fast, in turn with PyTorch.
+}
+
+# 2. How fast, in turn with PyTorch.
+speed() {
   local bench="--rays $rays --coarse 64 --fine 128 --steps $steps"
   local hash="--rays $rays --coarse 48 --fine 32 --width 64 --steps $steps --set field.encoding=hash"
   local method as device
@@ -97,35 +114,57 @@ run() {
       [[ -x augnerf-cuda ]] && try 20 "2-$method-$device" ./augnerf-cuda bench --device $device --method $method $bench
     done
   done
-  # 3. Trainings that end, with their views, and a surface.
+}
+
+# What the terms and the openings cost, on hash grids and on networks.
+terms() {
+  local field term
+  local -A sizes=(
+    [hash]="--rays $rays --coarse 48 --fine 32 --width 64 --steps $steps --set field.encoding=hash"
+    [network]="--rays $rays --coarse 64 --fine 64 --steps $steps"
+  )
+  for field in hash network; do
+    for term in none l1 tv distortion occlusion entropy cauchy opacity-prior; do
+      try 20 "2-term-$field-$term" ./augnerf bench --device gpu ${sizes[$field]} --set regularizer.kind=$term
+    done
+    try 20 "2-term-$field-frequencies" ./augnerf bench --device gpu ${sizes[$field]} --set field.frequency_steps=100
+  done
+}
+
+# 3. Trainings that end, with their views, and a surface.
+trainings() {
+  local method
   for method in nerf aug-nerf; do
     try 60 "3-builtin-$method" ./augnerf train --method $method --device gpu --out "$out/builtin-$method" $small
     try 60 "3-fern-$method" ./augnerf train --data fern --preset fast --method $method --device gpu --out "$out/fern-$method" $small
   done
-  # A network to its end, in both precisions: are the pictures the same?
-  local precision
-  for precision in f32 f16; do
-    try 60 "3-fern-network-$precision" ./augnerf train --data fern --preset paper-llff --yes --device gpu --out "$out/fern-$precision" \
-      --set train.steps=$network_steps --set field.precision=$precision $small_paper
-  done
+  # FreeNeRF's settings and its field, from few views.
+  try 60 3-fern-freenerf ./augnerf train --data fern --preset fast --device gpu --out "$out/fern-freenerf" $small \
+    --set data.train_views="3 even" --set regularizer.kind=occlusion --set field.frequency_steps=900
   try 30 3-builtin-mesh ./augnerf mesh "$out/builtin-nerf" --device gpu --resolution $resolution $surface --picture "$out/builtin-mesh.png"
   try 30 3-builtin-measure ./augnerf measure "$out/builtin-nerf" --device gpu
   [[ -x augnerf-cuda ]] && try 30 3-builtin-cuda ./augnerf-cuda train --device cuda --out "$out/builtin-cuda" --set train.steps=50 \
     --set train.chunk=1024 --set eval.chunk=4096
-  # 4. The paper's own settings on fern, until the time is up. `augnerf resume` goes on from the checkpoint.
-  deadline=$most
-  try $((most / slower)) 4-fern-paper ./augnerf train --data fern --preset paper-llff --yes --device gpu --out "$out/fern-paper" \
-    --set train.log_every=$log_every $small_paper
-  cd "$out" || exit
-  # Tables of hash grids are large; the last training's checkpoint is for `resume`.
-  for folder in */; do
-    [[ $folder == fern-paper/ ]] || rm -rf "$folder/checkpoints"
-    tar cf - --exclude='*.mp4' --exclude='*.gif' "$folder" | gzip -1 > "${folder%/}.tgz" && rm -r "$folder"
+}
+
+# A network, shortened, in both precisions: are the pictures the same?
+precision() {
+  local precision
+  for precision in f16 f32; do
+    try 400 "3-fern-network-$precision" ./augnerf train --data fern --preset paper-llff --yes --device gpu --out "$out/fern-$precision" \
+      --set train.steps=$network_steps --set field.precision=$precision $small_paper
   done
 }
 
+# 4. The paper's own settings on fern, until the time is up. `augnerf resume` goes on from the checkpoint.
+paper() {
+  deadline=$most
+  try $((most / slower)) 4-fern-paper ./augnerf train --data fern --preset paper-llff --yes --device gpu --out "$out/fern-paper" \
+    --set train.log_every=$log_every $small_paper
+}
+
 # Sizes of the day, and of its rehearsal.
-rays=1024 steps=20 network_steps=1000 resolution=256 log_every=200 slower=1 small="" small_paper="" surface=""
+rays=1024 steps=20 network_steps=${NETWORK_STEPS:-1000} resolution=256 log_every=200 slower=1 small="" small_paper="" surface=""
 
 rehearse() {
   rays=8 steps=1 network_steps=2 resolution=24 log_every=1 slower=4 surface="--threshold 0.3"
@@ -138,5 +177,5 @@ case ${1:-} in
   prepare) prepare "${2:?the folder with nerf_llff_data}" "${3:-}" ;;
   rehearse) rehearse "${2:?folder for what comes back}" ;;
   run) run "${2:?folder for what comes back}" ;;
-  *) sed -n '2,10s/^# \?//p' "$0" ;;
+  *) sed -n '2,11s/^# \?//p' "$0" ;;
 esac
