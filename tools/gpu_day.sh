@@ -2,7 +2,7 @@
 # What a machine with a GPU says of this program: prepared where it is built, run there unattended.
 #
 #   tools/gpu_day.sh prepare DATA [CUDA]   # lays programs, loaders, fern of DATA and peers into .gpu_day (under 64 MiB)
-#   bash .gpu_day/gpu_day.sh run OUT       # on the machine: at most ten minutes; leaves files and OUT/index
+#   bash .gpu_day/gpu_day.sh run OUT       # on the machine: at most ten minutes; leaves archives and OUT/index
 #   bash .gpu_day/gpu_day.sh rehearse OUT  # the same blocks in small sizes, without peers, on any device
 #
 # CUDA is a program that was built with --features cuda, to be timed as well. `prepare` needs no GPU, and `run` no network. As
@@ -88,6 +88,8 @@ run() {
     [[ $folder == fern-paper/ ]] || rm -rf "$folder/checkpoints"
     tar cf - --exclude='*.mp4' --exclude='*.gif' "$folder" | gzip -1 > "${folder%/}.tgz" && rm -r "$folder"
   done
+  # One file for what was printed: some places bring few files back.
+  tar czf printed.tgz [0-9]-* && rm [0-9]-*
 }
 
 # 1. Is it right?
@@ -124,8 +126,9 @@ terms() {
     [network]="--rays $rays --coarse 64 --fine 64 --steps $steps"
   )
   for field in hash network; do
-    for term in none l1 tv distortion occlusion entropy cauchy opacity-prior; do
-      try 20 "2-term-$field-$term" ./augnerf bench --device gpu ${sizes[$field]} --set regularizer.kind=$term
+    # [] is no term.
+    for term in [] l1 tv distortion occlusion entropy cauchy opacity-prior; do
+      try 20 "2-term-$field-${term/\[\]/none}" ./augnerf bench --device gpu ${sizes[$field]} --set regularizer.kind=$term
     done
     try 20 "2-term-$field-frequencies" ./augnerf bench --device gpu ${sizes[$field]} --set field.frequency_steps=100
   done
