@@ -99,6 +99,7 @@ pub use augnerf_core::{augment, data, field, losses, metrics, render, settings, 
 pub use augnerf_report::{draw, report};
 pub use augnerf_run::{bench, compare, run, train};
 pub use augnerf_sweep as sweep;
+pub use augnerf_view as view;
 
 pub mod cli;
 

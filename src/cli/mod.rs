@@ -36,6 +36,7 @@ mod sweep;
 mod tips;
 mod train;
 mod verify;
+mod view;
 
 /// Train and compare neural radiance fields with and without worst-case augmentation
 ///
@@ -156,6 +157,9 @@ enum Command {
     /// Render held-out views or a camera path as images and video
     #[command(after_help = render::EXAMPLES)]
     Render(render::RenderArguments),
+    /// Look at runs live, on a page that this program serves
+    #[command(after_help = view::EXAMPLES)]
+    View(view::ViewArguments),
     /// Export a run's weights for nerf-pytorch or as safetensors
     #[command(after_help = exchange::EXPORT_EXAMPLES)]
     Export(exchange::ExportArguments),
@@ -322,6 +326,7 @@ pub fn main() -> ExitCode {
         Command::Bench(arguments) => arguments.run(),
         Command::Devices(arguments) => arguments.run(),
         Command::Render(arguments) => arguments.run(),
+        Command::View(arguments) => arguments.run(),
         Command::Export(arguments) => arguments.run(),
         Command::Import(arguments) => arguments.run(),
         Command::Compare(arguments) => arguments.run(),

@@ -22,6 +22,7 @@ use super::answer::{Answer, Measured};
 use super::experiment::{Base, Experiment, settings_file};
 use super::progress::{Console, duration, print, report, says_yes};
 use super::signals::catch_signals;
+use super::view::Live;
 use super::{Compute, LpipsWeights, Sources};
 
 /// Steps from which on settings are the paper's.
@@ -60,6 +61,8 @@ pub struct TrainArguments {
     #[arg(long, short = 'y', help_heading = "Experiment")]
     yes: bool,
     #[command(flatten)]
+    live: Live,
+    #[command(flatten)]
     answer: Answer,
     #[command(flatten)]
     compute: Compute,
@@ -71,6 +74,8 @@ pub struct ResumeArguments {
     run: PathBuf,
     #[command(flatten)]
     sources: Sources,
+    #[command(flatten)]
+    live: Live,
     #[command(flatten)]
     answer: Answer,
     #[command(flatten)]
@@ -127,7 +132,7 @@ impl TrainArguments {
         if !asks {
             console.say(&words);
         }
-        train(job, views, &folder, console, self.answer)
+        train(job, views, &folder, console, &self.live, self.answer)
     }
 }
 
@@ -221,7 +226,7 @@ impl ResumeArguments {
         let views = Views::of(&setup);
         let job = Job::resume(run, setup)?;
         console.say(&format!("{} resumes at step {}", self.run.display(), job.step_count()));
-        train(job, views, &self.run, console, self.answer)
+        train(job, views, &self.run, console, &self.live, self.answer)
     }
 }
 
@@ -242,7 +247,7 @@ fn what_is_trained(Setup { config, scene, .. }: &Setup) -> String {
 }
 
 /// Trains in `folder`. Its name is printed first, so that a script has it even if the training is stopped.
-fn train(mut job: Job, measured: Views, folder: &Path, console: &Console, answer: Answer) -> Result<()> {
+fn train(mut job: Job, measured: Views, folder: &Path, console: &Console, live: &Live, answer: Answer) -> Result<()> {
     if !answer.json {
         let label = if std::io::stdout().is_terminal() { "run folder: " } else { "" };
         print(&format!("{label}{}", folder.display()))?;
@@ -251,7 +256,8 @@ fn train(mut job: Job, measured: Views, folder: &Path, console: &Console, answer
     if let Some(estimate) = job.estimate(&signal)? {
         console.say(&how_long(estimate, &measured));
     }
-    let finished = job.train(console, &signal)?;
+    let label = folder.file_name().map(|name| name.to_string_lossy().into_owned()).unwrap_or_default();
+    let finished = live.train(job, &signal, label, console)?;
     summarize(&finished, folder, console);
     let Finished { report, seconds, .. } = &finished;
     let [metrics, _] = RunDir::metrics_in(folder);

@@ -64,6 +64,7 @@ mod training;
 mod typeset;
 mod verify;
 mod verify_changes;
+mod view;
 mod views;
 #[cfg(feature = "baselines")]
 mod volumes;

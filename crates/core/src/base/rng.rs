@@ -49,6 +49,8 @@ pub enum Stream {
     Scene,
     /// Rays to known points, with the random numbers of their passes.
     Points,
+    /// Points in cells of empty space, and starts of PGD, on the page of a run.
+    View,
 }
 
 impl Stream {
@@ -73,6 +75,7 @@ impl Stream {
             Stream::Permutation => 15,
             Stream::Scene => 16,
             Stream::Points => 17,
+            Stream::View => 18,
         }
     }
 }

@@ -89,18 +89,37 @@ impl Viewer<'_> {
         self.render_every(renderer, 1, camera)
     }
 
-    /// Renders every `stride`-th pixel across and down, from the first one on, as an image of these.
-    fn render_every(&self, renderer: &dyn Renderer, stride: usize, camera: &Camera) -> Result<RenderedView> {
-        self.runtime.install(|| self.render_here(renderer, stride, camera))
+    /// Renders a view as [`Viewer::render_with`] does. `stop_check` may end it with an error before any part.
+    ///
+    /// # Errors
+    /// The same, and those of `stop_check`.
+    pub fn render_unless(
+        &self,
+        renderer: &dyn Renderer,
+        camera: &Camera,
+        stop_check: &(dyn Fn() -> Result<()> + Sync),
+    ) -> Result<RenderedView> {
+        self.runtime.install(|| self.render_here(renderer, 1, camera, stop_check))
     }
 
-    fn render_here(&self, renderer: &dyn Renderer, stride: usize, camera: &Camera) -> Result<RenderedView> {
+    /// Renders every `stride`-th pixel across and down, from the first one on, as an image of these.
+    fn render_every(&self, renderer: &dyn Renderer, stride: usize, camera: &Camera) -> Result<RenderedView> {
+        self.runtime.install(|| self.render_here(renderer, stride, camera, &|| Ok(())))
+    }
+
+    fn render_here(
+        &self,
+        renderer: &dyn Renderer,
+        stride: usize,
+        camera: &Camera,
+        stop_check: &(dyn Fn() -> Result<()> + Sync),
+    ) -> Result<RenderedView> {
         let places = |size: usize| (0..size as u32).step_by(stride);
         let (width, height) = (places(camera.width).len(), places(camera.height).len());
         let pixels: Vec<(&Camera, u32, u32)> =
             places(camera.height).flat_map(|y| places(camera.width).map(move |x| (camera, x, y))).collect();
         self.prepare(renderer, camera)?;
-        let [rgb, depth, acc] = self.render_pixels(renderer, &pixels)?;
+        let [rgb, depth, acc] = self.render_pixels(renderer, &pixels, stop_check)?;
         if let Some(bad) = rgb.iter().position(|value| !value.is_finite()) {
             return Err(Error::Diverged(format!(
                 "the rendered colour of pixel ({}, {}) is not a number, so the weights are broken; delete the \
@@ -125,9 +144,15 @@ impl Viewer<'_> {
     }
 
     /// Renders some pixels: colours, mean distances, accumulated weights.
-    fn render_pixels(&self, renderer: &dyn Renderer, pixels: &[(&Camera, u32, u32)]) -> Result<[Vec<f32>; 3]> {
+    fn render_pixels(
+        &self,
+        renderer: &dyn Renderer,
+        pixels: &[(&Camera, u32, u32)],
+        stop_check: &(dyn Fn() -> Result<()> + Sync),
+    ) -> Result<[Vec<f32>; 3]> {
         let Viewer { config, runtime, .. } = *self;
         let render = |part: &[(&Camera, u32, u32)]| -> Result<[Vec<f32>; 3]> {
+            stop_check()?;
             let out = renderer.render(&self.rays(renderer, part)?)?;
             let host = |tensor: &candle_core::Tensor| tensor.to_dtype(DType::F32)?.flatten_all()?.to_vec1::<f32>();
             Ok([host(&out.rgb)?, host(&(out.depth / &out.acc)?)?, host(&out.acc)?])
@@ -163,7 +188,7 @@ impl Viewer<'_> {
             let started = Instant::now();
             let some: Vec<(&Camera, u32, u32)> =
                 (top..top + rows).flat_map(|y| (0..first.width as u32).map(move |x| (*first, x, y as u32))).collect();
-            self.render_pixels(&*renderer, &some)?;
+            self.render_pixels(&*renderer, &some, &|| Ok(()))?;
             let rendered = started.elapsed();
             Ok((prepared <= rendered).then(|| rendered.as_secs_f64() / timed as f64 * pixels as f64))
         })

@@ -68,6 +68,17 @@ pub struct Job<'a> {
     trainer: Trainer,
 }
 
+/// Looks at a model while it trains.
+pub trait Audience: Sync {
+    /// Returns whether it wants to see the model after this step.
+    fn looks(&self) -> bool;
+    /// Looks at the model after `step` steps. Training waits meanwhile.
+    ///
+    /// # Errors
+    /// They end the training.
+    fn see(&self, step: u64, model: &Model) -> Result<()>;
+}
+
 /// A training in its folder: the parts of a job except the trainer, which the session takes.
 struct Experiment<'a> {
     run: RunDir,
@@ -80,6 +91,7 @@ struct Experiment<'a> {
     resumed: bool,
     started_unix: u64,
     memory: MemoryWatch,
+    audience: Option<&'a dyn Audience>,
 }
 
 /// How long a run takes from here, in seconds.
@@ -224,8 +236,20 @@ impl<'a> Job<'a> {
         scene_file::write(&run.scene_file(), setup.scene)?;
         let resumed = before.is_some();
         let started_unix = host::unix_seconds() as u64;
-        let experiment = Experiment { run, setup, earlier: before.flatten(), notes, resumed, started_unix, memory };
+        let experiment =
+            Experiment { run, setup, earlier: before.flatten(), notes, resumed, started_unix, memory, audience: None };
         Ok(Job { experiment, trainer })
+    }
+
+    /// Returns what it trains with.
+    pub fn setup(&self) -> &Setup<'a> {
+        &self.experiment.setup
+    }
+
+    /// Lets `audience` look at the model as it trains.
+    pub fn before(mut self, audience: &'a dyn Audience) -> Job<'a> {
+        self.experiment.audience = Some(audience);
+        self
     }
 
     /// Returns the number of completed steps.
@@ -399,6 +423,13 @@ impl Between for Watcher<'_> {
         let values =
             EVALUATION_COLUMNS.into_iter().chain(TRAINING_VIEW_COLUMNS).zip(metrics.map(|metric| mean.get(metric)));
         Ok(values.filter_map(|(name, value)| value.map(|value| (name, value))).collect())
+    }
+
+    fn stepped(&mut self, trainer: &Trainer) -> Result<()> {
+        match self.experiment.audience.filter(|audience| audience.looks()) {
+            Some(audience) => audience.see(trainer.step_count(), trainer.model()?),
+            None => Ok(()),
+        }
     }
 
     fn saved(&mut self, step: u64, seconds: f64) -> Result<()> {

@@ -17,6 +17,10 @@ pub trait Between {
     /// Evaluates during training; returns scalars to log. A run can resume from the step before the trainer's, so a
     /// signal may end the evaluation with [`interrupted`].
     fn evaluate(&mut self, trainer: &Trainer) -> Result<Vec<(&'static str, f64)>>;
+    /// Runs after each step.
+    fn stepped(&mut self, _trainer: &Trainer) -> Result<()> {
+        Ok(())
+    }
     /// Runs after a checkpoint; this session has spent `seconds` on steps.
     fn saved(&mut self, step: u64, seconds: f64) -> Result<()>;
 }
@@ -188,6 +192,7 @@ impl<'a> Session<'a> {
                 self.log(stats, evaluate, between)?;
             }
             self.measured(stats, events);
+            between.stepped(&self.trainer)?;
             let by_step = next.is_multiple_of(train.checkpoint_every);
             let minutes = saved_at.elapsed().as_secs_f64() / 60.0;
             let by_time = train.checkpoint_minutes > 0.0 && minutes >= train.checkpoint_minutes;

@@ -22,7 +22,7 @@ use crate::base::{Error, Result};
 
 pub use dataparser::Dataparser;
 pub use lens::MOST_PIXELS;
-pub use write::write;
+pub use write::{camera_path, write};
 
 /// Largest number of cameras in a file: an hour at 25 per second.
 const MOST_CAMERAS: usize = 90_000;

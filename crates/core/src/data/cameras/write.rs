@@ -19,31 +19,36 @@ const ROUNDING: f64 = 1e-9;
 /// If the name has another extension, there are too many cameras, or the file cannot be written.
 pub fn write(file: &Path, cameras: &[Camera], world: &WorldToScene, fps: f64) -> Result<()> {
     super::check_count(file, cameras.len())?;
-    let poses: Vec<Pose> = cameras.iter().map(|camera| to_capture(world, &camera.pose)).collect();
     if super::ending(file)? == "npy" {
-        let mut bytes = npy::header("<f8", &[poses.len(), 3, 4]);
-        bytes.extend(poses.iter().flatten().flatten().flat_map(|value| value.to_le_bytes()));
+        let mut bytes = npy::header("<f8", &[cameras.len(), 3, 4]);
+        let poses = cameras.iter().flat_map(|camera| to_capture(world, &camera.pose));
+        bytes.extend(poses.flatten().flat_map(|value| value.to_le_bytes()));
         return write_named(file, &bytes);
     }
+    write_named_json(file, &camera_path(cameras, world, fps))
+}
+
+/// Returns the contents of a `camera_path.json` with these cameras.
+pub fn camera_path(cameras: &[Camera], world: &WorldToScene, fps: f64) -> Value {
     let (width, height) = cameras.first().map_or((0, 0), |camera| (camera.width, camera.height));
-    let camera = |(camera, pose): (&Camera, &Pose)| {
+    let camera = |camera: &Camera| {
         let mut entry = Map::new();
-        let matrix: Vec<f64> = pose.iter().flatten().copied().chain([0.0, 0.0, 0.0, 1.0]).collect();
+        let pose = to_capture(world, &camera.pose);
+        let matrix: Vec<f64> = pose.into_iter().flatten().chain([0.0, 0.0, 0.0, 1.0]).collect();
         entry.insert("camera_to_world".into(), matrix.into());
         entry.insert("fov".into(), (2.0 * (0.5 * camera.height as f64 / camera.focal[1]).atan().to_degrees()).into());
         entry.insert("aspect".into(), (camera.width as f64 / camera.height as f64).into());
         unsaid(camera, (width, height)).into_iter().for_each(|(key, value)| drop(entry.insert(key.into(), value)));
         Value::Object(entry)
     };
-    let path = json!({
+    json!({
         "camera_type": "perspective",
         "render_height": height,
         "render_width": width,
         "fps": fps,
         "seconds": cameras.len() as f64 / fps,
-        "camera_path": cameras.iter().zip(&poses).map(camera).collect::<Vec<Value>>(),
-    });
-    write_named_json(file, &path)
+        "camera_path": cameras.iter().map(camera).collect::<Vec<Value>>(),
+    })
 }
 
 /// Returns what field of view and common size do not state about a camera.

@@ -1,0 +1,130 @@
+//! What the attack sees: rays rendered with the deltas of some sites.
+
+use candle_core::Tensor;
+
+use crate::augment::{Deltas, Draw, Passes, PerSite, Sets, Site, SiteNumbers, worst_case};
+use crate::base::Result;
+use crate::base::rng::{Random, Stream};
+use crate::data::{RayParts, Rays, Scene};
+use crate::methods::{AttackGeometry, Fields, RenderedRays};
+use crate::render::sampling::stratified;
+use crate::render::{
+    FixedSamples, Pass, PassOutput, Perturbation, clean_pass, columns, fine_t_vals, perturbed_pass,
+    perturbed_pass_loss, ray_parts, samples_of,
+};
+use crate::settings::Resolved;
+
+/// Which deltas are added, and how much of them.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Attack {
+    /// The sites that are on, by name.
+    pub sites: Vec<String>,
+    /// Factor on their deltas after the search. 1 is what training sees, 0 the clean pass.
+    pub scale: f64,
+}
+
+/// Renders rays with the worst case of a run's own constraint sets: what PGD finds within them in the evaluated pass, with the
+/// run's steps and step sizes. Random starts depend on the rays' number in their part alone, so a picture stays as it is.
+pub struct PerturbedRenderer {
+    fields: Fields,
+    config: Resolved,
+    geometry: AttackGeometry,
+    bounds: (f64, f64),
+    background: Option<[f32; 3]>,
+}
+
+impl PerturbedRenderer {
+    /// Creates a renderer of fields with their current weights.
+    ///
+    /// # Errors
+    /// Those of candle.
+    pub fn new(fields: &Fields, config: &Resolved, scene: &Scene) -> Result<PerturbedRenderer> {
+        let geometry = AttackGeometry::new(config, scene);
+        let (bounds, background) = (scene.bounds(), scene.background);
+        Ok(PerturbedRenderer { fields: fields.frozen()?, config: config.clone(), geometry, bounds, background })
+    }
+
+    /// Returns the parts of rays that it needs.
+    pub fn ray_parts(&self) -> RayParts {
+        RayParts { tangents: true, ..ray_parts(self.fields.evaluated()) }
+    }
+
+    /// Returns the names of the sites that can be on: those whose sets are larger than a point. If the run's own method has
+    /// none on, as NeRF, they are those that Aug-NeRF has with the run's settings.
+    pub fn sites(&self) -> Vec<&'static str> {
+        let numbers = self.config.perturb.numbers.iter();
+        numbers.filter(|(_, numbers)| numbers.on() && numbers.perturbs()).map(|(site, _)| site.about().name).collect()
+    }
+
+    /// Renders rays with the deltas of `attack`: those of [`PerturbedRenderer::pass`].
+    ///
+    /// # Errors
+    /// Those of candle.
+    pub fn render(&self, rays: &Rays, target: Option<&Tensor>, attack: &Attack, part: u64) -> Result<RenderedRays> {
+        let out = self.pass(rays, target, attack, part)?.composite;
+        Ok(RenderedRays { rgb: out.rgb, depth: out.depth, acc: out.acc })
+    }
+
+    /// Runs the evaluated pass with the deltas of `attack`. Without sites it is the clean pass. The search raises the squared
+    /// distance to `target`, `[rays, 3]`: photographed colours, or without them the clean pass's own. `part` numbers the rays'
+    /// random starts.
+    ///
+    /// # Errors
+    /// Those of candle.
+    pub fn pass(&self, rays: &Rays, target: Option<&Tensor>, attack: &Attack, part: u64) -> Result<PassOutput> {
+        let (coarse, field) = (&self.fields.coarse, self.fields.evaluated());
+        let sampling = &self.config.sampling;
+        let own =
+            stratified(self.bounds, sampling.spacing, rays.len(), columns(coarse, sampling).0, None, &rays.origins)?;
+        let is_coarse = self.fields.fine().is_none();
+        let t_vals = if is_coarse { own } else { fine_t_vals(coarse, rays, &own, sampling)? };
+        let pass =
+            Pass { rays, t_vals: &t_vals, density_noise: None, background: self.background, scales_gradients: false };
+        let perturb = &self.config.perturb;
+        let geometry = self.geometry.pass(&t_vals, samples_of(field, &t_vals)?, &rays.direction_norm, is_coarse)?;
+        let is_on = |site: Site| attack.sites.iter().any(|name| name == site.about().name);
+        let numbers = PerSite::from_fn(|site| match is_on(site) {
+            true => perturb.numbers[site],
+            false => SiteNumbers { passes: Passes::Off, ..perturb.numbers[site] },
+        });
+        let mut sets = Sets::new(&numbers, &perturb.set_choices(), &geometry)?;
+        let clean;
+        let target = match target {
+            Some(target) => target,
+            None => {
+                clean = clean_pass(field, pass)?.composite.rgb;
+                &clean
+            }
+        };
+        let start =
+            sets.draw(Draw::Uniform, |site| Random::part(self.config.seed, Stream::View, 0, site.part(part)))?;
+        let mut fixed = None;
+        let found = worst_case(&sets, &numbers, perturb.step_unit, start, |at| {
+            if fixed.is_none() && at.fixes(&FixedSamples::MOVED_BY) {
+                fixed = Some(FixedSamples::new(field, pass, at.deltas)?);
+            }
+            let perturbation = self.perturbation(at.deltas, &sets);
+            let (out, used) = match &fixed {
+                Some(fixed) => fixed.perturbed_pass_loss(perturbation, target)?,
+                None => perturbed_pass_loss(field, pass, perturbation, target)?,
+            };
+            Ok((out.loss, used))
+        })?;
+        let mut scaled = Deltas::default();
+        let on: Vec<Site> = sets.iter().map(|(site, _)| site).collect();
+        for site in on {
+            let Some(delta) = found.get(site) else { continue };
+            scaled.set(site, (delta.detach() * attack.scale)?);
+            // What is scaled up leaves its set on purpose.
+            let mut set = sets.get(site).expect("is on").clone();
+            set.radius = (set.radius * attack.scale.max(1.0))?;
+            sets.set(site, set);
+        }
+        Ok(perturbed_pass(field, pass, self.perturbation(&scaled, &sets))?.pass)
+    }
+
+    fn perturbation<'a>(&self, deltas: &'a Deltas, sets: &'a Sets) -> Perturbation<'a> {
+        let perturb = &self.config.perturb;
+        Perturbation { deltas, sets, injection_layer: perturb.injection_layer, output: perturb.output }
+    }
+}

@@ -1,0 +1,534 @@
+//! The server: addresses and their answers, tokens, and whose turn it is.
+
+use std::collections::HashMap;
+use std::io::Read;
+use std::net::{IpAddr, SocketAddr};
+use std::sync::atomic::{AtomicUsize, Ordering};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::time::{Duration, Instant};
+
+use candle_core::{DType, Tensor};
+use serde_json::{Value, json};
+use tiny_http::{Header, Method, Request, Response};
+
+use crate::base::{Error, Image, Result};
+use crate::data::cameras::camera_path;
+use crate::data::{Camera, RayBuffer, View, path, pose};
+use crate::draw::{encode_jpeg, encode_png8};
+use crate::run::{RenderedView, Viewer};
+
+use super::perturbed::Attack;
+use super::picture::{Layer, draw_layer};
+use super::request::Arguments;
+use super::samples::RaySamples;
+use super::shown::{ShownRun, Weights};
+
+/// Threads that answer. Pictures are made by one at a time.
+const WORKERS: usize = 8;
+/// How often a worker looks whether the server stops.
+const PATIENCE: Duration = Duration::from_millis(200);
+/// A page asks for the state every two seconds. After this time without it is closed.
+const WATCHED: Duration = Duration::from_secs(7);
+/// The most pages whose turns are remembered.
+const MOST_PAGES: usize = 1000;
+/// The most bytes and cameras of a path.
+const MOST_PATH_BYTES: u64 = 4 << 20;
+const MOST_CAMERAS: usize = 10_000;
+/// Rays that are searched at once. A search remembers every operation on them.
+const SEARCHED_RAYS: usize = 128;
+/// Quality of pictures while the camera moves.
+const MOVING_QUALITY: u8 = 82;
+/// What a page may load: its own script, style and pictures.
+const POLICY: &str = "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' blob:; connect-src 'self'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'";
+
+/// The page's files: name, type and content.
+const FILES: [(&str, &str, &str); 4] = [
+    ("", "text/html; charset=utf-8", include_str!("../page/index.html")),
+    ("viewer.js", "text/javascript; charset=utf-8", include_str!("../page/viewer.js")),
+    ("icon.svg", "image/svg+xml", include_str!("../page/icon.svg")),
+    ("viewer.css", "text/css; charset=utf-8", include_str!("../page/viewer.css")),
+];
+
+/// Where a server listens.
+#[derive(Clone, Debug)]
+pub struct ServerOptions {
+    /// The address of the interface. 127.0.0.1 is reached from this computer alone.
+    pub host: IpAddr,
+    /// The port; 0 takes a free one.
+    pub port: u16,
+}
+
+/// The server of one page with one or two runs.
+pub struct Server {
+    http: tiny_http::Server,
+    address: SocketAddr,
+    token: String,
+    runs: Vec<Arc<ShownRun>>,
+    /// The newest picture that each page's slot has asked for.
+    turns: Mutex<HashMap<String, u64>>,
+    /// When a page last asked for anything.
+    asked: Mutex<Option<Instant>>,
+    /// Held while a picture is made: two at once would each take twice as long.
+    rendering: Mutex<()>,
+}
+
+/// An answer.
+struct Reply {
+    status: u16,
+    kind: &'static str,
+    body: Vec<u8>,
+    /// Headers of its own.
+    headers: Vec<(&'static str, String)>,
+}
+
+impl Reply {
+    fn new(kind: &'static str, body: Vec<u8>) -> Reply {
+        Reply { status: 200, kind, body, headers: Vec::new() }
+    }
+
+    fn json(value: &Value) -> Reply {
+        Reply::new("application/json", value.to_string().into_bytes())
+    }
+
+    /// A refusal in words.
+    fn refused(status: u16, words: &str) -> Reply {
+        Reply { status, ..Reply::new("text/plain; charset=utf-8", words.as_bytes().to_vec()) }
+    }
+}
+
+/// Why there is no picture.
+enum Failure {
+    /// A wrong address.
+    Asked(String),
+    /// The page has asked for a newer one.
+    Superseded,
+    /// The picture cannot be made.
+    Made(Error),
+}
+
+impl From<String> for Failure {
+    fn from(words: String) -> Failure {
+        Failure::Asked(words)
+    }
+}
+
+impl From<Error> for Failure {
+    fn from(error: Error) -> Failure {
+        match error {
+            Error::Interrupted { .. } => Failure::Superseded,
+            error => Failure::Made(error),
+        }
+    }
+}
+
+impl From<candle_core::Error> for Failure {
+    fn from(error: candle_core::Error) -> Failure {
+        Failure::Made(error.into())
+    }
+}
+
+type Answer = std::result::Result<Reply, Failure>;
+
+impl Server {
+    /// Listens for pages that show `runs`, which must be of one scene.
+    ///
+    /// # Errors
+    /// [`Error::Config`]: the runs' scenes differ. [`Error::Output`]: the port is taken or the address is not of this computer.
+    pub fn bind(runs: Vec<Arc<ShownRun>>, options: &ServerOptions) -> Result<Server> {
+        if let Some(other) = runs.iter().skip(1).find(|run| !are_of_one_scene(&runs[0], run)) {
+            return Err(Error::Config(format!(
+                "{} and {} have different scenes or units, so no camera can show both: view runs of one scene",
+                runs[0].label, other.label
+            )));
+        }
+        let wanted = SocketAddr::new(options.host, options.port);
+        let failed = |why: String| {
+            Error::Output(format!("{wanted}: cannot listen there: {why}; choose another --host or --port"))
+        };
+        let http = tiny_http::Server::http(wanted).map_err(|e| failed(e.to_string()))?;
+        let address = http.server_addr().to_ip().ok_or_else(|| failed("it is no address of a network".into()))?;
+        let mut secret = [0u8; 16];
+        getrandom::fill(&mut secret).map_err(|e| failed(format!("no random numbers for its token ({e})")))?;
+        let token = secret.iter().map(|byte| format!("{byte:02x}")).collect();
+        Ok(Server {
+            http,
+            address,
+            token,
+            runs,
+            turns: Mutex::default(),
+            asked: Mutex::default(),
+            rendering: Mutex::default(),
+        })
+    }
+
+    /// Returns the address to open.
+    pub fn url(&self) -> String {
+        format!("http://{}/{}/", self.address, self.token)
+    }
+
+    /// Returns whether other computers can reach it.
+    pub fn is_public(&self) -> bool {
+        !self.address.ip().is_loopback()
+    }
+
+    /// Returns whether a page is open.
+    pub fn is_watched(&self) -> bool {
+        self.asked.lock().unwrap_or_else(PoisonError::into_inner).is_some_and(|asked| asked.elapsed() < WATCHED)
+    }
+
+    /// Answers until `stop` is not 0.
+    pub fn serve(&self, stop: &AtomicUsize) {
+        std::thread::scope(|scope| {
+            for _ in 0..WORKERS {
+                scope.spawn(|| {
+                    while stop.load(Ordering::SeqCst) == 0 {
+                        if let Ok(Some(request)) = self.http.recv_timeout(PATIENCE) {
+                            self.answer(request);
+                        }
+                    }
+                });
+            }
+        });
+    }
+
+    fn answer(&self, mut request: Request) {
+        let reply = self.check(&request).unwrap_or_else(|| self.route(&mut request));
+        let mut response = Response::from_data(reply.body).with_status_code(reply.status);
+        let fixed = [
+            ("Content-Type", reply.kind),
+            ("Cache-Control", "no-store"),
+            ("X-Content-Type-Options", "nosniff"),
+            // The token is in the address.
+            ("Referrer-Policy", "no-referrer"),
+            ("Content-Security-Policy", POLICY),
+        ];
+        let own = reply.headers.iter().map(|(name, value)| (*name, value.as_str()));
+        for (name, value) in fixed.into_iter().chain(own) {
+            if let Ok(header) = Header::from_bytes(name, value) {
+                response.add_header(header);
+            }
+        }
+        // The page has gone; there is nobody to tell.
+        let _ = request.respond(response);
+    }
+
+    /// Refuses what comes from another page, or without the token.
+    fn check(&self, request: &Request) -> Option<Reply> {
+        let header = |name: &str| {
+            let found =
+                request.headers().iter().find(|header| header.field.as_str().as_str().eq_ignore_ascii_case(name));
+            found.map(|header| header.value.as_str())
+        };
+        if let Some(origin) = header("Origin") {
+            let host = header("Host").unwrap_or_default();
+            if origin.strip_prefix("http://") != Some(host) {
+                return Some(Reply::refused(
+                    403,
+                    "Another page has asked for this. Open the address that augnerf printed.",
+                ));
+            }
+        }
+        let given = request.url().split('/').nth(1).unwrap_or_default();
+        let differences = given.bytes().zip(self.token.bytes()).fold(0, |found, (a, b)| found | (a ^ b));
+        if given.len() != self.token.len() || differences != 0 {
+            let words = "The address lacks its token. Open the whole address that augnerf printed.";
+            return Some(Reply::refused(403, words));
+        }
+        None
+    }
+
+    fn route(&self, request: &mut Request) -> Reply {
+        *self.asked.lock().unwrap_or_else(PoisonError::into_inner) = Some(Instant::now());
+        let url = request.url().to_string();
+        let (path, query) = url.split_once('?').unwrap_or((&url, ""));
+        let name = path.splitn(3, '/').nth(2);
+        let arguments = Arguments::of(query);
+        let answer = match (request.method(), name) {
+            // The page's addresses are relative: they need the slash.
+            (Method::Get, None) => {
+                let headers = vec![("Location", format!("/{}/", self.token))];
+                Ok(Reply { headers, ..Reply::refused(301, "") })
+            }
+            (Method::Get, Some("scene")) => Ok(Reply::json(&self.scene())),
+            (Method::Get, Some("state")) => Ok(Reply::json(&self.state())),
+            (Method::Get, Some("picture")) => self.picture(&arguments),
+            (Method::Get, Some("photograph")) => self.photograph(&arguments),
+            (Method::Get, Some("ray")) => self.ray(&arguments),
+            (Method::Post, Some("path")) => self.path(&arguments, request),
+            (Method::Get, Some(name)) => match FILES.iter().find(|(file, ..)| *file == name) {
+                Some((_, kind, content)) => Ok(Reply::new(kind, content.as_bytes().to_vec())),
+                None => Ok(Reply::refused(404, "There is nothing at this address.")),
+            },
+            _ => Ok(Reply::refused(405, "This address is not asked for in this way.")),
+        };
+        answer.unwrap_or_else(|failure| match failure {
+            Failure::Asked(words) => Reply::refused(400, &words),
+            Failure::Superseded => Reply::refused(409, "The page has asked for a newer picture."),
+            Failure::Made(error) => Reply::refused(500, &error.to_string()),
+        })
+    }
+
+    /// Describes the scene: its cameras, and what to turn around.
+    fn scene(&self) -> Value {
+        let run = &self.runs[0];
+        let views = |split: &str, views: &[View]| -> Vec<Value> {
+            let view = |(index, view): (usize, &View)| {
+                let Camera { width, height, focal, pose, .. } = view.camera;
+                let fov = 2.0 * (0.5 * height as f64 / focal[1]).atan().to_degrees();
+                let pose: Vec<f64> = pose.into_iter().flatten().collect();
+                json!({ "id": format!("{split}:{index}"), "name": view.name, "split": split, "pose": pose, "fov": fov, "width": width, "height": height })
+            };
+            views.iter().enumerate().map(view).collect()
+        };
+        let scene = &run.scene;
+        let poses: Vec<pose::Pose> = scene.train.iter().map(|view| view.camera.pose).collect();
+        let up = pose::normalized(pose::mean(poses.iter().map(|pose| pose::column(pose, 1))));
+        let centre = path::centre(&poses).filter(|_| path::goes_around(&poses));
+        let views = [views("held-out", &scene.test), views("train", &scene.train)].concat();
+        let layers: Vec<&str> = Layer::ALL.into_iter().map(Layer::name).collect();
+        json!({
+            "name": scene.name,
+            "views": views,
+            "up": up.unwrap_or([0.0, 0.0, 1.0]),
+            "centre": centre,
+            "ndc": scene.ndc.is_some(),
+            "layers": layers,
+        })
+    }
+
+    /// Describes what changes: steps, and what the weights can show.
+    fn state(&self) -> Value {
+        let run = |run: &Arc<ShownRun>| {
+            let weights = run.weights();
+            let weights = weights.as_deref();
+            let sites = weights.and_then(|weights| weights.perturbed.as_ref()).map(|perturbed| perturbed.sites());
+            json!({
+                "label": run.label,
+                "method": run.config.method.name(),
+                "step": weights.map(|weights| weights.step),
+                "steps": run.steps,
+                "sites": sites.unwrap_or_default(),
+                "attacked": run.config.method.is_augmented(),
+                "occupied": weights.and_then(|weights| weights.occupied),
+                "depths": weights.map(|weights| [weights.depths.0, weights.depths.1]),
+                "distance": weights.map(|weights| distance(run, weights)),
+            })
+        };
+        json!({ "runs": self.runs.iter().map(run).collect::<Vec<Value>>() })
+    }
+
+    fn run(&self, arguments: &Arguments) -> std::result::Result<(&ShownRun, Arc<Weights>), Failure> {
+        let index: usize = arguments.number("run")?;
+        let run = self
+            .runs
+            .get(index)
+            .ok_or_else(|| format!("run={index}: the page has {} runs, from 0", self.runs.len()))?;
+        let weights = run.weights().ok_or_else(|| "the training has not made a step yet".to_string())?;
+        Ok((run, weights))
+    }
+
+    /// Waits until a picture may be made. Pages that have asked for a newer one in the meantime give up.
+    fn wait(&self, arguments: &Arguments) -> std::result::Result<(MutexGuard<'_, ()>, String, u64), Failure> {
+        let (page, turn) = arguments.turn()?;
+        {
+            let mut turns = self.turns.lock().unwrap_or_else(PoisonError::into_inner);
+            if turns.len() >= MOST_PAGES && !turns.contains_key(&page) {
+                turns.clear();
+            }
+            let newest = turns.entry(page.clone()).or_default();
+            *newest = turn.max(*newest);
+        }
+        let guard = self.rendering.lock().unwrap_or_else(PoisonError::into_inner);
+        self.check_turn(&page, turn)?;
+        Ok((guard, page, turn))
+    }
+
+    /// # Errors
+    /// [`Error::Interrupted`]: the page has asked for a newer picture.
+    fn check_turn(&self, page: &str, turn: u64) -> Result<()> {
+        let turns = self.turns.lock().unwrap_or_else(PoisonError::into_inner);
+        match turns.get(page).is_some_and(|newest| *newest > turn) {
+            true => Err(Error::Interrupted { signal: 0, message: "superseded".into() }),
+            false => Ok(()),
+        }
+    }
+
+    fn picture(&self, arguments: &Arguments) -> Answer {
+        let (run, weights) = self.run(arguments)?;
+        let (camera, layer) = (arguments.camera(&run.scene)?, arguments.layer()?);
+        let attack = arguments.attack(&sites_of(&weights))?;
+        let (guard, page, turn) = self.wait(arguments)?;
+        let started = Instant::now();
+        let stop_check = || self.check_turn(&page, turn);
+        let view = match attack {
+            Some(attack) => perturbed_view(run, &weights, &camera, arguments.view(&run.scene)?, &attack, &stop_check)?,
+            None => {
+                let viewer =
+                    Viewer { model: &weights.model, config: &run.config, scene: &run.scene, runtime: &run.runtime };
+                viewer.render_unless(&*weights.renderer, &camera, &stop_check)?
+            }
+        };
+        let milliseconds = started.elapsed().as_millis();
+        drop(guard);
+        let depths = self.runs[0].weights().map_or(weights.depths, |first| first.depths);
+        let image = draw_layer(layer, view, &camera, &run.scene, depths)?;
+        let mut reply = match arguments.get("moving") {
+            Some(_) => Reply::new("image/jpeg", encode_jpeg(&image, MOVING_QUALITY)?),
+            None => png(&image)?,
+        };
+        reply.headers = vec![("X-Milliseconds", milliseconds.to_string()), ("X-Step", weights.step.to_string())];
+        Ok(reply)
+    }
+
+    fn photograph(&self, arguments: &Arguments) -> Answer {
+        let run = self.runs.first().expect("a page has a run");
+        let view = arguments.view(&run.scene)?.ok_or_else(|| "view is missing".to_string())?;
+        png(&view.image)
+    }
+
+    fn ray(&self, arguments: &Arguments) -> Answer {
+        let (run, weights) = self.run(arguments)?;
+        let camera = arguments.camera(&run.scene)?;
+        let (x, y): (u32, u32) = (arguments.number("x")?, arguments.number("y")?);
+        if x as usize >= camera.width || y as usize >= camera.height {
+            return Err(
+                format!("x={x}, y={y}: outside the picture of {} x {} pixels", camera.width, camera.height).into()
+            );
+        }
+        let perturbed = weights
+            .perturbed
+            .as_ref()
+            .ok_or_else(|| "only fields on the processor have samples to show".to_string())?;
+        let view = arguments.view(&run.scene)?;
+        let attack = arguments.attack(&perturbed.sites())?;
+        let (guard, ..) = self.wait(arguments)?;
+        let of = |attack: &Attack| -> Result<RaySamples> {
+            let rays = RayBuffer::new(
+                &[(&camera, x, y)],
+                run.scene.ndc.as_ref(),
+                run.config.data.origin_of_pixels(),
+                perturbed.ray_parts(),
+            )
+            .to_tensors(DType::F32, run.runtime.device())?;
+            let target = view.map(|view| photographed(view, &camera, &[(x, y)])).transpose()?;
+            let norm = f64::from(rays.direction_norm.flatten_all()?.to_vec1::<f32>()?[0]);
+            RaySamples::of(&perturbed.pass(&rays, target.as_ref(), attack, 0)?, norm)
+        };
+        let clean = Attack { sites: Vec::new(), scale: 0.0 };
+        let (clean, attacked) =
+            run.runtime.install(|| -> Result<_> { Ok((of(&clean)?, attack.as_ref().map(of).transpose()?)) })?;
+        drop(guard);
+        Ok(Reply::json(&json!({ "clean": clean, "attacked": attacked })))
+    }
+
+    /// Returns the recorded cameras as the file that `augnerf render --cameras` reads.
+    fn path(&self, arguments: &Arguments, request: &mut Request) -> Answer {
+        let mut body = String::new();
+        let read = request.as_reader().take(MOST_PATH_BYTES).read_to_string(&mut body);
+        read.map_err(|_| "the path is not text".to_string())?;
+        let poses: Vec<[[f64; 4]; 3]> =
+            serde_json::from_str(&body).map_err(|_| "a path is a list of 3 x 4 numbers".to_string())?;
+        if poses.is_empty() || poses.len() > MOST_CAMERAS {
+            return Err(format!("{} cameras: a path has 1 to {MOST_CAMERAS}", poses.len()).into());
+        }
+        let scene = &self.runs[0].scene;
+        let like = arguments.camera(scene)?;
+        let cameras: Vec<Camera> = poses.into_iter().map(|pose| Camera { pose, ..like }).collect();
+        let fps: f64 = arguments.number("fps")?;
+        if !(0.1..=240.0).contains(&fps) {
+            return Err(format!("fps={fps}: must be 0.1 to 240").into());
+        }
+        Ok(Reply::json(&camera_path(&cameras, &scene.space.world, fps)))
+    }
+}
+
+/// Returns whether one camera can show both runs: whether they have the same scene in the same units.
+fn are_of_one_scene(a: &ShownRun, b: &ShownRun) -> bool {
+    let poses = |run: &ShownRun| {
+        run.scene
+            .train
+            .iter()
+            .chain(&run.scene.test)
+            .map(|view| (view.name.clone(), view.camera.pose))
+            .collect::<HashMap<_, _>>()
+    };
+    let (of_a, of_b) = (poses(a), poses(b));
+    let mut common = of_a.iter().filter_map(|(name, pose)| Some((pose, of_b.get(name)?))).peekable();
+    a.scene.name == b.scene.name && common.peek().is_some() && common.all(|(a, b)| a == b)
+}
+
+fn sites_of(weights: &Weights) -> Vec<&'static str> {
+    weights.perturbed.as_ref().map(|perturbed| perturbed.sites()).unwrap_or_default()
+}
+
+/// Returns how far in front of the first camera the middle of the depths is, in scene units.
+fn distance(run: &ShownRun, weights: &Weights) -> f64 {
+    let (near, far) = weights.depths;
+    let middle = f64::from(0.5 * (near + far));
+    if run.scene.ndc.is_none() {
+        return middle;
+    }
+    let camera = run.first_camera();
+    let (origin, direction) = camera.ray(camera.centre[0], camera.centre[1]);
+    crate::data::Ndc::world_t(origin, direction, middle.min(0.95))
+}
+
+fn png(image: &Image) -> Answer {
+    let made = encode_png8(image).map_err(|reason| Error::Output(format!("cannot encode a picture: {reason}")))?;
+    Ok(Reply::new("image/png", made))
+}
+
+/// Returns what a photograph shows at pixels of a picture of its camera in another size, `[pixels, 3]`.
+fn photographed(view: &View, camera: &Camera, pixels: &[(u32, u32)]) -> Result<Tensor> {
+    let Image { width, height, channels, pixels: values } = &*view.image;
+    // `with_size` keeps the vertical field of view, around the middle of the columns.
+    let scale = *height as f64 / camera.height as f64;
+    let left = 0.5 * (*width as f64 - scale * camera.width as f64);
+    let colours: Vec<f32> = pixels
+        .iter()
+        .flat_map(|&(x, y)| {
+            let at = |value: f64, size: usize| (value.max(0.0) as usize).min(size - 1);
+            let (x, y) = (at(left + scale * (f64::from(x) + 0.5), *width), at(scale * (f64::from(y) + 0.5), *height));
+            let first = channels * (y * width + x);
+            [values[first], values[first + 1], values[first + 2]]
+        })
+        .collect();
+    Ok(Tensor::from_vec(colours, (pixels.len(), 3), &candle_core::Device::Cpu)?)
+}
+
+/// Renders a view with the deltas of an attack.
+fn perturbed_view(
+    run: &ShownRun,
+    weights: &Weights,
+    camera: &Camera,
+    view: Option<&View>,
+    attack: &Attack,
+    stop_check: &(dyn Fn() -> Result<()> + Sync),
+) -> Result<RenderedView> {
+    let perturbed = weights.perturbed.as_ref().expect("it has sites");
+    let (width, height) = (camera.width, camera.height);
+    let pixels: Vec<(u32, u32)> = (0..height as u32).flat_map(|y| (0..width as u32).map(move |x| (x, y))).collect();
+    let parts: Vec<(u64, &[(u32, u32)])> = (0..).zip(pixels.chunks(SEARCHED_RAYS)).collect();
+    let render = |parts: &[(u64, &[(u32, u32)])]| -> Result<[Vec<f32>; 3]> {
+        stop_check()?;
+        let (part, pixels) = parts[0];
+        let of_camera: Vec<(&Camera, u32, u32)> = pixels.iter().map(|&(x, y)| (camera, x, y)).collect();
+        let rays = RayBuffer::new(
+            &of_camera,
+            run.scene.ndc.as_ref(),
+            run.config.data.origin_of_pixels(),
+            perturbed.ray_parts(),
+        )
+        .to_tensors(DType::F32, run.runtime.device())?;
+        let target = view.map(|view| photographed(view, camera, pixels)).transpose()?;
+        let out = perturbed.render(&rays, target.as_ref(), attack, part)?;
+        let host = |tensor: &Tensor| tensor.flatten_all()?.to_vec1::<f32>();
+        Ok([host(&out.rgb)?, host(&(out.depth / &out.acc)?)?, host(&out.acc)?])
+    };
+    let mut rendered: [Vec<f32>; 3] = Default::default();
+    for part in run.runtime.install(|| run.runtime.over_parts(&parts, 1, render))? {
+        rendered.iter_mut().zip(part).for_each(|(whole, part)| whole.extend(part));
+    }
+    let [pixels, depth, acc] = rendered;
+    Ok(RenderedView { image: Image { width, height, channels: 3, pixels }, depth, acc })
+}

@@ -1,0 +1,169 @@
+//! `augnerf view`, and what `train --view` shows.
+
+use std::net::{IpAddr, Ipv4Addr};
+use std::path::PathBuf;
+use std::sync::atomic::{AtomicUsize, Ordering};
+use std::sync::{Arc, Mutex, PoisonError};
+use std::time::{Duration, Instant};
+
+use clap::Args;
+
+use crate::base::{Error, Result};
+use crate::methods::Model;
+use crate::run::{Audience, Finished, Job, Setup};
+use crate::view::{Server, ServerOptions, ShownRun};
+
+use super::progress::{Console, print};
+use super::signals::catch_signals;
+use super::{Compute, Moved};
+
+pub const EXAMPLES: &str = "Examples:
+  augnerf view RUN                         # open the address that it prints
+  augnerf view runs/fern-nerf-* runs/fern-aug-nerf-*
+  ssh -L 7007:127.0.0.1:7007 SERVER        # then, on that server: augnerf view RUN
+  augnerf train --view                     # a training as it goes
+
+The page turns, pans, zooms and flies, shows colour, depth, accumulation and normals, two runs or the worst case of the \
+attack beside the clean pass, and the samples along a ray. It records camera paths for `augnerf render --cameras`. Ctrl-C \
+ends it.";
+
+/// The port unless another is asked for.
+const PORT: u16 = 7007;
+/// Least time between two weights of a training that are shown, and how many times longer than making them ready it is.
+const LEAST_PAUSE: Duration = Duration::from_secs(2);
+const PAUSE_OVER_WORK: u32 = 10;
+
+#[derive(Args)]
+#[command(next_help_heading = "Experiment")]
+pub struct ViewArguments {
+    /// Run folders of one scene (newest checkpoints)
+    #[arg(required = true, num_args = 1..=8)]
+    runs: Vec<PathBuf>,
+    #[command(flatten)]
+    sources: Moved,
+    #[command(flatten)]
+    place: Place,
+    #[command(flatten)]
+    compute: Compute,
+}
+
+/// Where the page is served.
+#[derive(Args)]
+#[command(next_help_heading = "Page")]
+pub struct Place {
+    /// Port of the page; 0 takes a free one [default: 7007, or a free one if that is taken]
+    #[arg(long, value_name = "N")]
+    port: Option<u16>,
+    /// Address of the interface; others than 127.0.0.1 let other computers in [default: 127.0.0.1]
+    #[arg(long, value_name = "ADDRESS")]
+    host: Option<IpAddr>,
+}
+
+impl Place {
+    /// Opens the page of some runs, and prints its address.
+    pub fn open(&self, runs: Vec<Arc<ShownRun>>, console: &Console) -> Result<Server> {
+        let host = self.host.unwrap_or(IpAddr::V4(Ipv4Addr::LOCALHOST));
+        let at = |port| Server::bind(runs.clone(), &ServerOptions { host, port });
+        let server = match self.port {
+            Some(port) => at(port)?,
+            None => match at(PORT) {
+                Err(Error::Output(_)) => at(0)?,
+                server => server?,
+            },
+        };
+        if server.is_public() {
+            console.say(
+                "warning: other computers can reach this page. It is plain HTTP: whoever reads the network can read the address, \
+                 with which anyone can look. An ssh tunnel to 127.0.0.1 is safer",
+            );
+        }
+        Ok(server)
+    }
+}
+
+impl ViewArguments {
+    pub fn run(self) -> Result<()> {
+        let runtime = self.compute.runtime_or("cpu")?;
+        let console = Console::new(self.compute.quiet);
+        let stop = catch_signals()?;
+        let open =
+            |folder: &PathBuf| ShownRun::open(folder, self.sources.data.as_deref(), &runtime, &console).map(Arc::new);
+        let runs = self.runs.iter().map(open).collect::<Result<Vec<_>>>()?;
+        let server = self.place.open(runs, &console)?;
+        print(&server.url())?;
+        console.say("open this address in a browser; Ctrl-C ends the page");
+        server.serve(&stop);
+        Ok(())
+    }
+}
+
+/// Flags for looking at a training as it goes.
+#[derive(Args)]
+#[command(next_help_heading = "Page")]
+pub struct Live {
+    /// Serve a page that shows the training as it goes, and print its address
+    #[arg(long)]
+    view: bool,
+    #[command(flatten)]
+    place: Place,
+}
+
+impl Live {
+    /// Trains, with a page if it is asked for, which ends with the training.
+    pub fn train(&self, job: Job, signal: &AtomicUsize, label: String, console: &Console) -> Result<Finished> {
+        if !self.view {
+            return match self.place.port.is_some() || self.place.host.is_some() {
+                true => Err(Error::Config("--port and --host are of the page: add --view".into())),
+                false => job.train(console, signal),
+            };
+        }
+        let Setup { config, scene, runtime, .. } = job.setup();
+        let run = ShownRun::of_training(label, config.clone(), (*scene).clone(), runtime.clone());
+        let page = LivePage::open(run, &self.place, console)?;
+        page.during(|| job.before(&page).train(console, signal))
+    }
+}
+
+/// A page that shows a training as it goes.
+struct LivePage {
+    run: Arc<ShownRun>,
+    server: Server,
+    /// When the next weights may be shown.
+    next: Mutex<Option<Instant>>,
+}
+
+impl LivePage {
+    /// Opens the page of a training that is about to begin.
+    fn open(run: ShownRun, place: &Place, console: &Console) -> Result<LivePage> {
+        let run = Arc::new(run);
+        let server = place.open(vec![run.clone()], console)?;
+        console.say(&format!("look at it: {}", server.url()));
+        Ok(LivePage { run, server, next: Mutex::default() })
+    }
+
+    /// Does `work` while the page answers. The page ends with it.
+    fn during<T: Send>(&self, work: impl FnOnce() -> T + Send) -> T {
+        let stop = AtomicUsize::new(0);
+        std::thread::scope(|scope| {
+            scope.spawn(|| self.server.serve(&stop));
+            let done = work();
+            stop.store(1, Ordering::SeqCst);
+            done
+        })
+    }
+}
+
+impl Audience for LivePage {
+    fn looks(&self) -> bool {
+        let next = *self.next.lock().unwrap_or_else(PoisonError::into_inner);
+        self.server.is_watched() && next.is_none_or(|next| Instant::now() >= next)
+    }
+
+    fn see(&self, step: u64, model: &Model) -> Result<()> {
+        let started = Instant::now();
+        self.run.show_copy(step, model)?;
+        let pause = LEAST_PAUSE.max(PAUSE_OVER_WORK * started.elapsed());
+        *self.next.lock().unwrap_or_else(PoisonError::into_inner) = Some(Instant::now() + pause);
+        Ok(())
+    }
+}

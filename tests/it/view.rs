@@ -1,0 +1,318 @@
+//! The page of runs: its server over HTTP, as a browser speaks to it.
+
+use std::io::{Read, Write};
+use std::net::{IpAddr, Ipv4Addr, TcpStream};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicUsize, Ordering};
+
+use augnerf::base::Image;
+use augnerf::data::cameras;
+use augnerf::methods::FieldRenderer;
+use augnerf::render::ray_parts;
+use augnerf::run::Viewer;
+use augnerf::runtime::Runtime;
+use augnerf::settings::{Encoding, Method};
+use augnerf::train::Trainer;
+use augnerf::view::{Attack, PerturbedRenderer, Server, ServerOptions, ShownRun, SkippingRenderer};
+use candle_core::DType;
+
+use crate::common::{tiny_config, tiny_scene};
+
+/// A run of the soft ball after some steps.
+fn shown(label: &str, method: Method, steps: usize) -> Arc<ShownRun> {
+    let (scene, runtime) = (tiny_scene(), Runtime::new("cpu", Some(2)).unwrap());
+    let config = tiny_config(method, |config| config.train.steps = steps.max(1) as u64);
+    let mut trainer = Trainer::new(&config, &scene, DType::F32, &runtime).unwrap();
+    for _ in 0..steps {
+        trainer.step(false).unwrap();
+    }
+    let run = ShownRun::of_training(label.into(), config, scene, runtime);
+    run.show_copy(steps as u64, trainer.model().unwrap()).unwrap();
+    Arc::new(run)
+}
+
+/// An answer of the server.
+struct Reply {
+    status: u16,
+    head: String,
+    body: Vec<u8>,
+}
+
+impl Reply {
+    fn words(&self) -> String {
+        String::from_utf8_lossy(&self.body).into_owned()
+    }
+
+    fn json(&self) -> serde_json::Value {
+        serde_json::from_slice(&self.body).unwrap()
+    }
+
+    fn size(&self) -> (u32, u32) {
+        let image = image::load_from_memory(&self.body).unwrap();
+        (image.width(), image.height())
+    }
+}
+
+/// Asks for an address, with further header lines.
+fn ask(method: &str, url: &str, headers: &str, body: &str) -> Reply {
+    let (host, path) = url.strip_prefix("http://").unwrap().split_once('/').unwrap();
+    let mut stream = TcpStream::connect(host).unwrap();
+    let length = body.len();
+    write!(
+        stream,
+        "{method} /{path} HTTP/1.1\r\nHost: {host}\r\nConnection: close\r\nContent-Length: {length}\r\n{headers}\r\n{body}"
+    )
+    .unwrap();
+    let mut bytes = Vec::new();
+    stream.read_to_end(&mut bytes).unwrap();
+    let end = bytes.windows(4).position(|window| window == b"\r\n\r\n").unwrap();
+    let head = String::from_utf8(bytes[..end].to_vec()).unwrap();
+    let mut body = bytes.split_off(end + 4);
+    if head.to_lowercase().contains("transfer-encoding: chunked") {
+        body = unchunked(&body);
+    }
+    Reply { status: head.split(' ').nth(1).unwrap().parse().unwrap(), head, body }
+}
+
+fn unchunked(mut body: &[u8]) -> Vec<u8> {
+    let mut whole = Vec::new();
+    loop {
+        let end = body.windows(2).position(|window| window == b"\r\n").unwrap();
+        let length = usize::from_str_radix(std::str::from_utf8(&body[..end]).unwrap().trim(), 16).unwrap();
+        if length == 0 {
+            return whole;
+        }
+        whole.extend(&body[end + 2..][..length]);
+        body = &body[end + 4 + length..];
+    }
+}
+
+fn get(url: &str) -> Reply {
+    ask("GET", url, "", "")
+}
+
+/// Does `work` with the page of some runs, at the address that it gets.
+fn served<T>(runs: Vec<Arc<ShownRun>>, work: impl FnOnce(&str, &Server) -> T) -> T {
+    let options = ServerOptions { host: IpAddr::V4(Ipv4Addr::LOCALHOST), port: 0 };
+    let server = Server::bind(runs, &options).unwrap();
+    let stop = AtomicUsize::new(0);
+    std::thread::scope(|scope| {
+        scope.spawn(|| server.serve(&stop));
+        let done = std::panic::catch_unwind(std::panic::AssertUnwindSafe(|| work(&server.url(), &server)));
+        stop.store(1, Ordering::SeqCst);
+        done.unwrap_or_else(|failed| std::panic::resume_unwind(failed))
+    })
+}
+
+const VIEW: &str = "run=0&view=held-out:0&width=16&height=16";
+
+#[test]
+fn the_page_has_all_that_it_loads_and_nothing_from_elsewhere() {
+    served(vec![shown("a", Method::Nerf, 0)], |url, _| {
+        let page = get(url);
+        assert_eq!(page.status, 200);
+        assert!(page.head.contains("default-src 'none'") && page.head.contains("no-referrer"), "{}", page.head);
+        for file in ["viewer.js", "viewer.css", "icon.svg"] {
+            assert!(page.words().contains(file));
+            let file = get(&format!("{url}{file}"));
+            assert_eq!(file.status, 200);
+            let foreign =
+                file.words().matches("http").count() - file.words().matches("http://www.w3.org/2000/svg").count();
+            assert_eq!(foreign, 0);
+        }
+        assert_eq!(get(&format!("{url}other")).status, 404);
+        assert_eq!(ask("PUT", url, "", "").status, 405);
+        let bare = get(url.trim_end_matches('/'));
+        assert_eq!(bare.status, 301);
+    });
+}
+
+#[test]
+fn without_its_token_or_from_another_page_nothing_is_answered() {
+    served(vec![shown("a", Method::Nerf, 0)], |url, server| {
+        assert!(!server.is_watched());
+        let (place, token) = url.trim_end_matches('/').rsplit_once('/').unwrap();
+        assert_eq!(token.len(), 32);
+        for wrong in
+            [format!("{place}/"), format!("{place}/{}/state", "0".repeat(32)), format!("{place}/{}/", &token[1..])]
+        {
+            let reply = get(&wrong);
+            assert_eq!(reply.status, 403);
+            assert!(reply.words().contains("token"));
+        }
+        let state = format!("{url}state");
+        assert_eq!(ask("GET", &state, "Origin: http://example.org\r\n", "").status, 403);
+        assert!(!server.is_watched());
+        let own = format!("Origin: {place}\r\n");
+        assert_eq!(ask("GET", &state, &own, "").status, 200);
+        assert!(server.is_watched() && !server.is_public());
+    });
+}
+
+#[test]
+fn pictures_are_those_of_render_and_every_layer_is_drawn() {
+    let run = shown("a", Method::Nerf, 40);
+    served(vec![run.clone()], |url, _| {
+        let picture = get(&format!("{url}picture?{VIEW}&page=x&turn=1"));
+        assert_eq!((picture.status, picture.size()), (200, (16, 16)));
+        let weights = run.weights().unwrap();
+        let viewer = Viewer { model: &weights.model, config: &run.config, scene: &run.scene, runtime: &run.runtime };
+        let Image { pixels, .. } = viewer.render(&run.scene.test[0].camera).unwrap().image;
+        let shown = image::load_from_memory(&picture.body).unwrap().to_rgb8();
+        let error: f64 =
+            shown.as_raw().iter().zip(&pixels).map(|(a, b)| (f64::from(*a) / 255.0 - f64::from(*b)).abs()).sum();
+        assert!(error / (pixels.len() as f64) < 1.0 / 255.0);
+        for layer in ["depth", "accumulation", "normals"] {
+            let reply = get(&format!("{url}picture?{VIEW}&page=x&turn=2&layer={layer}"));
+            assert_eq!((reply.status, reply.size()), (200, (16, 16)), "{}", reply.words());
+            assert_ne!(reply.body, picture.body);
+        }
+        let moving = get(&format!("{url}picture?{VIEW}&page=x&turn=3&moving=1"));
+        assert!(moving.head.contains("image/jpeg"));
+        let photograph = get(&format!("{url}photograph?view=train:2"));
+        assert_eq!((photograph.status, photograph.size()), (200, (16, 16)));
+    });
+}
+
+#[test]
+fn what_is_out_of_range_is_refused_in_words() {
+    served(vec![shown("a", Method::Nerf, 0)], |url, _| {
+        let level = "pose=1,0,0,0,0,1,0,0,0,0,1,4&fov=40&width=16&height=16";
+        for (query, words) in [
+            ("run=0&page=x&turn=1&view=held-out:0&width=5000&height=16", "8 to 4096"),
+            ("run=0&page=x&turn=1&view=held-out:0&width=4000&height=4000", "at most"),
+            ("run=0&page=x&turn=1&view=held-out:7&width=16&height=16", "held-out:0 to held-out:0"),
+            ("run=3&page=x&turn=1&view=held-out:0&width=16&height=16", "1 runs"),
+            ("run=0&page=x&turn=1&width=16&height=16&fov=40", "pose is missing"),
+            (&format!("run=0&page=x&turn=1&layer=smell&{level}"), "normals"),
+            (&format!("run=0&page=x&turn=1&sites=nose&{level}"), "xyz"),
+            (&format!("run=0&page=x;&turn=1&{level}"), "letters"),
+            (&format!("run=0&page=x&{level}"), "turn is missing"),
+        ] {
+            let reply = get(&format!("{url}picture?{query}"));
+            assert_eq!(reply.status, 400, "{query}");
+            assert!(reply.words().contains(words), "{query}: {}", reply.words());
+        }
+        let reply = get(&format!("{url}ray?{VIEW}&page=x&turn=1&x=16&y=0"));
+        assert!(reply.status == 400 && reply.words().contains("outside"), "{}", reply.words());
+    });
+}
+
+/// An older request of a page's slot gives way; another page's does not.
+#[test]
+fn the_newest_picture_of_a_page_wins() {
+    served(vec![shown("a", Method::Nerf, 0)], |url, _| {
+        let at = |page: &str, turn: u64| get(&format!("{url}picture?{VIEW}&page={page}&turn={turn}")).status;
+        assert_eq!((at("x", 5), at("x", 4), at("y", 1), at("x", 5)), (200, 409, 200, 200));
+    });
+}
+
+#[test]
+fn a_recorded_path_is_what_render_reads() {
+    let run = shown("a", Method::Nerf, 0);
+    served(vec![run.clone()], |url, _| {
+        let poses = "[[[1,0,0,0.5],[0,1,0,0],[0,0,1,4]],[[1,0,0,0],[0,1,0,0.25],[0,0,1,3]]]";
+        let address = format!("{url}path?view=held-out:0&width=32&height=24&fps=15");
+        let reply = ask("POST", &address, "", poses);
+        assert_eq!(reply.status, 200, "{}", reply.words());
+        let dir = tempfile::tempdir().unwrap();
+        let file = dir.path().join("camera_path.json");
+        std::fs::write(&file, &reply.body).unwrap();
+        let read = cameras::read(&file, &run.scene.test[0].camera, &run.scene.space.world, None).unwrap();
+        assert_eq!((read.cameras.len(), read.fps), (2, Some(15.0)));
+        let first = read.cameras[0];
+        assert_eq!((first.width, first.height, first.pose[0][3]), (32, 24, 0.5));
+        for wrong in ["[]", "[[1,2]]", "no"] {
+            assert_eq!(ask("POST", &address, "", wrong).status, 400);
+        }
+    });
+}
+
+#[test]
+fn deltas_of_no_size_are_the_clean_pass_and_others_raise_the_error() {
+    let run = shown("a", Method::AugNerf, 60);
+    let weights = run.weights().unwrap();
+    let perturbed = weights.perturbed.as_ref().unwrap();
+    let sites: Vec<String> = perturbed.sites().iter().map(|site| site.to_string()).collect();
+    assert_eq!(sites, ["t", "xyz", "view", "feature", "rgb", "density"]);
+    let view = &run.scene.test[0];
+    let pixels: Vec<_> = (0..256u32).map(|i| (&view.camera, i % 16, i / 16)).collect();
+    let origin = run.config.data.origin_of_pixels();
+    let rays = augnerf::data::RayBuffer::new(&pixels, None, origin, perturbed.ray_parts())
+        .to_tensors(DType::F32, run.runtime.device())
+        .unwrap();
+    let target = candle_core::Tensor::from_slice(&view.image.pixels, (256, 3), run.runtime.device()).unwrap();
+    let error = |attack: &Attack| {
+        let rgb = perturbed.render(&rays, Some(&target), attack, 0).unwrap().rgb;
+        (&rgb - &target).unwrap().sqr().unwrap().mean_all().unwrap().to_scalar::<f32>().unwrap()
+    };
+    let clean = error(&Attack { sites: vec![], scale: 1.0 });
+    assert_eq!(error(&Attack { sites: sites.clone(), scale: 0.0 }), clean);
+    let once = error(&Attack { sites: sites.clone(), scale: 1.0 });
+    assert!(once > clean && error(&Attack { sites, scale: 3.0 }) > once);
+    // The same picture each time.
+    served(vec![run], |url, _| {
+        let at = |turn: u64, sites: &str| get(&format!("{url}picture?{VIEW}&page=x&turn={turn}&sites={sites}"));
+        let (a, b) = (at(1, "xyz,rgb"), at(2, "xyz,rgb"));
+        assert!(a.status == 200 && a.body == b.body && a.body != at(3, "").body);
+        let ray = get(&format!("{url}ray?{VIEW}&page=x-ray&turn=1&x=8&y=8&sites=density")).json();
+        let samples = |key: &str| ray["clean"][key].as_array().unwrap().len();
+        assert_eq!((samples("t"), samples("weights"), samples("rgb")), (16, 16, 16));
+        let sum: f64 = ray["clean"]["weights"].as_array().unwrap().iter().map(|weight| weight.as_f64().unwrap()).sum();
+        assert!((0.0..1.0001).contains(&sum) && ray["attacked"]["pixel"] != ray["clean"]["pixel"]);
+    });
+}
+
+#[test]
+fn runs_of_two_scenes_have_no_page() {
+    let (a, b) = (shown("a", Method::Nerf, 0), shown("b", Method::Nerf, 0));
+    served(vec![a.clone(), b], |url, _| {
+        let state = get(&format!("{url}state")).json();
+        assert_eq!((state["runs"][0]["label"].as_str(), state["runs"][1]["label"].as_str()), (Some("a"), Some("b")));
+    });
+    let mut other = tiny_scene();
+    other.train.iter_mut().chain(&mut other.test).for_each(|view| view.camera.pose[0][3] += 1.0);
+    let other = Arc::new(ShownRun::of_training("c".into(), a.config.clone(), other, a.runtime.clone()));
+    let options = ServerOptions { host: IpAddr::V4(Ipv4Addr::LOCALHOST), port: 0 };
+    assert!(Server::bind(vec![a, other], &options).err().unwrap().to_string().contains("different scenes"));
+}
+
+/// On a hash grid and on networks: without empty space left out the pictures are the same, and with a little they hardly
+/// differ.
+#[test]
+fn pictures_without_empty_space_are_those_with_it() {
+    let (scene, runtime) = (tiny_scene(), Runtime::new("cpu", Some(2)).unwrap());
+    for encoding in [Encoding::Hash, Encoding::Positional] {
+        let config = tiny_config(Method::Nerf, |config| {
+            config.field.encoding = encoding;
+            config.train.steps = 150;
+        });
+        let mut trainer = Trainer::new(&config, &scene, DType::F32, &runtime).unwrap();
+        for _ in 0..150 {
+            trainer.step(false).unwrap();
+        }
+        let model = trainer.model().unwrap();
+        let fields = model.fields().unwrap();
+        let viewer = Viewer { model, config: &config, scene: &scene, runtime: &runtime };
+        let full = FieldRenderer::new(fields, &config, &scene).unwrap();
+        let mut skipping = SkippingRenderer::new(fields, &config, &scene).unwrap().unwrap();
+        let camera = scene.test[0].camera;
+        let expected = viewer.render_with(&full, &camera).unwrap().image.pixels;
+        let mut differences = Vec::new();
+        for least_alpha in [0.0, 1e-3, 0.5] {
+            skipping.set_least_alpha(least_alpha);
+            let found = viewer.render_with(&skipping, &camera).unwrap().image.pixels;
+            let most = found.iter().zip(&expected).map(|(a, b)| (a - b).abs()).fold(0.0, f32::max);
+            differences.push((most, skipping.occupied()));
+        }
+        let [(same, all), (close, some), (far, few)] = differences[..] else { unreachable!() };
+        assert!(same < 1e-5 && all == 1.0, "{encoding:?}: {differences:?}");
+        assert!(close < 0.02 && far > close && few < some, "{encoding:?}: {differences:?}");
+    }
+    let mip = tiny_config(Method::MipNerf, |_| {});
+    let trainer = Trainer::new(&mip, &scene, DType::F32, &runtime).unwrap();
+    let fields = trainer.model().unwrap().fields().unwrap();
+    assert!(SkippingRenderer::new(fields, &mip, &scene).unwrap().is_none());
+    assert!(ray_parts(fields.evaluated()).footprint);
+    assert!(PerturbedRenderer::new(fields, &mip, &scene).unwrap().ray_parts().footprint);
+}
