@@ -47,7 +47,7 @@ pub struct Measured<'a> {
     views: usize,
     training_views: usize,
     mean: &'a MeanMetrics,
-    inactive_levels: Vec<&'static str>,
+    inactive_levels: Vec<&'a str>,
     metrics: String,
     #[serde(skip_serializing_if = "Option::is_none")]
     seconds: Option<f64>,

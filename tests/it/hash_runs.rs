@@ -153,8 +153,8 @@ fn each_site_is_attacked_alone_on_a_grid() {
         let mut trainer = trained(&config, 2);
         assert_ne!(parameters(&trainer, &["coarse", "fine"]), nerf, "{}", site.name());
         let stats = trainer.step(true).unwrap();
-        assert_eq!(stats.sites.iter().map(|measured| measured.site).collect::<Vec<_>>(), [site]);
-        let measured = stats.sites[0];
+        assert_eq!(stats.sites.iter().map(|measured| measured.site.as_str()).collect::<Vec<_>>(), [site.name()]);
+        let measured = &stats.sites[0];
         assert!(measured.gain.is_finite() && measured.shift > 0.0, "{measured:?}");
         assert!(site != Site::Rgb || measured.gain > 0.0, "{measured:?}");
     }

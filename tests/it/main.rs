@@ -32,6 +32,7 @@ mod methods;
 mod metrics;
 mod openings;
 mod output;
+mod own_sites;
 mod page;
 mod paths;
 mod perturbations;

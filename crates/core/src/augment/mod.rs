@@ -7,6 +7,7 @@
 mod epsilon;
 mod flat;
 mod geometry;
+mod own;
 mod search;
 mod set;
 mod sets;
@@ -16,6 +17,7 @@ mod sites;
 pub use epsilon::{Epsilon, REACH};
 pub use flat::{larger, smaller};
 pub use geometry::{Geometry, PaperPass, PassGeometry, PixelScale, SampleDensity};
+pub use own::{OwnSet, OwnSite, Spread};
 pub use search::{Iterate, worst_case};
 pub use set::{DeltaSet, Draw, Norm};
 pub use sets::{Deltas, Sets};

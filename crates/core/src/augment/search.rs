@@ -3,6 +3,7 @@
 use candle_core::{Tensor, Var};
 
 use crate::augment::flat::ascend;
+use crate::augment::own::OwnEntry;
 use crate::augment::sets::{Deltas, Sets};
 use crate::augment::site::{SiteNumbers, StepUnit};
 use crate::augment::sites::{PerSite, Site};
@@ -38,10 +39,12 @@ pub fn worst_case(
     start: Deltas,
     mut loss: impl FnMut(Iterate) -> Result<(Tensor, Deltas)>,
 ) -> Result<Deltas> {
-    let longest = sets.iter().map(|(site, _)| numbers[site].steps).max().unwrap_or(0);
+    let of_sites = sets.iter().map(|(site, _)| numbers[site].steps);
+    let longest = of_sites.chain(sets.own().iter().map(|entry| entry.site.steps())).max().unwrap_or(0);
     let mut deltas = start;
     for step in 0..longest {
         let moving: Vec<Site> = sets.iter().map(|(site, _)| site).filter(|&site| step < numbers[site].steps).collect();
+        let own: Vec<&OwnEntry> = sets.own().iter().filter(|entry| step < entry.site.steps()).collect();
         let mut tracked = deltas.clone();
         let mut variables = Vec::with_capacity(moving.len());
         for &site in &moving {
@@ -49,7 +52,14 @@ pub fn worst_case(
             tracked.set(site, variable.as_tensor().clone());
             variables.push((site, variable));
         }
-        let (loss, used) = loss(Iterate { deltas: &tracked, moving: &moving })?;
+        let mut own_variables = Vec::with_capacity(own.len());
+        for entry in &own {
+            let variable = Var::from_tensor(&deltas.own(entry.site.name()).expect("is on").detach())?;
+            tracked.set_own(entry, variable.as_tensor().clone());
+            own_variables.push((*entry, variable));
+        }
+        let places: Vec<Site> = moving.iter().copied().chain(own.iter().map(|entry| entry.site.place())).collect();
+        let (loss, used) = loss(Iterate { deltas: &tracked, moving: &places })?;
         let gradients = loss.backward()?;
         for (site, variable) in variables {
             // Without a gradient the loss does not depend on this delta (sign(0) = 0).
@@ -57,6 +67,12 @@ pub fn worst_case(
             let set = sets.get(site).expect("is on");
             let delta = used.get(site).expect("is on").detach();
             deltas.set(site, ascend(set, &delta, &gradient.detach(), numbers[site].step_size, unit)?);
+        }
+        for (entry, variable) in own_variables {
+            let Some(gradient) = gradients.get(&variable) else { continue };
+            let delta = used.own(entry.site.name()).expect("is on").detach();
+            let step_size = entry.site.step_size();
+            deltas.set_own(entry, ascend(&entry.own.set, &delta, &gradient.detach(), step_size, StepUnit::Relative)?);
         }
     }
     Ok(deltas)

@@ -24,10 +24,10 @@ pub(super) fn colour_shift(moved: &Tensor, unmoved: &Tensor) -> Result<f64> {
 }
 
 /// The effect of one site's deltas in one step, coarse + fine.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq)]
 pub struct SiteDiagnostics {
-    /// The site.
-    pub site: Site,
+    /// The site's name.
+    pub site: String,
     /// Loss with this site's deltas only, minus the loss without deltas.
     pub gain: f64,
     /// The same minus the loss with uniform random deltas of the same constraint set.
@@ -45,13 +45,13 @@ impl SiteDiagnostics {
     /// Returns the diagnostics of a site from its gain, its gain over random deltas and its shift, in this order, in a step
     /// with this clean loss.
     pub fn new(
-        site: Site,
+        site: &str,
         [gain, gain_over_random, shift]: [f64; 3],
         share_at_bound: Option<f64>,
         clean_loss: f64,
     ) -> SiteDiagnostics {
         let inactive = gain < INACTIVE_SHARE * clean_loss;
-        SiteDiagnostics { site, gain, gain_over_random, share_at_bound, inactive, shift }
+        SiteDiagnostics { site: site.to_string(), gain, gain_over_random, share_at_bound, inactive, shift }
     }
 
     /// Returns the numbers by their columns, without missing ones.
@@ -59,7 +59,7 @@ impl SiteDiagnostics {
         let inactive = f64::from(u8::from(self.inactive));
         let numbers =
             [Some(self.gain), Some(self.gain_over_random), self.share_at_bound, Some(inactive), Some(self.shift)];
-        let named = columns(self.site).into_iter().zip(numbers);
+        let named = columns(&self.site).into_iter().zip(numbers);
         named.filter_map(|(name, number)| number.map(|number| (name, number))).collect()
     }
 }
@@ -69,7 +69,7 @@ impl SiteDiagnostics {
 pub struct SiteSummary {
     /// The site's name.
     #[serde(rename = "level")]
-    pub site: &'static str,
+    pub site: String,
     /// Number of logged steps.
     pub steps: usize,
     /// Mean gain over the loss without deltas.
@@ -88,8 +88,16 @@ pub struct SiteSummary {
 }
 
 /// Returns the columns of `scalars.csv` with one site's diagnostics.
-pub fn columns(site: Site) -> [String; 5] {
-    ["gain", "gain_over_random", "share_at_bound", "inactive", "shift"].map(|what| format!("{what}.{}", site.name()))
+pub fn columns(site: &str) -> [String; 5] {
+    ["gain", "gain_over_random", "share_at_bound", "inactive", "shift"].map(|what| format!("{what}.{site}"))
+}
+
+/// Returns the names of the sites whose diagnostics a log has: the built-in ones in their order, then others in the log's.
+pub fn logged_sites<'a>(header: impl Iterator<Item = &'a str>) -> Vec<String> {
+    let mut names: Vec<String> = header.filter_map(|column| column.strip_prefix("gain.")).map(str::to_string).collect();
+    let place = |name: &String| Site::of_name(name).map_or(Site::ALL.len(), |site| site as usize);
+    names.sort_by_key(place);
+    names
 }
 
 impl SiteSummary {
@@ -107,7 +115,8 @@ impl SiteSummary {
         let mut reader = csv::Reader::from_reader(whole.as_bytes());
         let header = reader.headers().map_err(broken)?.clone();
         // Only these columns, since a log may be long.
-        let names = Site::ALL.into_iter().flat_map(columns);
+        let sites = logged_sites(header.iter());
+        let names = sites.iter().flat_map(|site| columns(site));
         let places = names.filter_map(|name| Some((header.iter().position(|found| found == name)?, name)));
         let mut kept: Vec<(usize, String, Vec<f64>)> = places.map(|(place, name)| (place, name, Vec::new())).collect();
         for row in reader.records() {
@@ -121,12 +130,12 @@ impl SiteSummary {
             let kept = kept.iter().find(|(_, known, _)| known == name);
             kept.map(|(.., values)| values.clone()).unwrap_or_default()
         };
-        Ok(SiteSummary::of_columns(column))
+        Ok(SiteSummary::of_columns(&sites, column))
     }
 
-    /// Summarizes the numbers that a run logged in each column, in the order of steps.
-    pub fn of_columns(column: impl Fn(&str) -> Vec<f64>) -> Vec<SiteSummary> {
-        let summarize = |site: Site| {
+    /// Summarizes the numbers that a run logged of `sites` in each column, in the order of steps.
+    pub fn of_columns(sites: &[String], column: impl Fn(&str) -> Vec<f64>) -> Vec<SiteSummary> {
+        let summarize = |site: &String| {
             let values = columns(site).map(|name| column(&name));
             let steps = values[0].len();
             if steps == 0 {
@@ -137,7 +146,7 @@ impl SiteSummary {
             let last = &values[4][values[4].len().saturating_sub(LAST_LOGS)..];
             let last_shift = (!last.is_empty()).then(|| mean(last));
             Some(SiteSummary {
-                site: site.name(),
+                site: site.clone(),
                 steps,
                 mean_gain: mean(&values[0]),
                 mean_gain_over_random: mean(&values[1]),
@@ -147,7 +156,7 @@ impl SiteSummary {
                 last_shift,
             })
         };
-        Site::ALL.into_iter().filter_map(summarize).collect()
+        sites.iter().filter_map(summarize).collect()
     }
 }
 
@@ -168,7 +177,7 @@ pub(super) struct SiteEffect {
 pub(super) struct Sums(Vec<SiteSums>);
 
 struct SiteSums {
-    site: Site,
+    site: String,
     gain: f64,
     gain_over_random: f64,
     shift: f64,
@@ -180,7 +189,7 @@ struct SiteSums {
 }
 
 impl Sums {
-    pub(super) fn add(&mut self, site: Site, effect: SiteEffect) {
+    pub(super) fn add(&mut self, site: &str, effect: SiteEffect) {
         let SiteEffect { share, gain, gain_over_random, shift, at_bound } = effect;
         let index = self.index(site);
         let sums = &mut self.0[index];
@@ -196,7 +205,7 @@ impl Sums {
 
     pub(super) fn merge(&mut self, other: Sums) {
         for sums in other.0 {
-            let index = self.index(sums.site);
+            let index = self.index(&sums.site);
             let mine = &mut self.0[index];
             mine.gain += sums.gain;
             mine.gain_over_random += sums.gain_over_random;
@@ -207,10 +216,10 @@ impl Sums {
         }
     }
 
-    fn index(&mut self, site: Site) -> usize {
+    fn index(&mut self, site: &str) -> usize {
         self.0.iter().position(|sums| sums.site == site).unwrap_or_else(|| {
             let [gain, gain_over_random, shift, passes, at_bound, bounded] = [0.0; 6];
-            self.0.push(SiteSums { site, gain, gain_over_random, shift, passes, at_bound, bounded });
+            self.0.push(SiteSums { site: site.to_string(), gain, gain_over_random, shift, passes, at_bound, bounded });
             self.0.len() - 1
         })
     }
@@ -219,7 +228,7 @@ impl Sums {
         let finish = |sums: SiteSums| {
             let effect = [sums.gain, sums.gain_over_random, sums.shift / sums.passes];
             let share = (sums.bounded > 0.0).then(|| sums.at_bound / sums.bounded);
-            SiteDiagnostics::new(sums.site, effect, share, clean_loss)
+            SiteDiagnostics::new(&sums.site, effect, share, clean_loss)
         };
         self.0.into_iter().map(finish).collect()
     }

@@ -1,7 +1,10 @@
 //! Steps of a learner with Adam, on a device of candle.
 
+use std::sync::Arc;
+
 use candle_core::{DType, Tensor, Var};
 
+use crate::augment::OwnSite;
 use crate::base::Result;
 use crate::losses::LossTerm;
 use crate::optimizer::{Adam, AdamSettings, Moments};
@@ -129,6 +132,10 @@ impl Stepper for HostStepper {
 
     fn add_term(&mut self, term: LossTerm, weight: f64) -> Result<()> {
         self.learner.add_term(term, weight)
+    }
+
+    fn add_site(&mut self, site: Arc<dyn OwnSite>) -> Result<()> {
+        self.learner.add_site(site)
     }
 
     fn step(&mut self, at: StepAt, stop_check: &StopCheck) -> Result<()> {

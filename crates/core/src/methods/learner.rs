@@ -2,7 +2,10 @@
 
 use candle_core::Tensor;
 
-use crate::base::Result;
+use std::sync::Arc;
+
+use crate::augment::OwnSite;
+use crate::base::{Error, Result};
 use crate::losses::LossTerm;
 
 use super::gradients::Gradients;
@@ -38,6 +41,14 @@ pub struct LogColumns {
     pub further: Vec<String>,
 }
 
+/// Returns the error of a method or device without sites of your own.
+pub(super) fn no_sites(site: &dyn OwnSite) -> Error {
+    Error::Config(format!(
+        "the site '{}' cannot be added: only radiance fields on the processor take sites of your own",
+        site.name()
+    ))
+}
+
 /// Returns an error if the current work is to stop before it is done.
 pub type StopCheck<'a> = dyn Fn() -> Result<()> + Sync + 'a;
 
@@ -52,6 +63,15 @@ pub trait Learner: Send {
     /// # Errors
     /// If there is a term of that name, or the method cannot compute it.
     fn add_term(&mut self, term: LossTerm, weight: f64) -> Result<()>;
+
+    /// Adds a site of your own to the perturbed pass. Its diagnostics are logged after those of the configuration. It does not
+    /// count in the configuration's hash.
+    ///
+    /// # Errors
+    /// If there is a site of that name, no pass is perturbed, or the method has no sites.
+    fn add_site(&mut self, site: Arc<dyn OwnSite>) -> Result<()> {
+        Err(no_sites(&*site))
+    }
 
     /// Returns whether the method tells the colours of a step's rays ([`Learner::colours`]).
     fn has_colours(&self) -> bool {

@@ -18,7 +18,7 @@ mod sharpness;
 mod stepper;
 
 pub use batches::{Batch, Batches};
-pub use diagnostics::{SiteDiagnostics, SiteSummary, columns as site_columns};
+pub use diagnostics::{SiteDiagnostics, SiteSummary, columns as site_columns, logged_sites};
 pub use extremes::Extremes;
 pub use fields::{
     AttackGeometry, Balance, FieldLearner, FieldRenderer, Fields, StepLosses, coarse_weight, is_regularized,

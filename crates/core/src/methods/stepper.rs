@@ -1,12 +1,15 @@
 //! The trainer's view of the steps of a training, wherever its parameters are kept.
 
+use std::sync::Arc;
+
+use crate::augment::OwnSite;
 use crate::base::{Error, Result};
 use crate::losses::LossTerm;
 use crate::optimizer::Moments;
 
 use super::diagnostics::SiteDiagnostics;
 use super::extremes::Extremes;
-use super::learner::{LogColumns, StopCheck, Term};
+use super::learner::{LogColumns, StopCheck, Term, no_sites};
 
 /// Measurements of a step.
 #[derive(Clone, Debug)]
@@ -51,6 +54,15 @@ pub trait Stepper: Send {
     /// # Errors
     /// If there is a term of that name, or the method cannot compute it.
     fn add_term(&mut self, term: LossTerm, weight: f64) -> Result<()>;
+
+    /// Adds a site of your own to the perturbed pass. Its diagnostics are logged after those of the configuration. It does not
+    /// count in the configuration's hash.
+    ///
+    /// # Errors
+    /// If there is a site of that name, no pass is perturbed, or the method or device takes none.
+    fn add_site(&mut self, site: Arc<dyn OwnSite>) -> Result<()> {
+        Err(no_sites(&*site))
+    }
 
     /// Takes a step: loss, gradients and update. Its random numbers depend on seed and step only. A long step calls
     /// `stop_check` regularly, and ends with its error. It then has changed no parameter and no moment. A device may

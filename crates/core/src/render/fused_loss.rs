@@ -72,6 +72,9 @@ impl Added {
     /// operation does not support them.
     fn of(samples: &Samples) -> Result<Option<Option<Added>>> {
         let Samples { raw, added: Some((deltas, sets)), .. } = samples else { return Ok(Some(None)) };
+        if sets.has_own_at(&[Site::Rgb, Site::Density]) {
+            return Ok(None);
+        }
         let at = |site: Site| deltas.get(site).zip(sets.get(site));
         let (rgb, density) = (at(Site::Rgb), at(Site::Density));
         if rgb.is_none() && density.is_none() {

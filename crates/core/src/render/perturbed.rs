@@ -112,13 +112,13 @@ struct MovedSamples {
 
 impl MovedSamples {
     fn new(field: &Field, pass: Pass, deltas: &Deltas) -> Result<MovedSamples> {
-        let t_vals = match deltas.get(Site::T) {
+        let t_vals = match deltas.at(Site::T)? {
             Some(delta) => (pass.t_vals + delta)?,
             None => pass.t_vals.clone(),
         };
         let positions = positions_at(field, pass.rays, &t_vals)?;
-        let positions = match deltas.get(Site::Xyz) {
-            Some(delta) if positions.dim(2)? > 3 => (positions + Tensor::cat(&[delta, &delta.zeros_like()?], 2)?)?,
+        let positions = match deltas.at(Site::Xyz)? {
+            Some(delta) if positions.dim(2)? > 3 => (positions + Tensor::cat(&[&delta, &delta.zeros_like()?], 2)?)?,
             Some(delta) => (positions + delta)?,
             None => positions,
         };
@@ -146,11 +146,11 @@ impl<'a> Queried<'a> {
         query: impl FnOnce(&Tensor, Option<FeatureDelta>) -> Result<RawOutput>,
     ) -> Result<Queried<'a>> {
         let deltas = perturbation.deltas;
-        let viewdirs = match deltas.get(Site::View) {
-            Some(delta) => tilt(pass.rays, delta)?,
+        let viewdirs = match deltas.at(Site::View)? {
+            Some(delta) => tilt(pass.rays, &delta)?,
             None => pass.rays.viewdirs.clone(),
         };
-        let feature = deltas.get(Site::Feature).map(|delta| delta.flatten(0, 1)).transpose()?;
+        let feature = deltas.at(Site::Feature)?.map(|delta| delta.flatten(0, 1)).transpose()?;
         let feature = feature.as_ref().map(|delta| FeatureDelta { layer: perturbation.injection_layer, delta });
         let raw = by_ray(query(&viewdirs, feature)?, pass.rays.len(), samples_of(field, t_vals)?)?;
         let raw = near_scaled(raw, pass, t_vals)?;
@@ -186,7 +186,16 @@ fn tilt(rays: &Rays, angles: &Tensor) -> Result<Tensor> {
 /// padding) and density at least 0. The projected value counts. Gradients pass to delta and field as if nothing had
 /// been projected.
 fn add_after(values: SampleValues, p: Perturbation, padding: f64, used: &mut UsedDeltas) -> Result<SampleValues> {
+    // A projected sum can leave the range by rounding, and own sites know no range.
+    let legal = |site: Site, moved: Tensor| match site {
+        Site::Rgb => moved.clamp(-padding, 1.0 + padding),
+        _ => moved.relu(),
+    };
     let mut add = |site: Site, value: Tensor| -> Result<Tensor> {
+        let value = match p.deltas.spread(site)? {
+            Some(own) => straight_through(legal(site, (value.detach() + own.detach())?)?, &value, &own)?,
+            None => value,
+        };
         let (Some(delta), Some(set)) = (p.deltas.get(site), p.sets.get(site)) else { return Ok(value) };
         let now = value.detach();
         let (lower, upper) = match site {
@@ -196,13 +205,8 @@ fn add_after(values: SampleValues, p: Perturbation, padding: f64, used: &mut Use
         let cut = set.within(lower, upper);
         let projected = cut.project(&delta.detach())?;
         let moved = (&now + &projected)?;
-        // The projected sum can leave the range by rounding.
-        let legal = match site {
-            Site::Rgb => moved.clamp(-padding, 1.0 + padding)?,
-            _ => moved.relu()?,
-        };
         used.put(site, projected, cut);
-        straight_through(legal, &value, delta)
+        straight_through(legal(site, moved)?, &value, delta)
     };
     Ok(SampleValues { rgb: add(Site::Rgb, values.rgb)?, density: add(Site::Density, values.density)? })
 }
@@ -216,6 +220,10 @@ fn straight_through(exact: Tensor, value: &Tensor, delta: &Tensor) -> Result<Ten
 /// Adds the output deltas before the activations. Only the box limits them.
 fn add_before(raw: &RawOutput, p: Perturbation, used: &mut UsedDeltas) -> Result<RawOutput> {
     let mut add = |site: Site, value: &Tensor| -> Result<Tensor> {
+        let value = match p.deltas.spread(site)? {
+            Some(own) => &(value + own)?,
+            None => value,
+        };
         let (Some(delta), Some(set)) = (p.deltas.get(site), p.sets.get(site)) else { return Ok(value.clone()) };
         let projected = set.project(&delta.detach())?;
         let moved = (value.detach() + &projected)?;

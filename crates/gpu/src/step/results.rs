@@ -195,7 +195,7 @@ impl Steps {
             if passes > 0.0 {
                 let mean = shares.iter().sum::<f64>() / shares.len() as f64;
                 let share = (!shares.is_empty()).then_some(mean);
-                found.push(SiteDiagnostics::new(site, [gain, over_random, shifts / passes], share, clean));
+                found.push(SiteDiagnostics::new(site.name(), [gain, over_random, shifts / passes], share, clean));
             }
         }
         found

@@ -81,8 +81,8 @@ impl Report {
     }
 
     /// Returns the sites that were [inactive](SiteSummary::inactive).
-    pub fn inactive_levels(&self) -> Vec<&'static str> {
-        self.attack.iter().filter(|site| site.inactive).map(|site| site.site).collect()
+    pub fn inactive_levels(&self) -> Vec<&str> {
+        self.attack.iter().filter(|site| site.inactive).map(|site| site.site.as_str()).collect()
     }
 
     /// Returns one row for each held-out view, each with the complete protocol and the numbers of training views. A

@@ -1,11 +1,13 @@
 //! Training: steps, checks whether a run is alive, and checkpoints.
 
 use std::cell::{OnceCell, RefCell};
+use std::sync::Arc;
 use std::time::Instant;
 
 use candle_core::DType;
 
 use crate::accelerator;
+use crate::augment::OwnSite;
 use crate::base::{Error, Result};
 use crate::data::Scene;
 use crate::losses::LossTerm;
@@ -206,6 +208,14 @@ impl Trainer {
     /// A term of that name exists, or the method cannot compute it.
     pub fn add_term(&mut self, term: LossTerm, weight: f64) -> Result<()> {
         self.stepping.get_mut().stepper_mut().add_term(term, weight)
+    }
+
+    /// Adds a site of your own to the perturbed pass; see [`Stepper::add_site`].
+    ///
+    /// # Errors
+    /// A site of that name exists, no pass is perturbed, or the method or device takes none.
+    pub fn add_site(&mut self, site: impl OwnSite + 'static) -> Result<()> {
+        self.stepping.get_mut().stepper_mut().add_site(Arc::new(site))
     }
 
     /// Takes one step and waits for its measurements. With `log`, the learner computes its diagnostics.

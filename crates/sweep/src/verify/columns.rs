@@ -6,7 +6,7 @@ use super::files::Collected;
 use super::findings::Findings;
 use crate::base::Result;
 use crate::data::{known_bounds, may_have_box};
-use crate::methods::SiteSummary;
+use crate::methods::{SiteSummary, logged_sites};
 use crate::points::Point;
 use crate::provenance::Provenance;
 use crate::report::{Record, Status};
@@ -121,8 +121,9 @@ fn inactive(archive: &Archive, findings: &mut Findings) {
     for record in archive.outputs.records.iter().filter(|record| record.status == Status::Done) {
         let found = &record.inactive_levels;
         let Some(scalars) = archive.outputs.scalars.get(&record.id) else { continue };
-        let summaries = SiteSummary::of_columns(|name| scalars.numbers(name));
-        let logged: Vec<&str> = summaries.iter().filter(|site| site.inactive).map(|site| site.site).collect();
+        let sites = logged_sites(scalars.head.iter().map(String::as_str));
+        let summaries = SiteSummary::of_columns(&sites, |name| scalars.numbers(name));
+        let logged: Vec<&str> = summaries.iter().filter(|site| site.inactive).map(|site| site.site.as_str()).collect();
         count += 1;
         if *found != logged {
             let (point, found, logged) = (record.point_label(), found.join(" "), logged.join(" "));

@@ -74,6 +74,11 @@ impl Site {
     }
 }
 
+/// Returns the part of a step's random numbers that is an own site's in the step's pass number `pass`.
+pub(crate) fn own_part(name: &str, pass: u64) -> u64 {
+    part(crate::augment::own::key(name), pass)
+}
+
 /// Injective in both if `pass` is below 2^45.
 fn part(key: u64, pass: u64) -> u64 {
     ((key / KEYS) << PART_BITS) + KEYS * pass + key % KEYS

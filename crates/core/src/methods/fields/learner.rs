@@ -1,8 +1,10 @@
 //! The learner of all field methods: its state. Start, step and the parts of the step are in files of their own.
 
+use std::sync::Arc;
+
 use candle_core::{DType, Device, Var};
 
-use crate::augment::Site;
+use crate::augment::{OwnSite, Site};
 use crate::base::place::is_host;
 use crate::base::{Error, Result};
 use crate::data::{PointRays, RayParts, Scene, UnseenCameras};
@@ -34,6 +36,8 @@ pub struct FieldLearner {
     pub(super) unseen: Option<UnseenCameras>,
     /// The training views' rays to points.
     pub(super) points: PointRays,
+    /// Sites of the perturbed pass beside the configuration's.
+    pub(super) own_sites: Vec<Arc<dyn OwnSite>>,
 }
 
 impl FieldLearner {
@@ -66,6 +70,7 @@ impl FieldLearner {
             terms: Vec::new(),
             unseen: None,
             points: PointRays::of(scene, config.data.origin_of_pixels()),
+            own_sites: Vec::new(),
         };
         learner.place_unseen_cameras(&terms)?;
         learner.terms = terms;

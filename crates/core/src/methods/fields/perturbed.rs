@@ -114,11 +114,13 @@ impl FieldLearner {
         let samples = samples_of(field, pass.t_vals)?;
         let geometry = self.geometry.pass(pass.t_vals, samples, &pass.rays.direction_norm, is_coarse)?;
         let perturb = &self.config.perturb;
+        let mut sets = Sets::new(&perturb.numbers, &perturb.set_choices(), &geometry)?;
+        sets.add_own(&self.own_sites, &geometry)?;
         Ok(PerturbedPass {
             field,
             pass,
             target: chunk.photographed(),
-            sets: Sets::new(&perturb.numbers, &perturb.set_choices(), &geometry)?,
+            sets,
             share: chunk.share,
             loss_weight: 1.0,
             step: chunk.step,
@@ -157,7 +159,10 @@ impl FieldLearner {
     /// Returns a random point of every set of a pass. Each site has its own numbers of `stream`.
     fn draw_deltas(&self, pass: &PerturbedPass, draw: Draw, stream: Stream) -> Result<Deltas> {
         let random = |site: Site| Random::part(self.config.seed, stream, pass.step, site.part(pass.number));
-        pass.sets.draw(draw, random)
+        let mut deltas = pass.sets.draw(draw, random)?;
+        let of_part = |part| Random::part(self.config.seed, stream, pass.step, part);
+        pass.sets.draw_own(&mut deltas, draw, pass.number, of_part)?;
+        Ok(deltas)
     }
 
     /// Returns random or worst-case deltas, detached.
@@ -222,20 +227,28 @@ impl FieldLearner {
             Ok((pass.loss_weight * scalar(&photometric_loss(&rgb, pass.target)?)?, rgb))
         };
         let (without, unmoved) = render(&Deltas::default())?;
+        let effect = |used: &Deltas, drawn: &Deltas, at_bound: Option<f64>| -> Result<SiteEffect> {
+            let ((with, moved), (with_random, _)) = (render(used)?, render(drawn)?);
+            let shift = colour_shift(&moved, &unmoved)?;
+            let (gain, gain_over_random) = (with - without, with - with_random);
+            Ok(SiteEffect { share, gain, gain_over_random, shift, at_bound })
+        };
         for (site, numbers) in self.config.perturb.numbers.iter() {
             let (Some(set), Some(delta)) = (used.sets.get(site), used.deltas.get(site)) else {
                 // Switched on with a set of size 0: there is no perturbation, and no gain.
                 if numbers.on() && !numbers.perturbs() {
-                    sums.add(site, SiteEffect { share, ..SiteEffect::default() });
+                    sums.add(site.name(), SiteEffect { share, ..SiteEffect::default() });
                 }
                 continue;
             };
-            let (with, moved) = render(&used.deltas.only(site))?;
-            let (with_random, _) = render(&drawn.only(site))?;
-            let shift = colour_shift(&moved, &unmoved)?;
-            let (gain, gain_over_random) = (with - without, with - with_random);
             let at_bound = set.share_at_bound(delta)?;
-            sums.add(site, SiteEffect { share, gain, gain_over_random, shift, at_bound });
+            sums.add(site.name(), effect(&used.deltas.only(site), &drawn.only(site), at_bound)?);
+        }
+        for entry in used.sets.own() {
+            let name = entry.site.name();
+            let Some(delta) = used.deltas.own(name) else { continue };
+            let at_bound = entry.own.set.share_at_bound(delta)?;
+            sums.add(name, effect(&used.deltas.only_own(name), &drawn.only_own(name), at_bound)?);
         }
         Ok(())
     }

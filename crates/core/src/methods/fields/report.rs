@@ -17,7 +17,7 @@ pub fn log_columns<'a>(config: &Config, terms: impl Iterator<Item = &'a str>) ->
     if config.method.is_augmented() {
         further.push("loss_perturbed".into());
         if config.perturb.source().is_some() {
-            further.extend(config.perturb.sites_on().flat_map(|(site, _)| diagnostics::columns(site)));
+            further.extend(config.perturb.sites_on().flat_map(|(site, _)| diagnostics::columns(site.name())));
         }
     }
     LogColumns { photometric, further }

@@ -1,14 +1,18 @@
 //! One training step: its passes and its terms in space.
 
+use std::sync::Arc;
+
 use candle_core::Tensor;
 
+use crate::augment::{OwnSite, Site};
 use crate::base::{Error, Result};
 use crate::losses::{LossTerm, TermSource, WeightedTerm};
+use crate::methods::diagnostics::columns as site_columns;
 use crate::methods::learner::{Learner, LogColumns, StepResult, StopCheck};
 use crate::methods::stepper::StepReport;
 use crate::render::render_rays;
 use crate::runtime::over_parts;
-use crate::settings::Encoding;
+use crate::settings::{DeltaSource, Encoding};
 
 use super::learner::FieldLearner;
 use super::report::{ONLY_SECOND, StepLosses, log_columns};
@@ -18,6 +22,7 @@ use super::terms::{self, TermValues};
 impl Learner for FieldLearner {
     fn columns(&self) -> LogColumns {
         let mut columns = log_columns(&self.config, self.terms.iter().map(|WeightedTerm { term, .. }| term.name()));
+        columns.further.extend(self.own_sites.iter().flat_map(|site| site_columns(site.name())));
         if self.config.method.is_augmented() && self.separates_entries() {
             columns.further.push(ONLY_SECOND.into());
         }
@@ -50,6 +55,37 @@ impl Learner for FieldLearner {
         let term = WeightedTerm::constant(term, weight);
         self.place_unseen_cameras(std::slice::from_ref(&term))?;
         self.terms.push(term);
+        Ok(())
+    }
+
+    fn add_site(&mut self, site: Arc<dyn OwnSite>) -> Result<()> {
+        let (name, place) = (site.name(), site.place());
+        let refuse = |why: &str| Err(Error::Config(format!("the site '{name}' cannot be added: {why}")));
+        let perturb = &self.config.perturb;
+        if !self.config.method.is_augmented() || perturb.source().is_none() {
+            return refuse(
+                "no pass of this training is perturbed; use --method aug-nerf and a perturb.kind with deltas",
+            );
+        }
+        if perturb.source() == Some(DeltaSource::Permuted) {
+            return refuse(
+                "perturb.kind = \"permuted\" gives rays each other's deltas, and an own delta need not have rays",
+            );
+        }
+        if name.is_empty()
+            || !name.chars().all(|c| c.is_ascii_lowercase() || c.is_ascii_digit() || c == '_' || c == '-')
+        {
+            return refuse(
+                "its name must have lower-case letters, digits, '_' and '-' alone, because it names columns of the logs",
+            );
+        }
+        if Site::of_name(name).is_some() || self.own_sites.iter().any(|known| known.name() == name) {
+            return refuse("there is a site of that name; rename it");
+        }
+        if place == Site::View && !perturb.sites[Site::View].on() {
+            return refuse("rays have tangents at place view only if the site view is on; set perturb.view.passes");
+        }
+        self.own_sites.push(site);
         Ok(())
     }
 

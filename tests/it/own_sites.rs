@@ -1,0 +1,156 @@
+//! Sites of one's own in the perturbed pass.
+
+use augnerf::augment::{DeltaSet, Norm, OwnSet, OwnSite, PassGeometry, Passes, Site};
+use augnerf::base::Result;
+use augnerf::runtime::Runtime;
+use augnerf::settings::{Config, Core, DeltaSource, Method, Resolved, SecondPass};
+use augnerf::train::{StepStats, Trainer};
+use candle_core::DType;
+
+use crate::common::{tiny_config, tiny_scene};
+
+/// One number for each ray, spread over its samples, channels or units at any place.
+struct OfRays {
+    name: &'static str,
+    place: Site,
+    radius: f64,
+    steps: usize,
+    width: usize,
+}
+
+impl OwnSite for OfRays {
+    fn name(&self) -> &str {
+        self.name
+    }
+
+    fn place(&self) -> Site {
+        self.place
+    }
+
+    fn steps(&self) -> usize {
+        self.steps
+    }
+
+    fn in_pass(&self, pass: &PassGeometry) -> Result<OwnSet> {
+        let (rays, samples, columns) = (pass.rays()?, pass.samples, pass.t_vals.dim(1)?);
+        let shape = match self.place {
+            Site::T => vec![rays, columns],
+            Site::View => vec![rays, 2],
+            Site::Density => vec![rays, samples],
+            Site::Feature => vec![rays, samples, self.width],
+            Site::Xyz | Site::Rgb => vec![rays, samples, 3],
+        };
+        let of_ray: Vec<usize> =
+            shape.iter().enumerate().map(|(axis, size)| if axis == 0 { *size } else { 1 }).collect();
+        let radius = pass.scalar(self.radius)?.reshape(vec![1; of_ray.len()])?;
+        let set = DeltaSet::new(Norm::Linf, radius, &of_ray);
+        Ok(OwnSet::new(set, move |delta| Ok(delta.broadcast_as(shape.clone())?.contiguous()?)))
+    }
+}
+
+/// A configuration whose own sites are off, but for `view`, which gives rays their tangents.
+fn alone(change: impl FnOnce(&mut Config)) -> Resolved {
+    tiny_config(Method::AugNerf, |config| {
+        for (site, numbers) in config.perturb.sites.iter_mut() {
+            numbers.passes = if site == Site::View { Passes::Fine } else { Passes::Off };
+        }
+        change(config);
+    })
+}
+
+fn of_rays(place: Site, radius: f64, steps: usize) -> OfRays {
+    OfRays { name: "of_rays", place, radius, steps, width: 16 }
+}
+
+/// The last of some steps, all logged, with the parameters after it.
+fn steps(config: &Resolved, site: Option<OfRays>, threads: usize) -> (StepStats, Vec<f32>) {
+    let runtime = Runtime::new("cpu", Some(threads)).unwrap();
+    let mut trainer = Trainer::new(config, &tiny_scene(), DType::F32, &runtime).unwrap();
+    site.into_iter().for_each(|site| trainer.add_site(site).unwrap());
+    let stats = (0..5).map(|_| trainer.step(true).unwrap()).last().unwrap();
+    let columns = trainer.columns().further;
+    for site in &stats.sites {
+        assert!(site.columns().iter().all(|(name, _)| columns.contains(name)), "{columns:?}");
+    }
+    let values = trainer.model().unwrap().variables();
+    (stats, values.iter().flat_map(|(_, var)| var.flatten_all().unwrap().to_vec1::<f32>().unwrap()).collect())
+}
+
+#[test]
+fn a_site_of_ones_own_raises_the_loss_at_every_place_and_moves_colours() {
+    for place in Site::ALL {
+        let radius = if place == Site::View { 0.3 } else { 0.1 };
+        let (stats, one) = steps(&alone(|_| {}), Some(of_rays(place, radius, 3)), 1);
+        let found = stats.sites.iter().find(|site| site.site == "of_rays").unwrap();
+        assert!(found.gain > 0.0 && found.gain_over_random > 0.0 && found.shift > 0.0, "{place:?}: {found:?}");
+        assert!(found.share_at_bound.unwrap() > 0.5, "{place:?}: {found:?}");
+        let (_, two) = steps(&alone(|_| {}), Some(of_rays(place, radius, 3)), 2);
+        assert!(one.iter().zip(&two).all(|(a, b)| a.to_bits() == b.to_bits()), "{place:?}: threads");
+    }
+}
+
+/// The fused core and plain candle, whose steps take other paths for output deltas.
+#[test]
+fn both_cores_search_alike() {
+    for place in Site::ALL {
+        let of_core = |core: Core| {
+            let config = alone(|config| config.field.core = core);
+            let (stats, _) = steps(&config, Some(of_rays(place, 0.05, 2)), 2);
+            (stats.loss, stats.sites.into_iter().find(|site| site.site == "of_rays").unwrap().shift)
+        };
+        let ((fused, shift), (plain, plain_shift)) = (of_core(Core::Fused), of_core(Core::Plain));
+        assert!((fused - plain).abs() < 1e-4 * plain, "{place:?}: {fused} {plain}");
+        assert!((shift - plain_shift).abs() < 0.02 * plain_shift, "{place:?}: {shift} {plain_shift}");
+    }
+}
+
+/// With a set that is a point nothing changes, not even the other sites' random numbers.
+#[test]
+fn a_site_of_no_size_changes_nothing() {
+    let config = tiny_config(Method::AugNerf, |_| {});
+    let (without, plain) = steps(&config, None, 2);
+    for place in [Site::T, Site::Xyz, Site::Feature] {
+        let (with, same) = steps(&config, Some(of_rays(place, 0.0, 1)), 2);
+        assert_eq!((with.loss, with.sites.len()), (without.loss, without.sites.len() + 1), "{place:?}");
+        assert!(plain.iter().zip(&same).all(|(a, b)| a.to_bits() == b.to_bits()), "{place:?}");
+    }
+}
+
+#[test]
+fn sites_that_cannot_be_are_refused_in_words() {
+    let refused = |config: &Resolved, sites: Vec<OfRays>| {
+        let runtime = Runtime::new("cpu", Some(1)).unwrap();
+        let mut trainer = Trainer::new(config, &tiny_scene(), DType::F32, &runtime).unwrap();
+        let added: Vec<_> = sites.into_iter().map(|site| trainer.add_site(site)).collect();
+        added.into_iter().last().unwrap().unwrap_err().to_string()
+    };
+    let plain = || of_rays(Site::Xyz, 0.1, 1);
+    let named = |name| OfRays { name, ..plain() };
+    let augmented = alone(|_| {});
+    for (found, words) in [
+        (refused(&tiny_config(Method::Nerf, |_| {}), vec![plain()]), "no pass of this training is perturbed"),
+        (
+            refused(&alone(|config| config.perturb.second = SecondPass::Clean), vec![plain()]),
+            "no pass of this training is perturbed",
+        ),
+        (
+            refused(
+                &alone(|config| config.perturb.second = SecondPass::Perturbed(DeltaSource::Permuted)),
+                vec![plain()],
+            ),
+            "permuted",
+        ),
+        (refused(&augmented, vec![plain(), plain()]), "there is a site of that name"),
+        (refused(&augmented, vec![named("xyz")]), "there is a site of that name"),
+        (refused(&augmented, vec![named("a,b")]), "lower-case letters"),
+        (
+            refused(
+                &tiny_config(Method::AugNerf, |config| config.perturb.sites[Site::View].passes = Passes::Off),
+                vec![of_rays(Site::View, 0.1, 1)],
+            ),
+            "perturb.view.passes",
+        ),
+    ] {
+        assert!(found.contains(words), "{words}: {found}");
+    }
+}
