@@ -1,0 +1,242 @@
+"""The nerfbaselines method `augnerf`: it writes files, and runs the program of that name for all computation."""
+
+import csv
+import json
+import os
+import shutil
+import subprocess
+import tempfile
+import time
+from pathlib import Path
+
+import numpy as np
+from PIL import Image
+from nerfbaselines import Method, MethodInfo, ModelInfo, camera_model_to_int
+
+# Settings of this wrapper, which are no settings of augnerf.
+OWN = {"preset": "fast", "method": "nerf", "seed": "0", "device": "cpu", "threads": "", "block": "1000"}
+# Settings of every run. `checkpoint_every` is set for each call of the program.
+FIXED = {"data.name": "nerfbaselines", "data.kind": "transforms", "data.split": "own", "data.downscale": "1",
+         "eval.pictures": "0", "eval.train_views": "0", "train.keep_checkpoints": "100",
+         "train.checkpoint_minutes": "0"}
+POLL_SECONDS = 0.05
+
+
+def _opengl(pose):
+    """Returns a 4x4 matrix with the axes right, up, back, from nerfbaselines's right, down, ahead."""
+    matrix = np.eye(4)
+    matrix[:3, :4] = np.asarray(pose, np.float64)[:3, :4]
+    matrix[:3, 1:3] *= -1
+    return matrix
+
+
+def _lens(camera):
+    """Returns the keys of a pinhole lens, which a transforms.json and a camera_path.json share."""
+    if int(camera.camera_models) != camera_model_to_int("pinhole"):
+        raise ValueError("augnerf reads pinhole cameras only: let nerfbaselines undistort the images")
+    (fl_x, fl_y, cx, cy), (w, h) = camera.intrinsics.tolist(), camera.image_sizes.tolist()
+    return {"fl_x": fl_x, "fl_y": fl_y, "cx": cx, "cy": cy, "w": w, "h": h}
+
+
+def _transforms(dataset):
+    """Returns a dataset's cameras as a transforms.json. augnerf measures held-out views after training, and a
+    method is given none, so that a copy of the first training view takes their place."""
+    def frame(index, folder):
+        written = {"file_path": f"{folder}/{index:05d}.png", **_lens(dataset["cameras"][index]),
+                   "transform_matrix": _opengl(dataset["cameras"].poses[index]).tolist()}
+        if dataset.get("masks") is not None:
+            written["mask_path"] = f"masks/{index:05d}.png"
+        return written
+    train, held_out = [frame(index, "train") for index in range(len(dataset["cameras"]))], [frame(0, "held_out")]
+    return {"frames": train + held_out, "train_filenames": [frame["file_path"] for frame in train],
+            "test_filenames": [frame["file_path"] for frame in held_out]}
+
+
+def _is_transparent(dataset):
+    return any(image.ndim == 3 and image.shape[2] == 4 and image[..., 3].min() < 255 for image in dataset["images"])
+
+
+def _background(dataset):
+    """Returns the colour behind transparent pixels. nerfbaselines takes black if a dataset names none."""
+    colour = dataset["metadata"].get("background_color")
+    levels = {0} if colour is None else set(np.asarray(colour).tolist())
+    if levels not in ({0}, {255}) and _is_transparent(dataset):
+        raise ValueError(f"background {colour}: augnerf composites on black or white only")
+    return "white" if levels == {255} else "black"
+
+
+def _write_scene(folder, transforms, transparent, dataset=None):
+    """Writes a scene that augnerf reads. Without a dataset its images are blank, which is enough for rendering:
+    of images, augnerf then needs to know only whether there is a background."""
+    if dataset is not None and dataset["metadata"].get("color_space", "srgb") != "srgb":
+        raise ValueError("augnerf trains on 8-bit sRGB images: the dataset has linear colours")
+    for frame in transforms["frames"]:
+        index, (w, h) = int(Path(frame["file_path"]).stem), (frame["w"], frame["h"])
+        written = {"file_path": np.zeros((h, w, 4 if transparent else 3), np.uint8),
+                   "mask_path": np.full((h, w), 255, np.uint8)}
+        if dataset is not None:
+            written["file_path"] = dataset["images"][index][:h, :w]
+            if "mask_path" in frame:
+                written["mask_path"] = dataset["masks"][index][:h, :w].astype(bool).astype(np.uint8) * 255
+        for key in written.keys() & frame.keys():
+            path = folder / frame[key]
+            path.parent.mkdir(parents=True, exist_ok=True)
+            if written[key].dtype != np.uint8:
+                raise ValueError(f"images of type {written[key].dtype}: augnerf trains on 8-bit images")
+            Image.fromarray(written[key]).save(path)
+    (folder / "transforms.json").write_text(json.dumps(transforms))
+
+
+class AugNerf(Method):
+    def __init__(self, *, checkpoint=None, train_dataset=None, config_overrides=None):
+        self._temporary = tempfile.TemporaryDirectory(prefix="augnerf-")
+        root = Path(self._temporary.name)
+        self._scene, self._run, self._checkpoint = root / "scene", root / "run", checkpoint
+        overrides = {key: str(value) for key, value in (config_overrides or {}).items()}
+        if checkpoint is None:
+            if train_dataset is None:
+                raise ValueError("augnerf needs a checkpoint or a train dataset")
+            self._own = {key: overrides.pop(key, value) for key, value in OWN.items()}
+            self._settings = {**FIXED, "data.background": _background(train_dataset), **overrides}
+            transforms, transparent = _transforms(train_dataset), _is_transparent(train_dataset)
+        else:
+            # A checkpoint keeps its settings. What changes no numbers may differ.
+            saved = json.loads((Path(checkpoint) / "nerfbaselines.json").read_text())
+            self._own, self._settings = saved["own"], saved["settings"]
+            self._own = {key: overrides.get(key, value) if key in ("device", "threads", "block") else value
+                         for key, value in self._own.items()}
+            transforms, transparent = saved["transforms"], saved["transparent"]
+            if (Path(checkpoint) / "run").exists():
+                shutil.copytree(Path(checkpoint) / "run", self._run)
+        self._transforms, self._transparent, self._can_train = transforms, transparent, train_dataset is not None
+        _write_scene(self._scene, transforms, transparent, train_dataset)
+        if checkpoint is None:
+            self._config = json.loads(self._call("train", *self._experiment(), "--print-config", "--json"))
+        else:
+            self._config = saved["config"]
+        self._step = self._loaded_step = self._trained_steps()
+        self._block = int(self._own["block"])
+
+    @classmethod
+    def get_method_info(cls):
+        return MethodInfo(method_id="", required_features=frozenset(("color",)),
+                          supported_camera_models=frozenset(("pinhole",)), supported_outputs=("color", "depth"),
+                          can_resume_training=True)
+
+    def get_info(self):
+        train, hparams = self._config["train"], {**self._own, **self._settings}
+        return ModelInfo(**self.get_method_info(), num_iterations=train["steps"], batch_size=train["rays"],
+                         loaded_step=self._loaded_step if self._checkpoint else None,
+                         loaded_checkpoint=self._checkpoint, hparams=hparams)
+
+    def train_iteration(self, step):
+        """Counts a step. The program trains all counted steps at the end of a block, or before what needs them."""
+        if not self._can_train:
+            raise ValueError("augnerf trains only with a train dataset: this method was loaded without")
+        self._step = step + 1
+        if self._step % self._block == 0 or self._step == self._config["train"]["steps"]:
+            self._catch_up()
+        return self._metrics()
+
+    def render(self, camera, *, options=None):
+        return self.render_all([camera.item()])[0]
+
+    def render_all(self, cameras):
+        """Renders cameras of one size with one start of the program."""
+        self._catch_up()
+        if self._step == 0:
+            raise ValueError("augnerf renders after the first training step")
+        lenses = [_lens(camera) for camera in cameras]
+        path = [{"camera_to_world": _opengl(camera.poses).ravel().tolist(), **lens}
+                for camera, lens in zip(cameras, lenses)]
+        with tempfile.TemporaryDirectory(dir=self._temporary.name) as folder:
+            file, out = Path(folder) / "cameras.json", Path(folder) / "out"
+            file.write_text(json.dumps({"camera_type": "perspective", "camera_path": path,
+                                        "render_width": lenses[0]["w"], "render_height": lenses[0]["h"]}))
+            self._call("render", self._run, "--data", self._scene, "--cameras", file, "--out", out, "--quiet")
+            world = json.loads((self._run / "scene.json").read_text())["world_to_scene"]
+            unit = json.loads((out / "depth.json").read_text())["max"] / 65535 / world["scale"]
+            def read(name, index):
+                return np.asarray(Image.open(out / f"{name}_{index:03d}.png"))
+            return [{"color": read("rgb", index).astype(np.float32) / 255,
+                     "depth": read("depth16", index).astype(np.float32) * np.float32(unit)}
+                    for index in range(len(cameras))]
+
+    def save(self, path):
+        """Writes the run's newest checkpoint and the cameras. The images stay with the dataset."""
+        self._catch_up()
+        run, path = Path(path) / "run", Path(path)
+        path.mkdir(parents=True, exist_ok=True)
+        if self._step > 0:
+            shutil.copytree(self._run / "checkpoints", run / "checkpoints")
+            for name in ("config.toml", "scene.json"):
+                shutil.copy(self._run / name, run / name)
+        saved = {"own": self._own, "settings": self._settings, "config": self._config,
+                 "transforms": self._transforms, "transparent": self._transparent}
+        (path / "nerfbaselines.json").write_text(json.dumps(saved))
+
+    def close(self):
+        self._temporary.cleanup()
+
+    def _experiment(self):
+        """Returns the arguments of `augnerf train`."""
+        named = [f"--{key}={self._own[key]}" for key in ("preset", "method", "seed")]
+        return ["--data", self._scene, *named, *(f"--set={key}={value}" for key, value in self._settings.items())]
+
+    def _command(self, *arguments):
+        hardware = [f"--{key}={self._own[key]}" for key in ("device", "threads") if self._own[key]]
+        return [os.environ.get("AUGNERF", "augnerf"), *map(str, arguments), *hardware]
+
+    def _call(self, *arguments):
+        done = subprocess.run(self._command(*arguments), capture_output=True, text=True)
+        if done.returncode != 0:
+            raise RuntimeError(f"augnerf {arguments[0]}: {done.stderr.strip()}")
+        return done.stdout
+
+    def _checkpoints(self):
+        """Returns the run's checkpoints by their step."""
+        return {int(folder.name[5:]): folder for folder in self._run.glob("checkpoints/step_*")}
+
+    def _trained_steps(self):
+        return max(self._checkpoints(), default=0)
+
+    def _catch_up(self):
+        """Trains up to the counted step. The program's settings stay those of the full training. It writes a
+        checkpoint at that step and is stopped after it. `augnerf resume` continues with equal bytes."""
+        step = self._step
+        if step == self._trained_steps():
+            return
+        every = "train.checkpoint_every"
+        if not self._run.exists():
+            command = ["train", *self._experiment(), f"--set={every}={step}", "--out", self._run, "--yes"]
+        else:
+            config = self._run / "config.toml"
+            lines = [f"checkpoint_every = {step}" if line.startswith("checkpoint_every = ") else line
+                     for line in config.read_text().splitlines()]
+            config.write_text("\n".join(lines) + "\n")
+            command = ["resume", self._run, "--data", self._scene]
+        with open(Path(self._temporary.name) / "log", "w+") as log:
+            process = subprocess.Popen(self._command(*command, "--quiet"), stdout=log, stderr=log)
+            try:
+                while process.poll() is None:
+                    if step < self._config["train"]["steps"] and step in self._checkpoints():
+                        break
+                    time.sleep(POLL_SECONDS)
+            finally:
+                process.terminate()
+                process.wait()
+            log.seek(0)
+            if step not in self._checkpoints():
+                raise RuntimeError(f"augnerf {command[0]} ended before step {step}: {log.read().strip()}")
+        for other, folder in self._checkpoints().items():
+            if other != step:
+                shutil.rmtree(folder)
+
+    def _metrics(self):
+        """Returns the newest logged training metrics."""
+        scalars = self._run / "scalars.csv"
+        if self._step != self._trained_steps() or not scalars.exists():
+            return {}
+        with open(scalars, newline="") as file:
+            rows = [row for row in csv.DictReader(file) if int(row["step"]) <= self._step]
+        return {key: float(rows[-1][key]) for key in ("loss", "psnr", "learning_rate") if rows and rows[-1].get(key)}
