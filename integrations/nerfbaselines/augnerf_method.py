@@ -19,6 +19,10 @@ OWN = {"preset": "fast", "method": "nerf", "seed": "0", "device": "cpu", "thread
 FIXED = {"data.name": "nerfbaselines", "data.kind": "transforms", "data.split": "own", "data.downscale": "1",
          "eval.pictures": "0", "eval.train_views": "0", "train.keep_checkpoints": "100",
          "train.checkpoint_minutes": "0"}
+# Those of them that a checkpoint does not fix.
+FREE = {"device", "threads", "block"}
+# The other methods of augnerf render from the training images, which checkpoints do not hold.
+METHODS = ("nerf", "aug-nerf", "mip-nerf", "aug-mip-nerf")
 POLL_SECONDS = 0.05
 
 
@@ -66,8 +70,8 @@ def _background(dataset):
 
 
 def _write_scene(folder, transforms, transparent, dataset=None):
-    """Writes a scene that augnerf reads. Without a dataset its images are blank, which is enough for rendering:
-    of images, augnerf then needs to know only whether there is a background."""
+    """Writes a scene that augnerf reads. Without a dataset its images are blank. That is enough for rendering, where
+    images only tell augnerf whether there is a background, and is read sooner."""
     if dataset is not None and dataset["metadata"].get("color_space", "srgb") != "srgb":
         raise ValueError("augnerf trains on 8-bit sRGB images: the dataset has linear colours")
     for frame in transforms["frames"]:
@@ -91,29 +95,35 @@ class AugNerf(Method):
     def __init__(self, *, checkpoint=None, train_dataset=None, config_overrides=None):
         self._temporary = tempfile.TemporaryDirectory(prefix="augnerf-")
         root = Path(self._temporary.name)
-        self._scene, self._run, self._checkpoint = root / "scene", root / "run", checkpoint
+        self._scene, self._blank, self._run, self._checkpoint = root / "scene", root / "blank", root / "run", checkpoint
         overrides = {key: str(value) for key, value in (config_overrides or {}).items()}
         if checkpoint is None:
             if train_dataset is None:
                 raise ValueError("augnerf needs a checkpoint or a train dataset")
             self._own = {key: overrides.pop(key, value) for key, value in OWN.items()}
+            if self._own["method"] not in METHODS:
+                raise ValueError(f"method={self._own['method']}: choose one of {', '.join(METHODS)}")
             self._settings = {**FIXED, "data.background": _background(train_dataset), **overrides}
             transforms, transparent = _transforms(train_dataset), _is_transparent(train_dataset)
         else:
-            # A checkpoint keeps its settings. What changes no numbers may differ.
             saved = json.loads((Path(checkpoint) / "nerfbaselines.json").read_text())
-            self._own, self._settings = saved["own"], saved["settings"]
-            self._own = {key: overrides.get(key, value) if key in ("device", "threads", "block") else value
-                         for key, value in self._own.items()}
+            self._settings, free = saved["settings"], {key: overrides.pop(key) for key in FREE & overrides.keys()}
+            self._own = {**saved["own"], **free}
+            for key, value in overrides.items():
+                if {**self._own, **self._settings}.get(key) != value:
+                    raise ValueError(f"{key}={value}: the checkpoint keeps its own settings; train anew to change it")
             transforms, transparent = saved["transforms"], saved["transparent"]
             if (Path(checkpoint) / "run").exists():
                 shutil.copytree(Path(checkpoint) / "run", self._run)
         self._transforms, self._transparent, self._can_train = transforms, transparent, train_dataset is not None
-        _write_scene(self._scene, transforms, transparent, train_dataset)
+        _write_scene(self._blank, transforms, transparent)
+        if train_dataset is not None:
+            _write_scene(self._scene, transforms, transparent, train_dataset)
         if checkpoint is None:
-            self._config = json.loads(self._call("train", *self._experiment(), "--print-config", "--json"))
+            train = json.loads(self._call("train", *self._experiment(), "--print-config", "--json"))["train"]
+            self._size = {"num_iterations": train["steps"], "batch_size": train["rays"]}
         else:
-            self._config = saved["config"]
+            self._size = saved["size"]
         self._step = self._loaded_step = self._trained_steps()
         self._block = int(self._own["block"])
 
@@ -124,18 +134,18 @@ class AugNerf(Method):
                           can_resume_training=True)
 
     def get_info(self):
-        train, hparams = self._config["train"], {**self._own, **self._settings}
-        return ModelInfo(**self.get_method_info(), num_iterations=train["steps"], batch_size=train["rays"],
+        return ModelInfo(**self.get_method_info(), **self._size, hparams={**self._own, **self._settings},
                          loaded_step=self._loaded_step if self._checkpoint else None,
-                         loaded_checkpoint=self._checkpoint, hparams=hparams)
+                         loaded_checkpoint=self._checkpoint)
 
     def train_iteration(self, step):
         """Counts a step. The program trains all counted steps at the end of a block, or before what needs them."""
         if not self._can_train:
             raise ValueError("augnerf trains only with a train dataset: this method was loaded without")
         self._step = step + 1
-        if self._step % self._block == 0 or self._step == self._config["train"]["steps"]:
-            self._catch_up()
+        if self._step % self._block != 0 and self._step != self._size["num_iterations"]:
+            return {}
+        self._catch_up()
         return self._metrics()
 
     def render(self, camera, *, options=None):
@@ -153,9 +163,10 @@ class AugNerf(Method):
             file, out = Path(folder) / "cameras.json", Path(folder) / "out"
             file.write_text(json.dumps({"camera_type": "perspective", "camera_path": path,
                                         "render_width": lenses[0]["w"], "render_height": lenses[0]["h"]}))
-            self._call("render", self._run, "--data", self._scene, "--cameras", file, "--out", out, "--quiet")
+            self._call("render", self._run, "--data", self._blank, "--cameras", file, "--out", out, "--quiet")
             world = json.loads((self._run / "scene.json").read_text())["world_to_scene"]
             unit = json.loads((out / "depth.json").read_text())["max"] / 65535 / world["scale"]
+
             def read(name, index):
                 return np.asarray(Image.open(out / f"{name}_{index:03d}.png"))
             return [{"color": read("rgb", index).astype(np.float32) / 255,
@@ -171,7 +182,7 @@ class AugNerf(Method):
             shutil.copytree(self._run / "checkpoints", run / "checkpoints")
             for name in ("config.toml", "scene.json"):
                 shutil.copy(self._run / name, run / name)
-        saved = {"own": self._own, "settings": self._settings, "config": self._config,
+        saved = {"own": self._own, "settings": self._settings, "size": self._size,
                  "transforms": self._transforms, "transparent": self._transparent}
         (path / "nerfbaselines.json").write_text(json.dumps(saved))
 
@@ -188,7 +199,11 @@ class AugNerf(Method):
         return [os.environ.get("AUGNERF", "augnerf"), *map(str, arguments), *hardware]
 
     def _call(self, *arguments):
-        done = subprocess.run(self._command(*arguments), capture_output=True, text=True)
+        try:
+            done = subprocess.run(self._command(*arguments), stdin=subprocess.DEVNULL, capture_output=True, text=True)
+        except FileNotFoundError as error:
+            what = f"{error.filename}: no such program; put augnerf on the PATH, or name it in AUGNERF"
+            raise RuntimeError(what) from None
         if done.returncode != 0:
             raise RuntimeError(f"augnerf {arguments[0]}: {done.stderr.strip()}")
         return done.stdout
@@ -203,9 +218,11 @@ class AugNerf(Method):
     def _catch_up(self):
         """Trains up to the counted step. The program's settings stay those of the full training. It writes a
         checkpoint at that step and is stopped after it. `augnerf resume` continues with equal bytes."""
-        step = self._step
+        step, last = self._step, self._step == self._size["num_iterations"]
         if step == self._trained_steps():
             return
+        if step < self._trained_steps():
+            raise ValueError(f"step {step} is due, but {self._trained_steps()} steps were trained: steps only go up")
         every = "train.checkpoint_every"
         if not self._run.exists():
             command = ["train", *self._experiment(), f"--set={every}={step}", "--out", self._run, "--yes"]
@@ -216,27 +233,23 @@ class AugNerf(Method):
             config.write_text("\n".join(lines) + "\n")
             command = ["resume", self._run, "--data", self._scene]
         with open(Path(self._temporary.name) / "log", "w+") as log:
-            process = subprocess.Popen(self._command(*command, "--quiet"), stdout=log, stderr=log)
+            process = subprocess.Popen(self._command(*command, "--quiet"), stdin=subprocess.DEVNULL,
+                                       stdout=log, stderr=log)
             try:
-                while process.poll() is None:
-                    if step < self._config["train"]["steps"] and step in self._checkpoints():
-                        break
+                while process.poll() is None and (last or step not in self._checkpoints()):
                     time.sleep(POLL_SECONDS)
             finally:
                 process.terminate()
                 process.wait()
             log.seek(0)
-            if step not in self._checkpoints():
-                raise RuntimeError(f"augnerf {command[0]} ended before step {step}: {log.read().strip()}")
+            if step not in self._checkpoints() or last and process.returncode != 0:
+                raise RuntimeError(f"augnerf {command[0]} ended before step {step} was done: {log.read().strip()}")
         for other, folder in self._checkpoints().items():
             if other != step:
                 shutil.rmtree(folder)
 
     def _metrics(self):
         """Returns the newest logged training metrics."""
-        scalars = self._run / "scalars.csv"
-        if self._step != self._trained_steps() or not scalars.exists():
-            return {}
-        with open(scalars, newline="") as file:
+        with open(self._run / "scalars.csv", newline="") as file:
             rows = [row for row in csv.DictReader(file) if int(row["step"]) <= self._step]
         return {key: float(rows[-1][key]) for key in ("loss", "psnr", "learning_rate") if rows and rows[-1].get(key)}

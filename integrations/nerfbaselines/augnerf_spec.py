@@ -15,7 +15,8 @@ register({
     "metadata": {
         "name": "augnerf",
         "description": "NeRF with and without worst-case augmentation (Aug-NeRF), trained by the program `augnerf`.",
-        "paper_title": "Aug-NeRF: Training Stronger Neural Radiance Fields with Triple-Level Physically-Grounded Augmentations",
+        "paper_title": "Aug-NeRF: Training Stronger Neural Radiance Fields with Triple-Level "
+                       "Physically-Grounded Augmentations",
         "paper_authors": ["Tianlong Chen", "Peihao Wang", "Zhiwen Fan", "Zhangyang Wang"],
         "licenses": [{"name": "MIT or Apache-2.0"}],
     },
