@@ -43,7 +43,7 @@ done
 "$program" man "$out/$name/man/man1"
 cp README.md CHANGELOG.md CITATION.cff LICENSE-MIT LICENSE-APACHE "$out/$name/"
 mkdir "$out/$name/fonts"
-cp assets/fonts/README.md assets/fonts/UFL.txt "$out/$name/fonts/"
+cp assets/fonts/README.md assets/fonts/OFL.txt "$out/$name/fonts/"
 
 # Equal files give an equal archive: no owners, sorted names, the time of the commit.
 when=$(git log -1 --format=%ct 2> /dev/null || echo 0)
