@@ -2,7 +2,8 @@
 # release.sh [FEATURES]: builds the program for this Linux and packs it into target/release-package:
 # augnerf-VERSION-TARGET.tar.gz with the program, README, licences, completions and manual pages, and its SHA-256.
 # FEATURES are cargo's: --no-default-features, --features cuda. Prints the glibc that the program needs. If the program needs
-# any other library, except CUDA's, nothing is packed.
+# any other library, except CUDA's, nothing is packed. PROGRAM=FILE packs that program instead of building one, such as
+# wheel.sh's, which runs on older systems.
 set -euo pipefail
 cd "$(dirname "$0")/.."
 
@@ -14,16 +15,19 @@ out=target/release-package
 rm -rf "$out"
 mkdir -p "$out/$name/completions" "$out/$name/man/man1"
 
-# Links the compiler's library and the video encoder's C++ library statically: the linker's first folder has only archives.
-archives=$PWD/target/release-archives
-mkdir -p "$archives"
-for of in gcc_s:gcc_eh stdc++:stdc++; do
-  archive=$(g++ -print-file-name="lib${of#*:}.a" 2> /dev/null || true)
-  [[ -e $archive ]] && ln -sf "$archive" "$archives/lib${of%:*}.a"
-done
-export RUSTFLAGS="${RUSTFLAGS:-} -L native=$archives"
-cargo build --release --locked --target-dir target/release-build "$@"
-cp target/release-build/release/augnerf "$out/$name/augnerf"
+if [[ -z ${PROGRAM:-} ]]; then
+  # Links the compiler's library and the video encoder's C++ library statically: the linker's first folder has only archives.
+  archives=$PWD/target/release-archives
+  mkdir -p "$archives"
+  for of in gcc_s:gcc_eh stdc++:stdc++; do
+    archive=$(g++ -print-file-name="lib${of#*:}.a" 2> /dev/null || true)
+    [[ -e $archive ]] && ln -sf "$archive" "$archives/lib${of%:*}.a"
+  done
+  export RUSTFLAGS="${RUSTFLAGS:-} -L native=$archives"
+  cargo build --release --locked --target-dir target/release-build "$@"
+  PROGRAM=target/release-build/release/augnerf
+fi
+cp "$PROGRAM" "$out/$name/augnerf"
 strip "$out/$name/augnerf"
 
 program=$out/$name/augnerf
