@@ -10,6 +10,7 @@ use signal_hook::consts::{SIGINT, SIGTERM};
 use crate::base::{Error, Result};
 
 /// Seconds in which further signals count as the first: `timeout` and `kill` of a group send two.
+#[cfg_attr(not(unix), allow(dead_code))]
 const ONE_SIGNAL: Duration = Duration::from_secs(1);
 
 /// Returns a flag that the first Ctrl-C, SIGTERM or hangup sets, which is printed at once. A second one after

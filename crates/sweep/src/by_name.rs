@@ -3,6 +3,7 @@
 //! ```text
 //! by-name/Aug-NeRF/seed-0 -> ../../points/ID         of several scenes: by-name/SCENE/ROW/seed-0
 //! ```
+#![cfg_attr(not(unix), allow(dead_code))]
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::PathBuf;
