@@ -63,7 +63,7 @@ impl Backend {
             ]
         };
         #[cfg(not(target_arch = "x86_64"))]
-        let (fast, _) = ([], pairs);
+        let (fast, _): ([(Backend, bool); 0], bool) = ([], pairs);
         fast.into_iter().filter_map(|(backend, has)| has.then_some(backend)).chain([Backend::Portable])
     }
 
