@@ -2,8 +2,8 @@
 # wheel.sh [FEATURES]: builds the program for Linux systems with an older glibc, and packs it as a wheel into target/wheels.
 # FEATURES are cargo's: --features gpu. GLIBC=2.28 is the oldest glibc that the program must start on. Prints the glibc and the
 # libraries that the program needs.
-# Needs Rust with its linker, and Python 3, but no C++ compiler: zig compiles openh264 and links the program. The first call
-# installs maturin and zig from PyPI into target/wheel-tools.
+# Needs Rust with its linker, Python 3 and objdump, but no C++ compiler: zig compiles openh264 and links the program. The first
+# call installs maturin and zig from PyPI into target/wheel-tools.
 set -euo pipefail
 cd "$(dirname "$0")/.."
 
