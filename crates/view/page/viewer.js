@@ -2,9 +2,10 @@
 "use strict";
 
 const $ = (id) => document.getElementById(id);
-const MOVING = 96; // columns of a picture while the camera moves
-const SHARP = 400; // columns of a picture when it is still, or fewer if the window is smaller
-const PREVIEW = 128; // columns of a first picture of the worst case, whose search takes many passes
+// Pixels along the longer side of a picture, or fewer if the window is smaller.
+const MOVING = 96; // while the camera moves
+const SHARP = 400; // when it is still
+const PREVIEW = 128; // of a first picture of the worst case, whose search takes many passes
 const STILL_AFTER = 180; // milliseconds without a move
 const PAGE = Math.random().toString(36).slice(2, 12);
 
@@ -104,11 +105,11 @@ let busy = false;
 let sharpening = null; // ends the requests of a still picture when a newer one is wanted
 let turnNumber = 0;
 
-function size(columns) {
+function size(longer) {
   const like = own || scene.views[0];
-  const wide = $("stage").clientWidth || columns;
-  const width = Math.max(16, Math.min(columns, Math.round(wide * devicePixelRatio)));
-  return [width, Math.max(8, Math.round(width * like.height / like.width))];
+  const window = Math.round(($("stage").clientWidth || longer) * devicePixelRatio);
+  const width = Math.min(window, longer * like.width / Math.max(like.width, like.height));
+  return [Math.max(8, Math.round(width)), Math.max(8, Math.round(width * like.height / like.width))];
 }
 
 function changed(still) {
@@ -236,6 +237,7 @@ function draw() {
     const gain = Number($("gain").value) || 1;
     for (let i = 0; i < a.data.length; i++) if (i % 4 !== 3) b.data[i] = Math.min(255, gain * Math.abs(a.data[i] - b.data[i]));
     c.putImageData(b, 0, 0);
+    place();
     return;
   }
   c.drawImage(left, ...whole);
@@ -264,6 +266,8 @@ function place() {
   slider.style.left = `${at.left - stage.left + border * at.width}px`;
   slider.style.top = `${at.top - stage.top}px`;
   slider.style.height = `${at.height}px`;
+  $("left-label").style.left = `${at.left - stage.left + 6}px`;
+  $("right-label").style.right = `${stage.right - at.left - at.width + 6}px`;
   slider.setAttribute("aria-valuenow", Math.round(100 * border));
 }
 

@@ -22,6 +22,8 @@ const CHECKED_ROWS: usize = 64;
 /// Where the skipping renderer may take space for empty: an interval of the coarse pass stops less than this fraction of the
 /// light. The first one is taken whose picture is the full renderer's.
 const LEAST_ALPHAS: [f64; 3] = [3e-2, 1e-2, 1e-3];
+/// With a larger fraction of space that is not empty, nothing is gained.
+const MOST_OCCUPIED: f64 = 0.9;
 /// Greatest mean difference of colours between the two, of 0..=1: a quarter of a step of 8 bits.
 const MOST_DIFFERENCE: f64 = 0.25 / 255.0;
 
@@ -141,6 +143,9 @@ fn faithful(
 ) -> Result<Option<SkippingRenderer>> {
     for least_alpha in LEAST_ALPHAS {
         skipping.set_least_alpha(least_alpha);
+        if skipping.occupied() > MOST_OCCUPIED {
+            return Ok(None);
+        }
         if alike(&viewer.render_with(&skipping, like)?.image.pixels, full) {
             return Ok(Some(skipping));
         }
