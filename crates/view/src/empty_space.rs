@@ -97,8 +97,8 @@ impl EmptySpace {
     /// Returns whether a point may have density.
     pub fn is_occupied(&self, point: &[f32]) -> bool {
         let mut cell = 0;
-        for axis in 0..3 {
-            let at = (point[axis] - self.lower[axis]) * self.scale[axis];
+        for ((&place, lower), scale) in point.iter().zip(&self.lower).zip(&self.scale) {
+            let at = (place - lower) * scale;
             // NaN is outside, too, but is to be seen.
             if !(at >= 0.0 && at <= self.side as f32) {
                 return self.is_open || at.is_nan();
