@@ -12,8 +12,7 @@ const OTHER_COMMANDS: [(&str, &[&str]); 6] = [
     ("test", &["eval"]),
     ("show", &["render", "report"]),
     ("video", &["render"]),
-    ("view", &["render", "report"]),
-    ("viewer", &["render", "report"]),
+    ("viewer", &["view", "render"]),
 ];
 
 /// Adds tips to an error: a setting that an unknown flag names, a flag for a stray word, a command for one of other programs.
@@ -116,8 +115,8 @@ mod tests {
 
     #[test]
     fn commands_of_other_programs_are_answered_with_those_here() {
-        let view = said("view runs/a");
-        assert!(view.contains("use 'render'") && view.contains("use 'report'") && !view.contains("similar"), "{view}");
+        let view = said("viewer runs/a");
+        assert!(view.contains("use 'view'") && view.contains("use 'render'") && !view.contains("similar"), "{view}");
         assert!(said("trian").contains("'train'"));
         for (_, ours) in OTHER_COMMANDS {
             assert!(ours.iter().all(|name| crate::cli::command().find_subcommand(name).is_some()), "{ours:?}");

@@ -94,7 +94,9 @@ pub fn columns(site: &str) -> [String; 5] {
 
 /// Returns the names of the sites whose diagnostics a log has: the built-in ones in their order, then others in the log's.
 pub fn logged_sites<'a>(header: impl Iterator<Item = &'a str>) -> Vec<String> {
-    let mut names: Vec<String> = header.filter_map(|column| column.strip_prefix("gain.")).map(str::to_string).collect();
+    // A gain alone is not a site's: sharpness-aware steps log that of weights.
+    let mut names: Vec<String> =
+        header.filter_map(|column| column.strip_prefix("inactive.")).map(str::to_string).collect();
     let place = |name: &String| Site::of_name(name).map_or(Site::ALL.len(), |site| site as usize);
     names.sort_by_key(place);
     names
