@@ -7,10 +7,10 @@ use clap::error::{ContextKind, ContextValue, ErrorKind};
 use crate::settings::registry::settings_called;
 
 /// Commands of other programs, and those that do the same here.
-const OTHER_COMMANDS: [(&str, &[&str]); 6] = [
+const OTHER_COMMANDS: [(&str, &[&str]); 5] = [
     ("evaluate", &["eval"]),
     ("test", &["eval"]),
-    ("show", &["render", "report"]),
+    ("show", &["view", "render", "report"]),
     ("video", &["render"]),
     ("viewer", &["view", "render"]),
 ];
