@@ -20,12 +20,11 @@ use super::{Compute, Moved};
 pub const EXAMPLES: &str = "Examples:
   augnerf view RUN                         # open the address that it prints
   augnerf view runs/fern-nerf-* runs/fern-aug-nerf-*
-  ssh -L 7007:127.0.0.1:7007 SERVER        # then, on that server: augnerf view RUN
   augnerf train --view                     # a training as it goes
 
 The page turns, pans, zooms and flies, shows colour, depth, accumulation and normals, two runs or the worst case of the \
 attack beside the clean pass, and the samples along a ray. It records camera paths for `augnerf render --cameras`. Ctrl-C \
-ends it.";
+ends it. From a server: ssh -L 7007:127.0.0.1:7007 SERVER.";
 
 /// The port unless another is asked for.
 const PORT: u16 = 7007;
@@ -146,10 +145,19 @@ impl LivePage {
         let stop = AtomicUsize::new(0);
         std::thread::scope(|scope| {
             scope.spawn(|| self.server.serve(&stop));
-            let done = work();
-            stop.store(1, Ordering::SeqCst);
-            done
+            // Also if the work ends by a panic.
+            let _ends = Ends(&stop);
+            work()
         })
+    }
+}
+
+/// Stops the server when it is dropped.
+struct Ends<'a>(&'a AtomicUsize);
+
+impl Drop for Ends<'_> {
+    fn drop(&mut self) {
+        self.0.store(1, Ordering::SeqCst);
     }
 }
 
@@ -161,7 +169,8 @@ impl Audience for LivePage {
 
     fn see(&self, step: u64, model: &Model) -> Result<()> {
         let started = Instant::now();
-        self.run.show_copy(step, model)?;
+        // What the page cannot show is the page's matter alone: the training goes on, and finds what is not a number by itself.
+        let _ = self.run.show_copy(step, model);
         let pause = LEAST_PAUSE.max(PAUSE_OVER_WORK * started.elapsed());
         *self.next.lock().unwrap_or_else(PoisonError::into_inner) = Some(Instant::now() + pause);
         Ok(())

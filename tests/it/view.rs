@@ -181,7 +181,7 @@ fn what_is_out_of_range_is_refused_in_words() {
         for (query, words) in [
             ("run=0&page=x&turn=1&view=held-out:0&width=5000&height=16", "8 to 4096"),
             ("run=0&page=x&turn=1&view=held-out:0&width=4000&height=4000", "at most"),
-            ("run=0&page=x&turn=1&view=held-out:7&width=16&height=16", "held-out:0 to held-out:0"),
+            ("run=0&page=x&turn=1&view=held-out:7&width=16&height=16", "1 held-out views"),
             ("run=3&page=x&turn=1&view=held-out:0&width=16&height=16", "1 runs"),
             ("run=0&page=x&turn=1&width=16&height=16&fov=40", "pose is missing"),
             (&format!("run=0&page=x&turn=1&layer=smell&{level}"), "normals"),
@@ -195,6 +195,23 @@ fn what_is_out_of_range_is_refused_in_words() {
         }
         let reply = get(&format!("{url}ray?{VIEW}&page=x&turn=1&x=16&y=0"));
         assert!(reply.status == 400 && reply.words().contains("outside"), "{}", reply.words());
+    });
+}
+
+/// The library of the server would read a body to its end, and make room for it first.
+#[test]
+fn a_body_that_is_too_long_is_not_waited_for() {
+    served(vec![shown("a", Method::Nerf, 0)], |url, _| {
+        let (host, path) = url.strip_prefix("http://").unwrap().split_once('/').unwrap();
+        for (path, length) in [("other", u64::MAX / 4), (path, 9_000_000), ("other", 2000)] {
+            let mut streams = Vec::new();
+            for _ in 0..10 {
+                let mut stream = TcpStream::connect(host).unwrap();
+                write!(stream, "POST /{path} HTTP/1.1\r\nHost: {host}\r\nContent-Length: {length}\r\n\r\n").unwrap();
+                streams.push(stream);
+            }
+            assert_eq!(get(&format!("{url}state")).status, 200, "{length}");
+        }
     });
 }
 

@@ -102,6 +102,7 @@ function moved() {
 
 let wanted = null; // the newest request that has not been sent
 let busy = false;
+let outdated = false; // a training has gone on since the newest request
 let sharpening = null; // ends the requests of a still picture when a newer one is wanted
 let turnNumber = 0;
 
@@ -130,7 +131,7 @@ function pictures() {
   if ($("photograph").checked && own) return [first, { photograph: own.id, label: "photograph" }];
   if (beside.startsWith("run")) {
     const run = Number(beside.slice(3));
-    return [{ ...first, sites: attacked }, { run, sites: attacked, label: runs[run].label }];
+    return [{ ...first, sites: attacked }, { run, sites: attacked.filter((site) => runs[run].sites.includes(site)), label: runs[run].label }];
   }
   if (beside === "attack" && attacked.length) {
     return [{ ...first, label: "clean pass" }, { run: 0, sites: attacked, label: `worst case of ${attacked.join(", ")}` }];
@@ -139,7 +140,8 @@ function pictures() {
 }
 
 function query(picture, [width, height], slot) {
-  const q = new URLSearchParams({ page: `${PAGE}-${slot}`, turn: ++turnNumber, width, height, run: picture.run });
+  // Both pictures take turns: a newer wish for one ends the search for the other.
+  const q = new URLSearchParams({ page: slot === "ray" ? `${PAGE}-ray` : PAGE, turn: ++turnNumber, width, height, run: picture.run });
   if (own) q.set("view", own.id); else { q.set("pose", pose(camera).join(",")); q.set("fov", camera.fov); }
   if (picture.sites.length) { q.set("sites", picture.sites.join(",")); q.set("scale", $("scale").value); }
   return q;
@@ -195,6 +197,8 @@ async function next() {
   } finally {
     busy = false;
     sharpening = null;
+    if (!wanted && outdated) wanted = { still: true };
+    outdated = false;
     if (wanted) next();
   }
 }
@@ -505,7 +509,8 @@ async function follow() {
     if (camera === null && runs.every((run) => run.step !== null)) begin();
     else if (camera && runs.some((run, i) => run.step !== before[i])) {
       if (!hadSites && runs[0].sites.length) buildSites();
-      changed(true);
+      // A picture that is being made is finished first: a training may go on faster than pictures are made.
+      if (busy) outdated = true; else changed(true);
     }
   } catch { /* said by `lost` */ }
   setTimeout(follow, 2000);

@@ -7,7 +7,7 @@ use crate::base::rng::{Random, Stream};
 use crate::data::{RayBuffer, Scene};
 use crate::field::Field;
 use crate::render::{points_at, ray_parts};
-use crate::settings::{Config, Contraction, Encoding};
+use crate::settings::{Config, Contraction, Encoding, FieldConfig, Spacing};
 
 /// Cells along an axis, for a hash grid and for networks, whose densities take longer.
 const CELLS: [usize; 2] = [128, 64];
@@ -34,13 +34,16 @@ pub struct EmptySpace {
 
 impl EmptySpace {
     /// Makes the grid of a field, over the box of its hash grid, which ends there, or over the box around all samples of the
-    /// training views' outermost rays. Returns `None` for a field that reads Gaussians (MipNeRF), whose density depends on
-    /// their size.
+    /// training views' outermost rays. Returns `None` for a
+    /// field that reads Gaussians (MipNeRF), whose density depends on their size, for a contracted grid, whose space has no end,
+    /// and for samples that are not even in depth.
     ///
     /// # Errors
     /// Those of candle.
     pub fn of(field: &Field, config: &Config, scene: &Scene) -> Result<Option<EmptySpace>> {
-        if field.config().encoding == Encoding::Integrated {
+        let FieldConfig { encoding, hash, .. } = field.config();
+        let contracts = *encoding == Encoding::Hash && hash.contraction != Some(Contraction::None);
+        if *encoding == Encoding::Integrated || contracts || config.sampling.spacing != Spacing::Depth {
             return Ok(None);
         }
         let (sampled, direction_norm) = sampled_box(field, config, scene)?;

@@ -114,9 +114,15 @@ impl PerturbedRenderer {
         let on: Vec<Site> = sets.iter().map(|(site, _)| site).collect();
         for site in on {
             let Some(delta) = found.get(site) else { continue };
-            scaled.set(site, (delta.detach() * attack.scale)?);
+            let scaled_up = (delta.detach() * attack.scale)?;
             // What is scaled up leaves its set on purpose.
             let mut set = sets.get(site).expect("is on").clone();
+            if site == Site::T {
+                // Samples that pass each other have no meaning.
+                scaled.set(site, set.project(&scaled_up)?);
+                continue;
+            }
+            scaled.set(site, scaled_up);
             set.radius = (set.radius * attack.scale.max(1.0))?;
             sets.set(site, set);
         }

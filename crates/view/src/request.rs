@@ -2,7 +2,7 @@
 
 use std::collections::HashMap;
 
-use crate::data::pose::check_rotation;
+use crate::data::pose::{Pose, check_rotation};
 use crate::data::{Camera, Scene, View};
 
 use super::perturbed::Attack;
@@ -57,8 +57,8 @@ impl Arguments {
     /// camera to world, with `fov` any other. `width` and `height` are the picture's.
     ///
     /// # Errors
-    /// Something is missing or out of range.
-    pub fn camera(&self, scene: &Scene) -> Result<Camera, String> {
+    /// Something is missing or out of range; with `ndc`, the camera looks away from -z.
+    pub fn camera(&self, scene: &Scene, ndc: bool) -> Result<Camera, String> {
         let (width, height) = (self.number("width")?, self.number("height")?);
         if !SIDES.contains(&width) || !SIDES.contains(&height) || width * height > MOST_PIXELS {
             return Err(format!(
@@ -71,7 +71,7 @@ impl Arguments {
             Some(view) => view.camera.with_size(width, height),
             None => self.free_camera(width, height)?,
         };
-        match scene.ndc.is_some() && !camera.faces_forward() {
+        match ndc && !camera.faces_forward() {
             true => {
                 Err("the camera looks away from the -z axis, where this scene has no normalized device coordinates"
                     .into())
@@ -95,20 +95,18 @@ impl Arguments {
             views.get(index.parse::<usize>().ok()?)
         });
         let (train, test) = (scene.train.len(), scene.test.len());
-        let wrong =
-            || format!("view={name}: views are train:0 to train:{} and held-out:0 to held-out:{}", train - 1, test - 1);
+        let wrong = || format!("view={name}: there are {train} train and {test} held-out views, counted from 0");
         found.map(Some).ok_or_else(wrong)
     }
 
     fn free_camera(&self, width: usize, height: usize) -> Result<Camera, String> {
         let text = self.get("pose").ok_or("pose is missing")?;
         let numbers: Vec<f64> = text.split(',').filter_map(|number| number.trim().parse().ok()).collect();
-        let finite = |value: &f64| value.is_finite() && value.abs() <= FARTHEST;
-        if numbers.len() != 12 || text.split(',').count() != 12 || !numbers.iter().all(finite) {
-            return Err(format!("pose must be 12 numbers from -{FARTHEST:e} to {FARTHEST:e}: rows of camera to world"));
+        if numbers.len() != 12 || text.split(',').count() != 12 {
+            return Err("pose must be 12 numbers: rows of camera to world".into());
         }
         let pose = std::array::from_fn(|row| std::array::from_fn(|column| numbers[4 * row + column]));
-        check_rotation(&pose).map_err(|found| format!("pose must be a rotation and a place, but has {found}"))?;
+        check_pose(&pose)?;
         let degrees: f64 = self.number("fov")?;
         if !FIELDS_OF_VIEW.contains(&degrees) {
             let (least, most) = (FIELDS_OF_VIEW.start(), FIELDS_OF_VIEW.end());
@@ -148,6 +146,14 @@ impl Arguments {
             false => Err(format!("scale={scale}: the factor on deltas must be 0 to {GREATEST_SCALE}")),
         }
     }
+}
+
+/// Returns what is wrong with a camera's pose, if anything is.
+pub fn check_pose(pose: &Pose) -> Result<(), String> {
+    if !pose.iter().flatten().all(|value| value.is_finite() && value.abs() <= FARTHEST) {
+        return Err(format!("pose must be 12 numbers from -{FARTHEST:e} to {FARTHEST:e}"));
+    }
+    check_rotation(pose).map_err(|found| format!("pose must be a rotation and a place, but has {found}"))
 }
 
 #[cfg(test)]

@@ -3,7 +3,8 @@
 use std::collections::HashMap;
 use std::io::Read;
 use std::net::{IpAddr, SocketAddr};
-use std::sync::atomic::{AtomicUsize, Ordering};
+use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
@@ -19,7 +20,7 @@ use crate::run::{RenderedView, Viewer};
 
 use super::perturbed::Attack;
 use super::picture::{Layer, draw_layer};
-use super::request::Arguments;
+use super::request::{Arguments, check_pose};
 use super::samples::RaySamples;
 use super::shown::{ShownRun, Weights};
 
@@ -68,6 +69,8 @@ pub struct Server {
     turns: Mutex<HashMap<String, u64>>,
     /// When a page last asked for anything.
     asked: Mutex<Option<Instant>>,
+    /// The server stops; pictures that are being made are given up.
+    stopping: AtomicBool,
     /// Held while a picture is made: two at once would each take twice as long.
     rendering: Mutex<()>,
 }
@@ -157,6 +160,7 @@ impl Server {
             runs,
             turns: Mutex::default(),
             asked: Mutex::default(),
+            stopping: AtomicBool::new(false),
             rendering: Mutex::default(),
         })
     }
@@ -179,11 +183,18 @@ impl Server {
     /// Answers until `stop` is not 0.
     pub fn serve(&self, stop: &AtomicUsize) {
         std::thread::scope(|scope| {
+            scope.spawn(|| {
+                while stop.load(Ordering::SeqCst) == 0 {
+                    std::thread::sleep(PATIENCE);
+                }
+                self.stopping.store(true, Ordering::SeqCst);
+            });
             for _ in 0..WORKERS {
                 scope.spawn(|| {
                     while stop.load(Ordering::SeqCst) == 0 {
                         if let Ok(Some(request)) = self.http.recv_timeout(PATIENCE) {
-                            self.answer(request);
+                            // A defect here must not end a training that is shown.
+                            let _ = catch_unwind(AssertUnwindSafe(|| self.answer(request)));
                         }
                     }
                 });
@@ -191,7 +202,19 @@ impl Server {
         });
     }
 
+    /// Leaves a request whose body is too long unread: tiny_http would read it all before it lets go of the connection. The
+    /// connection stays open until the other side closes it.
+    fn leave(request: Request) {
+        let refusal = Response::from_string("This body is too long.").with_status_code(413);
+        std::mem::forget(request.upgrade("", refusal));
+    }
+
     fn answer(&self, mut request: Request) {
+        let body = request.body_length().unwrap_or(0) as u64;
+        let may_have_body = *request.method() == Method::Post && self.check(&request).is_none();
+        if body > if may_have_body { MOST_PATH_BYTES } else { 0 } {
+            return Server::leave(request);
+        }
         let reply = self.check(&request).unwrap_or_else(|| self.route(&mut request));
         let mut response = Response::from_data(reply.body).with_status_code(reply.status);
         let fixed = [
@@ -327,6 +350,11 @@ impl Server {
         Ok((run, weights))
     }
 
+    /// Returns the camera. Views are named as the first run has them: another run may have other views.
+    fn camera(&self, arguments: &Arguments, run: &ShownRun) -> std::result::Result<Camera, Failure> {
+        Ok(arguments.camera(&self.runs[0].scene, run.scene.ndc.is_some())?)
+    }
+
     /// Waits until a picture may be made. Pages that have asked for a newer one in the meantime give up.
     fn wait(&self, arguments: &Arguments) -> std::result::Result<(MutexGuard<'_, ()>, String, u64), Failure> {
         let (page, turn) = arguments.turn()?;
@@ -347,7 +375,8 @@ impl Server {
     /// [`Error::Interrupted`]: the page has asked for a newer picture.
     fn check_turn(&self, page: &str, turn: u64) -> Result<()> {
         let turns = self.turns.lock().unwrap_or_else(PoisonError::into_inner);
-        match turns.get(page).is_some_and(|newest| *newest > turn) {
+        let stopping = self.stopping.load(Ordering::SeqCst);
+        match stopping || turns.get(page).is_some_and(|newest| *newest > turn) {
             true => Err(Error::Interrupted { signal: 0, message: "superseded".into() }),
             false => Ok(()),
         }
@@ -355,13 +384,15 @@ impl Server {
 
     fn picture(&self, arguments: &Arguments) -> Answer {
         let (run, weights) = self.run(arguments)?;
-        let (camera, layer) = (arguments.camera(&run.scene)?, arguments.layer()?);
+        let (camera, layer) = (self.camera(arguments, run)?, arguments.layer()?);
         let attack = arguments.attack(&sites_of(&weights))?;
         let (guard, page, turn) = self.wait(arguments)?;
         let started = Instant::now();
         let stop_check = || self.check_turn(&page, turn);
         let view = match attack {
-            Some(attack) => perturbed_view(run, &weights, &camera, arguments.view(&run.scene)?, &attack, &stop_check)?,
+            Some(attack) => {
+                perturbed_view(run, &weights, &camera, arguments.view(&self.runs[0].scene)?, &attack, &stop_check)?
+            }
             None => {
                 let viewer =
                     Viewer { model: &weights.model, config: &run.config, scene: &run.scene, runtime: &run.runtime };
@@ -388,7 +419,7 @@ impl Server {
 
     fn ray(&self, arguments: &Arguments) -> Answer {
         let (run, weights) = self.run(arguments)?;
-        let camera = arguments.camera(&run.scene)?;
+        let camera = self.camera(arguments, run)?;
         let (x, y): (u32, u32) = (arguments.number("x")?, arguments.number("y")?);
         if x as usize >= camera.width || y as usize >= camera.height {
             return Err(
@@ -399,7 +430,7 @@ impl Server {
             .perturbed
             .as_ref()
             .ok_or_else(|| "only fields on the processor have samples to show".to_string())?;
-        let view = arguments.view(&run.scene)?;
+        let view = arguments.view(&self.runs[0].scene)?;
         let attack = arguments.attack(&perturbed.sites())?;
         let (guard, ..) = self.wait(arguments)?;
         let of = |attack: &Attack| -> Result<RaySamples> {
@@ -432,7 +463,10 @@ impl Server {
             return Err(format!("{} cameras: a path has 1 to {MOST_CAMERAS}", poses.len()).into());
         }
         let scene = &self.runs[0].scene;
-        let like = arguments.camera(scene)?;
+        let like = arguments.camera(scene, scene.ndc.is_some())?;
+        for (index, pose) in poses.iter().enumerate() {
+            check_pose(pose).map_err(|words| format!("camera {index} (from 0): {words}"))?;
+        }
         let cameras: Vec<Camera> = poses.into_iter().map(|pose| Camera { pose, ..like }).collect();
         let fps: f64 = arguments.number("fps")?;
         if !(0.1..=240.0).contains(&fps) {

@@ -3,7 +3,7 @@
 use std::path::Path;
 use std::sync::{Arc, RwLock};
 
-use candle_core::Tensor;
+use candle_core::{Tensor, Var};
 
 use crate::base::{Listener, Result};
 use crate::data::{Camera, Scene};
@@ -100,9 +100,10 @@ impl ShownRun {
     /// # Errors
     /// Those of [`ShownRun::show`].
     pub fn show_copy(&self, step: u64, model: &Model) -> Result<()> {
-        let values: Vec<Tensor> = model.variables().into_iter().map(|(_, var)| var.as_tensor().clone()).collect();
+        let copied = |(_, var): (String, Var)| var.as_detached_tensor().copy();
+        let values = model.variables().into_iter().map(copied).collect::<candle_core::Result<Vec<Tensor>>>()?;
         let copy = Model::from_parameters(&self.config, values)?.at_step(&self.config, step)?;
-        self.show(step, copy, step >= self.steps)
+        self.show(step, copy, false)
     }
 
     fn prepare(&self, step: u64, model: Model, skips: bool) -> Result<Weights> {
