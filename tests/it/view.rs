@@ -198,23 +198,6 @@ fn what_is_out_of_range_is_refused_in_words() {
     });
 }
 
-/// The library of the server would read a body to its end, and make room for it first.
-#[test]
-fn a_body_that_is_too_long_is_not_waited_for() {
-    served(vec![shown("a", Method::Nerf, 0)], |url, _| {
-        let (host, path) = url.strip_prefix("http://").unwrap().split_once('/').unwrap();
-        for (path, length) in [("other", u64::MAX / 4), (path, 9_000_000), ("other", 2000)] {
-            let mut streams = Vec::new();
-            for _ in 0..10 {
-                let mut stream = TcpStream::connect(host).unwrap();
-                write!(stream, "POST /{path} HTTP/1.1\r\nHost: {host}\r\nContent-Length: {length}\r\n\r\n").unwrap();
-                streams.push(stream);
-            }
-            assert_eq!(get(&format!("{url}state")).status, 200, "{length}");
-        }
-    });
-}
-
 /// An older request of a page's slot gives way; another page's does not.
 #[test]
 fn the_newest_picture_of_a_page_wins() {

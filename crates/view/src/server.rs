@@ -200,6 +200,10 @@ impl Server {
                 });
             }
         });
+        // Letting go of a request that nobody has taken would wait for its body.
+        while let Ok(Some(request)) = self.http.try_recv() {
+            std::mem::forget(request);
+        }
     }
 
     fn answer(&self, mut request: Request) {
