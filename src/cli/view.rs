@@ -13,7 +13,7 @@ use crate::methods::Model;
 use crate::run::{Audience, Finished, Job, Setup};
 use crate::view::{Server, ServerOptions, ShownRun};
 
-use super::progress::{Console, print};
+use super::progress::{Console, print, report};
 use super::signals::catch_signals;
 use super::{Compute, Moved};
 
@@ -31,6 +31,8 @@ const PORT: u16 = 7007;
 /// Least time between two weights of a training that are shown, and how many times longer than making them ready it is.
 const LEAST_PAUSE: Duration = Duration::from_secs(2);
 const PAUSE_OVER_WORK: u32 = 10;
+/// Time until the next attempt after one that failed, of which each is told.
+const PAUSE_AFTER_ERROR: Duration = Duration::from_secs(60);
 
 #[derive(Args)]
 #[command(next_help_heading = "Experiment")]
@@ -169,9 +171,13 @@ impl Audience for LivePage {
 
     fn see(&self, step: u64, model: &Model) -> Result<()> {
         let started = Instant::now();
-        // What the page cannot show is the page's matter alone: the training goes on, and finds what is not a number by itself.
-        let _ = self.run.show_copy(step, model);
-        let pause = LEAST_PAUSE.max(PAUSE_OVER_WORK * started.elapsed());
+        let mut pause = LEAST_PAUSE;
+        if let Err(error) = self.run.show_copy(step, model) {
+            // It is the page's matter alone: the training goes on, and finds what is not a number by itself.
+            report(&format!("the page cannot show step {step}: {error}"));
+            pause = PAUSE_AFTER_ERROR;
+        }
+        let pause = pause.max(PAUSE_OVER_WORK * started.elapsed());
         *self.next.lock().unwrap_or_else(PoisonError::into_inner) = Some(Instant::now() + pause);
         Ok(())
     }
