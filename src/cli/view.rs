@@ -62,7 +62,7 @@ pub struct Place {
 
 impl Place {
     /// Opens the page of some runs, and prints its address.
-    pub fn open(&self, runs: Vec<Arc<ShownRun>>, console: &Console) -> Result<Server> {
+    pub fn open(&self, runs: Vec<Arc<ShownRun>>, console: &Console) -> Result<Arc<Server>> {
         let host = self.host.unwrap_or(IpAddr::V4(Ipv4Addr::LOCALHOST));
         let at = |port| Server::bind(runs.clone(), &ServerOptions { host, port });
         let server = match self.port {
@@ -78,7 +78,7 @@ impl Place {
                  with which anyone can look. An ssh tunnel to 127.0.0.1 is safer",
             );
         }
-        Ok(server)
+        Ok(Arc::new(server))
     }
 }
 
@@ -128,7 +128,7 @@ impl Live {
 /// A page that shows a training as it goes.
 struct LivePage {
     run: Arc<ShownRun>,
-    server: Server,
+    server: Arc<Server>,
     /// When the next weights may be shown.
     next: Mutex<Option<Instant>>,
 }

@@ -94,7 +94,7 @@ fn get(url: &str) -> Reply {
 /// Does `work` with the page of some runs, at the address that it gets.
 fn served<T>(runs: Vec<Arc<ShownRun>>, work: impl FnOnce(&str, &Server) -> T) -> T {
     let options = ServerOptions { host: IpAddr::V4(Ipv4Addr::LOCALHOST), port: 0 };
-    let server = Server::bind(runs, &options).unwrap();
+    let server = Arc::new(Server::bind(runs, &options).unwrap());
     let stop = AtomicUsize::new(0);
     std::thread::scope(|scope| {
         scope.spawn(|| server.serve(&stop));

@@ -6,6 +6,7 @@ use std::net::{IpAddr, SocketAddr};
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
 use candle_core::{DType, Tensor};
@@ -30,6 +31,8 @@ const WORKERS: usize = 8;
 const PATIENCE: Duration = Duration::from_millis(200);
 /// A page asks for the state every two seconds. After this time without it is closed.
 const WATCHED: Duration = Duration::from_secs(7);
+/// How long the server waits for its last answers.
+const FAREWELL: Duration = Duration::from_secs(2);
 /// The most pages whose turns are remembered.
 const MOST_PAGES: usize = 1000;
 /// The most bytes and cameras of a path.
@@ -180,29 +183,29 @@ impl Server {
         self.asked.lock().unwrap_or_else(PoisonError::into_inner).is_some_and(|asked| asked.elapsed() < WATCHED)
     }
 
-    /// Answers until `stop` is not 0.
-    pub fn serve(&self, stop: &AtomicUsize) {
-        std::thread::scope(|scope| {
-            scope.spawn(|| {
-                while stop.load(Ordering::SeqCst) == 0 {
-                    std::thread::sleep(PATIENCE);
+    /// Answers until `stop` is not 0. What is being answered then gets a short time to end. A thread whose other side neither
+    /// reads nor writes is left behind, so that it holds nobody up.
+    pub fn serve(self: &Arc<Self>, stop: &AtomicUsize) {
+        let workers: Vec<_> = (0..WORKERS).map(|_| std::thread::spawn(self.worker())).collect();
+        while stop.load(Ordering::SeqCst) == 0 {
+            std::thread::sleep(PATIENCE);
+        }
+        self.stopping.store(true, Ordering::SeqCst);
+        let until = Instant::now() + FAREWELL;
+        while Instant::now() < until && !workers.iter().all(JoinHandle::is_finished) {
+            std::thread::sleep(PATIENCE / 10);
+        }
+    }
+
+    fn worker(self: &Arc<Self>) -> impl FnOnce() + Send + 'static {
+        let server = self.clone();
+        move || {
+            while !server.stopping.load(Ordering::SeqCst) {
+                if let Ok(Some(request)) = server.http.recv_timeout(PATIENCE) {
+                    // A defect here must not end a training that is shown.
+                    let _ = catch_unwind(AssertUnwindSafe(|| server.answer(request)));
                 }
-                self.stopping.store(true, Ordering::SeqCst);
-            });
-            for _ in 0..WORKERS {
-                scope.spawn(|| {
-                    while stop.load(Ordering::SeqCst) == 0 {
-                        if let Ok(Some(request)) = self.http.recv_timeout(PATIENCE) {
-                            // A defect here must not end a training that is shown.
-                            let _ = catch_unwind(AssertUnwindSafe(|| self.answer(request)));
-                        }
-                    }
-                });
             }
-        });
-        // Letting go of a request that nobody has taken would wait for its body.
-        while let Ok(Some(request)) = self.http.try_recv() {
-            std::mem::forget(request);
         }
     }
 
