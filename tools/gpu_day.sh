@@ -85,6 +85,7 @@ run() {
   cd "$out" || exit
   # Tables of hash grids are large; the last training's checkpoint is for `resume`.
   for folder in */; do
+    [[ -d $folder ]] || continue
     [[ $folder == fern-paper/ ]] || rm -rf "$folder/checkpoints"
     tar cf - --exclude='*.mp4' --exclude='*.gif' "$folder" | gzip -1 > "${folder%/}.tgz" && rm -r "$folder"
   done
