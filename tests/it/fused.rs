@@ -133,7 +133,8 @@ fn assert_fused_equals_plain(case: &Case) {
     let exact = ask(case, &field(case, Core::Plain, DType::F64), DType::F64, false);
     let fused_field = field(case, Core::Fused, DType::F32);
     let fused = ask(case, &fused_field, DType::F32, false);
-    assert_close_beside(1e-2, "outputs", &fused.outputs, &exact.outputs, 2e-5);
+    // Density of a single point can be 1e-3 as the sum of 68 products, whose roundings are 2e-7.
+    assert_close_beside(5e-2, "outputs", &fused.outputs, &exact.outputs, 2e-5);
     // In a small case one ReLU that a rounding flips is a good part of a gradient.
     assert_close("weights", &fused.weights, &exact.weights, 2e-2);
     assert_close("inputs", &fused.inputs, &exact.inputs, 2e-2);
