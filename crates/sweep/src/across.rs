@@ -117,19 +117,26 @@ impl AcrossRequest {
     /// # Errors
     /// A folder with tables of a sweep, or with other folders.
     pub fn write(&self, across: &Across, folder: &Path) -> Result<()> {
-        let refuse = |holds: &str| {
-            Err(Error::Output(format!("{} holds {holds}: name another folder with --out", folder.display())))
-        };
-        if [DEFINITION, VIEW].iter().any(|name| folder.join(name).exists()) {
-            return refuse("tables of a sweep");
-        }
-        let mut entries = std::fs::read_dir(folder).into_iter().flatten().flatten();
-        if entries.any(|entry| entry.path().is_dir()) {
-            return refuse("other folders");
-        }
-        std::fs::create_dir_all(folder).map_err(|e| Error::unwritable(folder, &e))?;
-        self.files(across)?.iter().try_for_each(|(name, bytes)| write_atomic(&folder.join(name), bytes))
+        write_folder(folder, &self.files(across)?)
     }
+}
+
+/// Writes the files of a comparison into a folder, which may hold pages beside them.
+///
+/// # Errors
+/// A folder with tables of a sweep, or with other folders.
+pub(super) fn write_folder(folder: &Path, files: &[(String, Vec<u8>)]) -> Result<()> {
+    let refuse =
+        |holds: &str| Err(Error::Output(format!("{} holds {holds}: name another folder with --out", folder.display())));
+    if [DEFINITION, VIEW].iter().any(|name| folder.join(name).exists()) {
+        return refuse("tables of a sweep");
+    }
+    let mut entries = std::fs::read_dir(folder).into_iter().flatten().flatten();
+    if entries.any(|entry| entry.path().is_dir()) {
+        return refuse("other folders");
+    }
+    std::fs::create_dir_all(folder).map_err(|e| Error::unwritable(folder, &e))?;
+    files.iter().try_for_each(|(name, bytes)| write_atomic(&folder.join(name), bytes))
 }
 
 fn has_row(source: &Source, name: &str) -> Result<()> {

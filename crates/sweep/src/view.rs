@@ -327,6 +327,16 @@ impl View {
         Table::new(&self.spec, &self.outputs.all_records(), false)
     }
 
+    /// Returns the records that are shown.
+    pub(super) fn records(&self) -> Vec<Record> {
+        self.outputs.all_records()
+    }
+
+    /// Returns the margin of equivalence that the first sweep with the metric states.
+    pub(super) fn margin(&self, metric: &str) -> Option<f64> {
+        self.spec.margin(metric)
+    }
+
     /// Writes tables and figures into the view's own folder. Returns the table.
     ///
     /// # Errors

@@ -2,14 +2,14 @@
 
 use std::path::PathBuf;
 
-use clap::Args;
+use clap::{Args, ValueEnum};
 use serde_json::json;
 
 use crate::base::Result;
 use crate::cli::answer::Answer;
 use crate::cli::progress::{print, print_shown};
 use crate::metrics::PSNR;
-use crate::sweep::AcrossRequest;
+use crate::sweep::{AcrossRequest, ScenesRequest, Source};
 
 use super::opened::Opened;
 
@@ -17,27 +17,38 @@ pub const EXAMPLES: &str = "Examples:
   augnerf sweep across results/fern results/chair --row Aug-NeRF --out results/both
   augnerf sweep across results/fern results/chair --row TV --metric ssim --out results/ssim
   augnerf sweep across results/a results/b --row TV --label a='fern, 8 views' --out results/ab
+  augnerf sweep across results/many_scenes --unit scene --out results/over_scenes
 
-P values are corrected over the sweeps (Holm), and simultaneous intervals are given.";
+By sweep, p values are corrected over the sweeps (Holm). By scene, all rows are compared over the scenes: intervals, Holm's p, sign
+test, prediction of a new scene.";
 
 #[derive(Args)]
 pub struct AcrossArguments {
-    /// Folders of sweeps or of their results, one experiment each
+    /// Folders of sweeps or of their results
     #[arg(required = true)]
     folders: Vec<PathBuf>,
-    /// Row to compare
-    #[arg(long)]
-    row: String,
+    /// What counts as one observation
+    #[arg(long, value_enum, default_value_t = Unit::Sweep)]
+    unit: Unit,
+    /// Row to compare in each sweep
+    #[arg(long, required_if_eq("unit", "sweep"), conflicts_with_all = ["rows", "scenes"])]
+    row: Option<String>,
+    /// Rows to compare over scenes [default: all]
+    #[arg(long, value_name = "ROW,...")]
+    rows: Vec<String>,
+    /// Scenes to compare over [default: all]
+    #[arg(long, value_name = "SCENE,...", value_delimiter = ',')]
+    scenes: Vec<String>,
     /// Baseline, seed by seed
     #[arg(long, value_name = "ROW", default_value = "NeRF")]
     baseline: String,
     /// Metric
     #[arg(long, default_value = PSNR.key)]
     metric: String,
-    /// Name of a sweep in the figure and the page
-    #[arg(long = "label", value_name = "NAME=TEXT", value_parser = label)]
+    /// Name of a sweep in the figure and the page, by sweep
+    #[arg(long = "label", conflicts_with_all = ["rows", "scenes"], value_name = "NAME=TEXT", value_parser = label)]
     labels: Vec<(String, String)>,
-    /// Folder for across.toml, across.csv, across.md and the figure across.svg
+    /// Folder for the tables, a page and a figure: across.* or over_scenes.*
     #[arg(long, value_name = "DIR")]
     out: PathBuf,
     /// Folder of the scenes
@@ -45,6 +56,15 @@ pub struct AcrossArguments {
     data_root: Option<PathBuf>,
     #[command(flatten)]
     answer: Answer,
+}
+
+/// What a comparison counts as one observation.
+#[derive(Clone, Copy, PartialEq, ValueEnum)]
+enum Unit {
+    /// One row in each sweep: seeds are the observations of each
+    Sweep,
+    /// All rows over the sweeps' scenes: a scene's mean over seeds is one observation
+    Scene,
 }
 
 /// A sweep and what it is called.
@@ -58,12 +78,45 @@ impl AcrossArguments {
         let open = |path: &PathBuf| Opened::read(path, self.data_root.as_deref());
         let sweeps = self.folders.iter().map(open).collect::<Result<Vec<_>>>()?;
         let sources = sweeps.iter().map(Opened::source).collect::<Result<Vec<_>>>()?;
-        let (request, across) = AcrossRequest::new(&self.row, &self.baseline, &self.metric, &sources, &self.labels)?;
+        match self.unit {
+            Unit::Sweep => self.by_sweep(&sources),
+            Unit::Scene => self.by_scene(&sources),
+        }
+    }
+
+    fn by_sweep(&self, sources: &[Source]) -> Result<()> {
+        let row = self.row.as_deref().expect("required by clap");
+        let (request, across) = AcrossRequest::new(row, &self.baseline, &self.metric, sources, &self.labels)?;
         request.write(&across, &self.out)?;
         let answer =
             json!({ "row": request.row, "baseline": request.baseline, "metric": request.metric, "results": self.out });
-        self.answer.give(&answer, || {
-            print_shown(across.markdown().trim_end())?;
+        self.give(&answer, &across.markdown())
+    }
+
+    fn by_scene(&self, sources: &[Source]) -> Result<()> {
+        let asked = ScenesRequest {
+            baseline: self.baseline.clone(),
+            metric: self.metric.clone(),
+            rows: self.rows.clone(),
+            scenes: self.scenes.clone(),
+            sweep: Vec::new(),
+        };
+        let (request, over) = asked.answer(sources)?;
+        request.write(&over, &self.out)?;
+        let rows: Vec<&str> = over.rows.iter().map(|row| row.row.as_str()).collect();
+        let answer = json!({
+            "rows": rows,
+            "scenes": over.scenes,
+            "baseline": request.baseline,
+            "metric": request.metric,
+            "results": self.out,
+        });
+        self.give(&answer, &over.markdown())
+    }
+
+    fn give(&self, answer: &serde_json::Value, page: &str) -> Result<()> {
+        self.answer.give(answer, || {
+            print_shown(page.trim_end())?;
             print(&format!("files: {}", self.out.display()))
         })
     }

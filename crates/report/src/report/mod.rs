@@ -2,6 +2,8 @@
 
 mod across;
 pub mod exporters;
+mod over_scenes;
+mod over_units;
 pub mod page;
 pub mod plots;
 pub mod power;
@@ -11,6 +13,7 @@ pub mod statistics;
 pub mod tables;
 
 pub use across::{Across, Block};
+pub use over_scenes::{OverScenes, RowOverScenes};
 pub use published::{PUBLISHED_NOTE, PublishedProtocol, PublishedRow, published_rows};
 pub use record::distinct;
 pub use record::{AxisParts, AxisValue, PublishedKey, Record, RowSpec, Status, TableSpec, label};

@@ -105,7 +105,7 @@ pub fn p_text(p: f64) -> String {
 }
 
 /// Returns the mean and its standard error, or `None` if numbers are too large.
-fn centre_and_error(differences: &[f64]) -> Option<(f64, f64)> {
+pub(super) fn centre_and_error(differences: &[f64]) -> Option<(f64, f64)> {
     Some((mean(differences)?, standard_error(differences)?)).filter(|(a, b)| a.is_finite() && b.is_finite())
 }
 
@@ -119,7 +119,7 @@ fn standard_error(values: &[f64]) -> Option<f64> {
 }
 
 /// Returns the t distribution for `n` differences.
-fn student(n: usize) -> StudentsT {
+pub(super) fn student(n: usize) -> StudentsT {
     StudentsT::new(0.0, 1.0, (n - 1) as f64).expect("two differences or more")
 }
 

@@ -1,4 +1,4 @@
-//! Comparisons across sweeps, made again from the results of these sweeps.
+//! Comparisons across sweeps and over scenes, made again from the results of these sweeps.
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -11,58 +11,74 @@ use super::tree::{Tree, root_of};
 use crate::across::{ACROSS, AcrossRequest};
 use crate::base::{Error, Result};
 use crate::folder::DEFINITION;
-use crate::report::Across;
-use crate::view::Source;
+use crate::over_scenes::{OVER_SCENES, ScenesRequest};
+use crate::view::{Origin, Source};
 
 /// What a folder asks of sweeps, made from their results.
 pub struct Comparison {
     /// The folder.
     pub path: PathBuf,
-    /// What its sweeps make.
-    pub across: Across,
-    request: AcrossRequest,
+    /// The file of the request, and the number of sweeps that it names.
+    request: (&'static str, usize),
+    files: Vec<(String, Vec<u8>)>,
 }
 
 impl Comparison {
-    /// Reads what is request, and the results of its sweeps.
+    /// Reads what is asked, and the results of its sweeps.
     pub fn read(path: &Path, data_root: Option<&Path>) -> Result<Comparison> {
-        let kept = AcrossRequest::read(path)?;
-        let folders = kept.sweep.iter().map(|sweep| folder_of(path, &sweep.name)).collect::<Result<Vec<_>>>()?;
-        let read = |folder: &PathBuf| Archive::read(folder, data_root);
-        let archives = folders.iter().map(read).collect::<Result<Vec<_>>>()?;
-        for (archive, sweep) in archives.iter().zip(&kept.sweep) {
-            let (found, name) = (&archive.provenance.name, &sweep.name);
-            if found != name {
-                return Err(Error::Data(format!(
-                    "{ACROSS}: the results of sweep '{name}' belong into a folder of that name, and {} holds '{found}'",
-                    archive.path.display()
-                )));
-            }
+        if path.join(OVER_SCENES).exists() {
+            let kept = ScenesRequest::read(path)?;
+            let archives = archives(path, (OVER_SCENES, &kept.sweep), data_root)?;
+            let (request, over) = kept.answer(&archives.iter().map(source_of).collect::<Vec<Source>>())?;
+            let files = request.files(&over)?;
+            return Ok(Comparison { path: path.into(), request: (OVER_SCENES, request.sweep.len()), files });
         }
+        let kept = AcrossRequest::read(path)?;
+        let archives = archives(path, (ACROSS, &kept.sweep), data_root)?;
         let sources: Vec<Source> = archives.iter().map(source_of).collect();
         let (request, across) = AcrossRequest::new(&kept.row, &kept.baseline, &kept.metric, &sources, &kept.labels())?;
-        Ok(Comparison { path: path.to_path_buf(), across, request })
+        let files = request.files(&across)?;
+        Ok(Comparison { path: path.into(), request: (ACROSS, request.sweep.len()), files })
+    }
+
+    /// The tables that pages may quote.
+    pub fn tables(&self) -> impl Iterator<Item = (&str, &[u8])> {
+        let tables = self.files.iter().filter(|(name, _)| name.ends_with(".csv"));
+        tables.map(|(name, bytes)| (name.as_str(), bytes.as_slice()))
     }
 }
 
 /// Compares a folder's files with what the sweeps make, or, with `update`, writes what differs.
 pub fn check(verifier: &Verifier, comparison: &Comparison, findings: &mut Findings) -> Result<()> {
-    let Comparison { path, across, request } = comparison;
-    let made: BTreeMap<String, Vec<u8>> = request.files(across)?.into_iter().collect();
+    let Comparison { path, request: (request, sweeps), files } = comparison;
+    let made: BTreeMap<String, Vec<u8>> = files.iter().cloned().collect();
     let compared = Compared::new(verifier, path, made.iter(), is_figure, findings)?;
-    compared.report(
-        &format!("from comparisons of {} sweeps, of which {ACROSS} has the hashes", request.sweep.len()),
-        findings,
-    );
+    compared.report(&format!("from comparisons of {sweeps} sweeps, of which {request} has the hashes"), findings);
     not_kept(&compared.absent, None, path, findings);
     Ok(())
 }
 
+/// The results of the sweeps that a request names.
+fn archives(path: &Path, (request, sweeps): (&str, &[Origin]), data_root: Option<&Path>) -> Result<Vec<Archive>> {
+    let read = |sweep: &Origin| {
+        let archive = Archive::read(&folder_of(path, request, &sweep.name)?, data_root)?;
+        let (found, name) = (&archive.provenance.name, &sweep.name);
+        if found != name {
+            return Err(Error::Data(format!(
+                "{request}: the results of sweep '{name}' belong into a folder of that name, and {} holds '{found}'",
+                archive.path.display()
+            )));
+        }
+        Ok(archive)
+    };
+    sweeps.iter().map(read).collect()
+}
+
 /// The results of a sweep: beside a folder, or anywhere below the folder of all results.
-fn folder_of(path: &Path, name: &str) -> Result<PathBuf> {
+fn folder_of(path: &Path, request: &str, name: &str) -> Result<PathBuf> {
     // A path would name results that no verification of these looks at.
     if Path::new(name).file_name().is_none_or(|plain| plain != name) {
-        return Err(Error::Data(format!("{ACROSS}: sweep '{name}' is not the name of a folder of results")));
+        return Err(Error::Data(format!("{request}: sweep '{name}' is not the name of a folder of results")));
     }
     let absolute = std::path::absolute(path).map_err(|e| Error::unreadable(path, &e))?;
     let above = absolute.parent().unwrap_or(&absolute);
@@ -73,7 +89,7 @@ fn folder_of(path: &Path, name: &str) -> Result<PathBuf> {
         [] => Ok(beside),
         [one] => Ok(one.to_path_buf()),
         [one, other, ..] => Err(Error::Data(format!(
-            "{ACROSS}: sweep '{name}' has results in {} and in {}",
+            "{request}: sweep '{name}' has results in {} and in {}",
             one.display(),
             other.display()
         ))),

@@ -92,7 +92,7 @@ pub const CHECKS: [Check; 13] = [
     },
     Check {
         name: "across",
-        what: "comparisons across sweeps are what the points of these sweeps make",
+        what: "comparisons across sweeps and over scenes are what the points of these sweeps make",
         left_out: "figures that are not there",
         run: Run::Across(across::check),
     },

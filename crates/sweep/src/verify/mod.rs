@@ -158,7 +158,7 @@ fn is_found(kind: Kind, error: &Error) -> bool {
 fn quoted(subject: &Subject, findings: &mut Findings) -> Result<()> {
     let (path, cells) = match subject {
         Subject::Sweep(sweep) => (&sweep.archive.path, Cells::of_sweep(sweep)),
-        Subject::Across(comparison) => (&comparison.path, Cells::of_blocks(&comparison.path, &comparison.across.csv())),
+        Subject::Across(comparison) => (&comparison.path, Cells::of_comparison(comparison)),
         Subject::Runs(path) => (path, Cells::of_runs(path)),
     };
     let cells = match cells {

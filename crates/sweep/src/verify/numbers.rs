@@ -8,8 +8,8 @@
 
 use std::path::Path;
 
+use super::across::Comparison;
 use super::files::Collected;
-use crate::across::ACROSS_CSV;
 use crate::base::csv::{column_names, plain_cell};
 use crate::base::{Error, Result};
 use crate::outputs::optional;
@@ -64,9 +64,12 @@ impl Cells {
         Ok(Cells { name: name(folder), rows, points: Vec::new() })
     }
 
-    /// Of comparisons across sweeps: a line a block, by the sweep's name.
-    pub fn of_blocks(folder: &Path, csv: &str) -> Result<Cells> {
-        Ok(Cells { name: name(folder), rows: csv_rows(&folder.join(ACROSS_CSV), csv.as_bytes())?, points: Vec::new() })
+    /// Of a comparison: a line a block, by the sweep's name, or a line a row and one a row and scene.
+    pub fn of_comparison(comparison: &Comparison) -> Result<Cells> {
+        let path = &comparison.path;
+        let tables = comparison.tables().map(|(name, bytes)| csv_rows(&path.join(name), bytes));
+        let rows = tables.collect::<Result<Vec<_>>>()?.into_iter().flatten().collect();
+        Ok(Cells { name: name(path), rows, points: Vec::new() })
     }
 
     /// What an expression comes to; `row` stands where it names none. None: the cell is empty.

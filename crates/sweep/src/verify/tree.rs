@@ -8,6 +8,7 @@ use super::runs::run_folders;
 use crate::across::{ACROSS, ACROSS_PAGE};
 use crate::base::{Error, Result};
 use crate::folder::DEFINITION;
+use crate::over_scenes::{OVER_SCENES, OVER_SCENES_PAGE};
 use crate::report::exporters::EXPORTERS;
 use crate::view::VIEW;
 
@@ -23,7 +24,7 @@ pub enum Kind {
     View,
     /// Single runs.
     Runs,
-    /// One comparison of each of several sweeps.
+    /// One comparison of each of several sweeps, or rows over their scenes.
     Across,
     /// Text on results in other folders.
     Pages,
@@ -61,7 +62,8 @@ impl Tree {
         }
         if is_group || matches!(kind, Kind::Across | Kind::Pages) {
             let pages = names_in(path)?.into_iter().filter(|name| name.ends_with(".md"));
-            let by_people = pages.filter(|name| !(kind == Kind::Across && name == ACROSS_PAGE));
+            let by_people = pages
+                .filter(|name| !(kind == Kind::Across && [ACROSS_PAGE, OVER_SCENES_PAGE].contains(&name.as_str())));
             self.pages.extend(by_people.map(|name| path.join(name)));
         }
         Ok(())
@@ -96,7 +98,7 @@ fn kind(path: &Path) -> Result<Kind> {
         () if has("points.csv") || has(DEFINITION) => Kind::Sweep,
         () if !run_folders(path)?.is_empty() => Kind::Runs,
         () if !folders_in(path)?.is_empty() => Kind::Other,
-        () if has(ACROSS) => Kind::Across,
+        () if has(ACROSS) || has(OVER_SCENES) => Kind::Across,
         () if holds_pages_alone(path)? => Kind::Pages,
         () => Kind::Other,
     })

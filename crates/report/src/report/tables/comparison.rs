@@ -72,7 +72,7 @@ impl Equivalence {
 }
 
 impl Comparison {
-    pub(super) fn new(differences: &[f64], margin: Option<f64>) -> Option<Comparison> {
+    pub(in crate::report) fn new(differences: &[f64], margin: Option<f64>) -> Option<Comparison> {
         let equivalence = |margin| Equivalence { margin, p: equivalence_p_value(differences, margin), p_holm: None };
         Some(Comparison {
             pairs: differences.len(),

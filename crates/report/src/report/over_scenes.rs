@@ -1,0 +1,352 @@
+//! Rows against a baseline over scenes: each scene counts once, with the mean over its seeds.
+
+use super::over_units::{Components, SignTest, components, hodges_lehmann, prediction, sign_test, to_best};
+use super::statistics::{holm, mean, paired_differences, simultaneous, standard_deviation};
+use super::tables::text::{signed_interval, signed_text};
+use super::tables::{Comparison, Judgement, escape};
+use crate::base::csv::{csv_number, csv_text};
+use crate::metrics::{Direction, Metric};
+use crate::report::statistics::p_text;
+use crate::report::{Record, Status, distinct};
+
+/// The comparisons of one metric over scenes.
+#[derive(Clone, Debug, PartialEq)]
+pub struct OverScenes {
+    /// The row that all others are compared with.
+    pub baseline: String,
+    /// Key of the metric.
+    pub metric: String,
+    /// The smallest gain that matters, in the metric's unit; `None` if the sweep states none.
+    pub margin: Option<f64>,
+    /// Names of the scenes.
+    pub scenes: Vec<String>,
+    /// The other rows.
+    pub rows: Vec<RowOverScenes>,
+    /// As [`RowOverScenes::to_best`], of the baseline.
+    pub baseline_to_best: Option<(f64, f64)>,
+}
+
+/// One row's differences to the baseline.
+#[derive(Clone, Debug, PartialEq)]
+pub struct RowOverScenes {
+    /// The row with its axis values.
+    pub row: String,
+    /// The differences of each scene, seed by seed, in the order of the scenes.
+    pub seeds: Vec<Vec<f64>>,
+    /// Mean over the scenes' means, with p values corrected over the rows. `None` if no scene has both rows.
+    pub comparison: Option<Comparison>,
+    /// Ends of the interval that holds with 95 % for all rows at once (Bonferroni).
+    pub simultaneous: Option<(f64, f64)>,
+    /// Scenes above and below the baseline.
+    pub signs: Option<SignTest>,
+    /// Hodges-Lehmann estimate and its 95 % interval.
+    pub median: Option<(f64, Option<(f64, f64)>)>,
+    /// Ends of the 95 % prediction interval of the same mean on one more scene.
+    pub prediction: Option<(f64, f64)>,
+    /// Standard deviations between scenes and, in them, between seeds.
+    pub components: Option<Components>,
+    /// Ends of the interval of the row's mean minus the best other row's, in the better direction, the baseline among them
+    /// ([`to_best`]). `None` if a scene lacks a row.
+    pub to_best: Option<(f64, f64)>,
+    /// Points that have no number.
+    pub lacking: usize,
+}
+
+const HOW_TO_READ: [&str; 6] = [
+    "a scene counts once: its difference is the mean over its seeds, paired by seed. The difference is the mean over scenes, \
+     with its 95 % Student t interval; p is that of the t test over scenes, after Holm's correction over these rows. \
+     Simultaneous intervals hold with 95 % for all rows at once (Bonferroni)",
+    "scenes up and down: how many are above and below the baseline, with the p value of the exact sign test, not corrected",
+    "median: the Hodges-Lehmann estimate with its 95 % interval from Wilcoxon's distribution, not corrected",
+    "a new scene: the 95 % prediction interval of the mean of as many seeds on one more scene of this kind, if differences \
+     follow a normal distribution",
+    "between, within: standard deviations between scenes and, in a scene, between seeds",
+    "minus the best: simultaneous 95 % intervals of a row's mean minus the best other row's, in the better direction (Hsu's, \
+     each pair with its own spread and Bonferroni's quantile)",
+];
+
+impl OverScenes {
+    /// Compares each of `rows` with `baseline` on all scenes of the records.
+    pub fn new(baseline: &str, metric: &str, margin: Option<f64>, rows: &[String], records: &[Record]) -> OverScenes {
+        let scenes = distinct(records.iter().map(|record| record.scene.clone()));
+        let mut over = OverScenes {
+            baseline: baseline.into(),
+            metric: metric.into(),
+            margin,
+            rows: rows.iter().map(|row| RowOverScenes::new(row, baseline, metric, margin, &scenes, records)).collect(),
+            scenes,
+            baseline_to_best: None,
+        };
+        over.correct();
+        over.find_best();
+        over
+    }
+
+    fn correct(&mut self) {
+        let all = |p: fn(&Comparison) -> Option<f64>| -> Vec<Option<f64>> {
+            self.rows.iter().map(|row| row.comparison.as_ref().and_then(p)).collect()
+        };
+        let p = all(|comparison| comparison.p);
+        let tests = p.iter().flatten().count();
+        let (p, equivalence) = (holm(&p), holm(&all(|c| c.equivalence.and_then(|equivalence| equivalence.p))));
+        for ((row, p), of_equivalence) in self.rows.iter_mut().zip(p).zip(equivalence) {
+            let Some(comparison) = &mut row.comparison else { continue };
+            comparison.p_holm = p;
+            comparison.equivalence.iter_mut().for_each(|equivalence| equivalence.p_holm = of_equivalence);
+            row.simultaneous = comparison.interval.map(|ends| simultaneous(ends, comparison.pairs, tests));
+        }
+    }
+
+    fn find_best(&mut self) {
+        let sign = match Metric::find(&self.metric).map(|metric| metric.direction) {
+            Some(Direction::Up) => 1.0,
+            Some(Direction::Down) => -1.0,
+            Some(Direction::Neither) | None => return,
+        };
+        let means = |row: &RowOverScenes| row.seeds.iter().map(|seeds| Some(sign * mean(seeds)?)).collect();
+        let Some(mut rows) = self.rows.iter().map(means).collect::<Option<Vec<Vec<f64>>>>() else { return };
+        rows.push(vec![0.0; self.scenes.len()]);
+        let Some(mut ends) = to_best(&rows) else { return };
+        self.baseline_to_best = ends.pop();
+        self.rows.iter_mut().zip(ends).for_each(|(row, ends)| row.to_best = Some(ends));
+    }
+
+    /// Returns one line a row, with all digits.
+    pub fn csv(&self) -> String {
+        const HEAD: [&str; 31] = [
+            "row",
+            "baseline",
+            "metric",
+            "scenes",
+            "seeds",
+            "lacking",
+            "difference",
+            "low",
+            "high",
+            "p",
+            "p_holm",
+            "simultaneous_low",
+            "simultaneous_high",
+            "verdict",
+            "margin",
+            "p_equivalence",
+            "p_equivalence_holm",
+            "matters",
+            "ruled_out",
+            "above",
+            "below",
+            "p_sign",
+            "median",
+            "median_low",
+            "median_high",
+            "between",
+            "within",
+            "new_scene_low",
+            "new_scene_high",
+            "to_best_low",
+            "to_best_high",
+        ];
+        let rows = self.rows.iter().map(|row| self.csv_row(row));
+        csv_text(std::iter::once(HEAD.map(String::from).to_vec()).chain(rows))
+    }
+
+    fn csv_row(&self, row: &RowOverScenes) -> Vec<String> {
+        let found = row.comparison.as_ref();
+        let number = |of: fn(&Comparison) -> Option<f64>| csv_number(found.and_then(of));
+        let ends =
+            |ends: Option<(f64, f64)>| [csv_number(ends.map(|ends| ends.0)), csv_number(ends.map(|ends| ends.1))];
+        let flag = |flag: Option<bool>| flag.map_or(String::new(), |flag| flag.to_string());
+        let equivalence = found.and_then(|comparison| comparison.equivalence);
+        let mut cells = vec![row.row.clone(), self.baseline.clone(), self.metric.clone()];
+        cells.push(found.map_or(0, |comparison| comparison.pairs).to_string());
+        cells.push(row.seeds.iter().map(Vec::len).sum::<usize>().to_string());
+        cells.push(row.lacking.to_string());
+        cells.push(number(|comparison| Some(comparison.difference)));
+        cells.extend(ends(found.and_then(|comparison| comparison.interval)));
+        cells.extend([number(|comparison| comparison.p), number(|comparison| comparison.p_holm)]);
+        cells.extend(ends(row.simultaneous));
+        cells.push(found.and_then(Comparison::verdict).map_or(String::new(), |verdict| verdict.name().into()));
+        cells.push(csv_number(self.margin));
+        cells.push(csv_number(equivalence.and_then(|equivalence| equivalence.p)));
+        cells.push(csv_number(equivalence.and_then(|equivalence| equivalence.p_holm)));
+        cells.extend([flag(self.matters(row)), flag(self.is_ruled_out(row))]);
+        let count =
+            |of: fn(&SignTest) -> usize| row.signs.as_ref().map_or(String::new(), |signs| of(signs).to_string());
+        cells.extend([count(|signs| signs.above), count(|signs| signs.below)]);
+        cells.push(csv_number(row.signs.map(|signs| signs.p)));
+        cells.push(csv_number(row.median.map(|median| median.0)));
+        cells.extend(ends(row.median.and_then(|median| median.1)));
+        cells.push(csv_number(row.components.map(|components| components.between)));
+        cells.push(csv_number(row.components.map(|components| components.within)));
+        cells.extend(ends(row.prediction));
+        cells.extend(ends(row.to_best));
+        cells
+    }
+
+    /// Returns one line for each scene and row, with all digits.
+    pub fn scenes_csv(&self) -> String {
+        const HEAD: [&str; 7] = ["scene", "row", "baseline", "metric", "seeds", "difference", "deviation"];
+        let rows = self.rows.iter().flat_map(|row| {
+            self.scenes.iter().zip(&row.seeds).map(|(scene, seeds)| {
+                let number = |number: Option<f64>| csv_number(number);
+                let mut cells = vec![scene.clone(), row.row.clone(), self.baseline.clone(), self.metric.clone()];
+                cells.extend([seeds.len().to_string(), number(mean(seeds)), number(standard_deviation(seeds))]);
+                cells
+            })
+        });
+        csv_text(std::iter::once(HEAD.map(String::from).to_vec()).chain(rows))
+    }
+
+    /// Returns the same for readers.
+    pub fn markdown(&self) -> String {
+        let mut text = format!(
+            "**Rows against {} over {} scenes: {}**\n\n",
+            escape(&self.baseline),
+            self.scenes.len(),
+            escape(&self.metric)
+        );
+        text += "| row | scenes | difference, 95 % interval | simultaneous interval | p (Holm) | said |\n";
+        text += "|---|---:|---:|---:|---:|---|\n";
+        text.extend(self.rows.iter().map(|row| self.row_text(row)));
+        text +=
+            "\n| row | scenes up, down, p | median, 95 % interval | a new scene | between, within | minus the best |\n";
+        text += "|---|---:|---:|---:|---:|---:|\n";
+        text.extend(self.rows.iter().map(|row| self.details_text(row)));
+        text += &format!("| {} |  |  |  |  | {} |\n", escape(&self.baseline), self.ends_text(self.baseline_to_best));
+        text += &self.scenes_text();
+        text.extend(HOW_TO_READ.iter().map(|note| format!("- {note}\n")));
+        if let Some(margin) = self.margin {
+            text += &format!(
+                "- the sweep states a margin of {margin}: \"matters\" where all of the simultaneous interval is a gain above it, \
+                 \"ruled out\" where all of it is below such a gain, \"equivalent\" by two one-sided t tests over scenes (Holm)\n"
+            );
+        }
+        text
+    }
+
+    fn row_text(&self, row: &RowOverScenes) -> String {
+        let Some(comparison) = &row.comparison else {
+            return format!("| {} | 0 |  |  |  | no scene has both rows |\n", escape(&row.row));
+        };
+        format!(
+            "| {} | {} | {} | {} | {} | {} |\n",
+            escape(&row.row),
+            comparison.pairs,
+            signed_interval(&self.metric, comparison.difference, comparison.interval),
+            self.ends_text(row.simultaneous),
+            comparison.p_holm.map_or(String::new(), p_text),
+            self.said(row, comparison.verdict().map_or("", |verdict| verdict.name()))
+        )
+    }
+
+    fn details_text(&self, row: &RowOverScenes) -> String {
+        let unsigned = |value: f64| signed_text(&self.metric, value).trim_start_matches('+').to_string();
+        format!(
+            "| {} | {} | {} | {} | {} | {} |\n",
+            escape(&row.row),
+            row.signs.map_or(String::new(), |s| format!("{}, {}, {}", s.above, s.below, p_text(s.p))),
+            row.median.map_or(String::new(), |(median, ends)| signed_interval(&self.metric, median, ends)),
+            self.ends_text(row.prediction),
+            row.components.map_or(String::new(), |c| format!("{}, {}", unsigned(c.between), unsigned(c.within))),
+            self.ends_text(row.to_best)
+        )
+    }
+
+    /// Returns the differences, a line for each scene.
+    fn scenes_text(&self) -> String {
+        let head: Vec<String> = self.rows.iter().map(|row| escape(&row.row)).collect();
+        let mut text = format!("\n| scene | {} |\n|---|{}\n", head.join(" | "), "---:|".repeat(head.len()));
+        for (index, scene) in self.scenes.iter().enumerate() {
+            let of = |row: &RowOverScenes| {
+                mean(&row.seeds[index]).map_or(String::new(), |value| signed_text(&self.metric, value))
+            };
+            let cells: Vec<String> = self.rows.iter().map(of).collect();
+            text += &format!("| {} | {} |\n", escape(scene), cells.join(" | "));
+        }
+        text + "\n"
+    }
+
+    fn ends_text(&self, ends: Option<(f64, f64)>) -> String {
+        ends.map_or(String::new(), |(low, high)| {
+            format!("[{}, {}]", signed_text(&self.metric, low), signed_text(&self.metric, high))
+        })
+    }
+
+    /// Returns what is said of a row whose difference has a verdict of this name.
+    fn said(&self, row: &RowOverScenes, verdict: &str) -> String {
+        let mut words: Vec<String> = Some(verdict.to_string()).filter(|word| !word.is_empty()).into_iter().collect();
+        if let Some(margin) = self.margin {
+            let equivalent = row.comparison.is_some_and(|comparison| comparison.is_equivalent());
+            words.extend((self.matters(row) == Some(true)).then(|| "matters".to_string()));
+            words.extend((self.is_ruled_out(row) == Some(true)).then(|| format!("a gain of {margin} is ruled out")));
+            words.extend(equivalent.then(|| format!("equivalent within {margin}")));
+        }
+        words.extend((row.lacking > 0).then(|| format!("UNFINISHED: {} points without a number", row.lacking)));
+        words.join(", ")
+    }
+
+    /// Returns the same for a figure, whose marks show where no difference is shown.
+    pub(super) fn judged(&self, row: &RowOverScenes) -> String {
+        let Some(comparison) = &row.comparison else { return "no scene has both rows".into() };
+        self.said(row, Judgement::of(&self.metric, comparison).name())
+    }
+
+    /// Returns whether all of a row's simultaneous interval is a gain above the margin. `None` without a margin or an interval,
+    /// or if the metric has no better direction.
+    pub fn matters(&self, row: &RowOverScenes) -> Option<bool> {
+        let ((low, high), margin) = (row.simultaneous?, self.margin?);
+        match Metric::find(&self.metric)?.direction {
+            Direction::Up => Some(low > margin),
+            Direction::Down => Some(high < -margin),
+            Direction::Neither => None,
+        }
+    }
+
+    /// Returns whether all of a row's simultaneous interval is worse than a gain of the margin. `None` as for
+    /// [`OverScenes::matters`].
+    pub fn is_ruled_out(&self, row: &RowOverScenes) -> Option<bool> {
+        let ((low, high), margin) = (row.simultaneous?, self.margin?);
+        match Metric::find(&self.metric)?.direction {
+            Direction::Up => Some(high < margin),
+            Direction::Down => Some(low > -margin),
+            Direction::Neither => None,
+        }
+    }
+}
+
+impl RowOverScenes {
+    fn new(
+        row: &str,
+        baseline: &str,
+        metric: &str,
+        margin: Option<f64>,
+        scenes: &[String],
+        records: &[Record],
+    ) -> RowOverScenes {
+        let of = |scene: &str, row: &str| -> Vec<(u64, f64)> {
+            let own = records.iter().filter(|record| record.scene == scene && record.label() == row);
+            own.filter_map(|record| Some((record.seed?, value(record, metric)?))).collect()
+        };
+        let seeds: Vec<Vec<f64>> =
+            scenes.iter().map(|scene| paired_differences(&of(scene, row), &of(scene, baseline))).collect();
+        let means: Vec<f64> = seeds.iter().filter_map(|seeds| mean(seeds)).collect();
+        let lacks =
+            |record: &&Record| [row, baseline].contains(&record.label().as_str()) && value(record, metric).is_none();
+        RowOverScenes {
+            row: row.into(),
+            comparison: Comparison::new(&means, margin),
+            simultaneous: None,
+            signs: sign_test(&means),
+            median: hodges_lehmann(&means),
+            prediction: prediction(&means),
+            components: components(&seeds),
+            to_best: None,
+            lacking: records.iter().filter(lacks).count(),
+            seeds,
+        }
+    }
+}
+
+fn value(record: &Record, metric: &str) -> Option<f64> {
+    record.metric(metric).filter(|value| value.is_finite() && record.status == Status::Done)
+}

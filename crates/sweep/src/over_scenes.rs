@@ -1,0 +1,133 @@
+//! Rows against a baseline over the scenes of sweeps, and the folder that keeps the comparison.
+
+use std::path::Path;
+
+use serde::{Deserialize, Serialize};
+
+use crate::base::input::{TEXT_BYTES, read_text};
+use crate::base::{Error, Result};
+use crate::report::plots::{Width, over_scenes_figure};
+use crate::report::{OverScenes, Record, distinct};
+
+use super::across::write_folder;
+use super::view::{Origin, Selection, Source, View};
+use super::words::quoted;
+
+/// What a folder of such a comparison has instead of a sweep's definition.
+pub const OVER_SCENES: &str = "over_scenes.toml";
+/// For readers; a page of the folder that is made.
+pub const OVER_SCENES_PAGE: &str = "over_scenes.md";
+/// A line a row.
+pub const OVER_SCENES_CSV: &str = "over_scenes.csv";
+/// A line a scene and row.
+pub const SCENES_CSV: &str = "scenes.csv";
+/// The figure's name, without its ending.
+const FIGURE: &str = "over_scenes";
+
+/// The question, and the sweeps: `over_scenes.toml`.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct ScenesRequest {
+    /// What rows are compared with.
+    pub baseline: String,
+    /// Key of the metric.
+    pub metric: String,
+    /// Chosen rows; empty for all.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub rows: Vec<String>,
+    /// Chosen scenes; empty for all.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub scenes: Vec<String>,
+    /// The sweeps whose scenes are taken together.
+    #[serde(default)]
+    pub sweep: Vec<Origin>,
+}
+
+impl ScenesRequest {
+    /// Compares rows with the baseline over all scenes of `sources`, which replace `self.sweep`.
+    ///
+    /// # Errors
+    /// An unknown row, scene or metric; a scene in two sweeps; rows that differ in an uncontrolled setting.
+    pub fn answer(mut self, sources: &[Source]) -> Result<(ScenesRequest, OverScenes)> {
+        self.sweep = sources.iter().map(Origin::of).collect();
+        check_apart(sources)?;
+        let rows = if self.rows.is_empty() { vec![] } else { [&[self.baseline.clone()], &self.rows[..]].concat() };
+        let selection = Selection { baseline: Some(self.baseline.clone()), rows, metrics: vec![self.metric.clone()] };
+        let sources: Vec<Source> = sources.iter().map(|source| Source { folder: None, ..source.clone() }).collect();
+        let name = sources.iter().map(|source| source.name.as_str()).collect::<Vec<&str>>().join(" and ");
+        let view = View::new(&name, &sources, selection)?;
+        // Refuses rows that are not comparable.
+        view.table()?;
+        let records = self.chosen(view.records())?;
+        let labels = distinct(records.iter().filter(|record| record.row != self.baseline).map(Record::label));
+        let margin = view.margin(&self.metric);
+        if !self.rows.is_empty() {
+            self.rows = view.rows().filter(|row| *row != self.baseline).map(String::from).collect();
+        }
+        let over = OverScenes::new(&self.baseline, &self.metric, margin, &labels, &records);
+        Ok((self, over))
+    }
+
+    fn chosen(&self, records: Vec<Record>) -> Result<Vec<Record>> {
+        let known = distinct(records.iter().map(|record| record.scene.clone()));
+        if let Some(unknown) = self.scenes.iter().find(|scene| !known.contains(scene)) {
+            return Err(Error::Config(format!("--scenes {unknown}: the scenes are {}", quoted(&known))));
+        }
+        let is_chosen = |record: &Record| self.scenes.is_empty() || self.scenes.contains(&record.scene);
+        Ok(records.into_iter().filter(is_chosen).collect())
+    }
+
+    /// Reads a folder's.
+    pub fn read(folder: &Path) -> Result<ScenesRequest> {
+        let path = folder.join(OVER_SCENES);
+        let text = read_text(&path, TEXT_BYTES).map_err(|e| Error::unreadable(&path, &e))?;
+        toml::from_str(&text).map_err(|e| Error::Data(format!("{}: {e}", path.display())))
+    }
+
+    /// The files of the folder, by their names.
+    pub fn files(&self, over: &OverScenes) -> Result<Vec<(String, Vec<u8>)>> {
+        let request = toml::to_string(self).expect("plain data");
+        let texts = [
+            (OVER_SCENES, request),
+            (OVER_SCENES_CSV, over.csv()),
+            (SCENES_CSV, over.scenes_csv()),
+            (OVER_SCENES_PAGE, over.markdown()),
+        ];
+        let texts = texts.into_iter().map(|(name, text)| (name.to_string(), text.into_bytes()));
+        let mut files: Vec<(String, Vec<u8>)> = texts.collect();
+        for width in Width::ALL {
+            let name = format!("{FIGURE}{}", width.suffix());
+            files.extend(over_scenes_figure(over, width)?.into_iter().flat_map(|figure| figure.files(&name)));
+        }
+        Ok(files)
+    }
+
+    /// Writes them into a folder, which may hold pages beside them.
+    ///
+    /// # Errors
+    /// A folder with tables of a sweep, or with other folders.
+    pub fn write(&self, over: &OverScenes, folder: &Path) -> Result<()> {
+        write_folder(folder, &self.files(over)?)
+    }
+}
+
+/// Requires that no scene is in two sweeps: their seeds would be mixed.
+fn check_apart(sources: &[Source]) -> Result<()> {
+    if sources.is_empty() {
+        return Err(Error::Config("no sweep is named: a comparison over scenes needs at least one".into()));
+    }
+    for (index, source) in sources.iter().enumerate() {
+        let scenes = distinct(source.points.iter().map(|point| point.scene.as_str()));
+        let other = sources[..index].iter().find_map(|other| {
+            let shared = other.points.iter().find(|point| scenes.contains(&point.scene.as_str()))?;
+            Some((other, &shared.scene))
+        });
+        if let Some((other, scene)) = other {
+            return Err(Error::Config(format!(
+                "scene '{scene}' is in sweep '{}' and in sweep '{}'; a scene counts once: name sweeps of different scenes",
+                other.name, source.name
+            )));
+        }
+    }
+    Ok(())
+}
