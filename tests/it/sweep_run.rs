@@ -204,6 +204,42 @@ fn settings_by_seed_go_with_the_seed_under_rows() {
     assert!(message.contains("data.hold"), "{message}");
 }
 
+/// A scene has its own settings in every row, and a row still overrides them.
+#[test]
+fn settings_by_scene_go_with_the_scene_under_rows() {
+    let text = BASE
+        .replace("[\"builtin\"]", "[\"builtin\", \"builtin:3\"]")
+        .replace("[0, 1]", "[0]\nby_scene = { \"builtin:3\" = { train = { rays = 64 }, \"train.steps\" = 20 } }")
+        .replace("set = { method", "set = { \"train.steps\" = 30, method");
+    let definition = parse(&text).unwrap();
+    assert_eq!(parse(&definition.to_toml()).unwrap(), definition);
+    let of = |definition: &Definition| -> Vec<(String, u64, usize)> {
+        let points = expand(definition, None, &Costs).unwrap();
+        points.into_iter().map(|point| (point.scene, point.config.train.steps, point.config.train.rays)).collect()
+    };
+    let plain = parse(BASE).unwrap();
+    let (_, steps, rays) = of(&plain)[0];
+    let [a, b, c, d] = &of(&definition)[..] else { panic!("four points") };
+    assert_eq!([(a.1, a.2), (b.1, b.2)], [(steps, rays), (30, rays)]);
+    assert_eq!([(c.1, c.2), (d.1, d.2)], [(20, 64), (30, 64)]);
+    // The command line's setting is that of all scenes.
+    let mut other = definition.clone();
+    let set = |name: &str, value: i64| {
+        (name.split('.').map(String::from).collect::<Vec<String>>(), toml::Value::Integer(value))
+    };
+    let set = vec![set("train.rays", 32), set("train.steps", 10)];
+    other.apply(Overrides { set, ..Overrides::default() }).unwrap();
+    assert!(of(&other).iter().all(|(_, _, rays)| *rays == 32), "{other:?}");
+    assert_eq!(of(&other)[2].1, 10);
+    // Scenes that the command line leaves out take their settings with them.
+    other.apply(Overrides { scenes: Some(vec!["builtin".into()]), ..Overrides::default() }).unwrap();
+    assert!(other.by_scene.is_empty());
+    let message = points_of(&text.replace("{ \"builtin:3\" =", "{ ship =")).unwrap_err().to_string();
+    assert_says(&message, &["by_scene.\"ship\"", "the scenes are builtin, builtin:3"]);
+    let message = points_of(&text.replace("train = { rays", "train = { rais")).unwrap_err().to_string();
+    assert_says(&message, &["by_scene", "train.rais"]);
+}
+
 #[test]
 fn wrong_definitions_are_refused_with_words() {
     let values = |count: usize| (1..=count).map(|i| format!("{i},")).collect::<String>();

@@ -357,6 +357,55 @@ fn docs_describe_every_check() {
     }
 }
 
+/// Rows over the scenes of three committed sweeps: a scene counts once, and the files are made again.
+#[test]
+fn a_comparison_over_scenes_is_made_again() {
+    let (dir, _) = results("tab4_embedded");
+    for name in ["tab4_fern", "geometry_chair"] {
+        copy(&Path::new(ROOT).join(place(name)), &dir.path().join(place(name)));
+    }
+    let folders = ["tab4_embedded", "tab4_fern", "geometry_chair"].map(|name| place(name).display().to_string());
+    let across = |more: &[&str], code: i32| {
+        let mut arguments = vec!["sweep", "across"];
+        arguments.extend(folders.iter().map(String::as_str));
+        arguments.extend(["--unit", "scene", "--out", "results/over"]);
+        let mut command = augnerf(&[&arguments[..], more].concat());
+        program::demand(command.current_dir(dir.path()).env_remove("AUGNERF_DATA"), code)
+    };
+    assert_says(&across(&["--rows", "Nerf"], 2), &["'Nerf' is not a row"]);
+    assert_says(&across(&["--rows", "Aug-NeRF", "--scenes", "ship"], 2), &["--scenes ship: the scenes are", "fern"]);
+    assert_says(&across(&["--row", "Aug-NeRF"], 2), &["--row"]);
+    let twice = format!("{}/again", place("tab4_fern").display());
+    copy(&Path::new(ROOT).join(place("tab4_fern")), &dir.path().join(&twice));
+    assert_says(&across(&[&twice, "--rows", "Aug-NeRF"], 2), &["scene 'fern' is in sweep", "a scene counts once"]);
+    std::fs::remove_dir_all(dir.path().join(&twice)).unwrap();
+    let said = across(&["--rows", "Aug-NeRF"], 0);
+    assert_says(&said, &["Rows against NeRF over 3 scenes: psnr", "a scene counts once", "| fern |"]);
+    let folder = dir.path().join("results/over");
+    assert_says(&text(&folder.join("over_scenes.svg")), &["Rows against NeRF over 3 scenes", "difference in PSNR"]);
+    let scenes = rows(&text(&folder.join("scenes.csv")));
+    let number = |row: &std::collections::HashMap<String, String>, column: &str| row[column].parse::<f64>().unwrap();
+    for (scene, name) in ["builtin", "fern", "chair"].iter().zip(["tab4_embedded", "tab4_fern", "geometry_chair"]) {
+        let table = rows(&text(&dir.path().join(place(name)).join("table.csv")));
+        let own = table.iter().find(|row| row["row"] == "Aug-NeRF").unwrap();
+        let found = scenes.iter().find(|row| row["scene"] == *scene).unwrap();
+        assert_eq!(found["difference"], own["psnr_difference"], "{scene}");
+    }
+    let over = rows(&text(&folder.join("over_scenes.csv")));
+    let mean = scenes.iter().map(|row| number(row, "difference")).sum::<f64>() / 3.0;
+    assert!((number(&over[0], "difference") - mean).abs() < 1e-12 && over[0]["scenes"] == "3", "{over:?}");
+    assert_says(&verify(dir.path(), &["results/over"], 0), &["comparisons of 3 sweeps", "over_scenes.toml"]);
+    let right = format!("{mean:+.3}");
+    quote(dir.path(), "results/over/README.md", &right, "over", "difference of Aug-NeRF");
+    assert_says(&verify(dir.path(), &["results/over"], 0), &["over/README.md: 1 quoted numbers"]);
+    let csv = folder.join("scenes.csv");
+    let before = text(&csv);
+    std::fs::write(&csv, before.replace("fern", "Fern")).unwrap();
+    assert_says(&verify(dir.path(), &["results/over"], 10), &["WRONG", "scenes.csv"]);
+    assert_says(&verify(dir.path(), &["results/over", "--update"], 0), &["scenes.csv: written anew"]);
+    assert_eq!(text(&csv), before);
+}
+
 /// One question to two committed sweeps: p values over the two, files that are made again, a page in the folder that quotes them.
 #[test]
 fn a_comparison_across_sweeps_is_made_again() {

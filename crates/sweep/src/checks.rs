@@ -6,7 +6,7 @@ use std::hash::Hash;
 use super::axes::Axis;
 use toml::{Table, Value};
 
-use super::definition::{Combine, Definition, Row, scene_name};
+use super::definition::{Combine, Definition, Row, is_named, scene_name};
 use super::extends::MOST_POINTS;
 use super::words::quoted;
 use crate::metrics::Metric;
@@ -84,6 +84,13 @@ impl Definition {
         }
         if let Some((key, _)) = self.by_seed.iter().find(|(_, values)| values.is_empty()) {
             return Err(format!("by_seed.\"{key}\": the list is empty; give at least one value"));
+        }
+        if let Some(unknown) = self.by_scene.keys().find(|name| !self.scenes.iter().any(|scene| is_named(scene, name)))
+        {
+            return Err(format!(
+                "by_scene.\"{unknown}\": this is not a scene; the scenes are {}",
+                self.scenes.join(", ")
+            ));
         }
         not_empty_and_distinct("metrics", &self.metrics)?;
         let names: Vec<&str> = self.row.iter().map(|row| row.name.as_str()).collect();

@@ -56,6 +56,9 @@ pub struct Definition {
     /// Settings that depend on the seed, each a list: a seed takes entry number `seed mod length`.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     pub by_seed: BTreeMap<String, Vec<Value>>,
+    /// Settings of single scenes, by the scene's name here or in tables.
+    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+    pub by_scene: BTreeMap<String, Table>,
     /// What the command line changed, `preset` and settings. The title may describe the file's values.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     pub changed: BTreeMap<String, Value>,
@@ -207,6 +210,7 @@ impl Definition {
         if let Some(scenes) = overrides.scenes.filter(|scenes| *scenes != self.scenes) {
             self.changed.insert(SCENES.into(), scenes.clone().into());
             self.scenes = scenes;
+            self.by_scene.retain(|name, _| self.scenes.iter().any(|scene| is_named(scene, name)));
         }
         if let Some(seeds) = overrides.seeds.filter(|seeds| *seeds != self.seeds) {
             let values = seeds.iter().map(|seed| i64::try_from(*seed).unwrap_or(i64::MAX));
@@ -219,9 +223,15 @@ impl Definition {
                 self.changed.insert(name.clone(), value.clone());
             }
             self.by_seed.remove(&name);
+            self.by_scene.values_mut().for_each(|set| remove(set, &path));
             self.set.insert(name, value);
         }
         self.check().map_err(Error::Config)
+    }
+
+    /// Returns the settings of a scene alone.
+    pub(super) fn settings_of_scene(&self, scene: &str) -> impl Iterator<Item = &Table> {
+        self.by_scene.iter().filter(move |(name, _)| is_named(scene, name)).map(|(_, set)| set)
     }
 
     /// Returns whether the command line named another preset than the file.
@@ -327,6 +337,21 @@ fn checked(parsed: std::result::Result<Definition, toml::de::Error>, origin: &st
     let definition = parsed.map_err(|e| in_file(e.to_string()))?;
     definition.check().map_err(in_file)?;
     Ok(definition)
+}
+
+/// Removes a setting, by its dotted name in quotes or from nested tables.
+fn remove(set: &mut Table, path: &[String]) {
+    set.remove(&path.join("."));
+    if let [first, rest @ ..] = path
+        && let Some(Value::Table(inner)) = set.get_mut(first)
+    {
+        remove(inner, rest);
+    }
+}
+
+/// Returns whether a scene has this name, in the definition or in tables.
+pub(super) fn is_named(scene: &str, name: &str) -> bool {
+    scene == name || scene_name(scene) == name
 }
 
 /// Returns the name of a scene in tables: the last component of its folder, or the built-in scene's.

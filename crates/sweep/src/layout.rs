@@ -181,6 +181,10 @@ impl Builder<'_> {
         for (table, value) in &self.definition.set {
             flatten(table, value, &mut |key, value| assign(self.definition.origin_of(key), key, value));
         }
+        for set in self.definition.settings_of_scene(self.scene) {
+            set.iter()
+                .for_each(|(table, value)| flatten(table, value, &mut |key, value| assign("by_scene", key, value)));
+        }
         // By the seed itself, not by its position in the list: the same for any seeds of a command line.
         for (key, values) in &self.definition.by_seed {
             assign("by_seed", key, values[(self.seed % values.len() as u64) as usize].clone());

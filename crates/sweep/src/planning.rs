@@ -175,6 +175,7 @@ fn reworded(
         let mut bare = definition.clone();
         bare.set.clear();
         bare.by_seed.clear();
+        bare.by_scene.clear();
         bare.changed.clear();
         bare.row.iter_mut().for_each(|row| row.set.clear());
         bare

@@ -14,7 +14,7 @@ pub const AXIS: &str = "axis.";
 /// Prefix of the columns of settings.
 pub const SETTING: &str = "set.";
 
-/// The settings in which the points of a sweep differ, but for the scene, the seed and what a seed brings with it.
+/// The settings in which the points of a sweep differ, but for the scene, the seed and what these bring with them.
 ///
 /// Each with the most values that a point has of it, if it is a list.
 pub struct Varied(Vec<(&'static str, usize)>);
@@ -29,8 +29,10 @@ impl Varied {
             values.any(|value| value != first)
         };
         let of_seed = |path: &str| path == "seed" || definition.by_seed.contains_key(path);
+        let of_scene = |path: &str| definition.by_scene.values().any(|set| sets(set, path));
         let settings = REGISTRY.settings.iter().filter(|setting| setting.rule.effect == Effect::Numbers);
-        let paths = settings.map(|setting| setting.path.as_str()).filter(|path| !of_seed(path) && *path != "data.name");
+        let paths = settings.map(|setting| setting.path.as_str());
+        let paths = paths.filter(|path| !of_seed(path) && !of_scene(path) && *path != "data.name");
         let parts = |path: &'static str| {
             let lengths = tables.iter().filter_map(|table| value_at(table, path)?.as_array().map(Vec::len));
             (path, lengths.max().unwrap_or(0))
@@ -59,6 +61,11 @@ impl Varied {
         };
         axes.iter().map(axis).chain(self.0.iter().flat_map(setting)).collect()
     }
+}
+
+/// Whether a table sets a path, by its dotted name in quotes or in nested tables.
+fn sets(set: &Table, path: &str) -> bool {
+    set.contains_key(path) || value_at(set, path).is_some()
 }
 
 /// A value as a cell: numbers and words as they are; a list of one as its only value, an empty list as nothing.

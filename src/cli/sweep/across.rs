@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use clap::{Args, ValueEnum};
 use serde_json::json;
 
-use crate::base::Result;
+use crate::base::{Error, Result};
 use crate::cli::answer::Answer;
 use crate::cli::progress::{print, print_shown};
 use crate::metrics::PSNR;
@@ -16,13 +16,13 @@ use super::opened::Opened;
 pub const EXAMPLES: &str = "Examples:
   augnerf sweep across results/fern results/chair --row Aug-NeRF --out results/both
   augnerf sweep across results/fern results/chair --row TV --metric ssim --out results/ssim
-  augnerf sweep across results/a results/b --row TV --label a='fern, 8 views' --out results/ab
   augnerf sweep across results/many_scenes --unit scene --out results/over_scenes
 
-By sweep, p values are corrected over the sweeps (Holm). By scene, all rows are compared over the scenes: intervals, Holm's p, sign
-test, prediction of a new scene.";
+By sweep, p values are corrected over the sweeps (Holm). By scene, rows are compared over all scenes: intervals, Holm's p, \
+sign test, prediction of a new scene.";
 
 #[derive(Args)]
+#[command(next_help_heading = "Experiment")]
 pub struct AcrossArguments {
     /// Folders of sweeps or of their results
     #[arg(required = true)]
@@ -49,7 +49,7 @@ pub struct AcrossArguments {
     #[arg(long = "label", conflicts_with_all = ["rows", "scenes"], value_name = "NAME=TEXT", value_parser = label)]
     labels: Vec<(String, String)>,
     /// Folder for the tables, a page and a figure: across.* or over_scenes.*
-    #[arg(long, value_name = "DIR")]
+    #[arg(long, value_name = "DIR", help_heading = "Output")]
     out: PathBuf,
     /// Folder of the scenes
     #[arg(long, env = "AUGNERF_DATA", value_name = "DIR")]
@@ -94,6 +94,9 @@ impl AcrossArguments {
     }
 
     fn by_scene(&self, sources: &[Source]) -> Result<()> {
+        if self.row.is_some() {
+            return Err(Error::Config("--row is for --unit sweep; over scenes, --rows names rows".into()));
+        }
         let asked = ScenesRequest {
             baseline: self.baseline.clone(),
             metric: self.metric.clone(),

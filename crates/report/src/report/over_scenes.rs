@@ -350,3 +350,92 @@ impl RowOverScenes {
 fn value(record: &Record, metric: &str) -> Option<f64> {
     record.metric(metric).filter(|value| value.is_finite() && record.status == Status::Done)
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn record(scene: &str, row: &str, seed: u64, psnr: Option<f64>) -> Record {
+        Record {
+            id: format!("{scene}-{row}-{seed}"),
+            scene: scene.into(),
+            row: row.into(),
+            axes: vec![],
+            seed: Some(seed),
+            status: if psnr.is_some() { Status::Done } else { Status::Waiting },
+            reason: String::new(),
+            metrics: vec![("psnr".into(), psnr)],
+            protocol: vec![],
+            inactive_levels: vec![],
+        }
+    }
+
+    /// Four scenes, each with two seeds of its own level; TV gains, the attack loses.
+    fn records() -> Vec<Record> {
+        let mut records = Vec::new();
+        for (index, scene) in ["a", "b", "c", "d"].into_iter().enumerate() {
+            for seed in 0..2 {
+                let (level, spread) = (20.0 + 3.0 * index as f64, 0.1 * index as f64 + 0.02 * seed as f64);
+                records.push(record(scene, "NeRF", seed, Some(level)));
+                records.push(record(scene, "TV", seed, Some(level + 1.0 + spread)));
+                records.push(record(scene, "attack", seed, Some(level - 0.5 - spread)));
+            }
+        }
+        records
+    }
+
+    fn over(records: &[Record]) -> OverScenes {
+        OverScenes::new("NeRF", "psnr", Some(0.3), &["TV".into(), "attack".into()], records)
+    }
+
+    #[test]
+    fn a_scene_counts_once() {
+        let all = records();
+        let found = over(&all);
+        let tv = &found.rows[0];
+        let comparison = tv.comparison.unwrap();
+        assert_eq!(comparison.pairs, 4);
+        assert!((comparison.difference - 1.16).abs() < 1e-12, "{comparison:?}");
+        // A third seed of one scene, equal to the mean of its others, changes no mean.
+        let mean = |row: &str, from: f64| record("b", row, 7, Some(23.0 + from));
+        let more = [all, vec![mean("NeRF", 0.0), mean("TV", 1.11), mean("attack", -0.61)]].concat();
+        let again = over(&more).rows[0].comparison.unwrap();
+        assert!((again.difference - comparison.difference).abs() < 1e-12);
+        assert_eq!(again.pairs, 4);
+    }
+
+    #[test]
+    fn words_follow_the_rule() {
+        let found = over(&records());
+        let [tv, attack] = &found.rows[..] else { panic!("two rows") };
+        assert_eq!((found.matters(tv), found.is_ruled_out(tv)), (Some(true), Some(false)));
+        assert_eq!((found.matters(attack), found.is_ruled_out(attack)), (Some(false), Some(true)));
+        // Holm: the smaller p is doubled.
+        let p: Vec<_> = [tv, attack].map(|row| row.comparison.unwrap()).into();
+        assert_eq!(p[0].p_holm, Some(2.0 * p[0].p.unwrap().min(p[1].p.unwrap())));
+        let text = found.markdown();
+        assert!(text.contains("| TV | 4 | +1.16 [") && text.contains("higher, matters |"), "{text}");
+        assert!(
+            text.contains("lower, a gain of 0.3 is ruled out |") && text.contains("| d | +1.31 | -0.81 |"),
+            "{text}"
+        );
+        // TV is the best, the others are not.
+        assert_eq!((tv.to_best.unwrap().0, found.baseline_to_best.unwrap().1), (0.0, 0.0));
+        assert_eq!(attack.to_best.unwrap().1, 0.0);
+    }
+
+    #[test]
+    fn a_missing_scene_is_said_and_ranks_nothing() {
+        let mut records = records();
+        for record in records.iter_mut().filter(|record| record.scene == "d" && record.row == "TV") {
+            *record = self::record("d", "TV", record.seed.unwrap(), None);
+        }
+        let found = over(&records);
+        assert_eq!((found.rows[0].lacking, found.rows[0].comparison.unwrap().pairs), (2, 3));
+        assert_eq!((found.rows[0].to_best, found.baseline_to_best), (None, None));
+        let text = found.markdown();
+        assert!(text.contains("UNFINISHED: 2 points without a number") && text.contains("| d |  | -0.81 |"), "{text}");
+        let csv = found.scenes_csv();
+        assert!(csv.contains("d,TV,NeRF,psnr,0,,"), "{csv}");
+    }
+}

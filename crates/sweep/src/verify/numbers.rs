@@ -148,7 +148,9 @@ impl Cells {
         let fits = |row: &&Row| {
             row.label == label && (scene.is_empty() || row.scene == scene) && (seed.is_empty() || row.seed == seed)
         };
-        let mut found = lines.iter().filter(fits);
+        // A line over all scenes is meant where no scene is named.
+        let is_over_all = scene.is_empty() && lines.iter().any(|line| fits(&line) && line.scene.is_empty());
+        let mut found = lines.iter().filter(fits).filter(|line| !is_over_all || line.scene.is_empty());
         let what = format!("'{label}'{}", if seed.is_empty() { String::new() } else { format!(" with seed {seed}") });
         let line = found.next().ok_or_else(|| format!("{} has no row {what}", self.name))?;
         if found.next().is_some() {
