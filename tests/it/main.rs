@@ -66,6 +66,7 @@ mod typeset;
 mod verify;
 mod verify_changes;
 mod view;
+mod view_browser;
 mod views;
 #[cfg(feature = "baselines")]
 mod volumes;

@@ -1,9 +1,10 @@
 //! The page of runs: its server over HTTP, as a browser speaks to it.
 
-use std::io::{Read, Write};
+use std::io::{BufRead, BufReader, Read, Write};
 use std::net::{IpAddr, Ipv4Addr, TcpStream};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
+use std::time::Duration;
 
 use augnerf::base::Image;
 use augnerf::data::cameras;
@@ -19,7 +20,7 @@ use candle_core::DType;
 use crate::common::{tiny_config, tiny_scene};
 
 /// A run of the soft ball after some steps.
-fn shown(label: &str, method: Method, steps: usize) -> Arc<ShownRun> {
+pub fn shown(label: &str, method: Method, steps: usize) -> Arc<ShownRun> {
     let (scene, runtime) = (tiny_scene(), Runtime::new("cpu", Some(2)).unwrap());
     let config = tiny_config(method, |config| config.train.steps = steps.max(1) as u64);
     let mut trainer = Trainer::new(&config, &scene, DType::F32, &runtime).unwrap();
@@ -32,7 +33,7 @@ fn shown(label: &str, method: Method, steps: usize) -> Arc<ShownRun> {
 }
 
 /// An answer of the server.
-struct Reply {
+pub struct Reply {
     status: u16,
     head: String,
     body: Vec<u8>,
@@ -43,7 +44,7 @@ impl Reply {
         String::from_utf8_lossy(&self.body).into_owned()
     }
 
-    fn json(&self) -> serde_json::Value {
+    pub fn json(&self) -> serde_json::Value {
         serde_json::from_slice(&self.body).unwrap()
     }
 
@@ -54,7 +55,7 @@ impl Reply {
 }
 
 /// Asks for an address, with further header lines.
-fn ask(method: &str, url: &str, headers: &str, body: &str) -> Reply {
+pub fn ask(method: &str, url: &str, headers: &str, body: &str) -> Reply {
     let (host, path) = url.strip_prefix("http://").unwrap().split_once('/').unwrap();
     let mut stream = TcpStream::connect(host).unwrap();
     let length = body.len();
@@ -63,14 +64,21 @@ fn ask(method: &str, url: &str, headers: &str, body: &str) -> Reply {
         "{method} /{path} HTTP/1.1\r\nHost: {host}\r\nConnection: close\r\nContent-Length: {length}\r\n{headers}\r\n{body}"
     )
     .unwrap();
-    let mut bytes = Vec::new();
-    stream.read_to_end(&mut bytes).unwrap();
-    let end = bytes.windows(4).position(|window| window == b"\r\n\r\n").unwrap();
-    let head = String::from_utf8(bytes[..end].to_vec()).unwrap();
-    let mut body = bytes.split_off(end + 4);
-    if head.to_lowercase().contains("transfer-encoding: chunked") {
+    // A driver of browsers leaves the connection open.
+    stream.set_read_timeout(Some(Duration::from_secs(60))).unwrap();
+    let mut reader = BufReader::new(stream);
+    let mut head = String::new();
+    while reader.read_line(&mut head).unwrap() > 2 {}
+    let lower = head.to_lowercase();
+    let mut body = Vec::new();
+    match lower.split_once("content-length:").and_then(|(_, rest)| rest.lines().next()?.trim().parse::<u64>().ok()) {
+        Some(length) => reader.take(length).read_to_end(&mut body).unwrap(),
+        None => reader.read_to_end(&mut body).unwrap(),
+    };
+    if lower.contains("transfer-encoding: chunked") {
         body = unchunked(&body);
     }
+    let head = head.trim_end().to_string();
     Reply { status: head.split(' ').nth(1).unwrap().parse().unwrap(), head, body }
 }
 
@@ -92,7 +100,7 @@ fn get(url: &str) -> Reply {
 }
 
 /// Does `work` with the page of some runs, at the address that it gets.
-fn served<T>(runs: Vec<Arc<ShownRun>>, work: impl FnOnce(&str, &Server) -> T) -> T {
+pub fn served<T>(runs: Vec<Arc<ShownRun>>, work: impl FnOnce(&str, &Server) -> T) -> T {
     let options = ServerOptions { host: IpAddr::V4(Ipv4Addr::LOCALHOST), port: 0 };
     let server = Arc::new(Server::bind(runs, &options).unwrap());
     let stop = AtomicUsize::new(0);

@@ -7,6 +7,7 @@ const MOVING = 96; // while the camera moves
 const SHARP = 400; // when it is still
 const PREVIEW = 128; // of a first picture of the worst case, whose search takes many passes
 const STILL_AFTER = 180; // milliseconds without a move
+const ANSWER = 20000; // milliseconds within which the program says how its runs stand
 const PAGE = Math.random().toString(36).slice(2, 12);
 
 let scene, runs = [];
@@ -499,7 +500,7 @@ async function follow() {
   try {
     const before = runs.map((run) => run.step);
     const hadSites = runs[0] && runs[0].sites.length;
-    runs = (await (await get("state")).json()).runs;
+    runs = (await (await get("state", { signal: AbortSignal.timeout(ANSWER) })).json()).runs;
     $("runs").replaceChildren(...runs.map((run) => {
       const line = document.createElement("p");
       const skipped = run.occupied === null ? "" : `; ${Math.round(100 * (1 - run.occupied))} % of space is empty and skipped`;
