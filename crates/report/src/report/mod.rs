@@ -1,6 +1,7 @@
 //! Tables, figures and a page of points: records, statistics, published numbers.
 
 mod across;
+pub mod calibration;
 pub mod exporters;
 pub mod page;
 pub mod plots;
