@@ -211,10 +211,8 @@ mod tests {
             error_rms,
             pixels,
         };
-        let expected = [
-            bin(0.0, 1.0, 0.5, 0.5f64.sqrt(), 0.5f64.sqrt(), 2),
-            bin(2.0, 4.0, 3.0, (29.0f64 / 3.0).sqrt(), 5.0, 3),
-        ];
+        let expected =
+            [bin(0.0, 1.0, 0.5, 0.5f64.sqrt(), 0.5f64.sqrt(), 2), bin(2.0, 4.0, 3.0, (29.0f64 / 3.0).sqrt(), 5.0, 3)];
         assert_eq!(curve, expected);
         let single = calibration_curve(&mut all[..2], 20);
         assert_eq!(single.iter().map(|bin| bin.pixels).collect::<Vec<_>>(), [1, 1], "no empty bins");

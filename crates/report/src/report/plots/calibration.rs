@@ -36,8 +36,7 @@ pub fn calibration_figure(title: &str, bins: &[CalibrationBin], seeds: usize, ca
     };
     ray(1.0, CALIBRATED, &mut drawing);
     ray(1.0 / (seeds as f64).sqrt(), UNBIASED, &mut drawing);
-    let line: Vec<(f64, f64)> =
-        bins.iter().map(|bin| (plot.x(bin.spread_rms), plot.panel.y(bin.error_rms))).collect();
+    let line: Vec<(f64, f64)> = bins.iter().map(|bin| (plot.x(bin.spread_rms), plot.panel.y(bin.error_rms))).collect();
     BINS.draw(&mut drawing, &line);
     line.iter().for_each(|at| drawing.dot(*at, 3.5, BLUE, 1.0));
     let unbiased = format!("error = spread / √{seeds}");
