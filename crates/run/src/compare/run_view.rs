@@ -79,6 +79,15 @@ impl RunView {
 
     /// Returns an error if the run shows another scene, view, resolution, camera or photo than `first`.
     pub fn check_alike(&self, first: &RunView) -> Result<()> {
+        self.check_view(first, |run| format!("{} ({})", run.view.name, run.protocol.text("split")))
+    }
+
+    /// Does the same for runs that may hold out other views besides this one.
+    pub(super) fn check_same_view(&self, first: &RunView) -> Result<()> {
+        self.check_view(first, |run| run.view.name.clone())
+    }
+
+    fn check_view(&self, first: &RunView, view_name: fn(&RunView) -> String) -> Result<()> {
         let differ = |what: &str, own: String, other: String| {
             Err(Error::Config(format!(
                 "{} and {} do not match: {what} is {other} in the first and {own} in the second; give runs that \
@@ -93,7 +102,7 @@ impl RunView {
                 ("the scene", run.protocol.text("scene")),
                 ("the kind of scene", run.protocol.text("dataset")),
                 ("the resolution", format!("{width} x {height}")),
-                ("the held-out view", format!("{} ({})", run.view.name, run.protocol.text("split"))),
+                ("the held-out view", view_name(run)),
                 ("the background", run.protocol.text("background")),
                 ("the focal length", format!("{focal:?}")),
                 ("the principal point", format!("{centre:?}")),

@@ -66,7 +66,7 @@ impl SeedSet {
                 continue;
             }
             let shown = seeds.iter().map(|seed| run_view(seed, &view.name)).collect::<Result<Vec<RunView>>>()?;
-            match shown.iter().try_for_each(|run| run.check_alike(&shown[0])) {
+            match shown.iter().try_for_each(|run| run.check_same_view(&shown[0])) {
                 Ok(()) => common.push(index),
                 Err(error) => differs = differs.or(Some(error)),
             }
