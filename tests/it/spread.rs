@@ -255,7 +255,7 @@ fn only_views_that_all_seeds_hold_out_are_rendered_and_differences_are_named() {
         spread["differences"].as_array().unwrap().iter().map(|difference| &difference["name"]).collect();
     assert!(named.contains(&&"split".into()) && !named.contains(&&"seed".into()), "{named:?}");
     let said = swept.demand(&["compare", "runs/tiny", "--spread"], 0);
-    assert_says(&said, &["the seeds also differ in", "split", "held out by some seeds only"]);
+    assert_says(&said, &["the seeds also differ in", "split", "that not all seeds hold out"]);
 }
 
 fn views_of(run: &Path) -> usize {

@@ -90,9 +90,9 @@ pub fn within(pixels: &[Predicted], times: f64) -> f64 {
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct CalibrationBin {
     /// Lowest spread.
-    pub spread_lowest: f32,
+    pub spread_lowest: f64,
     /// Highest spread.
-    pub spread_highest: f32,
+    pub spread_highest: f64,
     /// Mean spread.
     pub spread_mean: f64,
     /// Root mean square spread, which a calibrated spread's `error_rms` equals.
@@ -110,8 +110,8 @@ pub fn calibration_curve(pixels: &mut [Predicted], bins: usize) -> Vec<Calibrati
     let end = |bin: usize| (bin as u128 * pixels.len() as u128 / bins as u128) as usize;
     let parts = (0..bins).map(|bin| &pixels[end(bin)..end(bin + 1)]);
     let bin = |part: &[Predicted]| CalibrationBin {
-        spread_lowest: part[0].spread,
-        spread_highest: part[part.len() - 1].spread,
+        spread_lowest: part[0].spread.into(),
+        spread_highest: part[part.len() - 1].spread.into(),
         spread_mean: part.iter().map(|pixel| f64::from(pixel.spread)).sum::<f64>() / part.len() as f64,
         spread_rms: root_mean_square(part.iter().map(|pixel| pixel.spread)),
         error_rms: root_mean_square(part.iter().map(|pixel| pixel.error)),

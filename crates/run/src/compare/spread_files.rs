@@ -82,9 +82,9 @@ struct ShownLine<'a> {
     view: &'a str,
     index: usize,
     /// Ends of the colour scale of spread and error.
-    colours: (f32, f32),
-    depth_colours: (f32, f32),
-    depth_spread_colours: (f32, f32),
+    colours: [f64; 2],
+    depth_colours: [f64; 2],
+    depth_spread_colours: [f64; 2],
     depth_unit: &'static str,
 }
 
@@ -144,9 +144,9 @@ impl Spread {
             shown: ShownLine {
                 view: &self.shown.view.name,
                 index: self.shown.index,
-                colours: (0.0, scales.colour),
-                depth_colours: scales.depth,
-                depth_spread_colours: (0.0, scales.depth_spread),
+                colours: [0.0, scales.colour.into()],
+                depth_colours: [scales.depth.0.into(), scales.depth.1.into()],
+                depth_spread_colours: [0.0, scales.depth_spread.into()],
                 depth_unit: self.runs[0].depth_unit(),
             },
             differences: self.differences(),
