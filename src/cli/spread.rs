@@ -66,9 +66,11 @@ impl RowSeeds {
             console.say(&format!("not finished, and not included: seeds {}", seeds.join(", ")));
         }
         let set = SeedSet::open(self.row.clone(), &self.runs, runs.data.as_deref(), runtime, console)?;
+        let shown = set.find(&runs.view)?;
         let seconds = set.estimate_seconds()?.map_or(String::new(), |it| format!(": about {}", duration(it)));
-        console.say(&format!("{} held-out views of {} seeds{seconds}", set.views(), self.runs.len()));
-        let spread = set.measure(&runs.view, console)?;
+        let views = if set.views() == 1 { "view" } else { "views" };
+        console.say(&format!("{} held-out {views} of {} seeds{seconds}", set.views(), self.runs.len()));
+        let spread = set.measure(shown, console)?;
         let (folder, pictures) = pictures_folder(out.as_deref(), set.first().renders().join("spread"))?;
         spread.write(pictures.path())?;
         pictures.commit()?;
@@ -125,10 +127,8 @@ fn summary(spread: &Spread) -> Vec<String> {
             number("ause_constant", 3)
         ),
     ];
-    let differences = spread.differences();
-    if !differences.is_empty() {
-        let names: Vec<&str> = differences.iter().map(|difference| difference.name.as_str()).collect();
-        lines.push(format!("the seeds also differ in {}: the spread includes this", names.join(", ")));
+    if let Some(names) = spread.difference_names() {
+        lines.push(format!("the seeds also differ in {names}: the spread includes this"));
     }
     if !spread.skipped_views.is_empty() {
         lines.push(format!(

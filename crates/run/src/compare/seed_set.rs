@@ -115,18 +115,27 @@ impl SeedSet {
         Ok(of_one.map(|seconds| seconds * self.seeds.len() as f64))
     }
 
-    /// Renders all common views with all seeds, one view at a time. `view` names the view whose images are kept, or is
-    /// its number among the common views.
+    /// Returns the number of a common view, which `view` names or numbers.
     ///
     /// # Errors
-    /// No such view; a colour is not a number.
-    pub fn measure(&self, view: &str, events: &dyn Listener) -> Result<Spread> {
+    /// No such view.
+    pub fn find(&self, view: &str) -> Result<usize> {
         let names: Vec<&str> = self.common().map(|view| view.name.as_str()).collect();
-        let chosen = find_view(&format!("row '{}'", self.row), &names, view)?;
-        events.on(Event::Started { what: "rendering", parts: (self.seeds.len() * names.len()) as u64 });
+        find_view(&format!("row '{}'", self.row), &names, view)
+    }
+
+    /// Renders all common views with all seeds, one view at a time. Keeps the images of the view number `shown`.
+    ///
+    /// # Errors
+    /// A colour is not a number.
+    ///
+    /// # Panics
+    /// No view has that number.
+    pub fn measure(&self, shown: usize, events: &dyn Listener) -> Result<Spread> {
+        events.on(Event::Started { what: "rendering", parts: (self.seeds.len() * self.views()) as u64 });
         let viewers: Vec<Viewer> = self.seeds.iter().map(Trained::viewer).collect();
         let renderers = viewers.iter().map(Viewer::renderer).collect::<Result<Vec<_>>>()?;
-        let (mut lines, mut pixels, mut shown) = (Vec::new(), Vec::<Predicted>::new(), None);
+        let (mut lines, mut pixels, mut kept) = (Vec::new(), Vec::<Predicted>::new(), None);
         for (index, view) in self.common().enumerate() {
             let found = self.render(view, &viewers, &renderers, events)?;
             pixels.extend(&found.predicted);
@@ -135,8 +144,8 @@ impl SeedSet {
                 pixels: found.predicted.len(),
                 numbers: found.numbers.clone(),
             });
-            if index == chosen {
-                shown = Some(Shown { view: view.clone(), index, found });
+            if index == shown {
+                kept = Some(Shown { view: view.clone(), index, found });
             }
         }
         events.on(Event::Finished);
@@ -145,7 +154,7 @@ impl SeedSet {
             mean: SpreadNumbers::mean(lines.iter().map(|line| &line.numbers)),
             views: lines,
             curve: calibration_curve(&mut pixels, BINS),
-            shown: shown.expect("a common view"),
+            shown: kept.expect("a common view"),
             runs: self.runs.clone(),
             seeds: self.seeds(),
             skipped_views: self.skipped.clone(),

@@ -60,12 +60,8 @@ pub(super) fn draw_calibration(spread: &Spread) -> Result<Figure> {
 
 /// Returns a note if the seeds differ in more than the seed.
 fn of_differences(spread: &Spread) -> String {
-    let differences = spread.differences();
-    let names: Vec<&str> = differences.iter().map(|difference| difference.name.as_str()).collect();
-    match names.as_slice() {
-        [] => String::new(),
-        names => format!(" The seeds also differ in {}: the spread includes this.", names.join(", ")),
-    }
+    let names = spread.difference_names();
+    names.map_or(String::new(), |names| format!(" The seeds also differ in {names}: the spread includes this."))
 }
 
 struct SpreadFigure<'a> {

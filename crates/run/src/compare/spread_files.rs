@@ -103,6 +103,15 @@ impl Spread {
         differences(&runs).into_iter().filter(|difference| difference.name != "seed").collect()
     }
 
+    /// Returns the names of these differences as text, if there are any. The data's hash follows from others.
+    pub fn difference_names(&self) -> Option<String> {
+        let differences = self.differences();
+        let names = differences.iter().map(|difference| difference.name.as_str());
+        let telling: Vec<&str> = names.clone().filter(|name| *name != "data_hash").collect();
+        let names = if telling.is_empty() { names.collect() } else { telling };
+        (!names.is_empty()).then(|| names.join(", "))
+    }
+
     /// Writes `spread.png` (`spread.svg` without the feature `png-figures`), `calibration.svg`, `calibration.png`,
     /// `spread.csv` and `spread.json` into a folder.
     ///
