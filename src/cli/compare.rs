@@ -17,6 +17,7 @@ use crate::train::checkpoint;
 
 use super::answer::Answer;
 use super::progress::{Console, open_next};
+use super::spread::RowSeeds;
 use super::{Compute, numbers};
 
 /// Flags for runs and the held-out view that they show.
@@ -25,10 +26,10 @@ use super::{Compute, numbers};
 pub struct Runs {
     /// Run folders of one scene (newest checkpoints), or the folder of one sweep
     #[arg(required = true, value_name = "RUN")]
-    runs: Vec<PathBuf>,
+    pub(super) runs: Vec<PathBuf>,
     /// Rows of the sweep, in this order [default: all finished ones]
-    #[arg(long, value_name = "ROW,...")]
-    rows: Vec<String>,
+    #[arg(long, value_name = "ROW,...", visible_alias = "row")]
+    pub(super) rows: Vec<String>,
     /// Seed of the sweep's points [default: the first]
     #[arg(long, value_name = "N")]
     seed: Option<u64>,
@@ -40,10 +41,10 @@ pub struct Runs {
     labels: Vec<String>,
     /// Held-out view, by name or by number from 0
     #[arg(long, value_name = "VIEW", default_value = "0")]
-    view: String,
+    pub(super) view: String,
     /// Scene folder, if it has moved [default: the run's]
     #[arg(long, value_name = "DIR")]
-    data: Option<PathBuf>,
+    pub(super) data: Option<PathBuf>,
 }
 
 /// The result for each run, and the runs' folders, which stay locked.
@@ -151,7 +152,8 @@ impl Runs {
         Ok(named)
     }
 
-    fn scene_of(&self, points: &[Point]) -> Result<String> {
+    /// Returns the scene of the sweep that the command line names, or its only one.
+    pub(super) fn scene_of(&self, points: &[Point]) -> Result<String> {
         let mut scenes: Vec<&str> = Vec::new();
         for point in points {
             if !scenes.contains(&point.scene.as_str()) {
@@ -213,7 +215,10 @@ pub struct CompareArguments {
     /// Write a GIF, too, that fades between two runs
     #[arg(long, help_heading = "Output")]
     gif: bool,
-    /// Output folder, new or empty [default: RUN/renders/compare of the first run, replaced]
+    /// Show one row's mean and standard deviation over its seeds, and how the deviation compares with the error
+    #[arg(long, conflicts_with_all = ["seed", "labels", "zoom", "box_width", "gif"], help_heading = "Output")]
+    spread: bool,
+    /// Output folder, new or empty [default: RUN/renders/compare (or spread) of the first run, replaced]
     #[arg(long, value_name = "DIR", help_heading = "Output")]
     out: Option<PathBuf>,
     #[command(flatten)]
@@ -224,6 +229,12 @@ pub struct CompareArguments {
 
 impl CompareArguments {
     pub fn run(self) -> Result<()> {
+        if self.spread {
+            self.out.as_deref().map_or(Ok(()), AtomicDir::check_vacant)?;
+            let seeds = RowSeeds::of(&self.runs)?;
+            let (runs, out, answer) = (self.runs, self.out, self.answer);
+            return self.compute.run(|runtime, console| seeds.compare(&runs, out, answer, (runtime, console)));
+        }
         let runs = self.runs.named()?;
         if self.gif {
             check_fade(runs.len())?;

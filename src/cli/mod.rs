@@ -32,6 +32,7 @@ mod report;
 mod score;
 mod settings;
 mod signals;
+mod spread;
 mod sweep;
 mod tips;
 mod train;
@@ -95,11 +96,12 @@ const BALANCE_EXAMPLES: &str = "Examples:
 Each row is a weight at which a term's gradient norm is 0.1 %, 1 %, 10 %, 100 % or 1000 % of the photometric loss's.";
 
 const COMPARE_EXAMPLES: &str = "Examples:
-  augnerf compare runs/fern-nerf-* runs/fern-aug-nerf-*         # zoomed to where they differ most
-  augnerf compare A B --view 2 --zoom 120,80,100,75 --gif       # your own box, and a fade
-  augnerf compare runs/tab4_fern --rows NeRF,Aug-NeRF --seed 0  # rows of a sweep by name
+  augnerf compare runs/fern-nerf-* runs/fern-aug-nerf-*  # zoomed to where they differ most
+  augnerf compare runs/tab4_fern --rows NeRF,Aug-NeRF --zoom 120,80,100,75 --gif
+  augnerf compare runs/tab4_fern --row NeRF --spread     # mean and spread of the row's seeds
 
-Writes compare.png, compare.json (numbers and protocols) and, with --gif, fade.gif.";
+Writes compare.png, compare.json (numbers and protocols) and, with --gif, fade.gif. With --spread it writes spread.png, \
+calibration.png and .svg, spread.csv and spread.json.";
 
 const PROFILE_EXAMPLES: &str = "Examples:
   augnerf profile runs/fern-nerf-* runs/fern-aug-nerf-*  # the middle pixel of the first view

@@ -6,14 +6,17 @@ use std::process::Command;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
-use crate::page::{ROW, page};
+use crate::page::{ROW, page, page_of_axes};
 
 const NAMES: [&str; 4] = ["chromium", "chromium-browser", "google-chrome", "chrome"];
 
 /// What the page's document is after `script` has run in it. The page's own policy would stop a second script: that alone is
 /// given up, in a copy.
 fn after(script: &str) -> String {
-    let page = page();
+    after_in(&page(), script)
+}
+
+fn after_in(page: &str, script: &str) -> String {
     let (start, rest) = page.split_once("script-src 'sha256-").unwrap();
     let (_, rest) = rest.split_once("'; ").unwrap();
     let page = format!("{start}script-src 'unsafe-inline'; {rest}");
@@ -106,6 +109,30 @@ fn the_slider_uncovers_one_row_s_picture_over_another_s() {
     "##;
     let dom = after(script);
     assert_eq!(title(&dom), "false; 4; inset(0px 75% 0px 0px); true; false; true,false; false,true; true");
+}
+
+#[test]
+#[ignore = "needs Chromium"]
+fn points_are_drawn_against_their_values_as_dots_and_as_lines() {
+    let script = r##"
+        const marks = () => all("svg.values .mark"), said = [marks().length], set = (part, value) => {
+          const control = document.querySelector(`#values [data-part="${part}"]`);
+          control.value = value; control.dispatchEvent(new Event("input"));
+        };
+        // The larger weight stands right, the larger PSNR above.
+        const sorted = [...marks()].sort((a, b) => a.getAttribute("cx") - b.getAttribute("cx"));
+        set("x", "weight");
+        const at = marks().map(mark => [Math.round(mark.getAttribute("cx")), Math.round(mark.getAttribute("cy"))]);
+        said.push(at[0][0] < at[2][0] && at[2][0] < at[4][0] && at[0][1] > at[4][1]);
+        // Logarithmic: the middle weight stands in the middle.
+        said.push(2 * at[2][0] === at[0][0] + at[4][0]);
+        set("as", "parallel");
+        said.push(marks().length, all("svg.values .line").length, document.querySelector("#values [data-only]").hidden);
+        said.push(document.querySelector("svg.values .line title").textContent.split("\n")[0]);
+        document.title = said.join("; ");
+    "##;
+    let dom = after_in(&page_of_axes(), script);
+    assert_eq!(title(&dom), "5; true; true; 0; 5; true; fern, NeRF, weight = 0.001, kind = l1, seed 0");
 }
 
 #[test]

@@ -49,6 +49,55 @@ fn table() -> (Table, Vec<Record>) {
     (Table::new(&spec, &records, false).unwrap(), records)
 }
 
+/// The page of points on two axes, one of words; PSNR rises with the weight.
+pub fn page_of_axes() -> String {
+    let value = |axis: &str, value: &str| AxisValue { axis: axis.into(), panel: String::new(), value: value.into() };
+    let places = ["0.001", "0.1", "10"].into_iter().flat_map(|weight| ["l1", "tv"].map(|kind| (weight, kind)));
+    let point = |(index, (weight, kind)): (usize, (&str, &str))| Record {
+        id: format!("p{index}"),
+        scene: "fern".into(),
+        row: "NeRF".into(),
+        axes: vec![value("weight", weight), value("kind", kind)],
+        seed: Some(0),
+        status: if index == 5 { Status::Failed } else { Status::Done },
+        reason: String::new(),
+        metrics: vec![("psnr".into(), (index != 5).then_some(20.0 + index as f64))],
+        protocol: vec![],
+        inactive_levels: vec![],
+    };
+    let records: Vec<Record> = places.enumerate().map(point).collect();
+    let row = RowSpec { name: "NeRF".into(), ..RowSpec::default() };
+    let spec = TableSpec {
+        name: "axes".into(),
+        metrics: vec!["psnr".into()],
+        rows: vec![row],
+        varied: true,
+        ..TableSpec::default()
+    };
+    let table = Table::new(&spec, &records, false).unwrap();
+    let (files, link): (Vec<(String, Vec<u8>)>, fn(&str) -> Option<String>) = (vec![], |_| None);
+    let page = Page {
+        table: &table,
+        records: &records,
+        files: &files,
+        views: vec![],
+        films: vec![],
+        meshes: vec![],
+        attacks: vec![],
+        timing: &[],
+        link: &link,
+    };
+    page.html().unwrap()
+}
+
+#[test]
+fn points_on_axes_have_their_values_and_others_have_none() {
+    let html = page_of_axes();
+    assert_says(&html, &["id=\"values\"", "data-axes=\"{", "&#34;kind&#34;:&#34;l1&#34;", "&#34;weight&#34;:0.001"]);
+    let plain = page();
+    assert!(!plain.contains("id=\"values\"") && !plain.contains("data-axes=\""));
+}
+
 /// The page of [`table`] with pictures of one view, curves against steps and seconds, and an attack.
 pub fn page() -> String {
     let (table, records) = table();

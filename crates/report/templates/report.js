@@ -91,3 +91,98 @@ for (const stage of all(".stage")) {
   show();
   stage.hidden = false;
 }
+
+// Points against their values on axes: dots of two columns, or a line over all axes.
+for (const svg of all("svg.values")) {
+  const [mode, across, up, tint] = ["as", "x", "y", "colour"].map(part => document.querySelector(`#values [data-part="${part}"]`));
+  const metrics = all("#points thead th[data-group]").map(head => head.textContent.trim());
+  const points = all("#points tbody tr[data-axes]").map(row => {
+    const numbers = all("td[data-group]", row).map(cell => cell.dataset.value === "" ? null : Number(cell.dataset.value));
+    const name = [row.cells[1], row.cells[2]].map(cell => cell.textContent).join(", ") + `, seed ${row.cells[3].textContent}`;
+    return { name, values: { ...JSON.parse(row.dataset.axes), ...Object.fromEntries(metrics.map((metric, i) => [metric, numbers[i]])) } };
+  });
+  const axes = [...new Set(points.flatMap(point => Object.keys(point.values)))].filter(name => !metrics.includes(name));
+  const fill = (select, names) => select.append(...names.map(name => new Option(name, name)));
+  fill(across, [...axes, ...metrics]);
+  fill(up, [...metrics, ...axes]);
+  fill(tint, ["nothing", ...axes, ...metrics]);
+  tint.value = axes.length > 1 ? axes[1] : metrics[0];
+  const make = (name, attributes, text) => {
+    const made = document.createElementNS("http://www.w3.org/2000/svg", name);
+    for (const [key, value] of Object.entries(attributes)) made.setAttribute(key, value);
+    if (text !== undefined) made.textContent = text;
+    svg.append(made);
+    return made;
+  };
+  const short = value => typeof value === "number" ? String(Number(value.toPrecision(3))) : value;
+  // Where values stand between 0 and 1, and the values that are written beside the scale.
+  const scale = name => {
+    const found = [...new Set(points.map(point => point.values[name]).filter(value => value !== null && value !== undefined))];
+    if (found.some(value => typeof value !== "number")) {
+      return { at: value => found.length > 1 ? found.indexOf(value) / (found.length - 1) : 0.5, ticks: found };
+    }
+    const [least, most] = [Math.min(...found), Math.max(...found)], log = least > 0 && most / least >= 30;
+    const [from, to] = [least, most].map(value => log ? Math.log10(value) : value);
+    const at = value => to > from ? ((log ? Math.log10(value) : value) - from) / (to - from) : 0.5;
+    const few = found.length <= 6 ? found : Array.from({ length: 5 }, (_, i) => from + (to - from) * i / 4).map(value => log ? 10 ** value : value);
+    return { at, ticks: few };
+  };
+  const colour = share => `hsl(${Math.round(270 - 220 * share)} 65% ${Math.round(38 + 17 * share)}%)`;
+  const ofPoint = point => {
+    const value = point.values[tint.value];
+    return tint.value === "nothing" || value === null || value === undefined ? "#888" : colour(scale(tint.value).at(value));
+  };
+  const [left, right, top, bottom] = [80, 880, 30, 360];
+  const known = (point, names) => names.every(name => point.values[name] !== null && point.values[name] !== undefined);
+  const dots = () => {
+    const [x, y] = [scale(across.value), scale(up.value)];
+    const [px, py] = [share => left + (right - left) * share, share => bottom - (bottom - top) * share];
+    for (const value of x.ticks) {
+      make("line", { class: "grid", x1: px(x.at(value)), x2: px(x.at(value)), y1: top, y2: bottom });
+      make("text", { x: px(x.at(value)), y: bottom + 18, "text-anchor": "middle" }, short(value));
+    }
+    for (const value of y.ticks) {
+      make("line", { class: "grid", x1: left, x2: right, y1: py(y.at(value)), y2: py(y.at(value)) });
+      make("text", { x: left - 8, y: py(y.at(value)) + 4, "text-anchor": "end" }, short(value));
+    }
+    make("text", { x: (left + right) / 2, y: bottom + 40, "text-anchor": "middle" }, across.value);
+    make("text", { x: left, y: top - 12 }, up.value);
+    for (const point of points.filter(point => known(point, [across.value, up.value]))) {
+      const mark = make("circle", { class: "mark", r: 5, cx: px(x.at(point.values[across.value])), cy: py(y.at(point.values[up.value])), fill: ofPoint(point) });
+      mark.append(title(point));
+    }
+  };
+  const lines = () => {
+    const names = [...axes, up.value].filter((name, i, list) => list.indexOf(name) === i), scales = names.map(scale);
+    const px = i => left + (right - left) * (names.length > 1 ? i / (names.length - 1) : 0.5), py = share => bottom - (bottom - top) * share;
+    for (const point of points.filter(point => known(point, names))) {
+      const path = names.map((name, i) => `${px(i)},${py(scales[i].at(point.values[name]))}`).join(" ");
+      make("polyline", { class: "line", points: path, stroke: ofPoint(point) }).append(title(point));
+    }
+    names.forEach((name, i) => {
+      make("line", { class: "grid", x1: px(i), x2: px(i), y1: top, y2: bottom });
+      make("text", { x: px(i), y: bottom + 22, "text-anchor": "middle" }, name);
+      for (const value of scales[i].ticks) make("text", { x: px(i) - 6, y: py(scales[i].at(value)) + 4, "text-anchor": "end" }, short(value));
+    });
+  };
+  const title = point => {
+    const made = document.createElementNS("http://www.w3.org/2000/svg", "title");
+    made.textContent = point.name + Object.entries(point.values).map(([name, value]) => `\n${name}: ${short(value)}`).join("");
+    return made;
+  };
+  const draw = () => {
+    svg.replaceChildren();
+    all("#values [data-only]").forEach(part => part.hidden = part.dataset.only !== mode.value);
+    mode.value === "scatter" ? dots() : lines();
+    if (tint.value === "nothing") return;
+    const { at, ticks } = scale(tint.value);
+    make("text", { x: left, y: 412 }, tint.value);
+    [...ticks].sort((a, b) => at(a) - at(b)).forEach((value, i) => {
+      const x = left + 20 + 8 * tint.value.length + 80 * i;
+      make("circle", { r: 5, cx: x, cy: 408, fill: colour(at(value)) });
+      make("text", { x: x + 10, y: 412 }, short(value));
+    });
+  };
+  for (const control of [mode, across, up, tint]) control.addEventListener("input", draw);
+  draw();
+}

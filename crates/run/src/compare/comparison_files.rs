@@ -11,6 +11,7 @@ use super::fade::write_fade;
 use super::window::Window;
 use crate::base::Result;
 use crate::base::files::{write_atomic, write_json};
+use crate::draw::Figure;
 use crate::metrics::ViewMetrics;
 use crate::run::Protocol;
 
@@ -41,15 +42,19 @@ struct RunLine<'a> {
     protocol: &'a Protocol,
 }
 
+/// Writes `NAME.png`, or `NAME.svg` without the feature `png-figures`. Either holds the pixels of images.
+pub(super) fn write_picture(figure: &Figure, folder: &Path, name: &str) -> Result<()> {
+    match &figure.png {
+        Some(png) => write_atomic(&folder.join(format!("{name}.png")), png),
+        None => write_atomic(&folder.join(format!("{name}.svg")), figure.svg.as_bytes()),
+    }
+}
+
 impl Comparison {
     /// Writes `compare.png` (`compare.svg` without the feature `png-figures`) and `compare.json` into a folder; with
     /// `fade`, also `fade.gif`.
     pub fn write(&self, folder: &Path, fade: bool) -> Result<()> {
-        let figure = comparison_figure::draw(self)?;
-        match &figure.png {
-            Some(png) => write_atomic(&folder.join("compare.png"), png)?,
-            None => write_atomic(&folder.join("compare.svg"), figure.svg.as_bytes())?,
-        }
+        write_picture(&comparison_figure::draw(self)?, folder, "compare")?;
         write_json(&folder.join("compare.json"), &self.file())?;
         if fade {
             write_fade(self, &folder.join("fade.gif"))?;

@@ -1,5 +1,5 @@
 //! Compares several trained runs on one held-out view: what they must share, how they differ, and the resulting images
-//! and numbers.
+//! and numbers. Measures the spread over the seeds of one row.
 
 mod comparison;
 mod comparison_figure;
@@ -12,6 +12,10 @@ mod profile;
 mod profile_figure;
 mod profile_files;
 mod run_view;
+mod seed_set;
+mod spread;
+mod spread_figure;
+mod spread_files;
 mod window;
 
 pub(crate) use display_size::DisplaySize;
@@ -24,4 +28,7 @@ pub use fade::check_fade;
 pub use profile::{Profile, Profiles, RaySmoothness, check_profiled, patch_around};
 pub use profile_figure::check_overlay;
 pub use run_view::{RunView, labels, name_steps};
+pub use seed_set::SeedSet;
+pub use spread::{NUMBERS, QUANTITIES, SpreadNumbers, ViewSpread};
+pub use spread_files::{Shown, Spread, ViewLine};
 pub use window::{Window, crop, most_different};

@@ -4,7 +4,7 @@ use std::ffi::OsStr;
 use std::path::{Path, PathBuf};
 
 use crate::base::{Error, Result};
-use crate::data::{Camera, Ndc, Scene, View};
+use crate::data::{Camera, Ndc, View};
 use crate::run::{Protocol, Viewer};
 use crate::settings::Config;
 use crate::train::checkpoint::State;
@@ -49,7 +49,8 @@ impl RunView {
     /// Reads a run at a checkpoint's state. `view` is a held-out view's name, or its number from 0.
     pub fn new(label: String, viewer: &Viewer, state: &State, view: &str) -> Result<RunView> {
         let Viewer { config, scene, .. } = *viewer;
-        let index = find_view(&label, scene, view)?;
+        let names: Vec<&str> = scene.test.iter().map(|known| known.name.as_str()).collect();
+        let index = find_view(&label, &names, view)?;
         Ok(RunView {
             label,
             steps: (state.step, config.train.steps),
@@ -78,6 +79,15 @@ impl RunView {
 
     /// Returns an error if the run shows another scene, view, resolution, camera or photo than `first`.
     pub fn check_alike(&self, first: &RunView) -> Result<()> {
+        self.check_view(first, |run| format!("{} ({})", run.view.name, run.protocol.text("split")))
+    }
+
+    /// Does the same for runs that may hold out other views besides this one.
+    pub(super) fn check_same_view(&self, first: &RunView) -> Result<()> {
+        self.check_view(first, |run| run.view.name.clone())
+    }
+
+    fn check_view(&self, first: &RunView, view_name: fn(&RunView) -> String) -> Result<()> {
         let differ = |what: &str, own: String, other: String| {
             Err(Error::Config(format!(
                 "{} and {} do not match: {what} is {other} in the first and {own} in the second; give runs that \
@@ -92,7 +102,7 @@ impl RunView {
                 ("the scene", run.protocol.text("scene")),
                 ("the kind of scene", run.protocol.text("dataset")),
                 ("the resolution", format!("{width} x {height}")),
-                ("the held-out view", format!("{} ({})", run.view.name, run.protocol.text("split"))),
+                ("the held-out view", view_name(run)),
                 ("the background", run.protocol.text("background")),
                 ("the focal length", format!("{focal:?}")),
                 ("the principal point", format!("{centre:?}")),
@@ -161,11 +171,10 @@ impl RunView {
 }
 
 /// Returns the index of the view with that name, or else with that number.
-fn find_view(label: &str, scene: &Scene, view: &str) -> Result<usize> {
-    let named = scene.test.iter().position(|known| known.name == view);
-    let numbered = || view.parse().ok().filter(|&index: &usize| index < scene.test.len());
+pub(super) fn find_view(label: &str, names: &[&str], view: &str) -> Result<usize> {
+    let named = names.iter().position(|known| *known == view);
+    let numbered = || view.parse().ok().filter(|&index: &usize| index < names.len());
     named.or_else(numbered).ok_or_else(|| {
-        let names: Vec<&str> = scene.test.iter().map(|known| known.name.as_str()).collect();
         Error::Config(format!(
             "--view {view}: {label} has no such held-out view; give 0 to {}, or one of {}",
             names.len() - 1,
