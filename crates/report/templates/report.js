@@ -99,14 +99,15 @@ for (const svg of all("svg.values")) {
   const points = all("#points tbody tr[data-axes]").map(row => {
     const numbers = all("td[data-group]", row).map(cell => cell.dataset.value === "" ? null : Number(cell.dataset.value));
     const name = [row.cells[1], row.cells[2]].map(cell => cell.textContent).join(", ") + `, seed ${row.cells[3].textContent}`;
-    return { name, values: { ...JSON.parse(row.dataset.axes), ...Object.fromEntries(metrics.map((metric, i) => [metric, numbers[i]])) } };
+    return { name, values: { ...JSON.parse(row.dataset.axes), row: row.dataset.row, ...Object.fromEntries(metrics.map((metric, i) => [metric, numbers[i]])) } };
   });
-  const axes = [...new Set(points.flatMap(point => Object.keys(point.values)))].filter(name => !metrics.includes(name));
+  const axes = [...new Set(points.flatMap(point => Object.keys(point.values)))].filter(name => name !== "row" && !metrics.includes(name));
+  const rows = new Set(points.map(point => point.values.row)).size > 1 ? ["row"] : [];
   const fill = (select, names) => select.append(...names.map(name => new Option(name, name)));
   fill(across, [...axes, ...metrics]);
   fill(up, [...metrics, ...axes]);
-  fill(tint, ["nothing", ...axes, ...metrics]);
-  tint.value = axes.length > 1 ? axes[1] : metrics[0];
+  fill(tint, ["nothing", ...rows, ...axes, ...metrics]);
+  tint.value = [...rows, ...axes.slice(1), metrics[0]][0];
   const make = (name, attributes, text) => {
     const made = document.createElementNS("http://www.w3.org/2000/svg", name);
     for (const [key, value] of Object.entries(attributes)) made.setAttribute(key, value);
@@ -153,7 +154,9 @@ for (const svg of all("svg.values")) {
     }
   };
   const lines = () => {
-    const names = [...axes, up.value].filter((name, i, list) => list.indexOf(name) === i), scales = names.map(scale);
+    const shared = axes.filter(name => name !== up.value && points.every(point => known(point, [name])));
+    const names = [...shared, up.value], scales = names.map(scale);
+    if (!shared.length) make("text", { x: left, y: top - 12 }, "Each point has values on some axes only: there are no lines over all.");
     const px = i => left + (right - left) * (names.length > 1 ? i / (names.length - 1) : 0.5), py = share => bottom - (bottom - top) * share;
     for (const point of points.filter(point => known(point, names))) {
       const path = names.map((name, i) => `${px(i)},${py(scales[i].at(point.values[name]))}`).join(" ");
@@ -177,6 +180,7 @@ for (const svg of all("svg.values")) {
     if (tint.value === "nothing") return;
     const { at, ticks } = scale(tint.value);
     make("text", { x: left, y: 412 }, tint.value);
+    if (ticks.length > 8) return;
     [...ticks].sort((a, b) => at(a) - at(b)).forEach((value, i) => {
       const x = left + 20 + 8 * tint.value.length + 80 * i;
       make("circle", { r: 5, cx: x, cy: 408, fill: colour(at(value)) });

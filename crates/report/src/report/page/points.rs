@@ -13,6 +13,8 @@ pub struct Point<'a> {
     pub id: &'a str,
     pub link: String,
     pub scene: &'a str,
+    /// The row without its values on axes.
+    pub row: &'a str,
     pub label: String,
     /// Empty for images that were scored without a seed.
     pub seed: String,
@@ -34,6 +36,7 @@ pub fn points<'a>(table: &Table, records: &'a [Record], link: &dyn Fn(&str) -> O
         id: &record.id,
         link: link(&record.id).unwrap_or_default(),
         scene: &record.scene,
+        row: &record.row,
         label: rounded(&record.label()),
         seed: record.seed.map_or(String::new(), |seed| seed.to_string()),
         status: record.status.name(),
