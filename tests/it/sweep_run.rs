@@ -673,7 +673,7 @@ fn expand_shipped_sweeps(data: Option<&Path>) {
         assert!(points.len() >= 2 * definition.seeds.len(), "{name}");
         found += 1;
     }
-    assert_eq!(found, 60);
+    assert_eq!(found, 61);
 }
 
 #[test]
