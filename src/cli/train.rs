@@ -331,7 +331,8 @@ fn summarize(Finished { report, model, seconds, heavy_terms, .. }: &Finished, fo
 fn next_commands(folder: &Path, density: bool) -> String {
     let folder = folder.display();
     let mesh = density.then(|| format!("augnerf mesh {folder} --picture mesh.png"));
-    let commands = [Some(format!("augnerf render {folder}")), mesh, Some(format!("augnerf report {folder}"))];
+    let always = |command: &str| Some(format!("augnerf {command} {folder}"));
+    let commands = [always("view"), always("render"), mesh, always("report")];
     format!("next: {}", commands.into_iter().flatten().collect::<Vec<_>>().join("\n      "))
 }
 
@@ -362,7 +363,7 @@ mod tests {
     #[test]
     fn a_run_without_density_is_not_sent_to_mesh() {
         let next = |density| next_commands(Path::new("runs/a"), density);
-        assert_eq!(next(false), "next: augnerf render runs/a\n      augnerf report runs/a");
+        assert_eq!(next(false), "next: augnerf view runs/a\n      augnerf render runs/a\n      augnerf report runs/a");
         assert!(next(true).contains("\n      augnerf mesh runs/a --picture mesh.png\n"));
     }
 }

@@ -368,7 +368,7 @@ fn no_arguments_train_the_embedded_scene_in_the_default_place() {
     // What comes next is named, and nothing that was not measured.
     assert_says(
         &said,
-        &["picture: runs/builtin-nerf-", "/renders/r_0_beside.png", "next: augnerf render runs/builtin-nerf-"],
+        &["picture: runs/builtin-nerf-", "/renders/r_0_beside.png", "next: augnerf view runs/builtin-nerf-"],
     );
     assert_says(&said, &["augnerf mesh runs/builtin-nerf-", "augnerf report runs/builtin-nerf-"]);
     assert!(!said.contains("LPIPS"), "{said}");
