@@ -91,9 +91,50 @@ def _write_scene(folder, transforms, transparent, dataset=None):
     (folder / "transforms.json").write_text(json.dumps(transforms))
 
 
+def _no_program(error):
+    return RuntimeError(f"{error.filename}: no such program; put augnerf on the PATH, or name it in AUGNERF")
+
+
+class _Server:
+    """A run that `augnerf render --serve` holds open. If this process ends, its input ends, and it ends, too."""
+
+    def __init__(self, command, folder):
+        self._folder, self._log = folder, tempfile.TemporaryFile("w+")
+        try:
+            self._process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=self._log,
+                                             text=True)
+        except FileNotFoundError as error:
+            raise _no_program(error) from None
+        self._read()
+
+    def ask(self, request):
+        """Renders an image, and returns its files by output."""
+        try:
+            print(json.dumps(request), file=self._process.stdin, flush=True)
+        except BrokenPipeError:
+            pass  # It has ended. Its log says why.
+        return {output: self._folder / name for output, name in self._read()["files"].items()}
+
+    def close(self):
+        self._process.terminate()
+        self._process.communicate()
+        self._log.close()
+
+    def _read(self):
+        line = self._process.stdout.readline()
+        if not line:
+            self._process.wait()
+            self._log.seek(0)
+            raise RuntimeError(f"augnerf render: {self._log.read().strip()}")
+        answer = json.loads(line)
+        if "error" in answer:
+            raise RuntimeError(f"augnerf render: {answer['error']}")
+        return answer
+
+
 class AugNerf(Method):
     def __init__(self, *, checkpoint=None, train_dataset=None, config_overrides=None):
-        self._temporary = tempfile.TemporaryDirectory(prefix="augnerf-")
+        self._temporary, self._server = tempfile.TemporaryDirectory(prefix="augnerf-"), None
         root = Path(self._temporary.name)
         self._scene, self._blank, self._run, self._checkpoint = root / "scene", root / "blank", root / "run", checkpoint
         overrides = {key: str(value) for key, value in (config_overrides or {}).items()}
@@ -130,8 +171,8 @@ class AugNerf(Method):
     @classmethod
     def get_method_info(cls):
         return MethodInfo(method_id="", required_features=frozenset(("color",)),
-                          supported_camera_models=frozenset(("pinhole",)), supported_outputs=("color", "depth"),
-                          can_resume_training=True)
+                          supported_camera_models=frozenset(("pinhole",)), can_resume_training=True,
+                          supported_outputs=("color", "depth", "accumulation"))
 
     def get_info(self):
         return ModelInfo(**self.get_method_info(), **self._size, hparams={**self._own, **self._settings},
@@ -149,29 +190,16 @@ class AugNerf(Method):
         return self._metrics()
 
     def render(self, camera, *, options=None):
-        return self.render_all([camera.item()])[0]
-
-    def render_all(self, cameras):
-        """Renders cameras of one size with one start of the program."""
         self._catch_up()
         if self._step == 0:
             raise ValueError("augnerf renders after the first training step")
-        lenses = [_lens(camera) for camera in cameras]
-        path = [{"camera_to_world": _opengl(camera.poses).ravel().tolist(), **lens}
-                for camera, lens in zip(cameras, lenses)]
-        with tempfile.TemporaryDirectory(dir=self._temporary.name) as folder:
-            file, out = Path(folder) / "cameras.json", Path(folder) / "out"
-            file.write_text(json.dumps({"camera_type": "perspective", "camera_path": path,
-                                        "render_width": lenses[0]["w"], "render_height": lenses[0]["h"]}))
-            self._call("render", self._run, "--data", self._blank, "--cameras", file, "--out", out, "--quiet")
-            world = json.loads((self._run / "scene.json").read_text())["world_to_scene"]
-            unit = json.loads((out / "depth.json").read_text())["max"] / 65535 / world["scale"]
-
-            def read(name, index):
-                return np.asarray(Image.open(out / f"{name}_{index:03d}.png"))
-            return [{"color": read("rgb", index).astype(np.float32) / 255,
-                     "depth": read("depth16", index).astype(np.float32) * np.float32(unit)}
-                    for index in range(len(cameras))]
+        camera = camera.item()
+        files = self._serving().ask({"camera_to_world": _opengl(camera.poses).ravel().tolist(), **_lens(camera),
+                                     "outputs": ["rgb.png", "depth.npy", "accumulation.npy"], "name": "image"})
+        # Metrics are of 8-bit colours, as those of augnerf are.
+        return {"color": np.asarray(Image.open(files["rgb.png"]), np.float32) / 255,
+                "depth": np.nan_to_num(np.load(files["depth.npy"])),
+                "accumulation": np.load(files["accumulation.npy"])}
 
     def save(self, path):
         """Writes the run's newest checkpoint and the cameras. The images stay with the dataset."""
@@ -187,7 +215,22 @@ class AugNerf(Method):
         (path / "nerfbaselines.json").write_text(json.dumps(saved))
 
     def close(self):
+        self._stop_serving()
         self._temporary.cleanup()
+
+    def _serving(self):
+        """Returns the server of the run, which is started for the first image after a training."""
+        if self._server is None:
+            folder = Path(tempfile.mkdtemp(dir=self._temporary.name))
+            command = self._command("render", self._run, "--data", self._blank, "--serve", "--out", folder, "--quiet")
+            self._server = _Server(command, folder)
+        return self._server
+
+    def _stop_serving(self):
+        """Ends the server, whose weights a training makes old."""
+        if self._server is not None:
+            self._server.close()
+            self._server = None
 
     def _experiment(self):
         """Returns the arguments of `augnerf train`."""
@@ -202,8 +245,7 @@ class AugNerf(Method):
         try:
             done = subprocess.run(self._command(*arguments), stdin=subprocess.DEVNULL, capture_output=True, text=True)
         except FileNotFoundError as error:
-            what = f"{error.filename}: no such program; put augnerf on the PATH, or name it in AUGNERF"
-            raise RuntimeError(what) from None
+            raise _no_program(error) from None
         if done.returncode != 0:
             raise RuntimeError(f"augnerf {arguments[0]}: {done.stderr.strip()}")
         return done.stdout
@@ -223,6 +265,7 @@ class AugNerf(Method):
             return
         if step < self._trained_steps():
             raise ValueError(f"step {step} is due, but {self._trained_steps()} steps were trained: steps only go up")
+        self._stop_serving()
         every = "train.checkpoint_every"
         if not self._run.exists():
             command = ["train", *self._experiment(), f"--set={every}={step}", "--out", self._run, "--yes"]

@@ -5,6 +5,7 @@ use std::path::{Path, PathBuf};
 use clap::{Args, ValueEnum};
 use serde_json::json;
 
+use crate::base::files::AtomicDir;
 use crate::base::{Error, Event, Listener, Result};
 use crate::data::cameras::{self, Dataparser, MOST_PIXELS};
 use crate::data::{Camera, View};
@@ -17,12 +18,18 @@ use super::compare::pictures_folder;
 use super::progress::{Console, duration, open_next};
 use super::{Compute, Moved};
 
+mod serve;
+
 pub const EXAMPLES: &str = "Examples:
-  augnerf render RUN                                   # the scene's camera path: PNG, GIF, MP4
-  augnerf render RUN --frames 30 --resolution 320x240  # fewer and smaller frames
+  augnerf render RUN --frames 30 --resolution 320x240  # the scene's camera path: PNG, GIF, MP4
   augnerf render RUN --cameras path.json               # your own path; --write-cameras writes one
+  augnerf render RUN --serve --out DIR                 # cameras that another program asks for
 
 Poses are camera to world, with the axes right, up, back, in the units of the scene's files.";
+
+/// What is wrong with a camera in a scene in NDC, after its name.
+const LOOKS_AWAY: &str = "looks away from the -z axis, so its rays have no normalized device coordinates; turn it, or train \
+                          with data.ndc=false";
 
 /// Frames per second if neither the command line nor a camera file says it.
 const FPS: f64 = 15.0;
@@ -60,6 +67,9 @@ pub struct RenderArguments {
     /// Write the cameras to a file (camera_path.json, or [N,3,4] poses as .npy) and render nothing
     #[arg(long, value_name = "FILE", help_heading = "Output")]
     write_cameras: Option<PathBuf>,
+    /// Render each camera that a line of JSON on standard input asks for, and answer with a line of JSON
+    #[arg(long, requires = "out", conflicts_with_all = NOT_SERVED, help_heading = "Output")]
+    serve: bool,
     #[command(flatten)]
     answer: Answer,
     #[command(flatten)]
@@ -73,6 +83,9 @@ enum What {
     /// All held-out views next to their ground truth
     Views,
 }
+
+/// Flags of cameras that are known before the start.
+const NOT_SERVED: [&str; 8] = ["what", "cameras", "dataparser", "frames", "resolution", "fps", "write_cameras", "json"];
 
 /// The cameras to render, in order.
 struct Shots {
@@ -99,7 +112,12 @@ impl RenderArguments {
     }
 
     fn render(&self, size: Option<(usize, usize)>, runtime: &Runtime, console: &Console) -> Result<()> {
+        let served = self.out.as_deref().filter(|_| self.serve);
+        served.map_or(Ok(()), AtomicDir::check_vacant)?;
         let trained = Trained::open(&self.run, self.sources.data.as_deref(), runtime, console)?;
+        if let Some(folder) = served {
+            return serve::serve(trained, folder);
+        }
         let shots = self.shots(&trained, size, console)?;
         if let Some(file) = &self.write_cameras {
             cameras::write(file, &shots.cameras, &trained.scene.space.world, shots.fps)?;
@@ -179,10 +197,7 @@ impl RenderArguments {
             .map(|camera| size.map_or(*camera, |(width, height)| camera.with_size(width, height)))
             .collect();
         if let (Some(index), Some(_)) = (cameras.iter().position(|camera| !camera.faces_forward()), scene.ndc) {
-            return Err(Error::Data(format!(
-                "camera {index} (from 0): looks away from the -z axis, so its rays have no normalized device coordinates; turn \
-                 it, or train with data.ndc=false"
-            )));
+            return Err(Error::Data(format!("camera {index} (from 0): {LOOKS_AWAY}")));
         }
         // A GIF shows at most 50 frames per second.
         let fps = self.fps.or(fps.map(|fps| fps.clamp(0.1, 240.0))).unwrap_or(FPS);

@@ -1,4 +1,4 @@
-//! Signals that stop training with a checkpoint.
+//! Signals that stop training with a checkpoint, or end a server.
 
 use std::io;
 use std::sync::Arc;
@@ -13,10 +13,23 @@ use crate::base::{Error, Result};
 #[cfg_attr(not(unix), allow(dead_code))]
 const ONE_SIGNAL: Duration = Duration::from_secs(1);
 
+/// What is printed at the first signal.
+const OF_TRAINING: &str =
+    "stopping with a checkpoint; a second signal stops at once and loses the steps since the last one";
+/// The same for a task of a scheduler, which SIGTERM never ends at once.
+const OF_TASK: &str = "stopping with a checkpoint; Ctrl-C twice stops at once and loses the steps since the last one";
+/// The same for a program that answers others.
+const OF_SERVER: &str = "stopping; a second signal stops at once";
+
 /// Returns a flag that the first Ctrl-C, SIGTERM or hangup sets, which is printed at once. A second one after
 /// [`ONE_SIGNAL`] ends the program, except a hangup: a closed terminal may send several.
 pub fn catch_signals() -> Result<Arc<AtomicUsize>> {
-    catch(&[SIGINT, SIGTERM], &[])
+    catch(&[SIGINT, SIGTERM], &[], OF_TRAINING)
+}
+
+/// Returns the same for a program that answers others and trains nothing.
+pub fn catch_signals_of_server() -> Result<Arc<AtomicUsize>> {
+    catch(&[SIGINT, SIGTERM], &[], OF_SERVER)
 }
 
 /// Returns the same for a task of a scheduler, which may send SIGTERM and SIGUSR1 to several processes at once. A second one
@@ -26,11 +39,12 @@ pub fn catch_scheduler_signals() -> Result<Arc<AtomicUsize>> {
     let gentle = [SIGTERM, signal_hook::consts::SIGUSR1];
     #[cfg(not(unix))]
     let gentle = [SIGTERM];
-    catch(&[SIGINT], &gentle)
+    catch(&[SIGINT], &gentle, OF_TASK)
 }
 
-/// Catches `urgent` signals, of which a second one ends the program, and `gentle` ones, which never end it.
-fn catch(urgent: &[i32], gentle: &[i32]) -> Result<Arc<AtomicUsize>> {
+/// Catches `urgent` signals, of which a second one ends the program, and `gentle` ones, which never end it. The first one
+/// prints `announcement`.
+fn catch(urgent: &[i32], gentle: &[i32], announcement: &'static str) -> Result<Arc<AtomicUsize>> {
     let flag = Arc::new(AtomicUsize::new(0));
     let stopping = Arc::new(AtomicBool::new(false));
     let hangup = hangup();
@@ -45,7 +59,7 @@ fn catch(urgent: &[i32], gentle: &[i32]) -> Result<Arc<AtomicUsize>> {
     let caught = signals
         .iter()
         .try_for_each(|signal| catch(*signal))
-        .and_then(|()| announce(&signals, urgent, stopping.clone()));
+        .and_then(|()| announce(&signals, announcement, stopping.clone()));
     caught.map_err(|e| Error::Output(format!("signals: {e}; they cannot be caught here")))?;
     Ok(flag)
 }
@@ -61,18 +75,15 @@ fn hangup() -> Option<i32> {
 
 /// Prints a line at the first signal, since a step may be long, and sets `stopping` once a second one may end the program.
 #[cfg(unix)]
-fn announce(signals: &[i32], urgent: &[i32], stopping: Arc<AtomicBool>) -> io::Result<()> {
+fn announce(signals: &[i32], announcement: &'static str, stopping: Arc<AtomicBool>) -> io::Result<()> {
     use std::io::Read;
     let (mut receiver, sender) = std::os::unix::net::UnixStream::pair()?;
     for signal in signals {
         signal_hook::low_level::pipe::register(*signal, sender.try_clone()?)?;
     }
-    let second = if urgent.contains(&SIGTERM) { "a second signal" } else { "Ctrl-C twice" };
     let listen = move || {
         if receiver.read_exact(&mut [0]).is_ok() {
-            super::progress::report(&format!(
-                "stopping with a checkpoint; {second} stops at once and loses the steps since the last one"
-            ));
+            super::progress::report(announcement);
             std::thread::sleep(ONE_SIGNAL);
             stopping.store(true, Ordering::SeqCst);
         }
@@ -82,7 +93,7 @@ fn announce(signals: &[i32], urgent: &[i32], stopping: Arc<AtomicBool>) -> io::R
 
 /// Lets the second signal end the program where nothing can be printed at the first.
 #[cfg(not(unix))]
-fn announce(signals: &[i32], _: &[i32], stopping: Arc<AtomicBool>) -> io::Result<()> {
+fn announce(signals: &[i32], _: &'static str, stopping: Arc<AtomicBool>) -> io::Result<()> {
     let _ = Ordering::SeqCst;
     signals.iter().try_for_each(|signal| signal_hook::flag::register(*signal, stopping.clone()).map(|_| ()))
 }

@@ -14,7 +14,7 @@ use crate::run::{Audience, Finished, Job, Setup};
 use crate::view::{Server, ServerOptions, ShownRun};
 
 use super::progress::{Console, print, report};
-use super::signals::catch_signals;
+use super::signals::catch_signals_of_server;
 use super::{Compute, Moved};
 
 pub const EXAMPLES: &str = "Examples:
@@ -86,7 +86,7 @@ impl ViewArguments {
     pub fn run(self) -> Result<()> {
         let runtime = self.compute.runtime_or("cpu")?;
         let console = Console::new(self.compute.quiet);
-        let stop = catch_signals()?;
+        let stop = catch_signals_of_server()?;
         let open =
             |folder: &PathBuf| ShownRun::open(folder, self.sources.data.as_deref(), &runtime, &console).map(Arc::new);
         let runs = self.runs.iter().map(open).collect::<Result<Vec<_>>>()?;

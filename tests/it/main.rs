@@ -44,6 +44,7 @@ mod regularizers;
 mod run_scenes;
 mod runtime;
 mod score;
+mod served;
 mod settings;
 mod sharpness;
 #[cfg(unix)]

@@ -75,6 +75,14 @@ fn a_scene_that_has_changed_is_refused_whatever_reads_the_run() {
     refused(&["trained on", "1 are gone (1)"]);
     fs::write(&gone, kept).unwrap();
     succeed(&["eval", name, "-q"]);
+    // A single transparent pixel puts a background behind all rays.
+    let kept = fs::read(&gone).unwrap();
+    let mut clear = image::open(&gone).unwrap().to_rgba8();
+    clear.get_pixel_mut(0, 0).0[3] = 0;
+    clear.save(&gone).unwrap();
+    refused(&["its background was none, but now is white"]);
+    fs::write(&gone, kept).unwrap();
+    succeed(&["eval", name, "-q"]);
     // Another pose moves all of them.
     let sound = text(&folder.path().join("transforms.json"));
     fs::write(folder.path().join("transforms.json"), sound.replacen("0.5]", "0.75]", 1)).unwrap();

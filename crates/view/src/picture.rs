@@ -1,5 +1,7 @@
 //! What the page shows of a rendered view.
 
+use std::borrow::Cow;
+
 use crate::base::{Image, Result};
 use crate::data::{Camera, Ndc, Scene};
 use crate::draw::{SOLID, depth_colour};
@@ -37,23 +39,24 @@ impl Layer {
 ///
 /// # Errors
 /// If the view has another size than the camera.
-pub fn draw_layer(
+pub fn draw_layer<'a>(
     layer: Layer,
-    view: RenderedView,
+    view: &'a RenderedView,
     camera: &Camera,
     scene: &Scene,
     depths: (f32, f32),
-) -> Result<Image> {
+) -> Result<Cow<'a, Image>> {
     let (width, height) = (view.image.width, view.image.height);
-    match layer {
-        Layer::Colour => Ok(view.image),
-        Layer::Depth => depth_colour(&view.depth, width, height, depths.0, depths.1, Some(&view.acc)),
+    let drawn = match layer {
+        Layer::Colour => return Ok(Cow::Borrowed(&view.image)),
+        Layer::Depth => depth_colour(&view.depth, width, height, depths.0, depths.1, Some(&view.acc))?,
         Layer::Accumulation => {
             let pixels = view.acc.iter().flat_map(|&acc| [acc.clamp(0.0, 1.0); 3]).collect();
-            Ok(Image { width, height, channels: 3, pixels })
+            Image { width, height, channels: 3, pixels }
         }
-        Layer::Normals => Ok(normals(&view, camera, scene.ndc.as_ref())),
-    }
+        Layer::Normals => normals(view, camera, scene.ndc.as_ref()),
+    };
+    Ok(Cow::Owned(drawn))
 }
 
 /// Draws the normals of the surface through the rendered depths, towards the camera, by differences between neighbours. Grey

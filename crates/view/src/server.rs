@@ -404,7 +404,7 @@ impl Server {
         let milliseconds = started.elapsed().as_millis();
         drop(guard);
         let depths = self.runs[0].weights().map_or(weights.depths, |first| first.depths);
-        let image = draw_layer(layer, view, &camera, &run.scene, depths)?;
+        let image = draw_layer(layer, &view, &camera, &run.scene, depths)?;
         let mut reply = match arguments.get("moving") {
             Some(_) => Reply::new("image/jpeg", encode_jpeg(&image, MOVING_QUALITY)?),
             None => png(&image)?,

@@ -35,8 +35,12 @@ const MOST_VALUES: usize = 1 << 20;
 /// Reads a JSON file. A byte order mark is ignored. `NaN` and the like, as Python writes them, become strings: they
 /// matter only where a number is needed.
 pub(super) fn read(file: &Path) -> Result<Value> {
-    let text = read_bytes(file, MOST_BYTES).map_err(|e| Error::unreadable(file, &e))?;
-    let text = quote_no_numbers(text.strip_prefix(BYTE_ORDER_MARK).unwrap_or(&text));
+    parse(file, &read_bytes(file, MOST_BYTES).map_err(|e| Error::unreadable(file, &e))?)
+}
+
+/// Parses the text of a JSON file as [`read`] does.
+pub(super) fn parse(file: &Path, text: &[u8]) -> Result<Value> {
+    let text = quote_no_numbers(text.strip_prefix(BYTE_ORDER_MARK).unwrap_or(text));
     let invalid = |e| Error::Data(format!("{} is not valid JSON: {e}", file.display()));
     let mut reader = serde_json::Deserializer::from_slice(&text);
     let value = Counted(&Cell::new(0)).deserialize(&mut reader).map_err(invalid)?;

@@ -149,19 +149,23 @@ fn of_settings(config: &Resolved) -> Found {
     ]
 }
 
-/// Returns the columns of the loaded scene.
-fn of_scene(config: &Resolved, scene: &Scene) -> Found {
-    let background = match scene.background {
+/// Returns the name of the colour behind transparent pixels, `none` for a scene without them.
+pub(super) fn background(scene: &Scene) -> &'static str {
+    match scene.background {
         None => "none",
         Some([1.0, 1.0, 1.0]) => "white",
         Some(_) => "black",
-    };
+    }
+}
+
+/// Returns the columns of the loaded scene.
+fn of_scene(config: &Resolved, scene: &Scene) -> Found {
     let corrupted = scene.corrupted.as_ref();
     vec![
         ("dataset", scene.kind.into()),
         ("width", side(scene, |camera| camera.width)),
         ("height", side(scene, |camera| camera.height)),
-        ("background", background.into()),
+        ("background", background(scene).into()),
         ("ndc", scene.ndc.is_some().into()),
         ("views_trained", scene.train.len().into()),
         ("views_evaluated", scene.test.len().into()),

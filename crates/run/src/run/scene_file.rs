@@ -12,7 +12,7 @@ use crate::data::{Scene, View, WorldToScene};
 use crate::settings::{DataConfig, DataKind};
 use crate::train::checkpoint;
 
-use super::RunDir;
+use super::{RunDir, protocol};
 
 /// Tolerance for numbers that two machines compute from the same files, relative to the larger of 1 and their size.
 const ROUNDING: f64 = 1e-6;
@@ -45,6 +45,9 @@ struct SceneFile {
     near: f64,
     far: f64,
     ndc: bool,
+    /// The colour behind transparent pixels, as the protocol names it; missing in files of earlier versions.
+    #[serde(default)]
+    background: Option<String>,
     /// The box that most cameras look at, scene units; `null` if unknown.
     #[serde(rename = "box")]
     domain: Option<[[f64; 3]; 2]>,
@@ -77,6 +80,7 @@ pub(super) fn write(path: &Path, scene: &Scene) -> Result<()> {
             near: *near,
             far: *far,
             ndc: ndc.is_some(),
+            background: Some(protocol::background(scene).into()),
             domain: space.domain,
             notes,
             views: Some(Views { trained: names(&scene.train), evaluated: names(&scene.test) }),
@@ -132,7 +136,7 @@ impl RecordedScene {
         }
     }
 
-    /// Returns an error for a scene with other coordinates or views. With `evaluated` false, other views may be
+    /// Returns an error for a scene with other coordinates, background or views. With `evaluated` false, other views may be
     /// evaluated.
     pub(super) fn check(&self, scene: &Scene, data: &DataConfig, evaluated: bool) -> Result<()> {
         let from = if data.dir.is_empty() { &scene.name } else { &data.dir };
@@ -156,6 +160,12 @@ impl RecordedScene {
         if recorded.ndc != scene.ndc.is_some() || !a.iter().zip(b).all(|(a, b)| is_close(*a, *b)) {
             let what = "its poses give other coordinates than the weights have (world_to_scene, ndc)";
             return refuse(what.into());
+        }
+        // It is there if any pixel is transparent, and rays then end on it.
+        let background = protocol::background(scene);
+        if let Some(then) = recorded.background.as_deref().filter(|then| *then != background) {
+            let now = format!("but now is {background}, by the transparent pixels of its images");
+            return refuse(format!("its background was {then}, {now}"));
         }
         let Some(views) = &recorded.views else { return Ok(()) };
         let lists = [("trained on", &views.trained, &scene.train), ("evaluated", &views.evaluated, &scene.test)];

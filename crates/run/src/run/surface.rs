@@ -175,7 +175,7 @@ impl Viewer<'_> {
 
     /// Returns a rendered view's depth along its viewing axis in scene units, NaN where there is none. Under NDC it
     /// comes from the mean NDC depth.
-    pub(super) fn scene_depth(&self, camera: &Camera, rendered: &RenderedView) -> Vec<f32> {
+    pub fn scene_depth(&self, camera: &Camera, rendered: &RenderedView) -> Vec<f32> {
         let Some(ndc) = self.scene.ndc else { return rendered.depth.clone() };
         let shift = self.config.data.origin_of_pixels().shift();
         let along = |(i, &t): (usize, &f32)| {

@@ -13,7 +13,7 @@ mod write;
 
 use std::path::Path;
 
-use serde_json::Value;
+use serde_json::{Map, Value};
 
 use super::json::{self, Object};
 use super::pose::{self, Pose};
@@ -26,6 +26,10 @@ pub use write::{camera_path, write};
 
 /// Largest number of cameras in a file: an hour at 25 per second.
 const MOST_CAMERAS: usize = 90_000;
+/// Keys of a camera in a `camera_path.json`. The last one follows from the size, and is not read.
+pub const CAMERA_KEYS: [&str; 9] = [POSE, "fov", "fl_x", "fl_y", "cx", "cy", "w", "h", "aspect"];
+/// The key of its pose.
+const POSE: &str = "camera_to_world";
 /// The extensions of NumPy's files, and of the others.
 const ENDINGS: [&str; 2] = ["npy", "json"];
 
@@ -53,16 +57,45 @@ pub fn read(file: &Path, like: &Camera, world: &WorldToScene, dataparser: Option
         let capture = dataparser.map_or(camera.pose, |dataparser| dataparser.to_capture(&camera.pose));
         camera.pose = world.camera(&capture);
     }
-    let sound = |camera: &Camera| camera.pose.iter().flatten().all(|value| value.abs() <= LARGEST);
-    match read.cameras.iter().position(|camera| !sound(camera)) {
-        None => Ok(read),
-        Some(index) => Err(Error::Data(format!(
-            "{}: camera {index} (counted from 0) is at {:?} in the scene's units: rendering computes with numbers from \
-             -{LARGEST:e} to {LARGEST:e}; check the file's units",
-            file.display(),
-            pose::column(&read.cameras[index].pose, 3)
-        ))),
+    for (index, camera) in read.cameras.iter().enumerate() {
+        check_position(camera, || format!("{}: camera {index} (counted from 0)", file.display()))?;
     }
+    Ok(read)
+}
+
+/// Reads one camera for a scene from the text of a JSON object with [`CAMERA_KEYS`], as [`read`] reads each of a
+/// `camera_path.json`. Returns also the object's other entries. `place` says in errors where the text is from.
+///
+/// # Errors
+/// If the text is not such an object, or its pose or lens is invalid.
+pub fn parse_camera(
+    place: &str,
+    text: &[u8],
+    like: &Camera,
+    world: &WorldToScene,
+) -> Result<(Camera, Map<String, Value>)> {
+    let place = Path::new(place);
+    let value = json::parse(place, text)?;
+    let object = Object::document(place, &value)?;
+    let lens = lens::of_camera_path(object, object, like)?;
+    let camera = Camera { pose: world.camera(&camera_to_world(object)?), ..lens };
+    check_position(&camera, || format!("{}: the camera", place.display()))?;
+    let entries = value.as_object().into_iter().flatten();
+    let others = entries.filter(|(key, _)| !CAMERA_KEYS.contains(&key.as_str()));
+    Ok((camera, others.map(|(key, value)| (key.clone(), value.clone())).collect()))
+}
+
+/// Returns an error for a camera that is beyond the limits of scenes. `subject` begins it.
+fn check_position(camera: &Camera, subject: impl Fn() -> String) -> Result<()> {
+    if camera.pose.iter().flatten().all(|value| value.abs() <= LARGEST) {
+        return Ok(());
+    }
+    Err(Error::Data(format!(
+        "{} is at {:?} in the scene's units: rendering computes with numbers from -{LARGEST:e} to {LARGEST:e}; check the \
+         file's units",
+        subject(),
+        pose::column(&camera.pose, 3)
+    )))
 }
 
 /// Returns an error for more cameras than the limit, for reading and for writing.
@@ -160,11 +193,10 @@ fn read_camera_path(document: Object, like: &Camera) -> Result<CameraFile> {
 
 /// Reads `camera_to_world`: 16 numbers, row by row, also as four rows.
 fn camera_to_world(object: Object) -> Result<Pose> {
-    const KEY: &str = "camera_to_world";
-    let value = object.required(KEY)?;
+    let value = object.required(POSE)?;
     let wrong = || {
         object.error(&format!(
-            "\"{KEY}\" must be the 16 numbers of a 4x4 matrix, row by row, each from -{LARGEST:e} to {LARGEST:e}"
+            "\"{POSE}\" must be the 16 numbers of a 4x4 matrix, row by row, each from -{LARGEST:e} to {LARGEST:e}"
         ))
     };
     let mut numbers = Vec::new();
@@ -178,7 +210,7 @@ fn camera_to_world(object: Object) -> Result<Pose> {
     let numbers = numbers.filter(|numbers| numbers.len() == 16).ok_or_else(wrong)?;
     let pose: Pose = std::array::from_fn(|row| std::array::from_fn(|column| numbers[4 * row + column]));
     pose::check_rotation(&pose).map_err(|what| {
-        object.error(&format!("the left 3x3 part of \"{KEY}\" must be a rotation, but it has {what}"))
+        object.error(&format!("the left 3x3 part of \"{POSE}\" must be a rotation, but it has {what}"))
     })?;
     Ok(pose)
 }
