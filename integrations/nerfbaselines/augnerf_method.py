@@ -99,7 +99,7 @@ class _Server:
     """A run that `augnerf render --serve` holds open. If this process ends, its input ends, and it ends, too."""
 
     def __init__(self, command, folder):
-        self._folder, self._log = folder, tempfile.TemporaryFile("w+")
+        self._folder, self._log, self._asked = folder, tempfile.TemporaryFile("w+"), 0
         try:
             self._process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=self._log,
                                              text=True)
@@ -113,7 +113,12 @@ class _Server:
             print(json.dumps(request), file=self._process.stdin, flush=True)
         except BrokenPipeError:
             pass  # It has ended. Its log says why.
-        return {output: self._folder / name for output, name in self._read()["files"].items()}
+        number, self._asked = self._asked, self._asked + 1
+        answer = self._read()
+        # A call that was interrupted leaves its answer behind.
+        while answer["request"] != number:
+            answer = self._read()
+        return {output: self._folder / name for output, name in answer["files"].items()}
 
     def close(self):
         self._process.terminate()

@@ -238,6 +238,15 @@ fn settings_by_scene_go_with_the_scene_under_rows() {
     assert_says(&message, &["by_scene.\"ship\"", "the scenes are builtin, builtin:3"]);
     let message = points_of(&text.replace("train = { rays", "train = { rais")).unwrap_err().to_string();
     assert_says(&message, &["by_scene", "train.rais"]);
+    let twice =
+        text.replace("\"train.steps\" = 20 } }", "\"train.steps\" = 20 }, \"builtin-3\" = { \"train.rays\" = 8 } }");
+    assert_says(&points_of(&twice).unwrap_err().to_string(), &["settings of scene 'builtin:3' under two names"]);
+    // A file that names other scenes drops the settings of those of the file that it extends.
+    let dir = TempDir::new().unwrap();
+    std::fs::write(dir.path().join("base.toml"), &text).unwrap();
+    let other = dir.path().join("other.toml");
+    std::fs::write(&other, "extends = \"base.toml\"\nscenes = [\"builtin\"]\n").unwrap();
+    assert!(Definition::read(&other).unwrap().by_scene.is_empty());
 }
 
 #[test]

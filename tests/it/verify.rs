@@ -357,47 +357,55 @@ fn docs_describe_every_check() {
     }
 }
 
-/// Rows over the scenes of three committed sweeps: a scene counts once, and the files are made again.
+/// Rows over the scenes of two committed sweeps: a scene counts once, and the files are made again.
 #[test]
 fn a_comparison_over_scenes_is_made_again() {
-    let (dir, _) = results("tab4_embedded");
-    for name in ["tab4_fern", "geometry_chair"] {
+    let (dir, _) = results("precision");
+    for name in ["precision_chair", "tab4_fern", "tab4_embedded"] {
         copy(&Path::new(ROOT).join(place(name)), &dir.path().join(place(name)));
     }
-    let folders = ["tab4_embedded", "tab4_fern", "geometry_chair"].map(|name| place(name).display().to_string());
-    let across = |more: &[&str], code: i32| {
+    let of = |names: [&str; 2], more: &[&str], code: i32| {
+        let folders = names.map(|name| place(name).display().to_string());
         let mut arguments = vec!["sweep", "across"];
         arguments.extend(folders.iter().map(String::as_str));
         arguments.extend(["--unit", "scene", "--out", "results/over"]);
         let mut command = augnerf(&[&arguments[..], more].concat());
         program::demand(command.current_dir(dir.path()).env_remove("AUGNERF_DATA"), code)
     };
+    let across = |more: &[&str], code: i32| of(["precision", "precision_chair"], more, code);
     assert_says(&across(&["--rows", "Nerf"], 2), &["'Nerf' is not a row"]);
     assert_says(&across(&["--rows", "Aug-NeRF", "--scenes", "ship"], 2), &["--scenes ship: the scenes are", "fern"]);
     assert_says(&across(&["--row", "Aug-NeRF"], 2), &["--row"]);
-    let twice = format!("{}/again", place("tab4_fern").display());
-    copy(&Path::new(ROOT).join(place("tab4_fern")), &dir.path().join(&twice));
-    assert_says(&across(&[&twice, "--rows", "Aug-NeRF"], 2), &["scene 'fern' is in sweep", "a scene counts once"]);
-    std::fs::remove_dir_all(dir.path().join(&twice)).unwrap();
+    assert_says(&of(["precision", "tab4_fern"], &[], 2), &["scene 'fern' is in sweep", "a scene counts once"]);
+    assert_says(&of(["tab4_fern", "tab4_embedded"], &["--rows", "Aug-NeRF"], 9), &["row 'NeRF' has ", "by_scene"]);
     let said = across(&["--rows", "Aug-NeRF"], 0);
     assert_says(&said, &["Rows against NeRF over 3 scenes: psnr", "a scene counts once", "| fern |"]);
     let folder = dir.path().join("results/over");
     assert_says(&text(&folder.join("over_scenes.svg")), &["Rows against NeRF over 3 scenes", "difference in PSNR"]);
     let scenes = rows(&text(&folder.join("scenes.csv")));
     let number = |row: &std::collections::HashMap<String, String>, column: &str| row[column].parse::<f64>().unwrap();
-    for (scene, name) in ["builtin", "fern", "chair"].iter().zip(["tab4_embedded", "tab4_fern", "geometry_chair"]) {
+    for (scene, name) in ["builtin", "fern", "chair"].iter().zip(["precision", "precision", "precision_chair"]) {
         let table = rows(&text(&dir.path().join(place(name)).join("table.csv")));
-        let own = table.iter().find(|row| row["row"] == "Aug-NeRF").unwrap();
+        let mean = |row: &str| {
+            let line = table.iter().find(|line| line["row"] == row && line["scene"] == *scene).unwrap();
+            number(line, "psnr_mean")
+        };
         let found = scenes.iter().find(|row| row["scene"] == *scene).unwrap();
-        assert_eq!(found["difference"], own["psnr_difference"], "{scene}");
+        let difference = mean("Aug-NeRF") - mean("NeRF");
+        assert!((number(found, "difference") - difference).abs() < 1e-9, "{scene}: {found:?}");
     }
     let over = rows(&text(&folder.join("over_scenes.csv")));
     let mean = scenes.iter().map(|row| number(row, "difference")).sum::<f64>() / 3.0;
     assert!((number(&over[0], "difference") - mean).abs() < 1e-12 && over[0]["scenes"] == "3", "{over:?}");
-    assert_says(&verify(dir.path(), &["results/over"], 0), &["comparisons of 3 sweeps", "over_scenes.toml"]);
+    assert_says(&verify(dir.path(), &["results/over"], 0), &["comparisons of 2 sweeps", "over_scenes.toml"]);
     let right = format!("{mean:+.3}");
     quote(dir.path(), "results/over/README.md", &right, "over", "difference of Aug-NeRF");
     assert_says(&verify(dir.path(), &["results/over"], 0), &["over/README.md: 1 quoted numbers"]);
+    // One folder, one comparison.
+    let folders = ["precision", "precision_chair"].map(|name| place(name).display().to_string());
+    let by_sweep = ["sweep", "across", &folders[0], &folders[1], "--row", "Aug-NeRF", "--out", "results/over"];
+    let said = program::demand(augnerf(&by_sweep).current_dir(dir.path()), 4);
+    assert_says(&said, &["another comparison (over_scenes.toml)"]);
     let csv = folder.join("scenes.csv");
     let before = text(&csv);
     std::fs::write(&csv, before.replace("fern", "Fern")).unwrap();

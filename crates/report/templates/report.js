@@ -129,14 +129,14 @@ for (const svg of all("svg.values")) {
     return { at, ticks: few };
   };
   const colour = share => `hsl(${Math.round(270 - 220 * share)} 65% ${Math.round(38 + 17 * share)}%)`;
-  const ofPoint = point => {
-    const value = point.values[tint.value];
-    return tint.value === "nothing" || value === null || value === undefined ? "#888" : colour(scale(tint.value).at(value));
+  const colours = () => {
+    const tints = tint.value === "nothing" ? null : scale(tint.value);
+    return point => tints && known(point, [tint.value]) ? colour(tints.at(point.values[tint.value])) : "#888";
   };
   const [left, right, top, bottom] = [80, 880, 30, 360];
   const known = (point, names) => names.every(name => point.values[name] !== null && point.values[name] !== undefined);
   const dots = () => {
-    const [x, y] = [scale(across.value), scale(up.value)];
+    const [x, y, ofPoint] = [scale(across.value), scale(up.value), colours()];
     const [px, py] = [share => left + (right - left) * share, share => bottom - (bottom - top) * share];
     for (const value of x.ticks) {
       make("line", { class: "grid", x1: px(x.at(value)), x2: px(x.at(value)), y1: top, y2: bottom });
@@ -155,7 +155,7 @@ for (const svg of all("svg.values")) {
   };
   const lines = () => {
     const shared = axes.filter(name => name !== up.value && points.every(point => known(point, [name])));
-    const names = [...shared, up.value], scales = names.map(scale);
+    const names = [...shared, up.value], scales = names.map(scale), ofPoint = colours();
     if (!shared.length) make("text", { x: left, y: top - 12 }, "Each point has values on some axes only: there are no lines over all.");
     const px = i => left + (right - left) * (names.length > 1 ? i / (names.length - 1) : 0.5), py = share => bottom - (bottom - top) * share;
     for (const point of points.filter(point => known(point, names))) {

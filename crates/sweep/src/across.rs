@@ -11,6 +11,7 @@ use crate::report::Across;
 use crate::report::plots::{Width, across_figure};
 
 use super::folder::DEFINITION;
+use super::over_scenes::OVER_SCENES;
 use super::view::{Origin, Selection, Source, VIEW, View};
 use super::words::{check_name, quoted};
 
@@ -117,19 +118,22 @@ impl AcrossRequest {
     /// # Errors
     /// A folder with tables of a sweep, or with other folders.
     pub fn write(&self, across: &Across, folder: &Path) -> Result<()> {
-        write_folder(folder, &self.files(across)?)
+        write_folder(folder, OVER_SCENES, &self.files(across)?)
     }
 }
 
 /// Writes the files of a comparison into a folder, which may hold pages beside them.
 ///
 /// # Errors
-/// A folder with tables of a sweep, or with other folders.
-pub(super) fn write_folder(folder: &Path, files: &[(String, Vec<u8>)]) -> Result<()> {
+/// A folder with tables of a sweep, with `other`, the request of another kind of comparison, or with other folders.
+pub(super) fn write_folder(folder: &Path, other: &str, files: &[(String, Vec<u8>)]) -> Result<()> {
     let refuse =
         |holds: &str| Err(Error::Output(format!("{} holds {holds}: name another folder with --out", folder.display())));
     if [DEFINITION, VIEW].iter().any(|name| folder.join(name).exists()) {
         return refuse("tables of a sweep");
+    }
+    if folder.join(other).exists() {
+        return refuse(&format!("another comparison ({other})"));
     }
     let mut entries = std::fs::read_dir(folder).into_iter().flatten().flatten();
     if entries.any(|entry| entry.path().is_dir()) {

@@ -92,6 +92,9 @@ impl Definition {
                 self.scenes.join(", ")
             ));
         }
+        if let Some(scene) = self.scenes.iter().find(|scene| self.settings_of_scene(scene).count() > 1) {
+            return Err(format!("by_scene has settings of scene '{scene}' under two names; join them"));
+        }
         not_empty_and_distinct("metrics", &self.metrics)?;
         let names: Vec<&str> = self.row.iter().map(|row| row.name.as_str()).collect();
         not_empty_and_distinct("rows", &names)?;

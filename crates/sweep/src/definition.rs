@@ -234,6 +234,22 @@ impl Definition {
         self.by_scene.iter().filter(move |(name, _)| is_named(scene, name)).map(|(_, set)| set)
     }
 
+    /// Returns the names of settings that go with the scene or the seed.
+    pub(super) fn own_settings(&self) -> Vec<String> {
+        fn names(prefix: &str, set: &Table, found: &mut Vec<String>) {
+            for (key, value) in set {
+                let path = format!("{prefix}{key}");
+                match value {
+                    Value::Table(inner) => names(&format!("{path}."), inner, found),
+                    _ => found.push(path),
+                }
+            }
+        }
+        let mut found: Vec<String> = self.by_seed.keys().cloned().collect();
+        self.by_scene.values().for_each(|set| names("", set, &mut found));
+        found
+    }
+
     /// Returns whether the command line named another preset than the file.
     pub fn is_preset_changed(&self) -> bool {
         self.changed.contains_key(PRESET)

@@ -7,6 +7,7 @@ use toml::{Table, Value};
 use crate::base::input::{TEXT_BYTES, read_named};
 use crate::base::{Error, Result};
 
+use super::definition::is_named;
 use super::shipped::{place, shipped};
 
 /// Most points, and so rows, of a sweep.
@@ -74,8 +75,18 @@ fn over_base(text: &str, path: &Path, depth: usize, read_base: impl FnOnce(&str)
         )));
     }
     let mut merged = read_base(&base)?;
+    drop_scenes(&mut merged, &table);
     lay_over(&mut merged, table);
     Ok(merged)
+}
+
+/// Drops the settings of scenes that a file replaces by others.
+fn drop_scenes(base: &mut Table, table: &Table) {
+    let Some(scenes) = table.get("scenes").and_then(Value::as_array) else { return };
+    let stay = |name: &str| scenes.iter().filter_map(Value::as_str).any(|scene| is_named(scene, name));
+    if let Some(Value::Table(by_scene)) = base.get_mut("by_scene") {
+        by_scene.retain(|name, _| stay(name));
+    }
 }
 
 fn lay_over(base: &mut Table, table: Table) {

@@ -8,8 +8,11 @@ use crate::base::input::{TEXT_BYTES, read_text};
 use crate::base::{Error, Result};
 use crate::report::plots::{Width, over_scenes_figure};
 use crate::report::{OverScenes, Record, distinct};
+use crate::settings::registry::{Effect, REGISTRY};
+use crate::settings::value_at;
 
-use super::across::write_folder;
+use super::across::{ACROSS, write_folder};
+use super::points::Point;
 use super::view::{Origin, Selection, Source, View};
 use super::words::quoted;
 
@@ -47,25 +50,40 @@ impl ScenesRequest {
     /// Compares rows with the baseline over all scenes of `sources`, which replace `self.sweep`.
     ///
     /// # Errors
-    /// An unknown row, scene or metric; a scene in two sweeps; rows that differ in an uncontrolled setting.
+    /// An unknown row, scene or metric; a scene in two sweeps; rows that differ in an uncontrolled setting, within a sweep or
+    /// between two; sweeps that state different margins.
     pub fn answer(mut self, sources: &[Source]) -> Result<(ScenesRequest, OverScenes)> {
         self.sweep = sources.iter().map(Origin::of).collect();
         check_apart(sources)?;
+        let views = sources.iter().map(|source| self.view(source)).collect::<Result<Vec<View>>>()?;
+        check_alike(sources, &distinct(views.iter().flat_map(View::rows)))?;
+        let margins = distinct(views.iter().map(|view| view.margin(&self.metric)));
+        let [margin] = margins[..] else {
+            return Err(Error::Config(format!(
+                "the sweeps state different margins of '{}' (equivalence)",
+                self.metric
+            )));
+        };
+        if !self.rows.is_empty() {
+            self.rows = views[0].rows().filter(|row| *row != self.baseline).map(String::from).collect();
+        }
+        let records = self.chosen(views.iter().flat_map(View::records).collect())?;
+        let over = OverScenes::new(&self.baseline, &self.metric, margin, &records);
+        if over.rows.iter().all(|row| row.comparison.is_none()) {
+            let (metric, baseline) = (&self.metric, &self.baseline);
+            return Err(Error::Config(format!("no row has '{metric}' on a scene on which '{baseline}' has it")));
+        }
+        Ok((self, over))
+    }
+
+    /// The rows of one sweep, which are comparable.
+    fn view(&self, source: &Source) -> Result<View> {
         let rows = if self.rows.is_empty() { vec![] } else { [&[self.baseline.clone()], &self.rows[..]].concat() };
         let selection = Selection { baseline: Some(self.baseline.clone()), rows, metrics: vec![self.metric.clone()] };
-        let sources: Vec<Source> = sources.iter().map(|source| Source { folder: None, ..source.clone() }).collect();
-        let name = sources.iter().map(|source| source.name.as_str()).collect::<Vec<&str>>().join(" and ");
-        let view = View::new(&name, &sources, selection)?;
-        // Refuses rows that are not comparable.
-        view.table()?;
-        let records = self.chosen(view.records())?;
-        let labels = distinct(records.iter().filter(|record| record.row != self.baseline).map(Record::label));
-        let margin = view.margin(&self.metric);
-        if !self.rows.is_empty() {
-            self.rows = view.rows().filter(|row| *row != self.baseline).map(String::from).collect();
-        }
-        let over = OverScenes::new(&self.baseline, &self.metric, margin, &labels, &records);
-        Ok((self, over))
+        let source = Source { folder: None, ..source.clone() };
+        let view = View::new(&source.name, std::slice::from_ref(&source), selection);
+        let checked = view.and_then(|view| view.table().map(|_| view));
+        checked.map_err(|error| error.within(&format!("sweep '{}'", source.name)))
     }
 
     fn chosen(&self, records: Vec<Record>) -> Result<Vec<Record>> {
@@ -105,9 +123,9 @@ impl ScenesRequest {
     /// Writes them into a folder, which may hold pages beside them.
     ///
     /// # Errors
-    /// A folder with tables of a sweep, or with other folders.
+    /// A folder with tables of a sweep, with a comparison by sweep, or with other folders.
     pub fn write(&self, over: &OverScenes, folder: &Path) -> Result<()> {
-        write_folder(folder, &self.files(over)?)
+        write_folder(folder, ACROSS, &self.files(over)?)
     }
 }
 
@@ -130,4 +148,40 @@ fn check_apart(sources: &[Source]) -> Result<()> {
         }
     }
     Ok(())
+}
+
+/// Requires that a row is the same in all sweeps, but for what goes with the scene or the seed.
+fn check_alike(sources: &[Source], rows: &[&str]) -> Result<()> {
+    let free: Vec<String> = sources.iter().flat_map(|source| source.definition.own_settings()).collect();
+    for row in rows {
+        let mut own = sources.iter().filter_map(|source| Some((&source.name, settings_of(source, row, &free)?)));
+        let Some((first, theirs)) = own.next() else { continue };
+        for (name, settings) in own {
+            let differs = settings.iter().zip(&theirs).find(|(a, b)| a != b);
+            if let Some(((path, a), (_, b))) = differs {
+                return Err(Error::NotComparable(format!(
+                    "row '{row}' has {path} = {b} in sweep '{first}' and {a} in sweep '{name}': scenes are taken together if \
+                     rows differ in by_scene and by_seed alone; `--unit sweep` compares each sweep by itself"
+                )));
+            }
+        }
+    }
+    Ok(())
+}
+
+/// Settings of the data that say what a field is trained on; the others of them are the scene's own, such as its size.
+const OF_TRAINING: [&str; 4] = ["data.train_views", "data.corruption.", "data.eval_split", "data.validation"];
+
+/// The settings of a row's first point that change numbers, but for `free` ones, the seed and the scene's own.
+fn settings_of(source: &Source, row: &str, free: &[String]) -> Option<Vec<(String, String)>> {
+    let is_own = |path: &str| {
+        path == "seed" || path.starts_with("data.") && !OF_TRAINING.iter().any(|start| path.starts_with(start))
+    };
+    let is_of_row = |point: &&Point| point.places.iter().any(|place| place.row == row);
+    let table = source.points.iter().find(is_of_row)?.config.to_table();
+    let settings = REGISTRY.settings.iter().filter(|setting| setting.rule.effect == Effect::Numbers);
+    let paths = settings.map(|setting| setting.path.as_str());
+    let bound = paths.filter(|path| !is_own(path) && !free.iter().any(|own| own == path));
+    let text = |path: &str| value_at(&table, path).map_or("nothing".to_string(), ToString::to_string);
+    Some(bound.map(|path| (path.to_string(), text(path))).collect())
 }

@@ -1,5 +1,7 @@
 //! What a sweep varies, as columns of numbers: its axes, and the settings in which its points differ.
 
+use std::collections::HashMap;
+
 use toml::{Table, Value};
 
 use crate::report::AxisValue;
@@ -29,7 +31,16 @@ impl Varied {
             values.any(|value| value != first)
         };
         let of_seed = |path: &str| path == "seed" || definition.by_seed.contains_key(path);
-        let of_scene = |path: &str| definition.by_scene.values().any(|set| sets(set, path));
+        // A setting of one scene may still be what rows or axes vary.
+        let varies_in_scene = |path: &str| {
+            let mut firsts = HashMap::new();
+            points.iter().zip(&tables).any(|(point, table)| {
+                let value = value_at(table, path);
+                *firsts.entry(point.scene.as_str()).or_insert(value) != value
+            })
+        };
+        let own = definition.own_settings();
+        let of_scene = |path: &str| own.iter().any(|name| name == path) && !varies_in_scene(path);
         let settings = REGISTRY.settings.iter().filter(|setting| setting.rule.effect == Effect::Numbers);
         let paths = settings.map(|setting| setting.path.as_str());
         let paths = paths.filter(|path| !of_seed(path) && !of_scene(path) && *path != "data.name");
@@ -61,11 +72,6 @@ impl Varied {
         };
         axes.iter().map(axis).chain(self.0.iter().flat_map(setting)).collect()
     }
-}
-
-/// Whether a table sets a path, by its dotted name in quotes or in nested tables.
-fn sets(set: &Table, path: &str) -> bool {
-    set.contains_key(path) || value_at(set, path).is_some()
 }
 
 /// A value as a cell: numbers and words as they are; a list of one as its only value, an empty list as nothing.

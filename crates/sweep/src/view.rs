@@ -403,7 +403,12 @@ fn is_defined_alike(a: &Definition, b: &Definition, row: &str) -> bool {
         let rows = definition.row.iter().map(|own| Row { baseline: None, ours: false, ..own.clone() });
         rows.into_iter().find(|own| own.name == row)
     };
+    let shared = a.scenes.iter().filter(|scene| b.scenes.contains(scene));
+    let of_scenes = |definition: &Definition| -> Vec<Vec<toml::Table>> {
+        shared.clone().map(|scene| definition.settings_of_scene(scene).cloned().collect()).collect()
+    };
     (&a.preset, &a.set, &a.by_seed, &a.axis, row_of(a)) == (&b.preset, &b.set, &b.by_seed, &b.axis, row_of(b))
+        && of_scenes(a) == of_scenes(b)
 }
 
 /// Returns whether settings are equal wherever both have points.

@@ -95,7 +95,7 @@ pub struct CalibrationBin {
     pub spread_highest: f64,
     /// Mean spread.
     pub spread_mean: f64,
-    /// Root mean square spread, which a calibrated spread's `error_rms` equals.
+    /// Root mean square spread. If the truth were one more of n seeds, `error_rms` of their mean would be this times sqrt(1 + 1/n).
     pub spread_rms: f64,
     /// Root mean square error.
     pub error_rms: f64,

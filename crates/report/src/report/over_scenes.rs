@@ -7,7 +7,7 @@ use super::tables::{Comparison, Judgement, escape};
 use crate::base::csv::{csv_number, csv_text};
 use crate::metrics::{Direction, Metric};
 use crate::report::statistics::p_text;
-use crate::report::{Record, Status, distinct};
+use crate::report::{AxisValue, Record, Status, distinct, label};
 
 /// The comparisons of one metric over scenes.
 #[derive(Clone, Debug, PartialEq)]
@@ -46,9 +46,9 @@ pub struct RowOverScenes {
     /// Standard deviations between scenes and, in them, between seeds.
     pub components: Option<Components>,
     /// Ends of the interval of the row's mean minus the best other row's, in the better direction, the baseline among them
-    /// ([`to_best`]). `None` if a scene lacks a row.
+    /// ([`to_best`]). `None` if a row lacks a point.
     pub to_best: Option<(f64, f64)>,
-    /// Points that have no number.
+    /// Pairs of scene and seed, of all that any row has, in which the row or the baseline has no number.
     pub lacking: usize,
 }
 
@@ -66,14 +66,17 @@ const HOW_TO_READ: [&str; 6] = [
 ];
 
 impl OverScenes {
-    /// Compares each of `rows` with `baseline` on all scenes of the records.
-    pub fn new(baseline: &str, metric: &str, margin: Option<f64>, rows: &[String], records: &[Record]) -> OverScenes {
+    /// Compares each other row with `baseline` on all scenes of the records.
+    pub fn new(baseline: &str, metric: &str, margin: Option<f64>, records: &[Record]) -> OverScenes {
         let scenes = distinct(records.iter().map(|record| record.scene.clone()));
+        let others = records.iter().filter(|record| record.row != baseline);
+        let places = distinct(others.map(|record| (record.row.as_str(), record.axes.as_slice())));
+        let row = |place: (&str, &[AxisValue])| RowOverScenes::new(place, (baseline, metric), margin, &scenes, records);
         let mut over = OverScenes {
             baseline: baseline.into(),
             metric: metric.into(),
             margin,
-            rows: rows.iter().map(|row| RowOverScenes::new(row, baseline, metric, margin, &scenes, records)).collect(),
+            rows: places.into_iter().map(row).collect(),
             scenes,
             baseline_to_best: None,
         };
@@ -83,16 +86,20 @@ impl OverScenes {
     }
 
     fn correct(&mut self) {
+        // Rows with the same numbers are one training under several names, and one test.
+        let first = |i: usize| self.rows[..i].iter().position(|row| row.seeds == self.rows[i].seeds).unwrap_or(i);
+        let firsts: Vec<usize> = (0..self.rows.len()).map(first).collect();
         let all = |p: fn(&Comparison) -> Option<f64>| -> Vec<Option<f64>> {
-            self.rows.iter().map(|row| row.comparison.as_ref().and_then(p)).collect()
+            let of = |(i, row): (usize, &RowOverScenes)| row.comparison.as_ref().filter(|_| firsts[i] == i).and_then(p);
+            self.rows.iter().enumerate().map(of).collect()
         };
         let p = all(|comparison| comparison.p);
         let tests = p.iter().flatten().count();
         let (p, equivalence) = (holm(&p), holm(&all(|c| c.equivalence.and_then(|equivalence| equivalence.p))));
-        for ((row, p), of_equivalence) in self.rows.iter_mut().zip(p).zip(equivalence) {
+        for (row, &first) in self.rows.iter_mut().zip(&firsts) {
             let Some(comparison) = &mut row.comparison else { continue };
-            comparison.p_holm = p;
-            comparison.equivalence.iter_mut().for_each(|equivalence| equivalence.p_holm = of_equivalence);
+            comparison.p_holm = p[first];
+            comparison.equivalence.iter_mut().for_each(|of| of.p_holm = equivalence[first]);
             row.simultaneous = comparison.interval.map(|ends| simultaneous(ends, comparison.pairs, tests));
         }
     }
@@ -103,6 +110,10 @@ impl OverScenes {
             Some(Direction::Down) => -1.0,
             Some(Direction::Neither) | None => return,
         };
+        // Rows that lack points would be ranked by other scenes or seeds than the rest.
+        if self.rows.iter().any(|row| row.lacking > 0) {
+            return;
+        }
         let means = |row: &RowOverScenes| row.seeds.iter().map(|seeds| Some(sign * mean(seeds)?)).collect();
         let Some(mut rows) = self.rows.iter().map(means).collect::<Option<Vec<Vec<f64>>>>() else { return };
         rows.push(vec![0.0; self.scenes.len()]);
@@ -281,7 +292,9 @@ impl OverScenes {
             words.extend((self.is_ruled_out(row) == Some(true)).then(|| format!("a gain of {margin} is ruled out")));
             words.extend(equivalent.then(|| format!("equivalent within {margin}")));
         }
-        words.extend((row.lacking > 0).then(|| format!("UNFINISHED: {} points without a number", row.lacking)));
+        words.extend(
+            (row.lacking > 0).then(|| format!("UNFINISHED: {} pairs of scene and seed lack a number", row.lacking)),
+        );
         words.join(", ")
     }
 
@@ -316,24 +329,26 @@ impl OverScenes {
 
 impl RowOverScenes {
     fn new(
-        row: &str,
-        baseline: &str,
-        metric: &str,
+        place: (&str, &[AxisValue]),
+        (baseline, metric): (&str, &str),
         margin: Option<f64>,
         scenes: &[String],
         records: &[Record],
     ) -> RowOverScenes {
-        let of = |scene: &str, row: &str| -> Vec<(u64, f64)> {
-            let own = records.iter().filter(|record| record.scene == scene && record.label() == row);
+        let is_at = |record: &Record, (row, axes): (&str, &[AxisValue])| record.row == row && record.axes == axes;
+        // The baseline at the same axis values, or the one without.
+        let at_same = (baseline, place.1);
+        let baseline = if records.iter().any(|record| is_at(record, at_same)) { at_same } else { (baseline, &[][..]) };
+        let of = |scene: &str, place: (&str, &[AxisValue])| -> Vec<(u64, f64)> {
+            let own = records.iter().filter(|record| record.scene == scene && is_at(record, place));
             own.filter_map(|record| Some((record.seed?, value(record, metric)?))).collect()
         };
         let seeds: Vec<Vec<f64>> =
-            scenes.iter().map(|scene| paired_differences(&of(scene, row), &of(scene, baseline))).collect();
+            scenes.iter().map(|scene| paired_differences(&of(scene, place), &of(scene, baseline))).collect();
         let means: Vec<f64> = seeds.iter().filter_map(|seeds| mean(seeds)).collect();
-        let lacks =
-            |record: &&Record| [row, baseline].contains(&record.label().as_str()) && value(record, metric).is_none();
+        let expected = distinct(records.iter().filter_map(|record| Some((&record.scene, record.seed?)))).len();
         RowOverScenes {
-            row: row.into(),
+            row: label(place.0, place.1),
             comparison: Comparison::new(&means, margin),
             simultaneous: None,
             signs: sign_test(&means),
@@ -341,7 +356,7 @@ impl RowOverScenes {
             prediction: prediction(&means),
             components: components(&seeds),
             to_best: None,
-            lacking: records.iter().filter(lacks).count(),
+            lacking: expected - seeds.iter().map(Vec::len).sum::<usize>(),
             seeds,
         }
     }
@@ -385,7 +400,7 @@ mod tests {
     }
 
     fn over(records: &[Record]) -> OverScenes {
-        OverScenes::new("NeRF", "psnr", Some(0.3), &["TV".into(), "attack".into()], records)
+        OverScenes::new("NeRF", "psnr", Some(0.3), records)
     }
 
     #[test]
@@ -397,11 +412,49 @@ mod tests {
         assert_eq!(comparison.pairs, 4);
         assert!((comparison.difference - 1.16).abs() < 1e-12, "{comparison:?}");
         // A third seed of one scene, equal to the mean of its others, changes no mean.
-        let mean = |row: &str, from: f64| record("b", row, 7, Some(23.0 + from));
-        let more = [all, vec![mean("NeRF", 0.0), mean("TV", 1.11), mean("attack", -0.61)]].concat();
+        let third = |row: &str, from: f64| record("b", row, 7, Some(23.0 + from));
+        let more = [all, vec![third("NeRF", 0.0), third("TV", 1.11), third("attack", -0.61)]].concat();
         let again = over(&more).rows[0].comparison.unwrap();
         assert!((again.difference - comparison.difference).abs() < 1e-12);
         assert_eq!(again.pairs, 4);
+        // The same training under another name is no further test.
+        let twin = records().into_iter().filter(|record| record.row == "TV");
+        let twin = twin.map(|record| Record { row: "TV again".into(), ..record });
+        let with_twin = over(&records().into_iter().chain(twin).collect::<Vec<Record>>());
+        let p = |row: &RowOverScenes| row.comparison.unwrap().p_holm;
+        assert_eq!((p(&with_twin.rows[0]), p(&with_twin.rows[2])), (p(tv), p(tv)));
+    }
+
+    #[test]
+    fn where_less_is_better_the_best_has_the_least() {
+        let as_lpips = |record: Record| Record {
+            metrics: vec![("lpips_squeeze".into(), record.metric("psnr").map(|psnr| psnr / 100.0))],
+            ..record
+        };
+        let records: Vec<Record> = records().into_iter().map(as_lpips).collect();
+        let found = OverScenes::new("NeRF", "lpips_squeeze", Some(0.003), &records);
+        let [tv, attack] = &found.rows[..] else { panic!("two rows") };
+        // The attack has the least.
+        assert_eq!((attack.to_best.unwrap().0, tv.to_best.unwrap().1), (0.0, 0.0));
+        assert_eq!((found.matters(attack), found.is_ruled_out(tv)), (Some(true), Some(true)));
+    }
+
+    #[test]
+    fn a_baseline_with_axes_is_that_of_the_same_values() {
+        let axes = |value: &str| vec![AxisValue { axis: "steps".into(), panel: String::new(), value: value.into() }];
+        let of = |value: &str, more: f64| -> Vec<Record> {
+            let raised = |mut record: Record| {
+                let psnr = record.metric("psnr").map(|psnr| psnr + if record.row == "NeRF" { more } else { 0.0 });
+                record.metrics = vec![("psnr".into(), psnr)];
+                Record { axes: axes(value), ..record }
+            };
+            records().into_iter().map(raised).collect()
+        };
+        let found = over(&[of("10", 0.0), of("20", 0.5)].concat());
+        let labels: Vec<&str> = found.rows.iter().map(|row| row.row.as_str()).collect();
+        assert_eq!(labels, ["TV, steps = 10", "attack, steps = 10", "TV, steps = 20", "attack, steps = 20"]);
+        let of = |row: usize| found.rows[row].comparison.unwrap().difference;
+        assert!((of(0) - of(2) - 0.5).abs() < 1e-12, "{} {}", of(0), of(2));
     }
 
     #[test]
@@ -434,7 +487,10 @@ mod tests {
         assert_eq!((found.rows[0].lacking, found.rows[0].comparison.unwrap().pairs), (2, 3));
         assert_eq!((found.rows[0].to_best, found.baseline_to_best), (None, None));
         let text = found.markdown();
-        assert!(text.contains("UNFINISHED: 2 points without a number") && text.contains("| d |  | -0.81 |"), "{text}");
+        assert!(
+            text.contains("UNFINISHED: 2 pairs of scene and seed lack a number") && text.contains("| d |  | -0.81 |"),
+            "{text}"
+        );
         let csv = found.scenes_csv();
         assert!(csv.contains("d,TV,NeRF,psnr,0,,"), "{csv}");
     }
