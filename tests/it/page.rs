@@ -75,17 +75,16 @@ pub fn page_of_axes() -> String {
         ..TableSpec::default()
     };
     let table = Table::new(&spec, &records, false).unwrap();
-    let (files, link): (Vec<(String, Vec<u8>)>, fn(&str) -> Option<String>) = (vec![], |_| None);
     let page = Page {
         table: &table,
         records: &records,
-        files: &files,
+        files: &[],
         views: vec![],
         films: vec![],
         meshes: vec![],
         attacks: vec![],
         timing: &[],
-        link: &link,
+        link: &|_| None,
     };
     page.html().unwrap()
 }

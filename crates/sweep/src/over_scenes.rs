@@ -78,7 +78,8 @@ impl ScenesRequest {
 
     /// The rows of one sweep, which are comparable.
     fn view(&self, source: &Source) -> Result<View> {
-        let rows = if self.rows.is_empty() { vec![] } else { [&[self.baseline.clone()], &self.rows[..]].concat() };
+        let rows =
+            if self.rows.is_empty() { vec![] } else { [std::slice::from_ref(&self.baseline), &self.rows].concat() };
         let selection = Selection { baseline: Some(self.baseline.clone()), rows, metrics: vec![self.metric.clone()] };
         let source = Source { folder: None, ..source.clone() };
         let view = View::new(&source.name, std::slice::from_ref(&source), selection);

@@ -46,7 +46,7 @@ pub struct RowOverScenes {
     /// Standard deviations between scenes and, in them, between seeds.
     pub components: Option<Components>,
     /// Ends of the interval of the row's mean minus the best other row's, in the better direction, the baseline among them
-    /// ([`to_best`]). `None` if a row lacks a point.
+    /// (Hsu's). `None` if a row lacks a point.
     pub to_best: Option<(f64, f64)>,
     /// Pairs of scene and seed, of all that any row has, in which the row or the baseline has no number.
     pub lacking: usize,
