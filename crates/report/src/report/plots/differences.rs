@@ -1,7 +1,10 @@
 //! Differences with their intervals on a horizontal scale, one line each.
 
+use super::{Figure, metric_label};
+use crate::base::Result;
 use crate::draw::canvas::{
-    Anchor, BLACK, BLUE, Canvas, Colour, GREY, GRID, LINE_HEIGHT, ORANGE, TEXT, tick_texts, wrapped,
+    Anchor, BLACK, BLUE, Canvas, Colour, GREY, GRID, LINE_HEIGHT, ORANGE, SIDE, TEXT, Width, range, text_width,
+    tick_texts, wrapped,
 };
 use crate::report::tables::{Comparison, Judgement, Line};
 
@@ -13,6 +16,77 @@ pub(super) const FOOT: f64 = 26.0;
 pub(super) const MARKS: &str =
     "A blue triangle upwards is better, an orange one downwards worse, by Holm's p below 0.05 over";
 pub(super) const NOT_SHOWN: &str = "Grey: no difference is shown, which proves no equality.";
+
+/// Height of the ends of a further interval.
+const WHISKER: f64 = 5.0;
+/// Room of the words at the right: of a page, and of a column, which has none.
+const WORDS: (f64, f64) = (190.0, 0.0);
+/// Most room of the names.
+const NAMES: (f64, f64) = (250.0, 150.0);
+
+/// A figure of differences alone: a name, a difference and words on each line.
+pub(super) struct Differences<'a> {
+    pub(super) title: String,
+    pub(super) metric: &'a str,
+    /// Name and words of each line.
+    pub(super) lines: Vec<(String, String)>,
+    /// All that is drawn.
+    pub(super) values: Vec<f64>,
+    /// Drawn as dashed lines, on both sides of 0.
+    pub(super) margin: Option<f64>,
+    pub(super) caption: String,
+}
+
+impl Differences<'_> {
+    /// Draws the figure; `draw` draws the marks of a line at a height.
+    pub(super) fn figure(
+        &self,
+        width: Width,
+        draw: impl Fn(&mut Canvas, &Scale, f64, usize),
+    ) -> Result<Option<Figure>> {
+        let mut drawing = Canvas::titled(width, &self.title);
+        let names: Vec<String> = self.lines.iter().map(|(name, _)| name.clone()).collect();
+        let widest = names.iter().map(|name| text_width(name, TEXT)).fold(60.0, f64::max);
+        let room = widest.min(width.pick(NAMES.0, NAMES.1));
+        let words_room = width.pick(WORDS.0, WORDS.1);
+        let left = SIDE + room + 10.0;
+        let margins = || self.margin.into_iter().flat_map(|margin| [-margin, margin]);
+        let mut scale = Scale {
+            left,
+            width: width.units() - left - words_room - SIDE - 10.0,
+            top: 0.0,
+            range: range(self.values.iter().copied().chain([0.0]).chain(margins())).unwrap_or((-1.0, 1.0)),
+        };
+        let head = scale.head(&format!("difference in {}", metric_label(self.metric)));
+        scale.top = drawing.height + head.len() as f64 * LINE_HEIGHT + 8.0;
+        let words: Vec<Vec<String>> = self.lines.iter().map(|(_, words)| wrapped(words, words_room, TEXT)).collect();
+        let mut heights = heights(&names, room);
+        if words_room > 0.0 {
+            let rooms = words.iter().map(|lines| lines.len() as f64 * LINE_HEIGHT + 6.0);
+            heights = heights.into_iter().zip(rooms).map(|(a, b)| a.max(b)).collect();
+        }
+        let (middles, bottom) = middles(&heights, scale.top);
+        scale.frame(&mut drawing, &head, bottom);
+        scale.zero(&mut drawing, bottom);
+        for end in margins() {
+            drawing.dashed(&[(scale.x(end), scale.top), (scale.x(end), bottom)], GREY, 1.0);
+        }
+        for (index, ((name, words), y)) in names.iter().zip(&words).zip(middles).enumerate() {
+            drawing.name((left - 10.0, y), room, name);
+            draw(&mut drawing, &scale, y, index);
+            if words_room > 0.0 {
+                let first = y - LINE_HEIGHT * (words.len() as f64 - 1.0) / 2.0;
+                for (index, line) in words.iter().enumerate() {
+                    let at = (scale.right() + 10.0, first + LINE_HEIGHT * index as f64);
+                    drawing.text(at, line, TEXT, Anchor::Left, GREY);
+                }
+            }
+        }
+        drawing.height = bottom + FOOT;
+        drawing.caption(&self.caption);
+        drawing.finish().map(Some)
+    }
+}
 
 /// A horizontal scale.
 pub(super) struct Scale {
@@ -53,6 +127,14 @@ impl Scale {
     /// Draws the line of no difference.
     pub(super) fn zero(&self, drawing: &mut Canvas, bottom: f64) {
         drawing.line(&[(self.x(0.0), self.top), (self.x(0.0), bottom)], GREY, 1.5);
+    }
+
+    /// Draws an interval as a thin line with ends.
+    pub(super) fn whiskers(&self, drawing: &mut Canvas, y: f64, (low, high): (f64, f64), colour: Colour) {
+        drawing.line(&[(self.x(low), y), (self.x(high), y)], colour, 0.8);
+        for end in [low, high] {
+            drawing.line(&[(self.x(end), y - WHISKER), (self.x(end), y + WHISKER)], colour, 0.8);
+        }
     }
 
     /// Draws a difference with its interval, in the colour of its judgement.
