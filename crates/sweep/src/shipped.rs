@@ -73,6 +73,7 @@ shipped![
     "few_views" "few_views_llff_6",
     "few_views" "few_views_llff_9",
     "few_views" "sam_fern",
+    "few_views" "scenes_admission",
     "few_views" "scenes_gate",
     "few_views" "worst_case_fern",
     "checks" "few_views_chair",
