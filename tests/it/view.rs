@@ -17,6 +17,8 @@ use augnerf::train::Trainer;
 use augnerf::view::{Attack, PerturbedRenderer, Server, ServerOptions, ShownRun, SkippingRenderer};
 use candle_core::DType;
 
+use crate::common::learning::Small;
+use crate::common::program::succeed;
 use crate::common::{tiny_config, tiny_scene};
 
 /// A run of the soft ball after some steps.
@@ -234,6 +236,15 @@ fn a_recorded_path_is_what_render_reads() {
             assert_eq!(ask("POST", &address, "", wrong).status, 400);
         }
     });
+}
+
+/// Who has recorded a path renders it while the page is open.
+#[test]
+fn a_shown_run_is_free_for_other_commands() {
+    let (_dir, out) = Small { method: "nerf", settings: "" }.once();
+    let run = ShownRun::open(&out, None, &Runtime::new("cpu", Some(1)).unwrap(), &()).unwrap();
+    succeed(&["eval", "--quiet", out.to_str().unwrap()]);
+    assert_eq!(run.weights().unwrap().step, 40);
 }
 
 #[test]

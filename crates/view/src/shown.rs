@@ -10,7 +10,7 @@ use crate::data::{Camera, Scene};
 use crate::draw::depth_range;
 use crate::methods::Renderer;
 use crate::model::Model;
-use crate::run::{RunDir, Trained, Viewer};
+use crate::run::{Trained, Viewer};
 use crate::runtime::Runtime;
 use crate::settings::Resolved;
 
@@ -40,8 +40,6 @@ pub struct ShownRun {
     /// Steps of the whole training.
     pub steps: u64,
     current: RwLock<Option<Arc<Weights>>>,
-    /// Keeps the run's checkpoints while it is shown.
-    _folder: Option<RunDir>,
 }
 
 /// A run's weights at one step, with what renders them.
@@ -61,15 +59,16 @@ pub struct Weights {
 }
 
 impl ShownRun {
-    /// Opens the newest checkpoint of a run folder. Its scene is at its old path, or in `data`.
+    /// Opens the newest checkpoint of a run folder. Its scene is at its old path, or in `data`. All of it is in memory
+    /// afterwards, so that other commands may use the run while it is shown.
     ///
     /// # Errors
     /// Those of [`Trained::open`]; weights are not numbers.
     pub fn open(folder: &Path, data: Option<&Path>, runtime: &Runtime, events: &dyn Listener) -> Result<ShownRun> {
-        let Trained { run, config, scene, state, model, runtime, .. } = Trained::open(folder, data, runtime, events)?;
+        let Trained { config, scene, state, model, runtime, .. } = Trained::open(folder, data, runtime, events)?;
         let label =
             folder.file_name().map_or_else(|| folder.display().to_string(), |name| name.to_string_lossy().into_owned());
-        let shown = ShownRun { _folder: Some(run), ..ShownRun::of_training(label, config, scene, runtime) };
+        let shown = ShownRun::of_training(label, config, scene, runtime);
         shown.show(state.step, model, true)?;
         Ok(shown)
     }
@@ -77,7 +76,7 @@ impl ShownRun {
     /// Creates a run whose weights come later, from a training in this process.
     pub fn of_training(label: String, config: Resolved, scene: Scene, runtime: Runtime) -> ShownRun {
         let steps = config.train.steps;
-        ShownRun { label, config, scene, runtime, steps, current: RwLock::new(None), _folder: None }
+        ShownRun { label, config, scene, runtime, steps, current: RwLock::new(None) }
     }
 
     /// Returns the newest weights, if there are some.
