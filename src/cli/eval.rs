@@ -61,7 +61,7 @@ impl EvalArguments {
             SplitName::Val => Split::Val,
             SplitName::Train => Split::Train,
         });
-        let options = OpenOptions { step: self.step, split };
+        let options = OpenOptions { step: self.step, split, ..OpenOptions::default() };
         let trained = Trained::open_at(&self.run, options, self.sources.data.as_deref(), runtime, console)?;
         let (step, steps) = (trained.state.step, trained.config.train.steps);
         let folder = self.folder(&trained.run, step)?;

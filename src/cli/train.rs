@@ -8,6 +8,7 @@ use clap::Args;
 use tempfile::NamedTempFile;
 
 use crate::base::{Error, Result};
+use crate::data::seen_views;
 use crate::metrics::{Backbone, FLOOR_PSNR, LPIPS, PSNR, SSIM};
 use crate::run::{
     Estimate, Existing, Finished, Job, RunDir, Setup, check_replaceable, load_lpips, load_scene, load_scene_of,
@@ -264,23 +265,31 @@ fn train(mut job: Job, measured: Views, folder: &Path, console: &Console, live: 
     answer.give_silently(&Measured::new((folder, &metrics), report, finished.steps, Some(*seconds)))
 }
 
-/// The held-out views that a run measures at its end.
+/// The views that a run measures at its end.
 struct Views {
-    count: usize,
-    /// The setting that leaves some of them out, if the scene's own splits name them all.
+    held_out: usize,
+    /// Training views.
+    seen: usize,
+    /// The setting that leaves some of them out, if there are many.
     fewer: Option<String>,
 }
 
 impl Views {
     fn of(Setup { config, scene, .. }: &Setup) -> Views {
-        let (count, skip) = (scene.test.len(), config.data.test_skip);
-        let fewer = (config.data.has_splits() && count > FEW_VIEWS).then(|| format!("data.test_skip={}", 8 * skip));
-        Views { count, fewer }
+        let (held_out, seen) = (scene.test.len(), seen_views(scene, config).len());
+        let fewer = match config.data.has_splits() && held_out > FEW_HELD_OUT {
+            // The training views are then fewer, too, unless their number is set.
+            true => Some(format!("data.test_skip={}", 8 * config.data.test_skip)),
+            false => (seen > FEW_SEEN).then(|| format!("eval.train_views={FEW_SEEN}")),
+        };
+        Views { held_out, seen, fewer }
     }
 }
 
 /// Held-out views that nobody wants fewer of.
-const FEW_VIEWS: usize = 16;
+const FEW_HELD_OUT: usize = 16;
+/// Training views that tell the gap.
+const FEW_SEEN: usize = 3;
 
 /// Says how long a run takes, and what of that is measuring if it is the most.
 fn how_long(Estimate { training, measuring }: Estimate, views: &Views) -> String {
@@ -288,9 +297,10 @@ fn how_long(Estimate { training, measuring }: Estimate, views: &Views) -> String
     if measuring <= training.max(30.0) {
         return all;
     }
-    let (count, training, measuring) = (views.count, duration(training), duration(measuring));
+    let (training, measuring) = (duration(training), duration(measuring));
+    let seen = if views.seen > 0 { format!(" and {} training", views.seen) } else { String::new() };
     let fewer = views.fewer.as_ref().map_or(String::new(), |set| format!("; --set {set} measures fewer"));
-    format!("{all}: {training} of training and {measuring} of measuring {count} views{fewer}")
+    format!("{all}: {training} of training and {measuring} of measuring {} held-out{seen} views{fewer}", views.held_out)
 }
 
 fn summarize(Finished { report, model, seconds, heavy_terms, .. }: &Finished, folder: &Path, console: &Console) {
@@ -349,15 +359,17 @@ mod tests {
 
     #[test]
     fn measuring_is_told_apart_where_it_takes_longest() {
-        let chair = Views { count: 200, fewer: Some("data.test_skip=8".into()) };
+        let chair = Views { held_out: 200, seen: 100, fewer: Some("data.test_skip=8".into()) };
         let long = how_long(Estimate { training: 13.0, measuring: 400.0 }, &chair);
         assert_eq!(
             long,
-            "about 7 min here: 13 s of training and 7 min of measuring 200 views; --set data.test_skip=8 measures fewer"
+            "about 7 min here: 13 s of training and 7 min of measuring 200 held-out and 100 training views; \
+             --set data.test_skip=8 measures fewer"
         );
         assert_eq!(how_long(Estimate { training: 60.0, measuring: 20.0 }, &chair), "about 80 s here");
-        let own = how_long(Estimate { training: 13.0, measuring: 100.0 }, &Views { count: 20, fewer: None });
-        assert!(own.ends_with("of measuring 20 views"), "{own}");
+        let own =
+            how_long(Estimate { training: 13.0, measuring: 100.0 }, &Views { held_out: 20, seen: 0, fewer: None });
+        assert!(own.ends_with("of measuring 20 held-out views"), "{own}");
     }
 
     #[test]

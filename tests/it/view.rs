@@ -10,7 +10,7 @@ use augnerf::base::Image;
 use augnerf::data::cameras;
 use augnerf::methods::FieldRenderer;
 use augnerf::render::ray_parts;
-use augnerf::run::Viewer;
+use augnerf::run::{RunDir, Viewer};
 use augnerf::runtime::Runtime;
 use augnerf::settings::{Encoding, Method};
 use augnerf::train::Trainer;
@@ -238,11 +238,13 @@ fn a_recorded_path_is_what_render_reads() {
     });
 }
 
-/// Who has recorded a path renders it while the page is open.
+/// A run is shown while it trains, and who has recorded a path renders it while the page is open.
 #[test]
 fn a_shown_run_is_free_for_other_commands() {
     let (_dir, out) = Small { method: "nerf", settings: "" }.once();
+    let training = RunDir::take(&out).unwrap();
     let run = ShownRun::open(&out, None, &Runtime::new("cpu", Some(1)).unwrap(), &()).unwrap();
+    drop(training);
     succeed(&["eval", "--quiet", out.to_str().unwrap()]);
     assert_eq!(run.weights().unwrap().step, 40);
 }

@@ -200,6 +200,11 @@ fn the_worst_case_stands_beside_the_clean_pass_and_a_ray_is_drawn() {
         assert_ne!(both, clean);
         let right = browser.value("document.getElementById('right-label').textContent");
         assert!(right.as_str().unwrap().starts_with("worst case of "), "{right}");
+        // Chosen with no site, it takes all.
+        browser.value("document.querySelectorAll('#sites input:checked').forEach((box) => box.click())");
+        browser.choose("beside", "");
+        browser.choose("beside", "attack");
+        assert_eq!(browser.value("document.querySelectorAll('#sites input:not(:checked)').length"), 0);
         // Beside the slider.
         let (x, y) = browser.middle("picture");
         browser.drag((x - 60, y), (x - 60, y));

@@ -424,6 +424,10 @@ function listen() {
     border = Math.min(1, Math.max(0, border + step));
     draw();
   });
+  $("beside").addEventListener("change", () => {
+    // Of no site there would be nothing to see.
+    if ($("beside").value === "attack" && !sitesOn().length) document.querySelectorAll("#sites input").forEach((box) => { box.checked = true; });
+  });
   for (const id of ["beside", "photograph", "scale"]) $(id).addEventListener("change", () => { rows(); changed(true); showRay(); });
   for (const id of ["as", "gain"]) $(id).addEventListener("change", () => { rows(); draw(); });
   $("scale").addEventListener("input", () => { $("scale-out").value = $("scale").value; });

@@ -10,7 +10,7 @@ use crate::data::{Camera, Scene};
 use crate::draw::depth_range;
 use crate::methods::Renderer;
 use crate::model::Model;
-use crate::run::{Trained, Viewer};
+use crate::run::{OpenOptions, Trained, Viewer};
 use crate::runtime::Runtime;
 use crate::settings::Resolved;
 
@@ -59,13 +59,15 @@ pub struct Weights {
 }
 
 impl ShownRun {
-    /// Opens the newest checkpoint of a run folder. Its scene is at its old path, or in `data`. All of it is in memory
-    /// afterwards, so that other commands may use the run while it is shown.
+    /// Opens the newest checkpoint of a run folder. Its scene is at its old path, or in `data`. Other commands may use the run
+    /// meanwhile, a training too: all that is shown is in memory.
     ///
     /// # Errors
-    /// Those of [`Trained::open`]; weights are not numbers.
+    /// Those of [`Trained::open_at`]; weights are not numbers.
     pub fn open(folder: &Path, data: Option<&Path>, runtime: &Runtime, events: &dyn Listener) -> Result<ShownRun> {
-        let Trained { config, scene, state, model, runtime, .. } = Trained::open(folder, data, runtime, events)?;
+        let options = OpenOptions { beside_training: true, ..OpenOptions::default() };
+        let Trained { config, scene, state, model, runtime, .. } =
+            Trained::open_at(folder, options, data, runtime, events)?;
         let label =
             folder.file_name().map_or_else(|| folder.display().to_string(), |name| name.to_string_lossy().into_owned());
         let shown = ShownRun::of_training(label, config, scene, runtime);

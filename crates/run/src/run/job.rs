@@ -10,7 +10,7 @@ use candle_core::DType;
 
 use crate::base::files::write_atomic;
 use crate::base::{Error, Event, Image, Listener, Result};
-use crate::data::Scene;
+use crate::data::{Scene, seen_views};
 use crate::field::forget_buffers;
 use crate::methods::{LogColumns, Term};
 use crate::metrics::{Lpips, MeanMetrics, Metric, PSNR, PSNR_FLOAT};
@@ -272,7 +272,9 @@ impl<'a> Job<'a> {
             Err(Error::Interrupted { .. }) => return Ok(None),
             per_step => left as f64 * per_step?,
         };
-        let cameras: Vec<_> = self.experiment.setup.scene.test.iter().map(|view| &view.camera).collect();
+        let Setup { config, scene, .. } = &self.experiment.setup;
+        let seen = seen_views(scene, config).into_iter().map(|place| &scene.train[place]);
+        let cameras: Vec<_> = scene.test.iter().chain(seen).map(|view| &view.camera).collect();
         let evaluation = self.experiment.viewer(&self.trainer)?.estimate_seconds(&cameras)?;
         Ok(Some(Estimate { training: steps, measuring: evaluation.unwrap_or(0.0) }))
     }

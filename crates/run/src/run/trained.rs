@@ -11,7 +11,7 @@ use crate::methods::SiteSummary;
 use crate::metrics::{Lpips, OneColour};
 use crate::model::Model;
 use crate::runtime::Runtime;
-use crate::settings::{EvalSplit, Resolved};
+use crate::settings::{Config, EvalSplit, Resolved};
 use crate::train::checkpoint::{self, State};
 
 use super::{DepthErrors, Protocol, RenderedView, Report, RunDir, Viewer, load_scene_of, surface_reference};
@@ -35,12 +35,15 @@ pub struct OpenOptions {
     pub step: Option<u64>,
     /// The views.
     pub split: Option<Split>,
+    /// Opens the run without its lock, so that a training may go on. A checkpoint that is replaced meanwhile gives way to its
+    /// successor.
+    pub beside_training: bool,
 }
 
 /// The newest checkpoint of a run, with its scene, ready to render and measure.
 ///
-/// The run's folder is locked while this value lives, so that no training deletes the checkpoint. A folder that this
-/// process cannot write is opened as well.
+/// The run's folder is locked while this value lives, so that no training deletes the checkpoint, but for
+/// [`OpenOptions::beside_training`]. A folder that this process cannot write is opened as well.
 ///
 /// ```
 /// # mod augnerf { pub use augnerf_core::*; pub use augnerf_run::*; pub use candle_core; }
@@ -81,6 +84,14 @@ pub struct Trained {
     split: Option<Split>,
 }
 
+/// Loads a checkpoint's counters and model.
+fn load(checkpoint: &Path, config: &Config, runtime: &Runtime) -> Result<(State, Model)> {
+    let state = checkpoint::load_state(checkpoint)?;
+    let model = checkpoint::load_model(checkpoint, config, DType::F32, runtime.device())?;
+    checkpoint::check_config(checkpoint, &state, config)?;
+    Ok((state, model))
+}
+
 impl Trained {
     /// Opens the run folder `run`. Its scene is at its old path, or in `data` if it has moved.
     ///
@@ -103,18 +114,21 @@ impl Trained {
         runtime: &Runtime,
         events: &dyn Listener,
     ) -> Result<Trained> {
-        let run = RunDir::take_to_read(run)?;
+        let run = if options.beside_training { RunDir::open(run)? } else { RunDir::take_to_read(run)? };
         let mut config = run.read_config()?;
         if let Some(dir) = data {
             config.data.dir = dir.to_string_lossy().into_owned();
         }
-        let chosen = match options.step {
-            Some(step) => checkpoint::of_step(&run.checkpoints(), step)?,
-            None => checkpoint::latest(&run.checkpoints())?,
+        let (mut state, model) = loop {
+            let chosen = match options.step {
+                Some(step) => checkpoint::of_step(&run.checkpoints(), step)?,
+                None => checkpoint::latest(&run.checkpoints())?,
+            };
+            match load(&chosen, &config, runtime) {
+                Err(_) if options.beside_training && !chosen.exists() => {}
+                loaded => break loaded?,
+            }
         };
-        let mut state = checkpoint::load_state(&chosen)?;
-        let model = checkpoint::load_model(&chosen, &config, DType::F32, runtime.device())?;
-        checkpoint::check_config(&chosen, &state, &config)?;
         state.touch(runtime);
         match options.split {
             None => {}
