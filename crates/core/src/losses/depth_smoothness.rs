@@ -34,23 +34,27 @@ impl RayTerm for DepthSmoothness {
     }
 
     fn per_group(&self, pass: &RayPass) -> Result<Tensor> {
-        let (near, far) = pass.bounds;
-        let by_patch = |rays: &Tensor| rays.to_dtype(DType::F64)?.reshape(((), PATCH_SIDE, PATCH_SIDE));
-        let composite = &pass.output.composite;
-        let acc = by_patch(&composite.acc)?;
-        let depth = (by_patch(&composite.depth)? / acc.maximum(LEAST_ACC)?)?.clamp(near, far)?;
-        let part = |of: &Tensor, i: usize, j: usize| of.narrow(1, i, PATCH_SIDE - 1)?.narrow(2, j, PATCH_SIDE - 1);
-        let here = part(&depth, 0, 0)?;
-        let right = (&here - part(&depth, 0, 1)?)?.sqr()?;
-        let below = (&here - part(&depth, 1, 0)?)?.sqr()?;
-        let squares = ((right + below)? * part(&acc.detach(), 0, 0)?)?;
-        Ok(squares.flatten_from(1)?.mean(1)?)
+        weighted(pass, &pass.output.composite.acc.detach())
     }
+}
+
+/// The term with this factor for each pixel, one number a ray.
+fn weighted(pass: &RayPass, factor: &Tensor) -> Result<Tensor> {
+    let (near, far) = pass.bounds;
+    let by_patch = |rays: &Tensor| rays.to_dtype(DType::F64)?.reshape(((), PATCH_SIDE, PATCH_SIDE));
+    let composite = &pass.output.composite;
+    let depth = (by_patch(&composite.depth)? / by_patch(&composite.acc)?.maximum(LEAST_ACC)?)?.clamp(near, far)?;
+    let part = |of: &Tensor, i: usize, j: usize| of.narrow(1, i, PATCH_SIDE - 1)?.narrow(2, j, PATCH_SIDE - 1);
+    let here = part(&depth, 0, 0)?;
+    let right = (&here - part(&depth, 0, 1)?)?.sqr()?;
+    let below = (&here - part(&depth, 1, 0)?)?.sqr()?;
+    let squares = ((right + below)? * part(&by_patch(factor)?, 0, 0)?)?;
+    Ok(squares.flatten_from(1)?.mean(1)?)
 }
 
 #[cfg(test)]
 mod tests {
-    use super::super::tests::{assert_slopes_by_differences, patch};
+    use super::super::tests::patch;
     use super::*;
 
     /// One opaque sample a ray, where a plane is.
@@ -81,11 +85,47 @@ mod tests {
         assert!(patch(&[0.0; 2 * 64], 2, 2.0).value(&DepthSmoothness).abs() < 1e-12);
     }
 
-    /// The factor's gradient is left out, so differences find the slopes where it is 1 whatever moves: points, whose last
-    /// interval has no end.
+    /// The term with a factor that does not move.
+    struct AtFactor(Tensor);
+
+    impl RayTerm for AtFactor {
+        fn name(&self) -> &str {
+            "depth-smoothness-at-factor"
+        }
+
+        fn group(&self) -> RayGroup {
+            RayGroup::Patch
+        }
+
+        fn is_of_evaluated_pass(&self) -> bool {
+            true
+        }
+
+        fn per_group(&self, pass: &RayPass) -> Result<Tensor> {
+            weighted(pass, &self.0)
+        }
+    }
+
+    /// The factor's gradient is left out: slopes are those of differences at the factor where they are taken, on rays that let
+    /// light through.
     #[test]
     fn slopes_are_those_of_differences() {
-        let density: Vec<f64> = (0..64 * 3).map(|i| 0.3 + 0.17 * ((i * 37 % 11) as f64)).collect();
-        assert_slopes_by_differences(&DepthSmoothness, &patch(&density, 3, 2.0));
+        let density: Vec<f64> = (0..64 * 3).map(|i| 0.1 + 0.07 * ((i * 37 % 11) as f64)).collect();
+        let ray = |density: &[f64]| patch(density, 3, 2.0).edged();
+        let opacity = |sigma: &[f64]| 1.0 - (-sigma.iter().sum::<f64>() * 2.0 / 3.0).exp();
+        let acc: Vec<f64> = density.chunks(3).map(opacity).collect();
+        assert!(acc.iter().all(|acc| (0.1..0.9).contains(acc)));
+        let fixed = AtFactor(Tensor::new(acc, &candle_core::Device::Cpu).unwrap());
+        let (value, slopes) = ray(&density).differentiated(&DepthSmoothness);
+        assert!((value - ray(&density).value(&fixed)).abs() < 1e-12);
+        for (i, found) in slopes.iter().enumerate() {
+            let moved = |by: f64| {
+                let mut density = density.clone();
+                density[i] += by;
+                ray(&density).value(&fixed)
+            };
+            let slope = (moved(1e-6) - moved(-1e-6)) / 2e-6;
+            assert!((found - slope).abs() < 1e-7, "{i}: {found} for {slope}");
+        }
     }
 }

@@ -60,6 +60,9 @@ mod tests {
         let (a, b) = ([half, quarter, quarter], [quarter, half, quarter]);
         assert!((of(a, b) - 0.25 * 2f64.ln()).abs() < 1e-8, "{}", of(a, b));
         assert!(of(a, a).abs() < 1e-8);
+        // The twin's shares weigh: 1/3 (ln 2/3 + 2 ln 4/3). The other way round it would be 1/2 ln 9/8.
+        let even = [quarter; 3];
+        assert!((of(a, even) - (32f64 / 27.0).ln() / 3.0).abs() < 1e-8, "{}", of(a, even));
         // Shares, not opacities: half as opaque everywhere is the same.
         let faint = [0.25, 0.125, 0.125].map(of_opacity);
         assert!(of(a, faint).abs() < 1e-8);

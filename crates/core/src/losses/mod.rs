@@ -355,7 +355,7 @@ mod tests {
         }
 
         /// Returns a term's value, and its derivatives in density, and in density's gradients if it reads them.
-        fn differentiated(&self, term: &dyn RayTerm) -> (f64, Vec<f64>) {
+        pub(super) fn differentiated(&self, term: &dyn RayTerm) -> (f64, Vec<f64>) {
             let (rays, n) = (self.rays, self.density.len() / self.rays);
             let density = Tensor::from_slice(&self.density, (rays, n), &Device::Cpu).unwrap();
             let density = Var::from_tensor(&density).unwrap();

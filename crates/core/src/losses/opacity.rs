@@ -42,8 +42,8 @@ impl SpaceTerm for OpacitySparsity {
 ///     log(0.1 + acc) + log(1.1 - acc) - log(0.1) - log(1.1)
 /// ```
 ///
-/// It is 0 at 0 and 1, and largest between them, where it has no slope. Where all rays end in a surface, as in NDC, it
-/// does nothing.
+/// It is 0 at 0 and 1, and largest between them, where it has no slope. Where every ray accumulates to 1 it does nothing, as on
+/// networks in NDC, whose last interval has no end.
 pub struct OpacityPrior;
 
 impl RayTerm for OpacityPrior {
