@@ -76,6 +76,7 @@ shipped![
     "few_views" "sam_fern",
     "few_views" "scenes_admission",
     "few_views" "scenes_gate",
+    "few_views" "scenes_network_gate",
     "few_views" "scenes_tuning",
     "few_views" "worst_case_fern",
     "checks" "few_views_chair",
