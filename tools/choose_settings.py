@@ -1,10 +1,11 @@
 #!/usr/bin/env python3
 """Chooses each row's setting by its mean over scenes, from the points of a sweep whose rows have an axis.
 
-    tools/choose_settings.py results/few_views/scenes_tuning/points.csv
+    tools/choose_settings.py results/few_views/scenes_tuning/points.csv results/few_views/scenes_tuning_nerf/points.csv
 
-Prints a Markdown table: each setting's mean difference to NeRF over the scenes, by the first number of its value, the best in bold. A
-setting that lacks a scene has no mean. Ends with 1 if a row's best setting stands at an end of its grid.
+Prints a Markdown table: each setting's mean difference to NeRF over the scenes, by the first number of its value, the best in bold (the
+first of equal ones). A scene's NeRF is the mean of all its seeds in the files. A setting that lacks a scene has no mean. Ends with 1 if a row's best
+setting stands at an end of its grid.
 """
 import csv
 import re
@@ -17,9 +18,8 @@ def first_number(axes):
     return float(found.group()) if found else 0.0
 
 
-def main(path, metric="psnr", baseline="NeRF"):
-    with open(path, newline="") as file:
-        points = list(csv.DictReader(file))
+def main(paths, metric="psnr", baseline="NeRF"):
+    points = [point for path in paths for point in csv.DictReader(open(path, newline=""))]
     scenes = {point["scene"] for point in points}
     values, order = defaultdict(dict), []
     for point in points:
@@ -30,7 +30,7 @@ def main(path, metric="psnr", baseline="NeRF"):
             values[setting].setdefault(point["scene"], []).append(float(point[metric]))
     mean = lambda numbers: sum(numbers) / len(numbers)
     base = {scene: mean(found) for scene, found in values[(baseline, "")].items()}
-    ends = []
+    ends, below = [], []
     print(f"| row | {metric} minus {baseline}, mean of {len(scenes)} scenes |\n|---|---|")
     for row in dict.fromkeys(row for row, _ in order):
         if row == baseline:
@@ -41,14 +41,18 @@ def main(path, metric="psnr", baseline="NeRF"):
         best = max(gain, key=gain.get, default=None)
         if best in (grid[0], grid[-1]) and len(grid) > 1:
             ends.append(row)
+        if best is None or gain[best] <= 0:
+            below.append(row)
         cell = lambda axes: f"{axes or 'as it is'}: {gain[axes]:+.2f}" if axes in gain else f"{axes}: lacks scenes"
         print(f"| {row} | " + "; ".join(f"**{cell(axes)}**" if axes == best else cell(axes) for axes in grid) + " |")
     if ends:
         print(f"\nThe best setting is at an end of its grid: {', '.join(ends)}.")
+    if below:
+        print(f"\nThe best setting is not above {baseline}: {', '.join(below)}.")
     return int(bool(ends))
 
 
 if __name__ == "__main__":
     if len(sys.argv) < 2:
         sys.exit(__doc__)
-    sys.exit(main(*sys.argv[1:]))
+    sys.exit(main(sys.argv[1:]))

@@ -78,6 +78,7 @@ shipped![
     "few_views" "scenes_gate",
     "few_views" "scenes_network_gate",
     "few_views" "scenes_tuning",
+    "few_views" "scenes_tuning_nerf",
     "few_views" "worst_case_fern",
     "checks" "few_views_chair",
     "checks" "geometry",
