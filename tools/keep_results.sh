@@ -3,6 +3,8 @@
 # `augnerf verify --update --all` makes again. Then checks them. A page about them and a row in results/PROVENANCE.md are yours.
 #
 #   tools/keep_results.sh runs/few_views_llff_3/results few_views    # results/few_views/few_views_llff_3
+#
+# AUGNERF names a program to check with, in place of one that is built here.
 set -euo pipefail
 cd "$(dirname "$0")/.."
 from=$1 group=$2
@@ -18,4 +20,4 @@ done
   sed '/^\[pinned\]$/,$d' "$from/provenance.toml" | sed -e :a -e '/^\n*$/{$d;N;ba' -e '}'
   printf '"timing.csv" = "%s"\n' "$(sha256sum < "$from/timing.csv" | cut -d ' ' -f 1)"
 } > "$to/provenance.toml"
-cargo run --release --quiet -- verify "$to"
+${AUGNERF:-cargo run --release --quiet --} verify "$to"

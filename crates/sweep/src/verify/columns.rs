@@ -11,7 +11,7 @@ use crate::points::Point;
 use crate::provenance::Provenance;
 use crate::report::{Record, Status};
 use crate::run::Protocol;
-use crate::settings::{Config, DataKind, Extent, Located, Split};
+use crate::settings::{BuiltinScene, Config, DataKind, Extent, Located, Split};
 use crate::varied::Varied;
 
 /// A column and what stands in it.
@@ -100,7 +100,9 @@ fn decided(point: &Point, record: &Record) -> Result<Decided> {
 fn kind(config: &Config, dataset: &str) -> DataKind {
     let named = DataKind::ALL.into_iter().find(|kind| *kind != DataKind::Auto && kind.name() == dataset);
     match config.data.kind {
-        DataKind::Auto if config.data.is_builtin() => DataKind::BuiltinBlender,
+        DataKind::Auto if config.data.is_builtin() => {
+            BuiltinScene::named(&config.data.dir).map_or(DataKind::BuiltinBlender, |scene| scene.kind)
+        }
         DataKind::Auto => named.unwrap_or(DataKind::Transforms),
         kind => kind,
     }
@@ -136,5 +138,22 @@ fn inactive(archive: &Archive, findings: &mut Findings) {
     let any = archive.outputs.scalars.len() < archive.done().count();
     if any && archive.points.iter().any(|point| point.config.method.is_augmented()) {
         findings.not_checked("inactive_levels: not every point's log is kept");
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn built_in_scenes_are_of_the_kind_that_their_name_says() {
+        let of = |dir: &str| {
+            let mut config = Config::default();
+            config.data.dir = dir.into();
+            kind(&config, "blender")
+        };
+        assert_eq!(["", "builtin:3"].map(of), [DataKind::BuiltinBlender; 2]);
+        assert_eq!(["builtin-forward", "builtin-forward:102"].map(of), [DataKind::BuiltinForward; 2]);
+        assert_eq!(of("a/folder"), DataKind::Blender);
     }
 }
