@@ -575,3 +575,33 @@ fn fox_loads_with_the_photographs_that_are_there() {
     assert_eq!((scene.train.len(), scene.test.len(), scene.train[0].camera.height), (42, 8, 96));
     assert_says(&notes.0.into_inner().unwrap().concat(), &["17 of 67"]);
 }
+
+/// The box that most cameras look at is as wide as a Blender scene's, and all lengths have its unit.
+#[test]
+fn a_rescaled_capture_has_the_unit_of_a_blender_scene() {
+    let folder = Folder::new(12);
+    let (own, rescaled) = (folder.load(|_| {}), folder.load(|config| config.rescale = true));
+    let [lower, upper] = own.space.domain.unwrap();
+    let longest = (0..3).map(|axis| upper[axis] - lower[axis]).fold(0.0, f64::max);
+    let factor = 3.0 / longest;
+    assert!((factor - 1.0).abs() > 0.01);
+    let close = |a: f64, b: f64| (a - b).abs() < 1e-9;
+    let [low, high] = rescaled.space.domain.unwrap();
+    for axis in 0..3 {
+        let middle = (lower[axis] + upper[axis]) / 2.0;
+        assert!(close(low[axis], (lower[axis] - middle) * factor) && close(high[axis], -low[axis]));
+        for (own, rescaled) in all(&own).zip(all(&rescaled)) {
+            let (own, rescaled) = (own.camera.pose[axis], rescaled.camera.pose[axis]);
+            assert_eq!(own[..3], rescaled[..3]);
+            assert!(close(rescaled[3], (own[3] - middle) * factor));
+        }
+    }
+    assert!(close(rescaled.near, own.near * factor) && close(rescaled.far, own.far * factor));
+    // Cameras in the capture's own units, such as those of a path, still lead to the same place.
+    for (before, after) in all(&own).zip(all(&rescaled)) {
+        let capture = own.space.world.to_capture(before.camera.pose.map(|row| row[3]));
+        let placed = rescaled.space.world.point(capture);
+        assert!((0..3).all(|axis| close(placed[axis], after.camera.pose[axis][3])));
+    }
+    assert!(told(&rescaled, "rescaled").contains("3 wide"));
+}

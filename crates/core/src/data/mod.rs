@@ -20,6 +20,7 @@ pub mod pose;
 pub mod rays;
 mod remarks;
 pub mod resample;
+mod rescale;
 mod rig;
 mod scene_space;
 mod unseen;
@@ -181,6 +182,9 @@ pub fn load(config: &DataConfig, seed: u64, events: &dyn Listener) -> Result<Sce
     let load_notes = LoadNotes::new(events);
     let mut scene = (format.read)(config, &load_notes)?;
     load_notes.words(&config.dir).into_iter().for_each(|words| scene.space.note("noted", words));
+    if config.rescale {
+        rescale::rescale(&mut scene, may_have_box(config))?;
+    }
     scene.near = config.near.unwrap_or(scene.near);
     scene.far = config.far.unwrap_or(scene.far);
     check(&scene, config)?;

@@ -405,6 +405,10 @@ section! {
         /// LLFF: recentre poses onto their mean pose. transforms.json and COLMAP: move the cameras' mean to the origin,
         /// and scale all cameras to within 1 of it along each axis.
         pub recentre: bool = true, numbers();
+        /// Captures: move and scale the scene so that the box that most cameras look at is around the origin and 3 wide, as in
+        /// a Blender scene. Weights and sets with units of length then carry over from scene to scene. NDC and Blender's scenes
+        /// have such units already, and stay.
+        pub rescale: bool = false, numbers().later();
         /// LLFF: scale poses and bounds by 1 / (bound_factor * nearest bound). 0 = do not scale.
         pub bound_factor: f64 = 0.75, numbers().real(|factor| factor >= 0.0, "0 (not scaled) or positive");
         /// LLFF: map poses to a sphere around the point they look at (for inward-facing captures).
