@@ -605,3 +605,18 @@ fn a_rescaled_capture_has_the_unit_of_a_blender_scene() {
     }
     assert!(told(&rescaled, "rescaled").contains("3 wide"));
 }
+
+#[test]
+fn a_capture_without_a_box_cannot_be_rescaled() {
+    // Parallel cameras.
+    let frames: Vec<Value> = (0..12)
+        .map(|i| {
+            let pose = json!([[1, 0, 0, i], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]]);
+            json!({ "file_path": format!("images/{i}.png"), "transform_matrix": pose })
+        })
+        .collect();
+    let folder = Folder::new(12).with("frames", frames.into());
+    let error = folder.read(|config| config.rescale = true).0.expect_err("must be refused");
+    assert_eq!(error.exit_code(), 3, "{error}");
+    assert_says(&error.to_string(), &["data.rescale", "no common point"]);
+}
