@@ -417,3 +417,18 @@ fn rows_are_compared_over_their_common_pixels() {
     assert_eq!(std::fs::read(&first).unwrap(), kept);
     assert_eq!(rows(&text(&dir.path().join("results/tiny/points.csv"))), points);
 }
+
+/// The first scene's file is damaged: its points fail, and those of the other are trained.
+#[test]
+fn a_scene_that_cannot_be_read_loses_no_other() {
+    let dir = workplace(&TINY.replace("[\"builtin\"]", "[\"broken\", \"builtin\"]").replace("[0, 1]", "[0]"));
+    std::fs::create_dir(dir.path().join("broken")).unwrap();
+    std::fs::write(dir.path().join("broken/transforms.json"), "{").unwrap();
+    let said = demand(&["sweep", "run", "tiny.toml", "--data-root", "."], dir.path(), 7);
+    assert_says(&said, &["scene broken cannot be read", "broken/transforms.json"]);
+    let points = rows(&text(&dir.path().join("results/tiny/points.csv")));
+    let of =
+        |scene: &str| points.iter().filter(|row| row["scene"] == scene).map(|row| row["status"].as_str()).collect();
+    let (broken, builtin): (Vec<&str>, Vec<&str>) = (of("broken"), of("builtin"));
+    assert_eq!((broken, builtin), (vec!["failed"; 2], vec!["done"; 2]));
+}

@@ -1,6 +1,6 @@
 //! The points of a sweep, decided once when its folder is created and read from there afterwards.
 
-use std::collections::{BTreeMap, HashSet};
+use std::collections::{BTreeMap, BTreeSet, HashSet};
 use std::path::Path;
 use std::time::{Duration, Instant};
 
@@ -86,7 +86,7 @@ pub struct CostGroup<'a> {
     pub seconds: f64,
 }
 
-/// Measures the cost of points on this machine, each shape once. `each` receives a group as soon as its cost is known. When
+/// Measures the cost of points on this machine, each shape once, but for those whose scenes cannot be read. `each` receives a group as soon as its cost is known. When
 /// the first shape is measured and `limit` is over, the costs of the others are estimated.
 pub fn plan_costs(
     points: &[&Point],
@@ -103,14 +103,20 @@ pub fn plan_costs(
     let mut estimated: Option<&str> = None;
     // Groups of one shape are adjacent.
     for ((shape, steps), points) in &groups {
-        let config = &points[0].config;
+        let mut config = &points[0].config;
         let cost = match known {
             Some((same, _, cost)) if same == shape => cost,
             Some((_, other, cost)) if estimated == Some(shape) || begun.elapsed() > limit => {
                 estimated = Some(shape);
                 cost.scaled(evaluations_per_step(config) / evaluations_per_step(other))
             }
-            _ => trainings.cost(config)?,
+            _ => match first_cost(points, trainings)? {
+                Some((measured, cost)) => {
+                    config = measured;
+                    cost
+                }
+                None => continue,
+            },
         };
         let measured = estimated != Some(shape);
         if measured {
@@ -119,6 +125,22 @@ pub fn plan_costs(
         each(CostGroup { points, cost, measured, seconds: cost.seconds(*steps) })?;
     }
     Ok(())
+}
+
+/// Measures the first point whose scene can be read, or returns `None` if there is none: such points fail when they run.
+fn first_cost<'a>(points: &[&'a Point], trainings: &Trainings) -> Result<Option<(&'a Config, Cost)>> {
+    let mut unreadable = BTreeSet::new();
+    for point in points {
+        if unreadable.contains(&point.scene) {
+            continue;
+        }
+        match trainings.cost(&point.config) {
+            Ok(cost) => return Ok(Some((&point.config, cost))),
+            Err(Error::Data(_)) => _ = unreadable.insert(&point.scene),
+            Err(error) => return Err(error),
+        }
+    }
+    Ok(None)
 }
 
 /// What points take on this machine, one after the other.
