@@ -72,6 +72,10 @@ fn decided(point: &Point, record: &Record) -> Result<Decided> {
     if own {
         config.data.split.get_or_insert(Split::Own);
     }
+    // Nor is it in the configuration whether LLFF's cameras go around something.
+    if kind == DataKind::Llff && config.data.ndc && config.data.recognise_orbits && record.protocol("ndc") == "false" {
+        (config.data.ndc, config.data.spherify) = (false, true);
+    }
     let located = config.locate(kind)?;
     let sides = ["width", "height"].into_iter().filter_map(|side| record.protocol(side).parse().ok());
     let pixels: usize = sides.max().unwrap_or(0);
