@@ -30,7 +30,7 @@ fn every_shipped_sweep_with_an_augmented_row_has_its_controls() {
     let mut augmented = 0;
     for (name, definition) in shipped() {
         // What is chosen by, and what the study shows beside its blocks, has its controls elsewhere.
-        if ["study_choice", "study_levels", "study_strength", "few_views_choice"]
+        if ["study_choice", "study_levels", "study_strength", "few_views_choice", "scenes_tuning"]
             .iter()
             .any(|beside| name.starts_with(beside))
         {
@@ -72,8 +72,9 @@ fn every_shipped_sweep_with_an_augmented_row_has_its_controls() {
                 (other.method, other.perturb.sizes, other.perturb.geometry)
                     == (config.method, config.perturb.sizes, config.perturb.geometry)
             };
-            // The study asks of the calibrated attack alone whether it is the worst case that helps.
-            let unasked = name.starts_with("study_") && config.perturb.sizes == Sizes::Paper;
+            // The study and the comparison over scenes ask of the calibrated attack alone whether it is the worst case that helps.
+            let asks_of_one = name.starts_with("study_") || name == "scenes";
+            let unasked = asks_of_one && config.perturb.sizes == Sizes::Paper;
             let uniform = of_kind(SecondPass::Perturbed(DeltaSource::Uniform)).filter(|pass| same_sets(pass.3)).count();
             assert!(unasked || uniform > 0, "{name}: no uniform draws in the sets of '{row}'");
         }
@@ -103,8 +104,8 @@ fn every_shipped_sweep_tells_seen_from_unseen_views() {
             let few = match point.config.representation() {
                 Representation::Planes => 2..101,
                 _ if name == "smoke" => 2..3,
-                // Steps are an axis there, and a short point has its last evaluation alone.
-                _ if name.contains("_gate") => 0..101,
+                // Steps are varied there, and a short point has its last evaluation alone.
+                _ if name.contains("_gate") || name.starts_with("scenes") => 0..101,
                 _ => 10..101,
             };
             // Their steps are those of a machine that has the scene.
