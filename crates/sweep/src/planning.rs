@@ -86,8 +86,9 @@ pub struct CostGroup<'a> {
     pub seconds: f64,
 }
 
-/// Measures the cost of points on this machine, each shape once, but for those whose scenes cannot be read. `each` receives a group as soon as its cost is known. When
-/// the first shape is measured and `limit` is over, the costs of the others are estimated.
+/// Measures the cost of points on this machine, each shape once. `each` receives a group as soon as its cost is known. When
+/// the first shape is measured and `limit` is over, the costs of the others are estimated. Shapes of which no scene can be
+/// read are left out.
 pub fn plan_costs(
     points: &[&Point],
     trainings: &Trainings,
