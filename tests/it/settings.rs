@@ -5,7 +5,9 @@ use std::path::Path;
 use augnerf::augment::{Norm, Passes, Site};
 use augnerf::run::{Protocol, columns};
 use augnerf::settings::columns::COLUMNS;
-use augnerf::settings::{Config, Core, Encoding, Method, Schedule, TrainViews, settings_page};
+use augnerf::settings::{
+    Config, Core, Encoding, Method, Preset, Schedule, TrainViews, build, parse_assignment, settings_page,
+};
 
 use crate::common::program::{refuse, succeed};
 use crate::common::{tiny_config, tiny_scene, trained};
@@ -25,6 +27,32 @@ fn the_page_of_settings_is_current() {
         let rows = page.split_once(&format!("## `{section}`")).expect(section).1;
         assert!(rows.split("\n## ").next().unwrap().contains(&format!("| `{key}` |")), "{path}");
     }
+}
+
+/// Returns the settings of a shipped sweep's NeRF, without its seeds.
+fn set_of_sweep(name: &str) -> toml::Table {
+    let read = |name: &str| -> toml::Table {
+        let file = Path::new(env!("CARGO_MANIFEST_DIR")).join(format!("sweeps/few_views/{name}.toml"));
+        toml::from_str(&std::fs::read_to_string(file).unwrap()).unwrap()
+    };
+    let own = read(name);
+    let base = own.get("extends").map(|base| read(base.as_str().unwrap().trim_end_matches(".toml")));
+    let tables = base.iter().chain([&own]).map(|table| table["set"].as_table().unwrap());
+    let set: Vec<_> =
+        tables.flatten().map(|(key, value)| parse_assignment(&format!("{key}={value}")).unwrap()).collect();
+    build(Some(Preset::Fast), None, &set).unwrap().to_table()
+}
+
+#[test]
+fn presets_of_few_views_train_as_the_sweeps_do() {
+    let set = |preset, further: &[&str]| {
+        let curves = ["train.eval_every=75", "train.eval_stride=10", "eval.pictures=1"];
+        let set: Vec<_> = curves.iter().chain(further).map(|text| parse_assignment(text).unwrap()).collect();
+        build(Some(preset), None, &set).unwrap().to_table()
+    };
+    assert_eq!(set(Preset::FewViewsLlff, &[]), set_of_sweep("few_views_llff_3"));
+    assert_eq!(set(Preset::FewViewsLlff, &["data.train_views=6 even"]), set_of_sweep("few_views_llff_6"));
+    assert_eq!(set(Preset::FewViewsBlender, &[]), set_of_sweep("few_views_blender_8"));
 }
 
 #[test]

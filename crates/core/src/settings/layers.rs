@@ -29,11 +29,15 @@ pub enum Preset {
     ReleasedLlff,
     /// The released code's NeRF-Synthetic settings.
     ReleasedBlender,
+    /// Few photographs as RegNeRF has them on LLFF scenes, on a hash grid.
+    FewViewsLlff,
+    /// Few photographs as DietNeRF has them on Blender's scenes, on a hash grid.
+    FewViewsBlender,
 }
 
 impl Preset {
     /// All presets with their names on the command line.
-    pub const ALL: [(&str, Preset); 7] = [
+    pub const ALL: [(&str, Preset); 9] = [
         ("fast", Preset::Fast),
         ("smoke", Preset::Smoke),
         ("cpu", Preset::Cpu),
@@ -41,6 +45,8 @@ impl Preset {
         ("paper-blender", Preset::PaperBlender),
         ("released-llff", Preset::ReleasedLlff),
         ("released-blender", Preset::ReleasedBlender),
+        ("few-views-llff", Preset::FewViewsLlff),
+        ("few-views-blender", Preset::FewViewsBlender),
     ];
 
     /// Returns the preset of a name.
@@ -57,6 +63,7 @@ impl Preset {
     pub(super) fn sizes(self) -> &'static [&'static str] {
         match self {
             Preset::Fast => &["small"],
+            Preset::FewViewsLlff | Preset::FewViewsBlender => &["small", "few-views"],
             Preset::Cpu => &["small", "cpu"],
             Preset::Smoke => &["small", "smoke"],
             Preset::PaperLlff | Preset::PaperBlender | Preset::ReleasedLlff | Preset::ReleasedBlender => &["paper"],
@@ -77,6 +84,8 @@ impl Preset {
             Preset::PaperBlender => include_str!("presets/paper-blender.toml"),
             Preset::ReleasedLlff => include_str!("presets/released-llff.toml"),
             Preset::ReleasedBlender => include_str!("presets/released-blender.toml"),
+            Preset::FewViewsLlff => include_str!("presets/few-views-llff.toml"),
+            Preset::FewViewsBlender => include_str!("presets/few-views-blender.toml"),
         }
     }
 }
@@ -104,7 +113,7 @@ fn sized(layer: &str, preset: Option<Preset>) -> Table {
 }
 
 /// Names of tables in a method's layer; later ones override earlier ones.
-const SIZES: [&str; 4] = ["paper", "small", "cpu", "smoke"];
+const SIZES: [&str; 5] = ["paper", "small", "cpu", "smoke", "few-views"];
 
 /// More parts than the name of any setting has.
 const DEEPEST: usize = 8;
