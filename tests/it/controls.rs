@@ -1,16 +1,15 @@
 //! Controls of the worst case: the best case, other rays' worst case, and hash grids whose second pass changes clean entries alone.
 
-use crate::common::{assert_same_bytes, assert_says, parameters, tiny_config, trained};
+use crate::common::{assert_same_bytes, assert_says, parameters, put_on_grid, tiny_config, trained};
 use augnerf::augment::{Epsilon, Site};
 use augnerf::settings::{
-    ChangedEntries, Config, DeltaSource, Encoding, Method, Preset, Resolved, SecondPass, Sizes, build, parse_assignment,
+    ChangedEntries, Config, DeltaSource, Method, Preset, Resolved, SecondPass, Sizes, build, parse_assignment,
 };
 
 fn config(on_grid: bool, second: SecondPass, set: impl Fn(&mut Config)) -> Resolved {
     tiny_config(Method::AugNerf, |config| {
         if on_grid {
-            config.field.encoding = Encoding::Hash;
-            (config.field.hash.levels, config.field.hash.log2_table) = (4, 11);
+            put_on_grid(config, 11);
         }
         config.perturb.second = second;
         config.perturb.sizes = Sizes::Calibrated;
@@ -65,10 +64,7 @@ fn a_masked_second_pass_changes_the_entries_of_the_clean_pass() {
         let [before, after] = [0, 1].map(|steps| parameters(&trained(config, steps), &["coarse.table"]));
         before.chunks(2).zip(after.chunks(2)).map(|(a, b)| a != b).collect()
     };
-    let plain = tiny_config(Method::Nerf, |config| {
-        config.field.encoding = Encoding::Hash;
-        (config.field.hash.levels, config.field.hash.log2_table) = (4, 11);
-    });
+    let plain = tiny_config(Method::Nerf, |config| put_on_grid(config, 11));
     let far = |config: &mut Config| config.perturb.sites[Site::Xyz].epsilon = Some(Epsilon::Units(8.0));
     let masked = config(true, worst, |config| {
         far(config);

@@ -1,12 +1,10 @@
 //! What moves during a training: encodings that open, samples that spread, gradients near cameras, the perturbed pass's weight.
 
-use crate::common::{assert_same_bytes, assert_says, parameters, tiny_config, tiny_scene, trained};
+use crate::common::{assert_same_bytes, assert_says, parameters, put_on_grid, tiny_config, tiny_scene, trained};
 use augnerf::data::{RayBuffer, RayParts};
 use augnerf::methods::{FieldRenderer, Fields, Renderer};
 use augnerf::runtime::Runtime;
-use augnerf::settings::{
-    Config, Encoding, Method, PixelOrigin, Preset, Resolved, WeightSchedule, build, parse_assignment,
-};
+use augnerf::settings::{Config, Method, PixelOrigin, Preset, Resolved, WeightSchedule, build, parse_assignment};
 use augnerf::train::Trainer;
 use candle_core::{DType, Device};
 
@@ -15,8 +13,7 @@ const ROLES: [&str; 2] = ["coarse", "fine"];
 fn config(on_grid: bool, set: impl Fn(&mut Config)) -> Resolved {
     tiny_config(Method::AugNerf, |config| {
         if on_grid {
-            config.field.encoding = Encoding::Hash;
-            (config.field.hash.levels, config.field.hash.log2_table) = (4, 9);
+            put_on_grid(config, 9);
         }
         config.train.steps = 10;
         set(config);

@@ -1,11 +1,9 @@
 //! Sharpness-aware steps and limits of gradients, on networks and on hash grids.
 
-use crate::common::{assert_same_bytes, parameters, tiny_config, trained};
+use crate::common::{assert_same_bytes, parameters, put_on_grid, tiny_config, trained};
 use augnerf::run::load_scene;
 use augnerf::runtime::Runtime;
-use augnerf::settings::{
-    Config, Encoding, Method, Preset, Resolved, SamDirection, VolumeConfig, build, parse_assignment,
-};
+use augnerf::settings::{Config, Method, Preset, Resolved, SamDirection, VolumeConfig, build, parse_assignment};
 use augnerf::train::{StepStats, Trainer};
 use candle_core::DType;
 
@@ -14,8 +12,7 @@ const ROLES: [&str; 2] = ["coarse", "fine"];
 fn config(on_grid: bool, set: impl Fn(&mut Config)) -> Resolved {
     tiny_config(Method::Nerf, |config| {
         if on_grid {
-            config.field.encoding = Encoding::Hash;
-            (config.field.hash.levels, config.field.hash.log2_table) = (4, 9);
+            put_on_grid(config, 9);
         }
         set(config);
     })

@@ -80,6 +80,12 @@ pub fn tiny_config(method: Method, change: impl FnOnce(&mut Config)) -> Resolved
     config.resolve(DataKind::Blender, augnerf::bench::EXTENT).unwrap()
 }
 
+/// Puts the field of a [`tiny_config`] on a hash grid of four levels, of 2^`log2_table` entries each.
+pub fn put_on_grid(config: &mut Config, log2_table: usize) {
+    config.field.encoding = Encoding::Hash;
+    (config.field.hash.levels, config.field.hash.log2_table) = (4, log2_table);
+}
+
 /// The processor, with all its threads.
 pub fn runtime() -> &'static Runtime {
     static RUNTIME: OnceLock<Runtime> = OnceLock::new();

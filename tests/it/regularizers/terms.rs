@@ -1,7 +1,7 @@
 //! Terms of few-view training, on training rays, unseen rays, points and tables: each is descended, on networks and on hash grids, and costs no reproducibility.
 
 use super::*;
-use crate::common::assert_same_bytes;
+use crate::common::{assert_same_bytes, put_on_grid};
 use augnerf::methods::Learner;
 use augnerf::settings::{DataKind, TermRays, WeightSchedule};
 
@@ -22,8 +22,7 @@ const FEW_VIEWS: [(Regularizer, f64); 10] = [
 fn with(on_grid: bool, set: impl Fn(&mut RegularizerConfig)) -> augnerf::settings::Resolved {
     tiny_config(Method::Nerf, |config| {
         if on_grid {
-            config.field.encoding = Encoding::Hash;
-            (config.field.hash.levels, config.field.hash.log2_table) = (4, 9);
+            put_on_grid(config, 9);
         }
         config.regularizer.lattice = 8;
         config.regularizer.points_per_step = 64;
