@@ -159,6 +159,8 @@ fn the_author_s_split_is_kept_and_every_nth_view_is_held_out_on_demand() {
     assert_eq!((names(&scene.train), names(&scene.test)), (vec!["1", "3", "5", "6"], vec!["0", "2"]));
     assert_eq!(names(&folder.load(|data| data.eval_split = EvalSplit::Val).test), ["7"]);
     assert_eq!(names(&folder.load(|data| data.test_skip = 2).test), ["0"]);
+    let error = folder.read(|data| data.validation = 4).0.expect_err("must be refused");
+    assert_says(&error.to_string(), &["data.validation = 4", "data.eval_split=val", "data.split=every"]);
     let every = folder.load(|data| data.split = Some(Split::Every));
     assert_eq!((names(&every.test), every.train.len()), (vec!["0", "8"], 7));
     // Missing photographs may be named; a name of nothing may not.

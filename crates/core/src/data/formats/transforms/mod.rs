@@ -115,6 +115,13 @@ fn by_author(config: &DataConfig, named: bool) -> Result<bool> {
             config.dir
         )));
     }
+    if by_author && config.validation > 0 {
+        return Err(Error::Config(format!(
+            "data.validation = {} has no effect on {}, which names its own split: evaluate its validation views with \
+             data.eval_split=val, or choose views anew with data.split=every",
+            config.validation, config.dir
+        )));
+    }
     Ok(by_author)
 }
 
