@@ -6,7 +6,7 @@
                                               100 collects, 60 rounds of four containers
     tools/kill_storm.py --train 500 --seed 7  other numbers
     tools/kill_storm.py --only sweep,runners  some parts
-    tools/kill_storm.py --short               under a minute, as the gate runs it
+    tools/kill_storm.py --short               under a minute
 
 A training or sweep is started, killed, and started again as a user would, until it ends by itself. Then its folder must have
 the same names and bytes as an undisturbed one, hidden names included. Not compared: clocks (timing.json, timing.csv), event

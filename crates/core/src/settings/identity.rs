@@ -18,9 +18,9 @@ impl Config {
         self.portable().text_hash_without(settings)
     }
 
-    /// Returns everything that can change a weight or a metric, with the rest at its defaults. The scene counts by its
-    /// name, not by its folder. How often a run logs, evaluates or saves does not count. Neither do section `perturb`
-    /// without a perturbed pass, regularizers of weight 0, and settings that the field does not read.
+    /// Returns everything that can change a weight or a rendered held-out view, with the rest at its defaults. The scene
+    /// counts by its name, not by its folder. How often a run logs, evaluates or saves does not count, nor do surfaces and the
+    /// number of training views that it measures. Neither do section `perturb` without a perturbed pass, regularizers of weight 0, and settings that the field does not read.
     pub fn portable(&self) -> Config {
         let mut portable = self.named();
         portable.reset(&Config::default(), |rule| rule.effect != Effect::Numbers);

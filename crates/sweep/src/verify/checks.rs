@@ -74,7 +74,7 @@ pub const CHECKS: [Check; 13] = [
     },
     Check {
         name: "gaps",
-        what: "every place is done, and has the metrics of images and density that similar places have",
+        what: "every line of points.csv is done, and has the metrics of images and density that comparable lines have",
         left_out: "points that [[missing]] of provenance.toml names",
         run: Run::Sweep(gaps::check),
     },
