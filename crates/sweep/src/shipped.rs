@@ -85,6 +85,7 @@ shipped![
     "few_views" "scenes_network_admission",
     "few_views" "scenes_network_gate",
     "few_views" "scenes_tuning",
+    "few_views" "scenes_tuning_fifth",
     "few_views" "scenes_tuning_network",
     "few_views" "scenes_tuning_nerf",
     "few_views" "worst_case_fern",
