@@ -4,8 +4,8 @@
     tools/choose_settings.py results/few_views/scenes_tuning/points.csv results/few_views/scenes_tuning_nerf/points.csv
 
 Prints a Markdown table: each setting's mean difference to NeRF over the scenes, by the first number of its value, the best in bold (the
-first of equal ones). A scene's NeRF is the mean of all its seeds in the files. A setting that lacks a scene has no mean. Ends with 1 if a row's best
-setting stands at an end of its grid.
+first of equal ones). A scene's NeRF is the mean of all its seeds in the files. A setting that lacks a scene has no mean. Ends with 1 if the best
+setting of a row other than *NeRF, fewer steps* stands at an end of its grid.
 """
 import csv
 import re
@@ -31,6 +31,7 @@ def main(paths, metric="psnr", baseline="NeRF"):
     mean = lambda numbers: sum(numbers) / len(numbers)
     base = {scene: mean(found) for scene, found in values[(baseline, "")].items()}
     ends, below = [], []
+    print(f"{baseline} has these numbers of seeds: {', '.join(f'{scene} {len(found)}' for scene, found in values[(baseline, '')].items())}.\n")
     print(f"| row | {metric} minus {baseline}, mean of {len(scenes)} scenes |\n|---|---|")
     for row in dict.fromkeys(row for row, _ in order):
         if row == baseline:
@@ -39,7 +40,7 @@ def main(paths, metric="psnr", baseline="NeRF"):
         complete = lambda axes: set(values[(row, axes)]) == scenes == set(base)
         gain = {axes: mean([mean(values[(row, axes)][s]) - base[s] for s in scenes]) for axes in grid if complete(axes)}
         best = max(gain, key=gain.get, default=None)
-        if best in (grid[0], grid[-1]) and len(grid) > 1:
+        if best in (grid[0], grid[-1]) and len(grid) > 1 and row != "NeRF, fewer steps":
             ends.append(row)
         if best is None or gain[best] <= 0:
             below.append(row)

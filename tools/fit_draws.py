@@ -1,7 +1,7 @@
 #!/usr/bin/env python3
 """Fits a row of random draws to an attack: the radii at which each site's draws move colours as far as the worst case does.
 
-    tools/fit_draws.py results/few_views/scenes_draws "Aug-NeRF calibrated" "Draws, as far"
+    tools/fit_draws.py runs/scenes_tuning_fit/results "Aug-NeRF calibrated" "Draws, round 1"
 
 Reads the shifts of both rows from attack.csv, as means over scenes and logged steps, and the draws' radii from sweep.toml. Prints both
 shifts, their ratio and the radius to try next, in proportion. A site whose worst case moves colours by less than half a step of 255
@@ -33,7 +33,9 @@ def main(results, attack, draws, within=0.1):
     for site in sites:
         radius = row["set"].get(f"perturb.{site}.epsilon")
         of_attack, of_draws = shift(attack, site), shift(draws, site)
-        if radius is None or of_attack < LEAST_SHIFT or of_draws == 0.0:
+        if radius is not None and of_attack >= LEAST_SHIFT and of_draws == 0.0:
+            sys.exit(f"{site}: draws of radius {radius:g} move no colour; start with a larger radius")
+        if radius is None or of_attack < LEAST_SHIFT:
             print(f"| {site} | {of_attack:.3f} | {of_draws:.3f} | not fitted | | |")
             continue
         ratio = of_draws / of_attack
