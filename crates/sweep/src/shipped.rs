@@ -86,6 +86,7 @@ shipped![
     "few_views" "scenes_network_gate",
     "few_views" "scenes_tuning",
     "few_views" "scenes_tuning_draws",
+    "few_views" "scenes_tuning_draws_fifth",
     "few_views" "scenes_tuning_fifth",
     "few_views" "scenes_tuning_fit",
     "few_views" "scenes_tuning_network",
