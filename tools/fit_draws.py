@@ -1,7 +1,7 @@
 #!/usr/bin/env python3
 """Fits a row of random draws to an attack: the radii at which each site's draws move colours as far as the worst case does.
 
-    tools/fit_draws.py runs/scenes_tuning_fit/results "Aug-NeRF calibrated" "Draws, round 1"
+    tools/fit_draws.py results/few_views/scenes_tuning_fit "Aug-NeRF calibrated" "Draws, round 5"
 
 Reads the shifts of both rows from attack.csv, as means over scenes and logged steps, and the draws' radii from sweep.toml. Prints both
 shifts, their ratio and the radius to try next, in proportion. A site whose worst case moves colours by less than half a step of 255

@@ -22,7 +22,7 @@ SCENES = Path(os.environ.get("SCENES", "results/few_views/scenes"))
 OVER = os.environ.get("OVER", "results/few_views/over")
 NERF, EARLY, ATTACK = "NeRF", "NeRF, fewer steps", "Aug-NeRF calibrated"
 DRAWS, SMOOTHING = "Draws, as far", "Smoothing of positions"
-# Dropped by tuning, of the plan's 19.
+# The plan's rows. Those that tuning dropped have no points.
 ROWS = [
     NERF, EARLY, "NeRF, twice the steps", "+ TV", "+ l1", "+ distortion", "Aug-NeRF, paper's geometry", ATTACK, DRAWS, SMOOTHING,
     "Second clean pass", "+ hash decay", "Frequencies that open", "+ occlusion", "+ entropy of unseen rays", "+ depth smoothness",
@@ -88,11 +88,11 @@ class Subset:
         """Lines of `sweep across` by row."""
         out = Path("_".join(part for part in [OVER, kind, self.name] if part))
         shutil.rmtree(out, ignore_errors=True)
-        wanted = [row for row in rows or self.points.rows if row != baseline and row in self.points.rows]
+        wanted = [row for row in (self.points.rows if rows is None else rows) if row != baseline and row in self.points.rows]
         if not self.scenes or not wanted or baseline not in self.points.rows:
             return {}
         command = [AUGNERF, "sweep", "across", SCENES, "--unit", "scene", "--metric", metric, "--baseline", baseline, "--out", out]
-        command += ["--rows", ",".join(wanted)] if rows or self.points.lost_rows else []
+        command += ["--rows", ",".join(wanted)] if rows is not None or self.points.lost_rows else []
         command += ["--scenes", ",".join(self.scenes)] if self.name or self.points.lost_scenes else []
         subprocess.run(command, check=True, stdout=subprocess.DEVNULL)
         lines = {line["row"]: line for line in read(out / "over_scenes.csv")}
@@ -120,7 +120,7 @@ class Subset:
         fits = ratios and all(0.8 <= ratio <= 1.25 for ratio in ratios.values())
         if ATTACK in helps and below and fits:
             said[ATTACK].append("the worst case helps")
-        early = self.compare("early", EARLY, helping or [row for row in helps if row != EARLY] or ["none"])
+        early = self.compare("early", EARLY, helps if helping is None else helping)
         for row, line in early.items():
             said[row].append("above fewer steps" if line["verdict"] == "higher" else "not shown above fewer steps")
         return said, lines
