@@ -25,7 +25,8 @@ pub const EXAMPLES: &str = "Examples:
   augnerf render RUN --cameras path.json               # your own path; --write-cameras writes one
   augnerf render RUN --serve --out DIR                 # cameras that another program asks for
 
-Poses are camera to world, with the axes right, up, back, in the units of the scene's files.";
+Poses are camera to world, with the axes right, up, back, in the units of the scene's files.
+The axes in a transforms.json are those of the run's data.axes.";
 
 /// What is wrong with a camera in a scene in NDC, after its name.
 const LOOKS_AWAY: &str = "looks away from the -z axis, so its rays have no normalized device coordinates; turn it, or train \
@@ -180,7 +181,8 @@ impl RenderArguments {
                 let transforms = Path::new(&trained.config.data.dir).join("transforms.json");
                 let dataparser =
                     self.dataparser.as_ref().map(|file| Dataparser::read(file, &transforms)).transpose()?;
-                let read = cameras::read(file, &like, &scene.space.world, dataparser.as_ref())?;
+                let (world, axes) = (&scene.space.world, trained.config.data.axes);
+                let read = cameras::read(file, &like, world, axes, dataparser.as_ref())?;
                 (read.cameras, read.fps)
             }
             (_, What::Views, _) => (scene.test.iter().map(|view| view.camera).collect(), None),

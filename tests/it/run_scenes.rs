@@ -1,12 +1,14 @@
 //! A run and its scene: read again as it was when the run began, by whatever version, or refused.
 
 use std::fs;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
-use augnerf::data::Scene;
+use augnerf::data::npy::read_array;
+use augnerf::data::pose::Pose;
+use augnerf::data::{Scene, View};
 use augnerf::run::{RunDir, load_scene, load_scene_of, settings_to_go_on};
-use augnerf::settings::{Config, DataKind, Extent, PixelOrigin, Resolved, Split, scene_name};
-use serde_json::json;
+use augnerf::settings::{Axes, Config, DataKind, Extent, PixelOrigin, Resolved, Split, scene_name};
+use serde_json::{Value, json};
 use tempfile::TempDir;
 
 use crate::captures::Folder;
@@ -87,6 +89,50 @@ fn a_scene_that_has_changed_is_refused_whatever_reads_the_run() {
     let sound = text(&folder.path().join("transforms.json"));
     fs::write(folder.path().join("transforms.json"), sound.replacen("0.5]", "0.75]", 1)).unwrap();
     refused(&["other coordinates"]);
+}
+
+/// A capture's own file has the capture's cameras, whatever the axes of its matrices. Files that are written have OpenGL's.
+#[test]
+fn the_cameras_of_a_capture_s_own_file_are_its_views() {
+    let turned = |frame: &Value| {
+        let mut frame = frame.clone();
+        for row in frame["transform_matrix"].as_array_mut().unwrap().iter_mut().take(3) {
+            (1..3).for_each(|column| row[column] = (-row[column].as_f64().unwrap()).into());
+        }
+        frame
+    };
+    let folder = Folder::new(9).with("w", 16.into()).with("h", 12.into());
+    let frames: Vec<Value> = folder.document()["frames"].as_array().unwrap().iter().map(turned).collect();
+    let folder = folder.with("frames", frames.into());
+    let scene = folder.load(|config| config.axes = Axes::Opencv);
+    let dir = TempDir::new().unwrap();
+    let run = dir.path().join("run");
+    train(folder.path(), &run, &["--set", "data.axes=opencv"]);
+    let copied = |from: &Path, to: &str| -> PathBuf {
+        let to = dir.path().join(to);
+        let [run, from, file] = [run.as_path(), from, to.as_path()].map(|path| path.to_str().unwrap());
+        succeed(&["render", run, "--cameras", from, "--write-cameras", file, "-q"]);
+        to
+    };
+    let poses = |file: &Path| -> Vec<Pose> {
+        let values = read_array(file).unwrap().values;
+        let pose =
+            |of: &[f64]| -> Pose { std::array::from_fn(|row| std::array::from_fn(|column| of[4 * row + column])) };
+        values.chunks_exact(12).map(pose).collect()
+    };
+    let close = |a: &Pose, b: &Pose| a.iter().flatten().zip(b.iter().flatten()).all(|(a, b)| (a - b).abs() < 1e-9);
+    let own = folder.path().join("transforms.json");
+    let array = copied(&own, "own.npy");
+    let written = poses(&array);
+    assert_eq!(written.len(), 9);
+    for View { name, camera, .. } in scene.train.iter().chain(&scene.test) {
+        let number: usize = name.parse().unwrap();
+        assert!(close(&scene.space.world.camera(&written[number]), &camera.pose), "{name}");
+    }
+    let path = copied(&own, "path.json");
+    for again in [copied(&array, "again.npy"), copied(&path, "of_path.npy")] {
+        assert!(poses(&again).iter().zip(&written).all(|(a, b)| close(a, b)), "{}", again.display());
+    }
 }
 
 /// It leaves its place, and no other view changes place or side.

@@ -10,7 +10,7 @@ use augnerf::methods::SiteSummary;
 use augnerf::metrics::{Backbone, Lpips};
 use augnerf::report::tables::{Table, points_csv};
 use augnerf::run::{Foreign, Matching, Networks, RunDir, Scalars, Truth, pictures as listed, score};
-use augnerf::settings::{Config, DataConfig, Method, Preset, build, parse_assignment};
+use augnerf::settings::{Axes, Config, DataConfig, Method, Preset, build, parse_assignment};
 use augnerf::space::{read_mesh, sample};
 use augnerf::sweep::slurm::Slurm;
 use augnerf::sweep::{Definition, Failure, Point, PointResult, SweepFolder, SweepOutputs, expand};
@@ -149,7 +149,7 @@ fn cameras(file: PathBuf, name: &'static str, format: Format, seeds: Vec<Vec<u8>
     let like = tiny_scene().train[0].camera;
     reader(name, format, seeds, move |bytes| {
         write(&file, bytes);
-        data::cameras::read(&file, &like, &WorldToScene::default(), None).map(drop)
+        data::cameras::read(&file, &like, &WorldToScene::default(), Axes::Opengl, None).map(drop)
     })
 }
 

@@ -15,6 +15,7 @@ use super::pose::{self, Pose};
 use super::{LARGEST, SMALLEST, brief};
 use crate::base::input::read_bytes;
 use crate::base::{Error, Result};
+use crate::settings::Axes;
 
 /// Largest size of a scene's poses in bytes: those of some ten thousand views.
 const MOST_BYTES: u64 = 32 << 20;
@@ -243,9 +244,13 @@ impl<'a> Object<'a> {
         }
     }
 
-    /// Returns `transform_matrix`: camera to world, 4x4 or 3x4.
-    pub(super) fn pose(&self) -> Result<Pose> {
-        self.pose_at("transform_matrix")
+    /// Returns `transform_matrix`, camera to world, 4x4 or 3x4, in OpenGL's axes. `axes` are those of the file.
+    pub(super) fn pose(&self, axes: Axes) -> Result<Pose> {
+        let pose = self.pose_at("transform_matrix")?;
+        Ok(match axes {
+            Axes::Opengl => pose,
+            Axes::Opencv => pose::flipped(&pose),
+        })
     }
 
     /// Returns a rigid pose under any key, 4x4 or 3x4.

@@ -1,9 +1,10 @@
 //! Files of cameras to render: a nerfstudio `camera_path.json`, a `transforms.json`, or poses as `.npy`.
 //!
-//! A file's poses are camera-to-world matrices in the units and axes of the capture's files, with columns right, up,
-//! back (OpenGL). The scene's [`WorldToScene`] maps them to the scene: `x_scene = scale * R x_file + t` for points, `R`
-//! only for directions. The inverse is used for writing. Paths from nerfstudio's viewer are in its own units; its
-//! `dataparser_transforms.json` maps them to the capture's ([`Dataparser`]).
+//! A file's poses are camera-to-world matrices in the coordinates of the capture's files, with columns right, up, back
+//! (OpenGL). A `transforms.json`, which may be the capture's own, has the axes of `data.axes` instead. The scene's
+//! [`WorldToScene`] maps poses to the scene: `x_scene = scale * R x_file + t` for points, `R` only for directions. The
+//! inverse is used for writing. Paths from nerfstudio's viewer are in its own units; its `dataparser_transforms.json`
+//! maps them to the capture's ([`Dataparser`]).
 //!
 //! A field of view, or focal lengths and principal point, are read from the file. Lens distortion is not.
 
@@ -19,6 +20,7 @@ use super::json::{self, Object};
 use super::pose::{self, Pose};
 use super::{Camera, LARGEST, WorldToScene, npy};
 use crate::base::{Error, Result};
+use crate::settings::Axes;
 
 pub use dataparser::Dataparser;
 pub use lens::MOST_PIXELS;
@@ -43,14 +45,21 @@ pub struct CameraFile {
 }
 
 /// Reads a file of cameras for a scene. `like` is one of the scene's own cameras, and fills what the file leaves open.
-/// Images of a `transforms.json` or `.npy`, which state no size, have its height.
+/// Images of a `transforms.json` or `.npy`, which state no size, have its height. `axes` are those of the matrices in a
+/// `transforms.json`; the other files have right, up, back.
 ///
 /// # Errors
 /// If the file is none of the three, or its poses or lenses are invalid.
-pub fn read(file: &Path, like: &Camera, world: &WorldToScene, dataparser: Option<&Dataparser>) -> Result<CameraFile> {
+pub fn read(
+    file: &Path,
+    like: &Camera,
+    world: &WorldToScene,
+    axes: Axes,
+    dataparser: Option<&Dataparser>,
+) -> Result<CameraFile> {
     let mut read = match ending(file)? {
         "npy" => CameraFile { cameras: read_npy(file, like)?, fps: None },
-        _ => read_json(file, like)?,
+        _ => read_json(file, like, axes)?,
     };
     check_count(file, read.cameras.len())?;
     for camera in &mut read.cameras {
@@ -153,7 +162,7 @@ fn some(cameras: Vec<Camera>, file: &Path) -> Result<Vec<Camera>> {
     }
 }
 
-fn read_json(file: &Path, like: &Camera) -> Result<CameraFile> {
+fn read_json(file: &Path, like: &Camera, axes: Axes) -> Result<CameraFile> {
     let value = json::read(file)?;
     let document = Object::document(file, &value)?;
     if document.get("camera_path").is_some() {
@@ -165,7 +174,7 @@ fn read_json(file: &Path, like: &Camera) -> Result<CameraFile> {
     }
     let camera = |frame: Object| {
         let lens = lens::of_transforms(frame, document, like)?;
-        Ok(Camera { pose: frame.pose()?, ..lens.with_height(like.height) })
+        Ok(Camera { pose: frame.pose(axes)?, ..lens.with_height(like.height) })
     };
     Ok(CameraFile { cameras: document.frames()?.into_iter().map(camera).collect::<Result<_>>()?, fps: None })
 }

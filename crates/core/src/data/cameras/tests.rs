@@ -40,9 +40,41 @@ fn what_is_written_is_read_back() {
         write(&file, &cameras, &world(), 12.0).unwrap();
         // What is asked back of a camera that is nothing like those.
         let other = Camera { pose: [[0.0; 4]; 3], ..like() };
-        let read = read(&file, &other, &world(), None).unwrap();
-        assert_alike(&read.cameras, &cameras);
-        assert_eq!(read.fps, (name == "a.json").then_some(12.0));
+        for axes in [Axes::Opengl, Axes::Opencv] {
+            let read = read(&file, &other, &world(), axes, None).unwrap();
+            assert_alike(&read.cameras, &cameras);
+            assert_eq!(read.fps, (name == "a.json").then_some(12.0));
+        }
+    }
+}
+
+/// A camera of a written path is a request of `render --serve`.
+#[test]
+fn what_is_written_can_be_asked_for() {
+    let off = Camera { focal: [33.0, 31.0], centre: [19.0, 16.5], ..like() };
+    let text = camera_path(&[off], &world(), 12.0)["camera_path"][0].to_string();
+    let other = Camera { pose: [[0.0; 4]; 3], ..like() };
+    let (camera, others) = parse_camera("request 0", text.as_bytes(), &other, &world()).unwrap();
+    assert_alike(&[camera], &[off]);
+    assert!(others.is_empty(), "{others:?}");
+}
+
+/// A `transforms.json` has the axes of its capture. A path and an array have right, up, back, whatever these are.
+#[test]
+fn frames_have_the_axes_of_their_capture() {
+    let dir = tempfile::tempdir().unwrap();
+    let matrix = "[[1,0,0,2],[0,-1,0,4],[0,0,-1,6],[0,0,0,1]]";
+    let pose = [[1.0, 0.0, 0.0, 2.0], [0.0, -1.0, 0.0, 4.0], [0.0, 0.0, -1.0, 6.0]];
+    let ahead = [[1.0, 0.0, 0.0, 2.0], [0.0, 1.0, 0.0, 4.0], [0.0, 0.0, 1.0, 6.0]];
+    let frames = file(&dir, "t.json", &format!("{{\"frames\": [{{\"transform_matrix\": {matrix}}}]}}"));
+    let path = file(&dir, "p.json", &format!("{{\"camera_path\": [{{\"camera_to_world\": {matrix}}}]}}"));
+    let array = dir.path().join("a.npy");
+    let world = WorldToScene::default();
+    write(&array, &[Camera { pose, ..like() }], &world, 12.0).unwrap();
+    let read = |file: &Path, axes: Axes| read(file, &like(), &world, axes, None).unwrap().cameras[0].pose;
+    assert_eq!((read(&frames, Axes::Opengl), read(&frames, Axes::Opencv)), (pose, ahead));
+    for file in [path, array] {
+        assert_eq!((read(&file, Axes::Opengl), read(&file, Axes::Opencv)), (pose, pose));
     }
 }
 
@@ -54,7 +86,7 @@ fn places_follow_the_scene_s_transform() {
     let shift = [[1.0, 0.0, 0.0, 1.0], [0.0, 1.0, 0.0, 1.0], [0.0, 0.0, 1.0, 1.0]];
     let world = WorldToScene::default().scaled(0.5).moved(&shift);
     let text = format!("{{\"w\": 80, \"h\": 40, \"fl_x\": 100, \"frames\": [{{\"transform_matrix\": {matrix}}}]}}");
-    let cameras = read(&file(&dir, "t.json", &text), &like(), &world, None).unwrap().cameras;
+    let cameras = read(&file(&dir, "t.json", &text), &like(), &world, Axes::Opengl, None).unwrap().cameras;
     assert_eq!(pose::column(&cameras[0].pose, 3), [2.0, 3.0, 4.0]);
     // The scene's height, the file's aspect and field of view.
     assert_eq!((cameras[0].width, cameras[0].height, cameras[0].focal), (60, 30, [75.0; 2]));
@@ -63,7 +95,7 @@ fn places_follow_the_scene_s_transform() {
         "{{\"render_width\": 80, \"render_height\": 40, \"fps\": 24, \"camera_path\": [{{\"camera_to_world\": {flat}, \
          \"fov\": 90}}]}}"
     );
-    let read = read(&file(&dir, "p.json", &text), &like(), &world, None).unwrap();
+    let read = read(&file(&dir, "p.json", &text), &like(), &world, Axes::Opengl, None).unwrap();
     assert_eq!((read.fps, read.cameras[0].width, read.cameras[0].height), (Some(24.0), 80, 40));
     assert!((read.cameras[0].focal[1] - 20.0).abs() < 1e-12);
     assert_eq!(read.cameras[0].pose, cameras[0].pose);
@@ -115,7 +147,7 @@ fn what_is_no_camera_is_named() {
         ("a.json", "{\"fl_x\": 9, \"frames\": [{}]}", "\"w\""),
         ("a.npy", "text", "NUMPY"),
     ] {
-        let error = read(&file(&dir, name, text), &like(), &world(), None).unwrap_err().to_string();
+        let error = read(&file(&dir, name, text), &like(), &world(), Axes::Opengl, None).unwrap_err().to_string();
         assert!(error.contains(words) && error.contains(name), "{text}: {error}");
     }
 }
@@ -128,7 +160,7 @@ fn fisheye_cameras_are_refused() {
         [("\"camera_model\": \"OPENCV_FISHEYE\"", "OPENCV_FISHEYE"), ("\"is_fisheye\": true", "is_fisheye")]
     {
         let file = file(&dir, "t.json", &format!("{{{key}, {frame}}}"));
-        let said = read(&file, &like(), &world(), None).unwrap_err().to_string();
+        let said = read(&file, &like(), &world(), Axes::Opengl, None).unwrap_err().to_string();
         assert!(said.contains(word), "{said}");
     }
 }

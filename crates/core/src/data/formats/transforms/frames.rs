@@ -11,7 +11,7 @@ use crate::base::{Event, Image, Listener, Result};
 use crate::data::images::{self, Size};
 use crate::data::json::{Object, Picture};
 use crate::data::mask::{self, MaskFile, Masked, Masks};
-use crate::data::pose::{self, Pose};
+use crate::data::pose::Pose;
 use crate::data::{Camera, View, resample};
 use crate::settings::{Axes, DataConfig};
 
@@ -116,10 +116,7 @@ fn entries<'a>(document: Object<'a>, axes: Axes, note: &dyn Fn(&str)) -> Result<
             without_pose.push(picture.written);
             continue;
         }
-        let pose = match axes {
-            Axes::Opengl => object.pose()?,
-            Axes::Opencv => pose::flipped(&object.pose()?),
-        };
+        let pose = object.pose(axes)?;
         entries.push(Entry { object, picture, pose });
     }
     if !without_pose.is_empty() {
