@@ -6,7 +6,7 @@ use augnerf::report::tables::{AttackLine, Table};
 use augnerf::report::{AxisValue, Record, RowSpec, Status, TableSpec};
 
 use crate::common::assert_says;
-use crate::common::files::text;
+use crate::common::files::{json, text};
 use crate::common::program::{augnerf, demand};
 
 const ROOT: &str = env!("CARGO_MANIFEST_DIR");
@@ -111,6 +111,7 @@ pub fn page() -> String {
         scene: "fern".into(),
         view: "image000".into(),
         truth: flat(0.9),
+        mask: None,
         rows: ["NeRF", ROW, "TV"].into_iter().enumerate().map(row).collect(),
         left_out: vec![],
     };
@@ -246,6 +247,40 @@ fn committed_results_become_a_page_without_their_runs() {
     let said = demand(augnerf(&["report", "/nowhere"]).current_dir(dir.path()), 5);
     assert_says(&said, &["cannot open run /nowhere"]);
     assert!(!dir.path().join("report.html").exists());
+}
+
+/// The page leaves out what metrics leave out: whatever is rendered where the photo is masked.
+#[test]
+fn masked_pixels_have_no_error_on_the_page() {
+    let dir = tempfile::tempdir().unwrap();
+    let capture = format!("{ROOT}/tests/fixtures/captures3/masks_dynamic");
+    let small = "data.masks=beside data.downscale=1 field.width=16 field.depth=2 field.skips=[] train.rays=32 train.steps=2 \
+                 eval.pictures=1";
+    let set = small.split_whitespace().flat_map(|set| ["--set", set]);
+    let train = ["train", "--quiet", "--preset", "smoke", "--data", &capture, "--out", "run"];
+    demand(augnerf(&train.into_iter().chain(set).collect::<Vec<_>>()).current_dir(dir.path()), 0);
+    let pictures = || {
+        demand(augnerf(&["report", "run", "--out", "page.html"]).current_dir(dir.path()), 0);
+        let page = text(&dir.path().join("page.html"));
+        assert_says(&page, &["stripes of the truth: masked pixels"]);
+        ["colour", "error"].map(|kind| {
+            let (before, _) = page.split_once(&format!("\" alt=\"{kind}\"")).expect("a picture");
+            before.rsplit_once("src=\"").unwrap().1.to_string()
+        })
+    };
+    let [colour, error] = pictures();
+    let metrics = json(&dir.path().join("run/metrics.json"));
+    let file = |what: &str| {
+        let name = metrics["views"][0]["name"].as_str().unwrap();
+        dir.path().join(format!("run/renders/{name}_{what}.png"))
+    };
+    let picture = |what: &str| image::open(file(what)).unwrap().to_rgb8();
+    let (mut rendered, mask) = (picture("rgb"), picture("mask"));
+    let masked = mask.enumerate_pixels().filter(|(_, _, counts)| counts.0 == [0; 3]);
+    masked.for_each(|(x, y, _)| rendered.put_pixel(x, y, image::Rgb([255, 0, 255])));
+    rendered.save(file("rgb")).unwrap();
+    let [changed, same] = pictures();
+    assert!(changed != colour && same == error);
 }
 
 /// Runs of one configuration and two seeds are one row; its view, and seconds where asked for.

@@ -112,7 +112,7 @@ fn view(scene: &str, lines: &[&Line], outputs: &SweepOutputs) -> Result<Option<V
             without.push(line.label.as_str());
             continue;
         };
-        let Some(FirstView { name, image, truth, depth }) = FirstView::read(run)? else {
+        let Some(FirstView { name, image, truth, depth, mask }) = FirstView::read(run)? else {
             without.push(line.label.as_str());
             continue;
         };
@@ -120,11 +120,12 @@ fn view(scene: &str, lines: &[&Line], outputs: &SweepOutputs) -> Result<Option<V
             scene: scene.into(),
             view: name.clone(),
             truth: truth.clone(),
+            mask: mask.clone(),
             rows: Vec::new(),
             left_out: Vec::new(),
         });
-        // Photos differ if training views are corrupted in other ways, or have other sizes.
-        if (name, truth) != (view.view.clone(), view.truth.clone()) {
+        // Photos differ if training views are corrupted in other ways, or have other sizes. A view has one mask.
+        if (&name, &truth, &mask) != (&view.view, &view.truth, &view.mask) {
             other.push(line.label.as_str());
             continue;
         }
@@ -135,7 +136,8 @@ fn view(scene: &str, lines: &[&Line], outputs: &SweepOutputs) -> Result<Option<V
     let said = [
         (!without.is_empty())
             .then(|| format!("without pictures (eval.pictures): {}", distinct(without.into_iter()).join(", "))),
-        (!other.is_empty()).then(|| format!("of another photograph: {}", distinct(other.into_iter()).join(", "))),
+        (!other.is_empty())
+            .then(|| format!("of another photograph or mask: {}", distinct(other.into_iter()).join(", "))),
         (further > 0).then(|| format!("{further} further rows are not shown")),
     ];
     view.left_out = said.into_iter().flatten().collect();

@@ -18,7 +18,7 @@ pub use canvas::Figure;
 pub use mp4::without_mp4;
 pub use pictures::{
     SOLID, beside, depth_colour, depth_range, depth_range_of, encode_jpeg, encode_png8, pixel_errors, quantise,
-    scale_colour, write_depth16, write_png8,
+    scale_colour, stripe, write_depth16, write_png8,
 };
 pub use raster::SVG_ALONE;
 pub use reel::{Reel, write_timed_gif};

@@ -37,6 +37,18 @@ pub fn pixel_errors(rendered: &Image, truth: &Image) -> Vec<f32> {
     a.chunks_exact(3).zip(b.chunks_exact(3)).map(error).collect()
 }
 
+/// Draws diagonal stripes over the masked pixels of an RGB image, alternately grey and the darkened image. `mask` says
+/// which pixels count, row by row.
+pub fn stripe(picture: &mut Image, mask: &[bool]) {
+    /// Pixels across two stripes.
+    const PERIOD: usize = 8;
+    let width = picture.width;
+    for (at, texel) in picture.pixels.chunks_exact_mut(3).enumerate().filter(|(at, _)| !mask[*at]) {
+        let bright = (at % width + at / width) % PERIOD < PERIOD / 2;
+        texel.iter_mut().for_each(|value| *value = if bright { 0.6 } else { 0.4 * *value });
+    }
+}
+
 /// Writes an RGB or RGBA image as PNG, 8 bits a channel, atomically.
 pub fn write_png8(path: &Path, picture: &Image) -> Result<()> {
     let png = encode_png8(picture).map_err(|reason| unwritable(path, &reason))?;

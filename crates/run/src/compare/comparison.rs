@@ -5,7 +5,7 @@ use super::run_view::RunView;
 use super::window::{Window, crop, crop_mask, most_different};
 use crate::base::{Error, Image, Result};
 use crate::draw::{depth_range, depth_range_of, pixel_errors};
-use crate::metrics::{PSNR, SSIM, ViewMetrics, measure_unmasked, unmasked_or};
+use crate::metrics::{MSE, PSNR, SSIM, ViewMetrics, measure_unmasked, unmasked_or};
 use crate::run::RenderedView;
 
 /// Default side of the box, as a divisor of the view's side.
@@ -149,6 +149,28 @@ fn box_size(columns: Option<usize>, width: usize, height: usize) -> (usize, usiz
 
 /// Returns PSNR and SSIM as text, as far as they are known.
 pub(super) fn metrics_text(metrics: &ViewMetrics) -> String {
-    let psnr = metrics.get(&PSNR).map_or("equal to the truth".into(), |psnr| format!("PSNR {psnr:.2} dB"));
+    // A PSNR is infinite, and so has no number, where nothing differs.
+    let psnr = match (metrics.get(&PSNR), metrics.get(&MSE)) {
+        (Some(psnr), _) => format!("PSNR {psnr:.2} dB"),
+        (None, Some(_)) => "equal to the truth".into(),
+        (None, None) => "masked: not measured".into(),
+    };
     metrics.get(&SSIM).map_or(psnr.clone(), |ssim| format!("{psnr}, SSIM {ssim:.3}"))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn only_what_was_measured_is_called_equal_to_the_truth() {
+        let grey = |value: f32| Image { width: 2, height: 1, channels: 3, pixels: vec![value; 6] };
+        let said = |rendered: f32, counts: bool| {
+            let mask = [counts; 2];
+            metrics_text(&measure_unmasked("view", &grey(rendered), &grey(0.5), Some(&mask), &[]).unwrap())
+        };
+        assert_eq!(said(0.6, true), "PSNR 20.17 dB");
+        assert_eq!(said(0.5, true), "equal to the truth");
+        assert_eq!(said(0.6, false), "masked: not measured");
+    }
 }

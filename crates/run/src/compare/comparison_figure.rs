@@ -3,7 +3,7 @@
 use super::comparison::{Comparison, metrics_text};
 use super::differences::difference_text;
 use super::display_size::DisplaySize;
-use super::parts::{colour_bar, note, trained_on};
+use super::parts::{colour_bar, note, striped, trained_on};
 use super::window::{Window, crop};
 use crate::base::{Image, Result};
 use crate::draw::canvas::{Anchor, BLACK, Canvas, Figure, GREY, LINE_HEIGHT, ORANGE, PAPER, TEXT, Width, text_width};
@@ -54,7 +54,7 @@ impl ComparisonFigure<'_> {
 
     /// Draws the view and, if there are any, the differences between the runs' errors and the depth.
     fn draw_truth(&self, canvas: &mut Canvas, y: f64) -> Result<()> {
-        self.draw_view(canvas, y, self.comparison.truth())?;
+        self.draw_view(canvas, y, &striped(&self.comparison.first().view))?;
         if self.comparison.sides.len() > 1 {
             canvas.text((self.scale.left(2), y - 12.0), SPREAD, TEXT, Anchor::Left, BLACK);
             self.draw_map(canvas, (2, y), &self.error_picture(&self.comparison.spread()))?;

@@ -2,9 +2,17 @@
 
 use super::run_view::RunView;
 use crate::base::{Image, Result};
+use crate::data::View;
 use crate::draw::canvas::{Anchor, BLACK, Canvas, GREY, LINE_HEIGHT, TEXT, text_width, ticks, wrapped};
 use crate::draw::numbers::numbers;
-use crate::draw::scale_colour;
+use crate::draw::{scale_colour, stripe};
+
+/// Returns a view's photo with stripes where it is masked.
+pub fn striped(view: &View) -> Image {
+    let mut photo = view.image.as_ref().clone();
+    view.mask.iter().for_each(|mask| stripe(&mut photo, mask));
+    photo
+}
 
 /// Draws a colour bar with numbers and a name below. The map's colours run from left to right, or from right to left
 /// if `falling`. Returns the position after it.

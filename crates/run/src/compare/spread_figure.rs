@@ -1,7 +1,7 @@
 //! The images of a spread over seeds: maps of one view, and the calibration curve of all.
 
 use super::display_size::DisplaySize;
-use super::parts::colour_bar;
+use super::parts::{colour_bar, striped};
 use super::spread_files::Spread;
 use crate::base::{Image, Result};
 use crate::draw::canvas::{Anchor, BLACK, Canvas, Figure, LINE_HEIGHT, TEXT, Width};
@@ -78,7 +78,7 @@ impl SpreadFigure<'_> {
         let width = canvas.width - 2.0 * size.margin;
         let mut y = canvas.lines((size.margin, 20.0), width, &self.title(), BLACK) + 6.0;
         y = self.heads(&mut canvas, y, ["ground truth", "mean image", "mean depth"]);
-        size.draw(&mut canvas, (size.left(0), y), &self.spread.shown.view.image)?;
+        size.draw(&mut canvas, (size.left(0), y), &striped(&self.spread.shown.view))?;
         size.draw(&mut canvas, (size.left(1), y), &found.mean)?;
         size.draw_map(&mut canvas, (size.left(2), y), &self.depth(&found.depth, self.scales.depth)?)?;
         y = self.depth_bar(&mut canvas, y + size.height + 8.0)? + 4.0;

@@ -25,6 +25,8 @@ pub struct FirstView {
     pub truth: Image,
     /// Depth in the run's units; NaN where nothing is solid.
     pub depth: Vec<f32>,
+    /// Which pixels of the photo count, row by row. `None` if all do.
+    pub mask: Option<Vec<bool>>,
 }
 
 #[derive(Deserialize)]
@@ -61,14 +63,18 @@ impl FirstView {
             return Ok(None);
         }
         let (image, truth) = (read_picture(&file("rgb"))?, read_picture(&file("truth"))?);
-        let depth = read_depth(&file("depth16"), scale.max)?;
+        let (depth, mask) = (read_depth(&file("depth16"), scale.max)?, read_mask(&file("mask"))?);
         let pixels = image.width * image.height;
-        if (truth.width, truth.height) != (image.width, image.height) || depth.len() != pixels {
+        let differ = [
+            ("truth", (truth.width, truth.height) != (image.width, image.height)),
+            ("depth16", depth.len() != pixels),
+            ("mask", mask.as_ref().is_some_and(|mask| mask.len() != pixels)),
+        ];
+        if let Some((other, _)) = differ.into_iter().find(|(_, differs)| *differs) {
             let found = format!("its size differs from that of {}", file("rgb").display());
-            let other = if depth.len() == pixels { file("truth") } else { file("depth16") };
-            return Err(Error::Data(format!("cannot read {}: {found}; {ADVICE}", other.display())));
+            return Err(Error::Data(format!("cannot read {}: {found}; {ADVICE}", file(other).display())));
         }
-        Ok(Some(FirstView { name, image, truth, depth }))
+        Ok(Some(FirstView { name, image, truth, depth, mask }))
     }
 }
 
@@ -90,6 +96,16 @@ fn read_depth(path: &Path, max: f32) -> Result<Vec<f32>> {
     let values = images::decode(path)?.into_luma16().into_raw();
     let depth = |value: u16| if value == 0 { f32::NAN } else { f32::from(value) / 65535.0 * max };
     Ok(values.into_iter().map(depth).collect())
+}
+
+/// Reads which pixels count, white ones, as `Pictures` writes them. Returns `None` if the view has no mask.
+fn read_mask(path: &Path) -> Result<Option<Vec<bool>>> {
+    if !path.is_file() {
+        return Ok(None);
+    }
+    check_size(path)?;
+    let values = images::decode(path)?.into_luma8().into_raw();
+    Ok(Some(values.into_iter().map(|value| value > u8::MAX / 2).collect()))
 }
 
 fn check_size(path: &Path) -> Result<()> {
@@ -125,6 +141,10 @@ mod tests {
         let view = FirstView::read(dir.path()).unwrap().unwrap();
         assert_eq!((view.name.as_str(), view.image.width, &view.image.pixels), ("r_0", 2, &view.truth.pixels));
         assert!((view.depth[0] - 3.0).abs() < 1e-4 && view.depth[1].is_nan(), "{:?}", view.depth);
+        assert_eq!(view.mask, None);
+        let mask = Image { width: 2, height: 1, channels: 3, pixels: vec![0.0, 0.0, 0.0, 1.0, 1.0, 1.0] };
+        write_png8(&renders.join("r_0_mask.png"), &mask).unwrap();
+        assert_eq!(FirstView::read(dir.path()).unwrap().unwrap().mask, Some(vec![false, true]));
         std::fs::remove_file(renders.join("r_0_truth.png")).unwrap();
         assert_eq!(FirstView::read(dir.path()).unwrap(), None);
         std::fs::remove_file(dir.path().join("metrics.json")).unwrap();
@@ -139,6 +159,10 @@ mod tests {
         let (dir, renders) = run();
         write_depth16(&renders.join("r_0_depth16.png"), &[1.0], 1, 1, 6.0).unwrap();
         assert!(FirstView::read(dir.path()).unwrap_err().to_string().contains("r_0_depth16.png"));
+        let (dir, renders) = run();
+        let small = Image { width: 1, height: 1, channels: 3, pixels: vec![1.0; 3] };
+        write_png8(&renders.join("r_0_mask.png"), &small).unwrap();
+        assert!(FirstView::read(dir.path()).unwrap_err().to_string().contains("r_0_mask.png"));
         let (dir, _) = run();
         std::fs::write(dir.path().join("metrics.json"), r#"{"views": [{"name": "../../secret"}]}"#).unwrap();
         assert!(FirstView::read(dir.path()).unwrap_err().to_string().contains("not a file name"));

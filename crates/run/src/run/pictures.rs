@@ -11,7 +11,7 @@ use crate::compare::{DisplaySize, colour_bar};
 use crate::data::{Scene, View};
 use crate::draw::canvas::{Anchor, BLACK, Canvas, LINE_HEIGHT, TEXT};
 use crate::draw::{
-    Reel, SOLID, SVG_ALONE, beside, depth_colour, depth_range, depth_range_of, write_depth16, write_png8,
+    Reel, SOLID, SVG_ALONE, beside, depth_colour, depth_range, depth_range_of, stripe, write_depth16, write_png8,
 };
 
 use super::RenderedView;
@@ -51,17 +51,6 @@ fn depth_picture(view: &RenderedView, (near, far): (f32, f32)) -> Result<Image> 
 fn mask_picture(mask: &[bool], width: usize, height: usize) -> Image {
     let pixels = mask.iter().flat_map(|&counts| [f32::from(u8::from(counts)); 3]).collect();
     Image { width, height, channels: 3, pixels }
-}
-
-/// Draws diagonal stripes over masked pixels, alternately grey and the darkened image.
-fn stripe(picture: &mut Image, mask: &[bool]) {
-    /// Pixels across two stripes.
-    const PERIOD: usize = 8;
-    let width = picture.width;
-    for (at, texel) in picture.pixels.chunks_exact_mut(3).enumerate().filter(|(at, _)| !mask[*at]) {
-        let bright = (at % width + at / width) % PERIOD < PERIOD / 2;
-        texel.iter_mut().for_each(|value| *value = if bright { 0.6 } else { 0.4 * *value });
-    }
 }
 
 /// Frames of a path, written as they come: `rgb_000.png`, `depth_000.png` (colours), `depth16_000.png`, `rgb.gif`,

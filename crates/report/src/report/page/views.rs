@@ -5,7 +5,8 @@ use base64::engine::general_purpose::STANDARD;
 
 use crate::base::{Image, Result};
 use crate::data::resample::shrink;
-use crate::draw::{depth_colour, depth_range, encode_jpeg, pixel_errors, scale_colour};
+use crate::draw::{depth_colour, depth_range, encode_jpeg, pixel_errors, scale_colour, stripe};
+use crate::metrics::unmasked_or;
 
 /// Limit on the bytes of all images in a page, as base64.
 const MOST_BYTES: usize = 3 << 20;
@@ -16,6 +17,8 @@ const SIZES: [(usize, u8); 4] = [(640, 88), (480, 82), (320, 78), (200, 74)];
 pub const NOTE: &str = "Error: root of the mean squared difference of a pixel's three 8-bit colours to the truth. Error and depth \
      have one scale for all rows of a scene, whose ends are the outermost 2 % of values; near is bright. Grey: nothing there. \
      The pictures are JPEG, made smaller where all of them would take more than 3 MiB.";
+/// The note of a masked view.
+const MASKED: &str = "stripes of the truth: masked pixels, which have no error";
 
 /// One row's rendering of the view.
 #[derive(Clone, Debug)]
@@ -39,6 +42,8 @@ pub struct ViewOfScene {
     pub view: String,
     /// The photo.
     pub truth: Image,
+    /// Which of its pixels count, row by row. `None` if all do.
+    pub mask: Option<Vec<bool>>,
     /// The rows.
     pub rows: Vec<ViewOfRow>,
     /// Rows that are not shown, with reasons: `2 rows have no picture of it`.
@@ -106,7 +111,10 @@ impl ShownScene {
             let small = shrink(picture, size(width), size(height));
             Ok(format!("data:image/jpeg;base64,{}", STANDARD.encode(encode_jpeg(&small, quality)?)))
         };
-        let errors: Vec<Vec<f32>> = view.rows.iter().map(|row| pixel_errors(&row.image, &view.truth)).collect();
+        let (mask, mut truth) = (view.mask.as_deref(), view.truth.clone());
+        // Masked pixels have no error, as in a comparison.
+        let counted = |row: &ViewOfRow| unmasked_or(row.image.clone(), &view.truth, mask);
+        let errors: Vec<Vec<f32>> = view.rows.iter().map(|row| pixel_errors(&counted(row), &view.truth)).collect();
         let every_error: Vec<f32> = errors.iter().flatten().copied().collect();
         // If all pixels equal the ground truth, the scale still needs a length.
         let top = depth_range(&every_error, None).map_or(1.0, |(_, top)| top).max(1.0 / 255.0);
@@ -122,14 +130,17 @@ impl ShownScene {
                 depth: encode(&depth_colour(&row.depth, width, height, near, far, None)?)?,
             })
         };
+        mask.iter().for_each(|mask| stripe(&mut truth, mask));
+        let left_out = view.left_out.iter().map(String::as_str);
+        let notes: Vec<&str> = mask.map(|_| MASKED).into_iter().chain(left_out).collect();
         Ok(ShownScene {
             scene: view.scene.clone(),
             view: view.view.clone(),
             width: size(width),
             height: size(height),
-            truth: encode(&view.truth)?,
+            truth: encode(&truth)?,
             rows: view.rows.iter().zip(errors).map(shown).collect::<Result<_>>()?,
-            note: view.left_out.join("; "),
+            note: notes.join("; "),
         })
     }
 }
@@ -156,6 +167,7 @@ mod tests {
             scene: "fern".into(),
             view: "image000".into(),
             truth: noise(0, 700),
+            mask: None,
             rows: (1..=rows).map(row).collect(),
             left_out: vec![],
         };
@@ -169,5 +181,37 @@ mod tests {
             "{}",
             many.note
         );
+    }
+
+    /// What is masked can be anything: errors and their scale stay.
+    #[test]
+    fn masked_pixels_have_no_error_and_stripes() {
+        let truth = noise(0, 16);
+        let rendered = Image { pixels: truth.pixels.iter().rev().copied().collect(), ..truth };
+        let mask: Vec<bool> = (0..256).map(|pixel| pixel % 16 < 10).collect();
+        let mut other = rendered.clone();
+        let masked = other.pixels.chunks_exact_mut(3).zip(&mask).filter(|(_, counts)| !**counts);
+        masked.for_each(|(texel, _)| texel.fill(0.0));
+        let shown = |image: &Image, mask: Option<&[bool]>| {
+            let row = ViewOfRow { label: "row".into(), seed: 0, image: image.clone(), depth: vec![1.0; 256] };
+            let view = ViewOfScene {
+                scene: "fern".into(),
+                view: "image000".into(),
+                truth: truth.clone(),
+                mask: mask.map(<[bool]>::to_vec),
+                rows: vec![row],
+                left_out: vec!["left out".into()],
+            };
+            ShownScene::new(&view, 1).unwrap()
+        };
+        let (a, b) = (shown(&rendered, Some(&mask)), shown(&other, Some(&mask)));
+        assert!(a.rows[0].image != b.rows[0].image && a.rows[0].error == b.rows[0].error);
+        assert_eq!(a.note, format!("{MASKED}; left out"));
+        let plain = shown(&other, None);
+        assert!(plain.rows[0].error != b.rows[0].error && plain.truth != b.truth);
+        assert_eq!(plain.note, "left out");
+        // A mask that leaves all changes no picture.
+        let all = shown(&other, Some(&[true; 256]));
+        assert!(all.truth == plain.truth && all.rows[0].error == plain.rows[0].error);
     }
 }
