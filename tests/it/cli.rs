@@ -727,10 +727,13 @@ fn a_built_in_scene_has_a_number() {
     let of =
         |name: &str, key: &str| json(&at(name).join("metrics.json"))["protocol"][key].as_str().unwrap().to_string();
     assert_eq!(["a", "b", "still"].map(|name| of(name, "scene")), ["builtin-3", "builtin-4", "builtin"]);
-    succeed(&["mesh", at("a").to_str().unwrap(), "--resolution", "24", "--threshold", "0.1", "--quiet"]);
-    let a = at("a").display().to_string();
+    let [a, b] = ["a", "b"].map(|name| at(name).display().to_string());
+    for run in [&a, &b] {
+        succeed(&["mesh", run, "--resolution", "24", "--threshold", "0.1", "--quiet"]);
+    }
     succeed(&["chamfer", &a, "builtin:3"]);
     refuse(&["chamfer", &a, "builtin:4"], 2, &["builtin-3", "builtin:4", "another scene"]);
+    refuse(&["chamfer", &a, &b], 2, &["builtin-3 (builtin-blender)", "builtin-4 (builtin-blender)", "one scene"]);
     let exported = at("files");
     succeed(&["data", "export-builtin", exported.to_str().unwrap(), "--scene", "3", "--width", "16"]);
     let checked = printed(&["data", "check", exported.to_str().unwrap(), "--json"]);

@@ -522,6 +522,11 @@ fn a_colmap_folder_is_checked_drawn_trained_and_meshed() {
         let back = pose::transform(&matrix, capture.map(f64::from));
         assert!(pose::length(pose::sub(back, scene.map(f64::from))) < 1e-5);
     }
+    // Whatever their names are, the files are known to have other units.
+    let file = |units: &str| export.dir.path().join(format!("mesh in {units}/mesh.ply")).display().to_string();
+    let (in_scene, in_capture) = (file("scene"), file("capture"));
+    refuse(&["chamfer", &in_scene, &in_capture], 2, &["different coordinates", "--units capture"]);
+    succeed(&["chamfer", &in_capture, &in_capture, "--points", "200"]);
 }
 
 /// A threshold that has a level set: what the refusal of one that has none names.

@@ -2,29 +2,27 @@
 
 use std::fs::File;
 use std::io::{BufWriter, Write};
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 use serde::{Deserialize, Serialize};
 
 use crate::base::files::{AtomicDir, write_json};
-use crate::base::input::{JSON_BYTES, read_text};
 use crate::base::{Error, Event, Listener, Result};
-use crate::data::{Format, WorldToScene, npy};
+use crate::data::{WorldToScene, npy};
 use crate::draw::write_png8;
 use crate::revision::version;
 use crate::settings::Capability;
 use crate::space::{
-    self, DensityRange, Drawing, FinishedMesh, Lattice, LevelSet, Mesh, Normals, Reference, finish_mesh, level_set,
+    self, DensityRange, Drawing, FinishedMesh, Lattice, LevelSet, Mesh, Normals, finish_mesh, level_set,
 };
 
 use super::coverage::Coverage;
 use super::mesh_picture::{MeshPicture, mesh_picture};
 use super::scene_file::WorldMatrix;
-use super::{
-    Protocol, RunDir, Trained, builtin_surface, folder::free_bytes, most_memory_mib, reference_mesh, surface_box,
-    surface_threshold,
-};
+use super::{Protocol, Trained, folder::free_bytes, most_memory_mib, surface_box, surface_threshold};
 
+/// The file of a [`MeshReport`].
+pub(super) const REPORT: &str = "mesh.json";
 const DENSITY: &str = "density.npy";
 const MIB: f64 = 1024.0 * 1024.0;
 
@@ -242,7 +240,7 @@ impl Trained {
         let coverage = Coverage::of(&*density, &self.scene, &drawing.lattice, drawing.threshold)?;
         let counts = [components.len(), dropped];
         let report = MeshReport { coverage, ..MeshReport::new(self, &drawing, range, &finished, options, counts) };
-        write_json(&files.path().join("mesh.json"), &report)?;
+        write_json(&files.path().join(REPORT), &report)?;
         files.commit()?;
         Ok(report)
     }
@@ -328,61 +326,4 @@ fn density_file(path: &Path, lattice: &Lattice) -> Result<BufWriter<File>> {
     let mut file = BufWriter::new(File::create(path).map_err(unwritable)?);
     file.write_all(&npy::header("<f4", &[lattice.side; 3])).map_err(unwritable)?;
     Ok(file)
-}
-
-/// Reads a mesh by name: `builtin` (the built-in scene's own), a PLY or OBJ file, or a run folder with a drawn mesh.
-/// `other` names what it will be compared with.
-///
-/// # Errors
-/// The file is not a mesh; the run has no mesh; a run of another scene is compared with `builtin`, whose units differ.
-pub fn named_mesh(name: &str, other: &str) -> Result<Reference> {
-    let path = Path::new(name);
-    if builtin_surface(name).is_some() || !path.is_dir() {
-        return reference_mesh(name);
-    }
-    let run = RunDir::open(path)?;
-    let config = run.read_config()?;
-    config.require_capability(
-        Capability::Density,
-        &format!("the surface of {name}"),
-        "compare runs of nerf, aug-nerf or nv",
-    )?;
-    let scene = config.data;
-    let has_mesh = Format::of(scene.kind).is_some_and(|format| format.has_mesh);
-    if builtin_surface(other).is_some_and(|seed| !has_mesh || seed != scene.scene_number()) {
-        return Err(Error::Config(format!(
-            "{name} is of {} ({}), and `{other}` is the surface of another scene",
-            scene.name,
-            scene.kind.name()
-        )));
-    }
-    let files: [PathBuf; 2] = MeshFormat::ALL.map(|format| run.mesh().join(format.file()));
-    let file = files.into_iter().find(|file| file.is_file()).ok_or_else(|| {
-        Error::Data(format!("{name} has no mesh yet; draw it with `augnerf mesh {name}`, then compare again"))
-    })?;
-    check_units(&run, name)?;
-    reference_mesh(&file.to_string_lossy())
-}
-
-/// Returns an error for a run's mesh in its capture's units, since comparisons use the scene's.
-fn check_units(run: &RunDir, name: &str) -> Result<()> {
-    #[derive(Deserialize)]
-    struct Units {
-        #[serde(default)]
-        units: MeshUnits,
-    }
-    let path = run.mesh().join("mesh.json");
-    if !path.is_file() {
-        return Ok(());
-    }
-    let text = read_text(&path, JSON_BYTES).map_err(|e| Error::unreadable(&path, &e))?;
-    let Units { units } = serde_json::from_str(&text)
-        .map_err(|e| Error::Data(format!("{} is not what `augnerf mesh` writes: {e}", path.display())))?;
-    if units == MeshUnits::Scene {
-        return Ok(());
-    }
-    Err(Error::Config(format!(
-        "{name} has a mesh in its capture's units, but distances are measured in the scene's; draw it again without --units \
-         capture, or name the mesh files themselves if both have the same units"
-    )))
 }

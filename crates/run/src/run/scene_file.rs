@@ -33,6 +33,13 @@ impl WorldMatrix {
     pub fn of(world: &WorldToScene) -> WorldMatrix {
         WorldMatrix { scale: world.scale, matrix: world.matrix() }
     }
+
+    /// Returns whether both are one map, except for the rounding of machines.
+    pub(super) fn is_close(&self, other: &WorldMatrix) -> bool {
+        let (a, b) = (self.matrix.as_flattened(), other.matrix.as_flattened());
+        // Of captures in small units, all of a rotation's numbers are below the tolerance.
+        is_close(self.scale / other.scale, 1.0) && a.iter().zip(b).all(|(a, b)| is_close(*a, *b))
+    }
 }
 
 /// Content of `scene.json`.
@@ -155,9 +162,8 @@ impl RecordedScene {
             }
         }
         let Some(recorded) = &self.recorded else { return Ok(()) };
-        let (then, now) = (recorded.world_to_scene, WorldMatrix::of(&scene.space.world));
-        let (a, b) = (then.matrix.as_flattened(), now.matrix.as_flattened());
-        if recorded.ndc != scene.ndc.is_some() || !a.iter().zip(b).all(|(a, b)| is_close(*a, *b)) {
+        let now = WorldMatrix::of(&scene.space.world);
+        if recorded.ndc != scene.ndc.is_some() || !recorded.world_to_scene.is_close(&now) {
             let what = "its poses give other coordinates than the weights have (world_to_scene, ndc)";
             return refuse(what.into());
         }
