@@ -413,7 +413,18 @@ fn rows_are_compared_over_their_common_pixels() {
     demand(&["sweep", "collect", "runs/tiny"], dir.path(), 0);
     let without = rows(&text(&dir.path().join("results/tiny/table.csv")));
     assert!(without.iter().all(|row| row["depth_mae_common_mean"].is_empty() && !row["depth_mae_mean"].is_empty()));
-    demand(&["sweep", "run", "tiny.toml", "--quiet", "--remeasure"], dir.path(), 0);
+    // A run that cannot be measured again is no success, however often it is tried, and keeps its result and its run.
+    let remeasure = ["sweep", "run", "tiny.toml", "--quiet", "--remeasure"];
+    let config = first.with_file_name("config.toml");
+    let settings = text(&config);
+    std::fs::write(&config, settings.replacen("seed = 0", "seed = 9", 1)).unwrap();
+    for arguments in [&remeasure[..], &remeasure, &[&remeasure[..], &["--retry-failed"]].concat()] {
+        let message = demand(arguments, dir.path(), 7);
+        assert_says(&message, &["1 of 2 points could not be measured again", "--remeasure", "a run of other settings"]);
+    }
+    demand(&["sweep", "status", "runs/tiny"], dir.path(), 0);
+    std::fs::write(&config, settings).unwrap();
+    demand(&remeasure, dir.path(), 0);
     assert_eq!(std::fs::read(&first).unwrap(), kept);
     assert_eq!(rows(&text(&dir.path().join("results/tiny/points.csv"))), points);
 }

@@ -86,6 +86,25 @@ fn a_worker_says_for_whom_it_waits_and_goes_on() {
     assert_eq!((fake.count(), statuses(&folder, &points)), (4, vec![Status::Done; 4]));
 }
 
+/// `augnerf eval`, `render` and the like lock a point's run, not the point: the other points come first.
+#[test]
+fn a_run_in_use_is_waited_for_and_holds_up_no_other_point() {
+    let dir = TempDir::new().unwrap();
+    let (folder, _, points) = sweep(dir.path(), BASE);
+    let run = folder.point(&points[0].id).run();
+    std::fs::create_dir_all(&run).unwrap();
+    std::fs::write(run.join("run.lock"), "4711").unwrap();
+    let held = File::open(run.join("run.lock")).unwrap();
+    held.try_lock().unwrap();
+    let other = Impatient { notes: Mutex::default(), held: Mutex::new(Some(held)) };
+    let fake = Fake::default();
+    run_heard(&folder, &points, &fake, OPTIONS, (&other, &AtomicUsize::new(0))).unwrap();
+    let notes = other.notes.into_inner().unwrap();
+    assert_eq!(notes.len(), 1, "said once: {notes:?}");
+    assert_says(&notes[0], &["waiting", "process 4711", &run.display().to_string()]);
+    assert_eq!((fake.count(), statuses(&folder, &points)), (4, vec![Status::Done; 4]));
+}
+
 /// A task of a scheduler ends instead of waiting.
 #[test]
 fn a_task_leaves_points_to_the_workers_that_hold_them() {

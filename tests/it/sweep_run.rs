@@ -8,13 +8,13 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 
 use crate::common::{assert_says, needs};
 use augnerf::augment::{Epsilon, Site};
-use augnerf::base::{Error, Listener, Result};
+use augnerf::base::{Error, Event, Listener, Result};
 use augnerf::report::Status;
 use augnerf::runtime::Runtime;
 use augnerf::settings::{Config, DeltaSource, Regularizer, SecondPass};
 use augnerf::sweep::{
-    Change, Claim, Definition, Options, Overrides, Point, PointFolder, PointResult, Progress, Runner, Sharing,
-    StepCosts, SweepFolder, Work, begin, evaluations_per_step, expand,
+    Change, Claim, Definition, Failure, Options, Overrides, Point, PointFolder, PointResult, Progress, Runner, Sharing,
+    StepCosts, SweepFolder, Unmeasured, Work, begin, evaluations_per_step, expand,
 };
 use tempfile::TempDir;
 
@@ -109,7 +109,7 @@ pub fn sweep(dir: &Path, text: &str) -> (SweepFolder, Definition, Vec<Point>) {
     (folder, definition, points)
 }
 
-pub fn run(folder: &SweepFolder, points: &[Point], work: &dyn Work, options: Options) -> Result<()> {
+pub fn run(folder: &SweepFolder, points: &[Point], work: &dyn Work, options: Options) -> Result<Vec<Unmeasured>> {
     run_heard(folder, points, work, options, (&(), &AtomicUsize::new(0)))
 }
 
@@ -120,7 +120,7 @@ pub fn run_heard(
     work: &dyn Work,
     options: Options,
     (events, stop): (&dyn Listener, &AtomicUsize),
-) -> Result<()> {
+) -> Result<Vec<Unmeasured>> {
     let runtime = &Runtime::new("cpu", Some(2)).unwrap();
     Runner { folder, points, runtime, work, options, events, stop }.run()
 }
@@ -421,6 +421,108 @@ fn what_a_finished_point_lacks_is_measured_when_asked() {
     assert_eq!(again("psnr"), 1);
 }
 
+/// Keeps the numbers of `[3/14]` that are said where a point begins.
+#[derive(Default)]
+struct Counters(Mutex<Vec<(usize, usize)>>);
+
+impl Listener for Counters {
+    fn on(&self, event: Event<'_>) {
+        if let Event::PointStarted { ended, points, .. } = event {
+            self.0.lock().unwrap().push((ended + 1, points));
+        }
+    }
+}
+
+/// Its result stays, so nothing in the folder says that it failed: the runner returns it, and the next one tries again.
+#[test]
+fn a_point_that_cannot_be_measured_again_stays_done_and_is_returned() {
+    let dir = TempDir::new().unwrap();
+    let (folder, _, points) = sweep(dir.path(), BASE);
+    run(&folder, &points, &Fake::default(), OPTIONS).unwrap();
+    let lacking = PointResult { metrics: vec![("psnr".into(), None)], ..PointResult::default() };
+    for index in [0, 2] {
+        folder.point(&points[index].id).finish(&lacking).unwrap();
+    }
+    let again = |fails: Vec<&'static str>| {
+        let (fake, counters) = (Fake { fails, ..Fake::default() }, Counters::default());
+        let options = Options { remeasure: vec!["psnr".into()], ..OPTIONS };
+        let unmeasured = run_heard(&folder, &points, &fake, options, (&counters, &AtomicUsize::new(0))).unwrap();
+        assert_eq!(statuses(&folder, &points), [Status::Done; 4]);
+        let unmeasured: Vec<(String, u8)> =
+            unmeasured.into_iter().map(|point| (point.label, point.failure.exit_code)).collect();
+        (fake.count(), unmeasured, counters.0.into_inner().unwrap())
+    };
+    let broken = "NeRF · builtin · seed 0";
+    let failed = vec![(broken.to_string(), 6)];
+    assert_eq!(again(vec![broken]), (2, failed.clone(), vec![(3, 4), (4, 4)]));
+    let own = folder.point(&points[0].id);
+    assert_eq!((own.result().unwrap(), own.failure().unwrap()), (Some(lacking), None));
+    assert_eq!(again(vec![broken]), (1, failed, vec![(4, 4)]), "once a runner");
+    assert_eq!(again(Vec::new()), (1, Vec::new(), vec![(4, 4)]));
+    assert_eq!(again(Vec::new()), (0, Vec::new(), Vec::new()));
+}
+
+/// Older versions marked a finished point as failed if it could not be measured again.
+#[test]
+fn the_run_of_a_finished_point_is_never_deleted() {
+    let dir = TempDir::new().unwrap();
+    let (folder, _, points) = sweep(dir.path(), BASE);
+    run(&folder, &points, &Fake::default(), OPTIONS).unwrap();
+    let own = folder.point(&points[0].id);
+    let checkpoint = own.run().join("checkpoint");
+    std::fs::create_dir(own.run()).unwrap();
+    std::fs::write(&checkpoint, "hours").unwrap();
+    let failure = Failure { reason: "the checkpoint is damaged".into(), exit_code: 5 };
+    own.fail(&failure).unwrap();
+    own.finish(&PointResult::default()).unwrap();
+    let retry = |remeasure: Vec<String>| {
+        let fake = Fake::default();
+        run(&folder, &points, &fake, Options { retry_failed: true, remeasure, ..OPTIONS }).unwrap();
+        assert!(checkpoint.exists() && statuses(&folder, &points) == [Status::Done; 4]);
+        fake.count()
+    };
+    assert_eq!(retry(Vec::new()), 0, "the point is done");
+    assert_eq!(retry(vec!["psnr".into()]), 1);
+    assert_eq!(own.failure().unwrap(), None);
+    // Without a result the checkpoint is what failed.
+    std::fs::remove_file(own.path().join("result.json")).unwrap();
+    own.fail(&failure).unwrap();
+    run(&folder, &points, &Fake::default(), Options { retry_failed: true, ..OPTIONS }).unwrap();
+    assert!(!checkpoint.exists());
+}
+
+/// A command such as `augnerf eval` may take a run after the runner looked at it.
+#[test]
+fn a_run_that_is_taken_at_the_last_moment_stops_no_sweep() {
+    #[derive(Default)]
+    struct TakenOnce(AtomicUsize, Fake);
+    impl Work for TakenOnce {
+        fn run(
+            &self,
+            point: &Point,
+            folder: &PointFolder,
+            runtime: &Runtime,
+            progress: &Progress,
+            stop: &AtomicUsize,
+        ) -> Result<PointResult> {
+            match self.0.fetch_add(1, Ordering::SeqCst) {
+                0 => Err(Error::InUse("run is in use by process 4711".into())),
+                _ => self.1.run(point, folder, runtime, progress, stop),
+            }
+        }
+    }
+    let dir = TempDir::new().unwrap();
+    let (folder, _, points) = sweep(dir.path(), BASE);
+    // A task of a scheduler has one point, which is left for the next task.
+    let task = Options { sharing: Sharing::Scheduler, ..OPTIONS };
+    let error = run(&folder, &points[..1], &TakenOnce::default(), task).unwrap_err();
+    assert!(matches!(&error, Error::InUse(text) if text.contains("process 4711")), "{error}");
+    assert_eq!(statuses(&folder, &points), [Status::Waiting; 4]);
+    let work = TakenOnce::default();
+    run(&folder, &points, &work, OPTIONS).unwrap();
+    assert_eq!((work.1.count(), statuses(&folder, &points)), (4, vec![Status::Done; 4]));
+}
+
 #[test]
 fn fail_fast_leaves_the_rest_waiting() {
     let dir = TempDir::new().unwrap();
@@ -711,6 +813,9 @@ fn a_file_extends_another() {
         "what is kept with the points stands alone"
     );
 
+    write("misspelt.toml", "extends = \"small.toml\"\n[[row]]\nname = \"Nwe\"\nremove = true\n");
+    let misspelt = read("misspelt.toml").unwrap_err().to_string();
+    assert!(misspelt.contains("[[row]] \"Nwe\": remove = true, but small.toml has no row"), "{misspelt}");
     write("missing.toml", "extends = \"nowhere.toml\"\n");
     assert!(read("missing.toml").unwrap_err().to_string().contains("nowhere.toml"));
     write("self.toml", "extends = \"self.toml\"\n");

@@ -211,6 +211,11 @@ fn accept(held: io::Result<bool>, sharing: Sharing, folder: &Path) -> Result<Opt
     }
 }
 
+/// Returns whether another worker holds the point in `folder`.
+pub(super) fn is_taken(folder: &Path) -> bool {
+    is_held(&folder.join(LOCK)) == Some(true)
+}
+
 /// Returns whether a worker holds the lock, or none if that cannot be known: no permission, or a file system without locks.
 fn is_held(path: &Path) -> Option<bool> {
     let file = match File::open(path) {

@@ -76,6 +76,11 @@ fn over_base(text: &str, path: &Path, depth: usize, read_base: impl FnOnce(&str)
     }
     let mut merged = read_base(&base)?;
     drop_scenes(&mut merged, &table);
+    check_removed(&merged, &table).map_err(|name| {
+        in_file(format!(
+            "[[row]] {name}: remove = true, but {base} has no row of this name; check how it is written there"
+        ))
+    })?;
     lay_over(&mut merged, table);
     Ok(merged)
 }
@@ -101,11 +106,26 @@ fn lay_over(base: &mut Table, table: Table) {
     }
 }
 
+fn is_removed(row: &Value) -> bool {
+    row.get("remove").and_then(Value::as_bool) == Some(true)
+}
+
+/// Returns the name of a row that a file removes and the extended file lacks as the error.
+fn check_removed(base: &Table, table: &Table) -> std::result::Result<(), String> {
+    let rows = |table: &Table| table.get("row").and_then(Value::as_array).cloned().unwrap_or_default();
+    let known = rows(base);
+    let is_known = |name: Option<&Value>| known.iter().any(|row| name.is_some() && row.get("name") == name);
+    match rows(table).iter().find(|row| is_removed(row) && !is_known(row.get("name"))) {
+        Some(row) => Err(row.get("name").map_or("without a name".into(), Value::to_string)),
+        None => Ok(()),
+    }
+}
+
 /// Merges rows into those of equal name; new rows come after.
 fn merge_rows(base: &mut Vec<Value>, rows: Vec<Value>) {
     for row in rows {
         let name = row.get("name").cloned();
-        if row.get("remove").and_then(Value::as_bool) == Some(true) {
+        if is_removed(&row) {
             base.retain(|known| known.get("name") != name.as_ref());
             continue;
         }

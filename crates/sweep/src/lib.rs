@@ -70,7 +70,7 @@ pub use point_folder::{Failure, PointFolder, PointResult, PointState};
 pub use points::{Point, expand};
 pub use provenance::{Missing, Provenance};
 pub use prune::{Left, prunable, prune};
-pub use runner::{Options, Runner, Work};
+pub use runner::{Options, Runner, Unmeasured, Work};
 pub use scored::Scored;
 pub use shipped::{SHIPPED, TEMPLATE, template, write_new};
 pub use step_seconds::PublishedCosts;

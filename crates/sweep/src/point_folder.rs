@@ -199,13 +199,14 @@ impl PointFolder {
     }
 
     /// Takes a failure back, so that the point is tried again: from its last checkpoint, or, where
-    /// that was what failed, from the start.
+    /// that was what failed, from the start. The run of a finished point stays: older versions marked it as failed if
+    /// measuring it again did.
     pub fn clear_failure(&self) -> Result<()> {
         let Some(failure) = self.failure()? else { return Ok(()) };
         self.check_entries()?;
         self.forget_stops()?;
         let run = self.run();
-        if failure.class() == Some(Class::Checkpoint) {
+        if failure.class() == Some(Class::Checkpoint) && self.finished_at().is_none() {
             discard(&run).map_err(|e| Error::unwritable(&run, &e))?;
         }
         let path = self.failure_file();

@@ -3,14 +3,15 @@
 
 use std::collections::HashMap;
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
-use std::sync::{Mutex, PoisonError};
+use std::sync::{Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant, SystemTime};
 
 use crate::base::{Class, Error, Event, Listener, Result};
 use crate::metrics::PSNR;
+use crate::run::RunDir;
 use crate::runtime::Runtime;
 
-use super::claim::{Claim, Progress, Sharing};
+use super::claim::{Claim, Progress, Sharing, is_taken};
 use super::folder::SweepFolder;
 use super::pace::{Pace, spent};
 use super::point_folder::{Failure, PointFolder, PointResult};
@@ -68,6 +69,43 @@ pub struct Runner<'a> {
     pub stop: &'a AtomicUsize,
 }
 
+/// A finished point that could not be measured again. It keeps its earlier result.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Unmeasured {
+    /// The point's row, scene, axes and seed in words.
+    pub label: String,
+    /// Why.
+    pub failure: Failure,
+}
+
+/// What the jobs of a runner share.
+struct Shared {
+    /// Points to be done again, with the time at which they ended.
+    again: Mutex<HashMap<String, SystemTime>>,
+    unmeasured: Mutex<Vec<Unmeasured>>,
+    pace: Mutex<Pace>,
+    /// For whom is waited, as it was said last.
+    said: Mutex<Vec<String>>,
+}
+
+impl Shared {
+    /// Whether the point has not ended, or is to be done again and no worker has done so yet.
+    fn is_to_do(&self, point: &Point, folder: &PointFolder) -> bool {
+        let at = folder.finished_at().or(folder.failed_at());
+        !folder.ended() || at.is_some() && lock(&self.again).get(&point.id) == at.as_ref()
+    }
+
+    /// Keeps why a finished point was not measured again.
+    fn give_up(&self, label: &str, failure: &Failure) {
+        lock(&self.unmeasured).push(Unmeasured { label: label.into(), failure: failure.clone() });
+    }
+}
+
+/// What a lock guards is whole after a panic, too.
+fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
+    mutex.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
 /// What a runner does next.
 enum Next<'a> {
     Run(&'a Point, PointFolder, Claim),
@@ -78,33 +116,41 @@ enum Next<'a> {
 
 impl Runner<'_> {
     /// Runs until nothing is left, a signal comes, or, with `fail_fast`, a point fails. An error is
-    /// one of the whole sweep (a full disk, a signal); failed points are in the folder.
-    pub fn run(&self) -> Result<()> {
+    /// one of the whole sweep (a full disk, a signal); failed points are in the folder. Returns the finished points that
+    /// could not be measured again.
+    pub fn run(&self) -> Result<Vec<Unmeasured>> {
         let runnable: Vec<&Point> = self.points.iter().filter(|point| point.no_data.is_none()).collect();
         for point in &runnable {
             let folder = self.folder.point(&point.id);
             folder.begin(point)?;
             folder.clean_up(self.options.sharing)?;
         }
-        let again = self.to_do_again(&runnable)?;
+        let shared = Shared {
+            again: Mutex::new(self.to_do_again(&runnable)?),
+            unmeasured: Mutex::default(),
+            pace: Mutex::new(Pace::of(self.folder, &runnable)),
+            said: Mutex::default(),
+        };
         let failed = AtomicBool::new(false);
-        let said = Mutex::new(Vec::new());
-        let pace = Mutex::new(Pace::of(self.folder, &runnable));
         let worker = || -> Result<()> {
             let runtime = self.runtime.share(self.options.jobs)?;
             loop {
                 if failed.load(Ordering::SeqCst) && self.options.fail_fast {
                     return Ok(());
                 }
-                match self.next(&runnable, &again)? {
+                match self.next(&runnable, &shared)? {
                     Next::Nothing => return Ok(()),
                     Next::Wait(others) => {
-                        self.say_who_works(others, &said);
+                        self.say_who_works(others, &shared);
                         std::thread::sleep(LOOK_EVERY);
                     }
                     Next::Run(point, folder, claim) => {
-                        if runtime.install(|| self.run_point(point, &folder, &runtime, claim, &pace))?.is_err() {
-                            failed.store(true, Ordering::SeqCst);
+                        match runtime.install(|| self.run_point(point, &folder, &runtime, claim, &shared)) {
+                            // Another process took the run after the look at it.
+                            Err(Error::InUse(_)) if self.options.sharing == Sharing::Locks => {
+                                std::thread::sleep(LOOK_EVERY);
+                            }
+                            ended => _ = failed.fetch_or(ended?.is_err(), Ordering::SeqCst),
                         }
                     }
                 }
@@ -116,8 +162,9 @@ impl Runner<'_> {
                 .into_iter()
                 .map(|worker| worker.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic)))
                 .collect();
-            ended.into_iter().collect()
-        })
+            ended.into_iter().collect::<Result<()>>()
+        })?;
+        Ok(std::mem::take(&mut *lock(&shared.unmeasured)))
     }
 
     /// The points to be done again, with the time at which they ended: failures and gaps that are there now, and no
@@ -126,10 +173,10 @@ impl Runner<'_> {
         let mut again = HashMap::new();
         for point in points {
             let folder = self.folder.point(&point.id);
-            let ended = match folder.failed_at() {
-                Some(at) => Some(at).filter(|_| self.options.retry_failed),
-                None if folder.lacks(&self.options.remeasure)? => folder.finished_at(),
-                None => None,
+            let ended = match (folder.finished_at(), folder.failed_at()) {
+                (Some(at), _) if folder.lacks(&self.options.remeasure)? => Some(at),
+                (None, Some(at)) if self.options.retry_failed => Some(at),
+                _ => None,
             };
             again.extend(ended.map(|at| (point.id.clone(), at)));
         }
@@ -137,8 +184,8 @@ impl Runner<'_> {
     }
 
     /// Says for whom is waited, when that changes.
-    fn say_who_works(&self, others: Vec<String>, said: &Mutex<Vec<String>>) {
-        let mut said = said.lock().expect("no panic while speaking");
+    fn say_who_works(&self, others: Vec<String>, shared: &Shared) {
+        let mut said = lock(&shared.said);
         if *said != others {
             let who = others.join(", ");
             self.events.on(Event::Note(&format!("waiting for points that others work on: {who}")));
@@ -146,16 +193,19 @@ impl Runner<'_> {
         }
     }
 
-    fn next<'a>(&self, points: &[&'a Point], again: &HashMap<String, SystemTime>) -> Result<Next<'a>> {
+    fn next<'a>(&self, points: &[&'a Point], shared: &Shared) -> Result<Next<'a>> {
         let mut others = Vec::new();
         for point in points {
             self.check_stop()?;
             let folder = self.folder.point(&point.id);
-            let again = || {
-                let ended = folder.failed_at().or(folder.finished_at());
-                ended.is_some() && again.get(&point.id) == ended.as_ref()
-            };
-            if folder.ended() && !again() {
+            if !shared.is_to_do(point, &folder) {
+                continue;
+            }
+            // A task of a scheduler has no other point: it ends with the lock's error, and makes room for the next task.
+            if self.options.sharing == Sharing::Locks
+                && let Some(user) = user_of_run(&folder)
+            {
+                others.push(user);
                 continue;
             }
             let Some(claim) = Claim::take(folder.path(), self.options.sharing)? else {
@@ -167,7 +217,7 @@ impl Runner<'_> {
                 continue;
             };
             // Another worker may have finished it between the look and the claim.
-            if !folder.ended() || again() {
+            if shared.is_to_do(point, &folder) {
                 folder.clean()?;
                 folder.clear_failure()?;
                 return Ok(Next::Run(point, folder, claim));
@@ -198,11 +248,11 @@ impl Runner<'_> {
         folder: &PointFolder,
         runtime: &Runtime,
         claim: Claim,
-        pace: &Mutex<Pace>,
+        shared: &Shared,
     ) -> Result<std::result::Result<(), ()>> {
         let begun = Instant::now();
         let label = point.label();
-        self.say_what_begins(point, &label, pace);
+        self.say_what_begins(point, &label, shared);
         if !claim.is_locked {
             self.events.on(Event::Note(&format!("{label}: no locks here; start no other worker on this point")));
         }
@@ -215,19 +265,25 @@ impl Runner<'_> {
                     return Err(error);
                 }
             },
-            // A full disk is no point's fault, and every other one's as well.
-            Err(error @ Error::Output(_)) => return Err(error),
+            // A full disk is no point's fault, and every other one's as well. A run in use is no fault at all.
+            Err(error @ (Error::Output(_) | Error::InUse(_))) => return Err(error),
             Err(error) => Err(Failure { reason: error.to_string(), exit_code: error.exit_code() }),
         };
+        // Once a runner, whatever came of it.
+        lock(&shared.again).remove(&point.id);
         match &outcome {
             Ok(result) => {
                 folder.finish(result)?;
                 let seconds = spent(folder).unwrap_or_else(|| begun.elapsed().as_secs_f64());
-                pace.lock().unwrap_or_else(PoisonError::into_inner).add(point, seconds);
+                lock(&shared.pace).add(point, seconds);
                 self.events.on(Event::PointFinished { label: &label, psnr: result.metric(PSNR.key) });
             }
             Err(failure) => {
-                folder.fail(failure)?;
+                match folder.finished_at() {
+                    // It is done all the same.
+                    Some(_) => shared.give_up(&label, failure),
+                    None => folder.fail(failure)?,
+                }
                 self.events.on(Event::PointFailed { label: &label, reason: &failure.reason });
             }
         }
@@ -250,12 +306,13 @@ impl Runner<'_> {
         }))
     }
 
-    fn say_what_begins(&self, point: &Point, label: &str, pace: &Mutex<Pace>) {
-        let open = |point: &&Point| !self.folder.point(&point.id).ended();
-        let ended = self.points.len() - self.points.iter().filter(open).count();
-        let left = self.points.iter().filter(|point| point.no_data.is_none()).filter(open);
-        let pace = *pace.lock().unwrap_or_else(PoisonError::into_inner);
-        let seconds_left = pace.seconds_of(left).map(|seconds| seconds / self.options.jobs as f64);
+    fn say_what_begins(&self, point: &Point, label: &str, shared: &Shared) {
+        let is_to_do = |point: &&Point| shared.is_to_do(point, &self.folder.point(&point.id));
+        let ended = self.points.len() - self.points.iter().filter(is_to_do).count();
+        let is_left = |point: &&Point| point.no_data.is_none() && !self.folder.point(&point.id).ended();
+        let pace = *lock(&shared.pace);
+        let seconds_left = pace.seconds_of(self.points.iter().filter(is_left)).filter(|seconds| *seconds > 0.0);
+        let seconds_left = seconds_left.map(|seconds| seconds / self.options.jobs as f64);
         let (points, steps) = (self.points.len(), point.config.train.steps);
         self.events.on(Event::PointStarted { label, ended, points, steps, seconds_left });
     }
@@ -268,4 +325,14 @@ impl Runner<'_> {
             Err(Error::Tensor(candle_core::Error::Msg(format!("panic: {}", text.unwrap_or("without words")))))
         })
     }
+}
+
+/// Names the process that has the run of a point without a worker, such as `augnerf eval`.
+fn user_of_run(folder: &PointFolder) -> Option<String> {
+    // The look locks a free run for a moment, in which no worker should want it.
+    if is_taken(folder.path()) {
+        return None;
+    }
+    let run = folder.run();
+    RunDir::holder(&run).map(|holder| format!("{holder} (in {})", run.display()))
 }

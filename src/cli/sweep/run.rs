@@ -10,13 +10,14 @@ use crate::cli::progress::{Console, print, report};
 use crate::cli::signals::catch_signals;
 use crate::cli::{Compute, LpipsWeights};
 use crate::draw::SVG_ALONE;
+use crate::report::Status;
 use crate::report::tables::table_terminal;
 use crate::runtime::Runtime;
-use crate::sweep::{Options, Runner, Sharing};
+use crate::sweep::{Options, Runner, Sharing, Unmeasured};
 
 use super::{
-    Changes, How, Location, MaxDeaths, begin_folder, check_done, collect, say_how_long, states_of, table_json,
-    terminal_width, trainings,
+    Changes, How, Location, MaxDeaths, PointState, begin_folder, check_done, collect, reasons, say_how_long, states_of,
+    table_json, terminal_width, trainings,
 };
 
 pub const EXAMPLES: &str = "Examples:
@@ -26,7 +27,7 @@ pub const EXAMPLES: &str = "Examples:
 
 --then 'echo $AUGNERF_EXIT_CODE > ended' runs a command at the end. The same command resumes a stopped sweep. Several commands on one folder share its points.
 Exit codes: 0 done, 7 points failed, 8 scenes are missing, 9 rows are not comparable (see --force), 11 points are not \
-done yet (another worker has them), 130 or 143 stopped (run it \
+done yet (another worker has them), 129, 130 or 143 stopped (run it \
 again), 2 the sweep file is wrong.";
 
 #[derive(Args)]
@@ -117,7 +118,7 @@ impl RunArguments {
         // A stopped sweep writes the table of its finished points, too.
         let how = How { force: self.force, with_timing: false };
         let table = collect((&folder, &definition, &points), &name, &results, how);
-        ran?;
+        let unmeasured = ran?;
         if let Ok(table) = &table {
             self.answer.give(&table_json(table, &results), || match quiet {
                 true => print(&results.display().to_string()),
@@ -127,9 +128,36 @@ impl RunArguments {
         console.say(&format!("tables: {}", results.display()));
         SVG_ALONE.into_iter().for_each(|note| console.say(note));
         // An error of points comes before an error of the table.
-        check_done(&states_of(&folder, &points)?)?;
+        let done = check_done(&states_of(&folder, &points)?);
+        if let Err(error) = check_remeasured(unmeasured, points.len()) {
+            // Its code comes before those of points that wait or have no data.
+            done.err().iter().for_each(|done| report(&done.to_string()));
+            return Err(error);
+        }
+        done?;
         table.map(|_| ())
     }
+}
+
+/// Checks that all finished points that were measured again are measured.
+///
+/// # Errors
+/// [`Error::PointsFailed`], with the reasons.
+fn check_remeasured(unmeasured: Vec<Unmeasured>, all: usize) -> Result<()> {
+    let state = |Unmeasured { label, failure }| PointState {
+        label,
+        status: Status::Failed,
+        reason: failure.reason.lines().next().unwrap_or_default().into(),
+    };
+    let states: Vec<PointState> = unmeasured.into_iter().map(state).collect();
+    if states.is_empty() {
+        return Ok(());
+    }
+    Err(Error::PointsFailed(format!(
+        "{} of {all} points could not be measured again and keep their results; try them again with --remeasure:{}",
+        states.len(),
+        reasons(&states)
+    )))
 }
 
 /// The exit code for the command of `--then`.

@@ -20,7 +20,7 @@ use super::{MaxDeaths, begun, trainings};
 
 pub const EXAMPLES: &str = "Examples:
   augnerf sweep run-point runs/smoke --index 3      # after `augnerf sweep begin`
-  augnerf sweep run-point runs/smoke --id 97ce1e35  # by its name in runs/smoke/points
+  augnerf sweep run-point runs/smoke --id f75d9b8c  # by its name in runs/smoke/points
   augnerf sweep run-point runs/smoke --index 3 --retry-failed
 
 Exit codes: 0 done, or another worker has the point; 129, 130 or 143 stopped with a checkpoint (run it again); 7 failed; 8 no \
@@ -115,7 +115,7 @@ impl RunPointArguments {
             sharing: Sharing::Scheduler,
         };
         let points = std::slice::from_ref(point);
-        Runner { folder, points, runtime, work: &trainings, options, events: console, stop }.run()
+        Runner { folder, points, runtime, work: &trainings, options, events: console, stop }.run().map(|_| ())
     }
 
     /// Prints the state of the point; `before` says that it had ended before this command.

@@ -20,6 +20,9 @@ pub enum Error {
     /// An output folder that cannot be written, or that is not empty.
     #[error("{}", shown(.0))]
     Output(String),
+    /// A run folder that another process has locked. It has the exit code of [`Error::Output`].
+    #[error("{}", shown(.0))]
+    InUse(String),
     /// A checkpoint or run folder that is missing, damaged, or of another architecture.
     #[error("{}", shown(.0))]
     Checkpoint(String),
@@ -95,7 +98,7 @@ pub enum Class {
     Config,
     /// See [`Error::Data`].
     Data,
-    /// See [`Error::Output`].
+    /// See [`Error::Output`] and [`Error::InUse`].
     Output,
     /// See [`Error::Checkpoint`].
     Checkpoint,
@@ -171,7 +174,7 @@ impl Error {
             Error::Tensor(_) => Class::Internal,
             Error::Config(_) | Error::Setting(_) => Class::Config,
             Error::Data(_) => Class::Data,
-            Error::Output(_) => Class::Output,
+            Error::Output(_) | Error::InUse(_) => Class::Output,
             Error::Checkpoint(_) => Class::Checkpoint,
             Error::Diverged(_) => Class::Diverged,
             Error::PointsFailed(_) => Class::PointsFailed,

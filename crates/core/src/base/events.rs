@@ -42,13 +42,14 @@ pub enum Event<'a> {
     PointStarted {
         /// Its row, scene, axes and seed in words.
         label: &'a str,
-        /// Number of points that are done or failed so far.
+        /// Number of points that are done or failed so far, without those that will be done again.
         ended: usize,
         /// Number of points in the sweep.
         points: usize,
         /// Number of its training steps.
         steps: u64,
-        /// Estimated seconds until the sweep is done, from its points so far. `None` before the first one is done.
+        /// Estimated seconds of the remaining trainings, from the points so far. `None` before the first one is done, and
+        /// if only finished points are measured again.
         seconds_left: Option<f64>,
     },
     /// A point of a sweep is measured.

@@ -137,6 +137,13 @@ impl RunDir {
         Ok(run)
     }
 
+    /// Returns who holds the run at `path`, or `None` if [`RunDir::take`] would not find it in use.
+    pub fn holder(path: &Path) -> Option<String> {
+        // A link in place of a file is an error of whoever takes the run.
+        check_entries(path).ok()?;
+        RunLock::holder(path)
+    }
+
     /// Returns whether this process may write into the run; not on a read-only disk, for instance.
     pub fn is_writable(&self) -> bool {
         let denied = |error: &io::Error| {

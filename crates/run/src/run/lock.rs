@@ -47,14 +47,48 @@ impl RunLock {
             Err(TryLockError::Error(_)) => Ok(None),
         }
     }
+
+    /// Returns who holds the run folder `path`, or `None` if it is free or its lock cannot be opened. A free run is locked
+    /// for a moment.
+    pub fn holder(path: &Path) -> Option<String> {
+        let mut file = File::options().read(true).write(true).open(path.join(LOCK)).ok()?;
+        matches!(file.try_lock(), Err(TryLockError::WouldBlock)).then(|| named(&mut file))
+    }
+}
+
+/// Returns the process that a lock file names.
+fn named(file: &mut File) -> String {
+    let mut holder = String::new();
+    let known = file.take(64).read_to_string(&mut holder).is_ok() && !holder.is_empty();
+    if known { format!("process {holder}") } else { "another process".to_string() }
 }
 
 fn locked(path: &Path, file: &mut File) -> Error {
-    let mut holder = String::new();
-    let known = file.take(64).read_to_string(&mut holder).is_ok() && !holder.is_empty();
-    let who = if known { format!("process {holder}") } else { "another process".to_string() };
-    Error::Output(format!(
-        "{} is in use by {who}, which trains in it or reads it; wait for it, or give a new run another --out",
-        path.display()
+    Error::InUse(format!(
+        "{} is in use by {}, which trains in it or reads it; wait for it, or give a new run another --out",
+        path.display(),
+        named(file)
     ))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_held_run_is_in_use_and_names_its_holder() {
+        let dir = tempfile::tempdir().unwrap();
+        assert_eq!(RunLock::holder(dir.path()), None, "no lock file yet");
+        let held = RunLock::acquire(dir.path()).unwrap();
+        let own = format!("process {}", std::process::id());
+        assert_eq!(RunLock::holder(dir.path()), Some(own.clone()));
+        let error = RunLock::acquire(dir.path()).unwrap_err();
+        assert!(matches!(&error, Error::InUse(text) if text.contains(&own)), "{error}");
+        assert_eq!(error.exit_code(), 4);
+        drop(held);
+        assert_eq!(RunLock::holder(dir.path()), None);
+        // Readers of a run that they cannot write keep a trainer away, too.
+        let _shared = RunLock::share(dir.path()).unwrap().unwrap();
+        assert!(RunLock::holder(dir.path()).is_some());
+    }
 }

@@ -97,7 +97,7 @@ impl Trained {
     ///
     /// # Errors
     /// [`Error::Checkpoint`](crate::base::Error::Checkpoint): no run or checkpoint, a damaged checkpoint, or one of
-    /// other settings. [`Error::Output`](crate::base::Error::Output): another process holds the run.
+    /// other settings. [`Error::InUse`](crate::base::Error::InUse): another process holds the run.
     /// [`Error::Data`](crate::base::Error::Data): the scene cannot be read, or has changed since the run started.
     pub fn open(run: &Path, data: Option<&Path>, runtime: &Runtime, events: &dyn Listener) -> Result<Trained> {
         Trained::open_at(run, OpenOptions::default(), data, runtime, events)
