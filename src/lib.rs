@@ -80,6 +80,7 @@
 //! |---|---|
 //! | `augnerf` | [`cli`], and everything below |
 //! | `augnerf-sweep` | [`sweep`] |
+//! | `augnerf-view` | [`view`] |
 //! | `augnerf-run` | [`train`], [`run`], [`compare`], [`mod@bench`] |
 //! | `augnerf-baselines` | [`grids`] and the [`methods`] SRN, Neural Volumes and LLFF |
 //! | `augnerf-report` | [`draw`], [`report`] |

@@ -185,6 +185,9 @@ fn scored_rows_stand_marked_in_the_table() {
         &demand(dir, &[&["score"], &mixed[..]].concat(), 2),
         &["'single' would have sets", "give each set a seed"],
     );
+    // Rows are paired by seed, and `single` has none.
+    let against = ["sweep", "collect", "runs/tiny", "--baseline", "single", "--out", "against"];
+    assert_says(&demand(dir, &against, 2), &["--baseline single", "without a seed", "--seed"]);
     let before = rows(&text(&dir.join("results/tiny/table.csv")));
     demand(dir, &["sweep", "collect", "runs/tiny"], 0);
     let table = rows(&text(&dir.join("results/tiny/table.csv")));

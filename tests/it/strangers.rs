@@ -318,6 +318,17 @@ fn models_in_other_folders_and_photos_in_others_are_named() {
 fn training_views_are_held_out_where_no_test_view_was_rendered() {
     let said = check("blender_no_test_pictures", &[]);
     assert_says(&said, &["no photo of transforms_test.json is there", "is held out instead"]);
+    // Weights are not to be chosen on the views that are reported.
+    let name = "blender_no_test_pictures";
+    let dir = changed(name, "transforms_test.json", |value| value["frames"] = Value::Array(Vec::new()));
+    std::fs::copy(dir.path().join("transforms_test.json"), dir.path().join("transforms_val.json")).unwrap();
+    let folder = dir.path().to_str().unwrap();
+    let on_val = ["data", "check", folder, "--set", "data.downscale=1", "--set", "data.eval_split=val"];
+    refuse(&on_val, 3, &["neither transforms_val.json nor transforms_test.json has photos", "data.validation"]);
+    let poses = dir.path().join("transforms_train.json");
+    std::fs::rename(&poses, poses.with_file_name("transforms.json")).unwrap();
+    let validation = check_folder(dir.path(), &["data.eval_split=val", "data.validation=3"]);
+    assert_says(&validation, &["5 (0002, 0004, 0005, 0007, 0008)", "2 (0003, 0006)"]);
 }
 
 #[test]

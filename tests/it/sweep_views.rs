@@ -141,6 +141,10 @@ fn chosen_rows_have_the_statistics_of_what_is_shown() {
     assert_eq!(table("kept"), table("again"));
     assert_says(&demand(dir.path(), &of_results[..3], 2), &["results, not points", "verify --update"]);
     assert_says(&demand(dir.path(), &["sweep", "best", "results/one"], 0), &["A, long"]);
+    // A point that several lines show counts once.
+    let shared = format!("{}/results/paper/fig_embedded", env!("CARGO_MANIFEST_DIR"));
+    assert_eq!(rows(&text(&Path::new(&shared).join("points.csv"))).len(), 117);
+    assert_says(&demand(dir.path(), &["sweep", "status", &shared], 0), &["results, 99 done"]);
     // The sweep's own tables are what they were, and a view beside them does not disturb their check.
     assert_eq!(rows(&text(&dir.path().join("results/one/table.csv"))), whole);
     collect(&["--rows", "NeRF,B", "--out", "results/view"], 0);
@@ -165,6 +169,14 @@ fn two_sweeps_stand_in_one_table_where_they_agree() {
     let other = &table[4];
     assert_eq!((other["baseline"].as_str(), other["psnr_pairs"].as_str()), ("NeRF", "2"));
     assert!(text(&dir.path().join("both/table.md")).contains("a view of monday and tuesday"));
+    // What is left to do of the rows shown decides the exit code, by the names that these rows have here.
+    let later_points = expand(&Definition::parse(&later, "tuesday").unwrap(), None, &Costs).unwrap();
+    let of_b = later_points.iter().find(|point| point.places[0].row == "B").unwrap();
+    let tuesday = SweepFolder::new(&dir.path().join("runs/tuesday"));
+    std::fs::remove_file(tuesday.point(&of_b.id).path().join("result.json")).unwrap();
+    let shown = |rows: &str, code: i32| demand(dir.path(), &[&merge[..], &["--rows", rows]].concat(), code);
+    shown("NeRF,B", 0);
+    assert_says(&shown("NeRF,B (tuesday)", 11), &["6 of 7 points are done", "1 are waiting"]);
 
     finished(dir.path(), "wednesday", &later, &[("code_revision", "def"), ("width", "32")]);
     let refused = [&merge[..4], &["runs/wednesday", "--out", "third"]].concat();
@@ -241,6 +253,12 @@ fn seeds_that_a_difference_takes_are_told_without_means() {
     };
     assert_eq!((tests("one", "psnr"), tests("again", "psnr")), (vec![3; 3], vec![3; 4]));
     assert_eq!(tests("one", "lpips_squeeze"), [1; 3]);
+    // Rows without a finished point will be measured, each by itself.
+    let (unfinished, points) = finished(dir.path(), "unfinished", BASE, &[]);
+    for point in points.iter().filter(|point| ["B", "C"].contains(&point.places[0].row.as_str())) {
+        std::fs::remove_file(SweepFolder::new(&unfinished).point(&point.id).path().join("result.json")).unwrap();
+    }
+    assert_eq!(tests("unfinished", "psnr"), [3; 3]);
 
     let told = power(&["--difference", "0.3"], 0);
     assert_says(&told, &["0.3 dB in 80 of 100", "no means", "builtin: B minus NeRF, seeds so far 3", "3 needed"]);

@@ -241,6 +241,11 @@ impl View {
         self.spec.rows.iter().map(|row| row.name.as_str())
     }
 
+    /// Returns the points of the rows that are shown, by these rows' names, without scored images.
+    pub fn point_records(&self) -> &[Record] {
+        &self.outputs.records
+    }
+
     fn choose_baseline(&mut self, baseline: Option<&str>) -> Result<()> {
         let names: Vec<String> = self.spec.rows.iter().map(|row| row.name.clone()).collect();
         let listed = || quoted(&names);
@@ -258,6 +263,12 @@ impl View {
                 let seeded = |row: &RowSpec| {
                     !self.outputs.scored.iter().any(|scored| scored.row == row.name && scored.seed.is_none())
                 };
+                if known.is_some_and(|row| !seeded(row)) {
+                    return Err(Error::Config(format!(
+                        "--baseline {name}: its images were scored without a seed, and rows are paired by seed; score them \
+                         again with `augnerf score --seed`, or choose another baseline"
+                    )));
+                }
                 let others = self.spec.rows.iter_mut().filter(|row| !row.quoted);
                 others.for_each(|row| row.baseline = (row.name != name && seeded(row)).then(|| name.to_string()));
             }

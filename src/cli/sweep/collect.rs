@@ -12,7 +12,9 @@ use crate::report::tables::{Table, table_terminal};
 use crate::sweep::{Selection, View, check_name};
 
 use super::opened::Opened;
-use super::{How, PointState, RESULTS, RUNS, check_done, collect, name_of, table_json, terminal_width};
+use super::{
+    How, PointState, RESULTS, RUNS, check_done, collect, name_of, states_of_records, table_json, terminal_width,
+};
 
 pub const EXAMPLES: &str = "Examples:
   augnerf sweep collect runs/tab4_fern  # tables and figures, in results/
@@ -115,12 +117,7 @@ impl CollectArguments {
         let sweeps: Vec<Opened> = std::iter::once(first).chain(others).collect();
         let sources = sweeps.iter().map(Opened::source).collect::<Result<Vec<_>>>()?;
         let view = View::new(&name_of(&results)?, &sources, selection)?;
-        let shown: Vec<&str> = view.rows().collect();
-        let is_shown = |state: &PointState| state.rows.iter().any(|row| shown.contains(&row.as_str()));
-        let mut states = Vec::new();
-        for sweep in &sweeps {
-            states.extend(sweep.states()?.into_iter().filter(is_shown));
-        }
+        let states = states_of_records(view.point_records());
         Ok((view.write(&results, self.force, self.with_timing)?, results, states))
     }
 }

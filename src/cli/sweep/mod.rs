@@ -1,5 +1,6 @@
 //! `augnerf sweep`: flags and steps that its commands share; each command has a file.
 
+use std::collections::HashSet;
 use std::io::IsTerminal;
 use std::ops::RangeInclusive;
 use std::path::{Path, PathBuf};
@@ -11,8 +12,8 @@ use serde_json::json;
 use crate::base::csv::plain_cell;
 use crate::base::{Error, Result};
 use crate::metrics::{Lpips, Metric, Needs, Scope};
-use crate::report::Status;
 use crate::report::tables::{Table, table_csv};
+use crate::report::{Record, Status};
 use crate::run::load_lpips;
 use crate::runtime::Runtime;
 use crate::settings::parse_assignment;
@@ -350,8 +351,6 @@ fn link_by_name(folder: &SweepFolder, points: &[Point]) {
 /// How a point stands.
 struct PointState {
     label: String,
-    /// Rows that show it.
-    rows: Vec<String>,
     status: Status,
     /// Why it failed or has no data.
     reason: String,
@@ -361,10 +360,25 @@ struct PointState {
 fn states_of(folder: &SweepFolder, points: &[Point]) -> Result<Vec<PointState>> {
     let of_point = |point: &Point| {
         let state = folder.point(&point.id).state(point)?;
-        let rows = point.places.iter().map(|place| place.row.clone()).collect();
-        Ok(PointState { label: point.label(), rows, status: state.status, reason: state.reason })
+        Ok(PointState { label: point.label(), status: state.status, reason: state.reason })
     };
     points.iter().map(of_point).collect()
+}
+
+/// Returns one record of each point. Several rows may show a point.
+fn one_of_each(records: &[Record]) -> impl Iterator<Item = &Record> {
+    let mut seen = HashSet::new();
+    records.iter().filter(move |record| seen.insert(record.id.as_str()))
+}
+
+/// Returns how the points of some records stand.
+fn states_of_records(records: &[Record]) -> Vec<PointState> {
+    let of_record = |record: &Record| PointState {
+        label: record.point_label(),
+        status: record.status,
+        reason: record.reason.clone(),
+    };
+    one_of_each(records).map(of_record).collect()
 }
 
 /// Prints how long the points that are left take here, and warns of the paper's own settings.

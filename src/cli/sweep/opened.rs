@@ -3,11 +3,10 @@
 use std::path::Path;
 
 use crate::base::{Error, Result};
-use crate::report::Record;
 use crate::sweep::verify::Archive;
 use crate::sweep::{Definition, Point, Source, SweepFolder, SweepOutputs};
 
-use super::{PointState, begun, name_of, states_of};
+use super::{PointState, begun, name_of, states_of, states_of_records};
 
 /// A sweep in a folder.
 pub struct Opened {
@@ -61,14 +60,8 @@ impl Opened {
 
     /// Returns how the points stand: as the folder says, or as its results say.
     pub fn states(&self) -> Result<Vec<PointState>> {
-        let of_record = |record: &Record| PointState {
-            label: record.point_label(),
-            rows: vec![record.row.clone()],
-            status: record.status,
-            reason: record.reason.clone(),
-        };
         match &self.kept {
-            Some(outputs) => Ok(outputs.records.iter().map(of_record).collect()),
+            Some(outputs) => Ok(states_of_records(&outputs.records)),
             None => states_of(&self.folder, &self.points),
         }
     }

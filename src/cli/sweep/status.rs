@@ -16,7 +16,7 @@ use crate::sweep::slurm::{Queue, Slurm};
 use crate::sweep::{Pace, Point, SweepFolder, SweepOutputs};
 
 use super::opened::Opened;
-use super::{check_done, duration, states_of};
+use super::{check_done, duration, one_of_each, states_of};
 
 pub const EXAMPLES: &str = "Examples:
   augnerf sweep status runs/smoke
@@ -119,7 +119,7 @@ impl StatusArguments {
 
     /// Shows what a results folder says of its points. Nothing runs there.
     fn of_results(&self, opened: &Opened, outputs: &SweepOutputs) -> Result<()> {
-        let points: Vec<PointStatus> = outputs.records.iter().map(PointStatus::of_record).collect();
+        let points: Vec<PointStatus> = one_of_each(&outputs.records).map(PointStatus::of_record).collect();
         let counts = counts(&points);
         if self.answer.json {
             let folder = opened.folder.path().display().to_string();

@@ -51,9 +51,9 @@ section! {
         /// Largest number of entries in a level's table, as a power of two (log2 T). A level whose grid has fewer
         /// corners has one entry per corner.
         pub log2_table: usize = 17, numbers().whole(8, 24, "8 to 24").columns(COLUMN);
-        /// Cells along a side of the box at the coarsest level (N_min).
+        /// Cells along a side of the grid at the coarsest level (N_min).
         pub coarsest: usize = 16, numbers().whole(1, 1 << 16, "1 to 65536 cells").columns(COLUMN);
-        /// Cells along a side of the box at the finest level (N_max). Empty = twice the pixels along the longer side of
+        /// Cells along a side of the grid at the finest level (N_max). Empty = twice the pixels along the longer side of
         /// an image.
         pub finest: Option<usize> = None,
             numbers().whole(1, 1 << 16, "1 to 65536 cells, at least field.hash.coarsest").columns(COLUMN);
@@ -62,7 +62,7 @@ section! {
         /// The box that the grid fills: two corners in scene units (in NDC, -1 to 1 is the frustum). Empty, in NDC: 1.5
         /// to each side of the scene's origin, and -1 to 1 along the view axis. Empty, if the cameras look at a common
         /// region (transforms.json, COLMAP, spherified LLFF): that region. Empty otherwise: 1.5 to each side without a
-        /// contraction, and with one the distance from a ray's start to its middle.
+        /// contraction, and with one half of near + far.
         pub bounds: Option<[[f64; 3]; 2]> = None, numbers().corners().columns(COLUMN);
         /// What happens to points outside: `none` (they are empty), `ball` or `axes` (all of space is contracted into
         /// the grid). Empty = `ball` for captures of unknown extent, `none` otherwise.

@@ -37,9 +37,9 @@ pub struct Block {
     pub label: Option<String>,
     /// The difference, its p values corrected over the blocks, or `None` if no seed has both rows.
     pub comparison: Option<Comparison>,
-    /// Counts of the row's points by status: `done 5`.
+    /// Counts of the row's points by status: `done 5`. Those of the baseline follow if it lacks a point.
     pub status: String,
-    /// The row lacks a point of its sweep.
+    /// The row or its baseline lacks a point of its sweep.
     pub unfinished: bool,
     /// Ends of the interval that holds with 95 % for all blocks at once (Bonferroni).
     pub simultaneous: Option<(f64, f64)>,
@@ -49,19 +49,32 @@ const HOW_TO_READ: &str = "the difference is paired by seed, with its 95 % Stude
      after Holm's correction over these comparisons, one a block; the simultaneous intervals hold with 95 % for all of them at \
      once (Bonferroni), which is stricter than Holm's p: \"higher\" and \"lower\" go by p";
 
+/// Returns the line of the baseline that `line` is compared with: at the same axis values, or without any.
+fn line_of_baseline<'a>(table: &'a Table, line: &Line, baseline: &str) -> Option<&'a Line> {
+    let at = |axes: &str| {
+        table.lines.iter().find(|other| other.scene == line.scene && other.row == baseline && other.axes == axes)
+    };
+    at(&line.axes).or_else(|| at(""))
+}
+
 impl Across {
     /// Compares in tables whose first metric is the compared one and in which `row` has the baseline `baseline`.
     pub fn new(row: &str, baseline: &str, tables: &[Table]) -> Across {
-        let block = |table: &Table, line: &Line| Block {
-            sweep: table.name.clone(),
-            scene: line.scene.clone(),
-            axes: line.axes.clone(),
-            views: line.protocol("views_trained").into(),
-            label: None,
-            comparison: line.cells[0].comparison,
-            status: line.status.clone(),
-            unfinished: line.unfinished(),
-            simultaneous: None,
+        let block = |table: &Table, line: &Line| {
+            let compared_with = line_of_baseline(table, line, baseline);
+            let lacking = compared_with.filter(|other| other.unfinished());
+            let status = |other: &Line| format!("{}; {baseline}: {}", line.status, other.status);
+            Block {
+                sweep: table.name.clone(),
+                scene: line.scene.clone(),
+                axes: line.axes.clone(),
+                views: line.protocol("views_trained").into(),
+                label: None,
+                comparison: line.cells[0].comparison,
+                status: lacking.map_or_else(|| line.status.clone(), status),
+                unfinished: line.unfinished() || lacking.is_some(),
+                simultaneous: None,
+            }
         };
         let of = |table| -> Vec<Block> {
             let table: &Table = table;
@@ -271,6 +284,11 @@ mod tests {
 
     /// Returns a table with these differences, seed by seed.
     fn table(name: &str, differences: &[f64]) -> Table {
+        unfinished_table(name, differences, 0)
+    }
+
+    /// The same, but for `lacking` seeds the baseline has not been trained yet.
+    fn unfinished_table(name: &str, differences: &[f64], lacking: usize) -> Table {
         let row = |name: &str, baseline: Option<&str>| RowSpec {
             name: name.into(),
             baseline: baseline.map(String::from),
@@ -298,7 +316,10 @@ mod tests {
         let of_seed = |(seed, difference): (usize, &f64)| {
             [record("NeRF", seed, 20.0), record("Aug-NeRF", seed, 20.0 + difference)]
         };
-        let records: Vec<Record> = differences.iter().enumerate().flat_map(of_seed).collect();
+        let mut records: Vec<Record> = differences.iter().enumerate().flat_map(of_seed).collect();
+        for waiting in records.iter_mut().filter(|record| record.row == "NeRF").take(lacking) {
+            (waiting.status, waiting.metrics) = (Status::Waiting, vec![]);
+        }
         Table::new(&spec, &records, false).unwrap()
     }
 
@@ -328,6 +349,16 @@ mod tests {
         );
         let csv = across.csv();
         assert!(csv.starts_with("sweep,scene,") && csv.lines().count() == 3, "{csv}");
+    }
+
+    #[test]
+    fn a_baseline_that_lacks_a_point_leaves_the_comparison_unfinished() {
+        let across = Across::new("Aug-NeRF", "NeRF", &[unfinished_table("a", &[0.5, 0.55, 0.45], 1)]);
+        let block = &across.blocks[0];
+        assert_eq!((block.comparison.unwrap().pairs, block.unfinished), (2, true));
+        assert_eq!(block.status, "done 3; NeRF: waiting 1, done 2");
+        assert!(across.markdown().contains("UNFINISHED: done 3; NeRF: waiting 1, done 2"));
+        assert!(!Across::new("Aug-NeRF", "NeRF", &[table("a", &[0.5, 0.55])]).blocks[0].unfinished);
     }
 
     #[test]

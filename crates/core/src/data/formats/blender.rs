@@ -35,6 +35,7 @@ pub fn load(config: &DataConfig, events: &dyn Listener) -> Result<Scene> {
     let train = read_split(config, "train", events)?;
     let (train, listed) = match has_no_photos(config, eval)? {
         false => (train, read_split(config, eval, events)?),
+        true if config.eval_split == EvalSplit::Val && has_no_photos(config, "test")? => return Err(no_val(config)),
         true => hold_out(train, config, eval, events),
     };
     let used: Vec<PathBuf> = train.iter().chain(&listed).map(|listed| listed.place.clone()).collect();
@@ -177,6 +178,17 @@ fn read_depths(views: &mut [View], frames: &[Frame]) -> Result<()> {
         }
         Ok(())
     })
+}
+
+/// Test views are then every `data.holdout`-th training view, and validation views would be the same ones.
+fn no_val(config: &DataConfig) -> Error {
+    Error::Data(format!(
+        "{}: neither {} nor {} has photos here, so data.eval_split = val would hold out the views that test holds out; to \
+         have validation views, rename transforms_train.json to transforms.json, and set data.validation",
+        config.dir,
+        transforms_file("val"),
+        transforms_file("test")
+    ))
 }
 
 fn missing(file: &Path, split: &str) -> Error {

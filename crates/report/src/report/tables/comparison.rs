@@ -161,7 +161,7 @@ fn is_same_experiment(a: &Line, b: &Line) -> bool {
     let numbers = |cell: &Cell| (cell.n, cell.mean, cell.deviation, cell.comparison);
     let equal = || a.cells.iter().map(numbers).eq(b.cells.iter().map(numbers));
     let measured = a.cells.iter().any(|cell| cell.comparison.is_some());
-    a.baseline == b.baseline && (a.ids == b.ids || measured && equal())
+    a.baseline == b.baseline && (!a.ids.is_empty() && a.ids == b.ids || measured && equal())
 }
 
 #[cfg(test)]

@@ -226,10 +226,14 @@ impl<'a> Group<'a> {
         self.points.iter().copied().filter(|point| point.status == Status::Done)
     }
 
-    /// Returns seed and value of each measured point with the metric.
-    fn values(&self, metric: &str) -> Vec<(u64, f64)> {
-        // Without a seed, it is alone in its row and not compared.
-        self.done().filter_map(|point| Some((point.seed.unwrap_or_default(), point.metric(metric)?))).collect()
+    /// Returns the value of each measured point with the metric.
+    fn values(&self, metric: &str) -> Vec<f64> {
+        self.done().filter_map(|point| point.metric(metric)).collect()
+    }
+
+    /// Returns seed and value of each measured point that has both. Others are not compared.
+    fn by_seed(&self, metric: &str) -> Vec<(u64, f64)> {
+        self.done().filter_map(|point| Some((point.seed?, point.metric(metric)?))).collect()
     }
 
     /// Returns the row's baseline at the same axis values, or the one without axis values.
@@ -339,13 +343,12 @@ fn cell(
     published: Option<&PublishedRow>,
 ) -> Cell {
     let values = group.values(metric);
-    let over_seeds: Vec<f64> = values.iter().map(|(_, value)| *value).collect();
-    let differences = baseline.map(|baseline| paired_differences(&values, &baseline.values(metric)));
+    let differences = baseline.map(|baseline| paired_differences(&group.by_seed(metric), &baseline.by_seed(metric)));
     Cell {
         metric: metric.into(),
         n: values.len(),
-        mean: mean(&over_seeds),
-        deviation: standard_deviation(&over_seeds),
+        mean: mean(&values),
+        deviation: standard_deviation(&values),
         comparison: differences.and_then(|differences| Comparison::new(&differences, spec.margin(metric))),
         published: published.and_then(|row| row.metric(metric)),
     }
