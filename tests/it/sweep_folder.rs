@@ -152,10 +152,10 @@ fn a_damaged_list_of_points_is_refused_and_touches_nothing_outside() {
     let mut huge = places.clone();
     huge["points"][0]["config"]["train"]["collapse_steps"] = serde_json::json!(u64::MAX);
     let cases = [
-        (text.replace(&format!("\"id\": \"{id}\""), "\"id\": \"../../victim\""), ["../../victim", "letters"]),
-        (text.replace(&format!("\"id\": \"{id}\""), "\"id\": \"\""), ["\"\"", "letters"]),
+        (text.replace(&format!("\"id\":\"{id}\""), "\"id\":\"../../victim\""), ["../../victim", "letters"]),
+        (text.replace(&format!("\"id\":\"{id}\""), "\"id\":\"\""), ["\"\"", "letters"]),
         (text.replace(id.as_str(), &points[1].id), [points[1].id.as_str(), "two points"]),
-        (text.replacen("\"scene\": \"builtin\"", "\"scene\": \"../x\"", 1), ["../x", "source"]),
+        (text.replacen("\"scene\":\"builtin\"", "\"scene\":\"../x\"", 1), ["../x", "source"]),
         (without_places.to_string(), [id, "no position"]),
         (huge.to_string(), ["collapse_steps", "at most 2^63 - 1"]),
     ];

@@ -78,7 +78,7 @@ fn what_is_changed_is_found() {
     assert_found(dir.path(), &at("rows_builtin_psnr.svg"), "NeRF", "NerF", &["rows_builtin_psnr.svg, line"]);
     // What the points are.
     let id = first("points.csv", 0);
-    assert_found(dir.path(), &at("points.json"), "\"steps\": 3000", "\"steps\": 3001", &["its configuration makes"]);
+    assert_found(dir.path(), &at("points.json"), "\"steps\":3000", "\"steps\":3001", &["its configuration makes"]);
     assert_found(dir.path(), &at("sweep.toml"), "3000", "3001", &["sweep.toml makes"]);
     let other = format!("{}0", &id[..11]);
     assert_found(

@@ -141,8 +141,8 @@ fn changes_of_cells_and_points_are_found() {
         let swapped = (first.replace(mine, theirs), other.replace(theirs, mine));
         is_found(root, &[(&points, &first, &swapped.0), (&points, &other, &swapped.1)], update, &["points.csv"]);
     }
-    is_found(root, &[(&plan, "\"steps\": 3000", "\"steps\": 3001")], false, &["its configuration makes"]);
-    is_found(root, &[(&plan, &format!("\"id\": \"{id}\""), "\"id\": \"0123\"")], false, &["5242d028289c has no"]);
+    is_found(root, &[(&plan, "\"steps\":3000", "\"steps\":3001")], false, &["its configuration makes"]);
+    is_found(root, &[(&plan, &format!("\"id\":\"{id}\""), "\"id\":\"0123\"")], false, &["5242d028289c has no"]);
     // Columns.
     is_found(root, &[(&points, "f52a25627886", "deadbeef0000")], false, &["code_revision"]);
     is_found(root, &[(&points, ",512,3000,", ",512,6000,")], false, &["steps of NeRF"]);

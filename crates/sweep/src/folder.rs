@@ -20,7 +20,7 @@ use std::{fmt, fs};
 use serde::de::{self, SeqAccess, Visitor};
 use serde::{Deserialize, Deserializer, Serialize};
 
-use crate::base::files::{check_own, clean_temporaries, read_large_json, write_atomic, write_json};
+use crate::base::files::{check_own, clean_temporaries, read_large_json, write_atomic};
 use crate::base::input::{TEXT_BYTES, read_text};
 use crate::base::{Error, Result};
 use crate::settings::registry::Section;
@@ -59,6 +59,15 @@ struct Plan {
     data_root: Option<PathBuf>,
     #[serde(deserialize_with = "few_points")]
     points: Vec<Point>,
+}
+
+impl Plan {
+    /// Returns the file's text, which has one line a point.
+    fn to_json(&self) -> serde_json::Result<String> {
+        let points: serde_json::Result<Vec<String>> = self.points.iter().map(serde_json::to_string).collect();
+        let data_root = serde_json::to_string(&self.data_root)?;
+        Ok(format!("{{\"data_root\":{data_root},\"points\":[\n{}\n]}}\n", points?.join(",\n")))
+    }
 }
 
 /// Reads points up to the limit of a sweep; stops at the first one more.
@@ -175,7 +184,8 @@ impl SweepFolder {
     }
 
     fn write_plan(&self, definition: &Definition, plan: Plan) -> Result<()> {
-        write_json(&self.path.join(PLAN), &plan)?;
+        let path = self.path.join(PLAN);
+        write_atomic(&path, plan.to_json().map_err(|e| Error::unwritable(&path, &e.into()))?.as_bytes())?;
         write_atomic(&self.path.join(DEFINITION), definition.to_toml().as_bytes())
     }
 
