@@ -20,10 +20,10 @@ use crate::train::checkpoint::{self, State};
 use crate::train::{Origin, Trainer};
 
 use super::answer::{Answer, Measured};
-use super::experiment::{Base, Experiment, settings_file};
+use super::experiment::{Base, Experiment, say_without_effect, settings_file};
 use super::progress::{Console, duration, print, report, says_yes};
 use super::signals::catch_signals;
-use super::view::Live;
+use super::view::{Live, LivePage};
 use super::{Compute, LpipsWeights, Sources};
 
 /// Steps from which on settings are the paper's.
@@ -85,6 +85,7 @@ pub struct ResumeArguments {
 
 impl TrainArguments {
     pub fn run(self) -> Result<()> {
+        self.live.check()?;
         self.compute.run(|runtime, console| self.train(runtime, console))
     }
 
@@ -106,11 +107,8 @@ impl TrainArguments {
         let setup = Setup { config, scene: &scene, lpips: &lpips, runtime: runtime.clone() };
         let existing = if self.overwrite { Existing::Replace } else { Existing::Refuse };
         let (words, views) = (what_is_trained(&setup), Views::of(&setup));
-        for setting in self.experiment.settings() {
-            if let Some(why) = setup.config.without_effect(&setting) {
-                console.say(&format!("--set {setting} has no effect: {why}"));
-            }
-        }
+        let page = self.live.open(&setup, &folder)?;
+        say_without_effect(self.experiment.settings(), |setting| setup.config.without_effect(setting), console);
         // Only the paper's own settings take so long that nobody should start them without having asked for them.
         let asks = self.from.is_none() && !self.experiment.names_length() && setup.config.train.steps >= PAPER_STEPS;
         if asks {
@@ -133,7 +131,7 @@ impl TrainArguments {
         if !asks {
             console.say(&words);
         }
-        train(job, views, &folder, console, &self.live, self.answer)
+        train(job, views, &folder, console, page.as_ref(), self.answer)
     }
 }
 
@@ -210,6 +208,7 @@ impl Parent {
 
 impl ResumeArguments {
     pub fn run(self) -> Result<()> {
+        self.live.check()?;
         let run = RunDir::take(&self.run)?;
         let config = run.read_config()?;
         let device = run.read_timing()?.map_or("cpu".into(), |timing| timing.device);
@@ -225,9 +224,10 @@ impl ResumeArguments {
         let (config, scene) = load_scene_of(&run, config, console)?;
         let setup = Setup { config, scene: &scene, lpips: &lpips, runtime: runtime.clone() };
         let views = Views::of(&setup);
+        let page = self.live.open(&setup, &self.run)?;
         let job = Job::resume(run, setup)?;
         console.say(&format!("{} resumes at step {}", self.run.display(), job.step_count()));
-        train(job, views, &self.run, console, &self.live, self.answer)
+        train(job, views, &self.run, console, page.as_ref(), self.answer)
     }
 }
 
@@ -248,7 +248,14 @@ fn what_is_trained(Setup { config, scene, .. }: &Setup) -> String {
 }
 
 /// Trains in `folder`. Its name is printed first, so that a script has it even if the training is stopped.
-fn train(mut job: Job, measured: Views, folder: &Path, console: &Console, live: &Live, answer: Answer) -> Result<()> {
+fn train(
+    mut job: Job,
+    measured: Views,
+    folder: &Path,
+    console: &Console,
+    page: Option<&LivePage>,
+    answer: Answer,
+) -> Result<()> {
     if !answer.json {
         let label = if std::io::stdout().is_terminal() { "run folder: " } else { "" };
         print(&format!("{label}{}", folder.display()))?;
@@ -257,8 +264,10 @@ fn train(mut job: Job, measured: Views, folder: &Path, console: &Console, live: 
     if let Some(estimate) = job.estimate(&signal)? {
         console.say(&how_long(estimate, &measured));
     }
-    let label = folder.file_name().map(|name| name.to_string_lossy().into_owned()).unwrap_or_default();
-    let finished = live.train(job, &signal, label, console)?;
+    let finished = match page {
+        Some(page) => page.train(job, &signal, console)?,
+        None => job.train(console, &signal)?,
+    };
     summarize(&finished, folder, console);
     let Finished { report, seconds, .. } = &finished;
     let [metrics, _] = RunDir::metrics_in(folder);

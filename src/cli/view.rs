@@ -1,7 +1,7 @@
 //! `augnerf view`, and what `train --view` shows.
 
 use std::net::{IpAddr, Ipv4Addr};
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};
@@ -11,6 +11,7 @@ use clap::Args;
 use crate::base::{Error, Result};
 use crate::methods::Model;
 use crate::run::{Audience, Finished, Job, Setup};
+use crate::runtime::host_name;
 use crate::view::{Server, ServerOptions, ShownRun};
 
 use super::progress::{Console, print, report};
@@ -61,8 +62,8 @@ pub struct Place {
 }
 
 impl Place {
-    /// Opens the page of some runs, and prints its address.
-    pub fn open(&self, runs: Vec<Arc<ShownRun>>, console: &Console) -> Result<Arc<Server>> {
+    /// Opens the page of some runs.
+    fn open(&self, runs: Vec<Arc<ShownRun>>) -> Result<Arc<Server>> {
         let host = self.host.unwrap_or(IpAddr::V4(Ipv4Addr::LOCALHOST));
         let at = |port| Server::bind(runs.clone(), &ServerOptions { host, port });
         let server = match self.port {
@@ -72,13 +73,23 @@ impl Place {
                 server => server?,
             },
         };
-        if server.is_public() {
-            console.say(
-                "warning: other computers can reach this page. It is plain HTTP: whoever reads the network can read the address, \
-                 with which anyone can look. An ssh tunnel to 127.0.0.1 is safer",
-            );
-        }
         Ok(Arc::new(server))
+    }
+}
+
+/// Warns if other computers can reach the page, and says at which address.
+fn warn_of_others(server: &Server, console: &Console) {
+    if server.is_public() {
+        console.say(
+            "warning: other computers can reach this page. It is plain HTTP: whoever reads the network can read the address, \
+             with which anyone can look. An ssh tunnel to 127.0.0.1 is safer",
+        );
+    }
+    if let Some(host) = server.every_interface() {
+        let name = host_name();
+        console.say(&format!(
+            "on another computer, replace {host} in the address by this computer's name ({name}) or IP address"
+        ));
     }
 }
 
@@ -90,11 +101,11 @@ impl ViewArguments {
         let open =
             |folder: &PathBuf| ShownRun::open(folder, self.sources.data.as_deref(), &runtime, &console).map(Arc::new);
         let runs = self.runs.iter().map(open).collect::<Result<Vec<_>>>()?;
-        let server = self.place.open(runs, &console)?;
+        let server = self.place.open(runs)?;
+        warn_of_others(&server, &console);
         print(&server.url())?;
         console.say("open this address in a browser; Ctrl-C ends the page");
-        server.serve(&stop);
-        Ok(())
+        server.serve(&stop)
     }
 }
 
@@ -110,23 +121,36 @@ pub struct Live {
 }
 
 impl Live {
-    /// Trains, with a page if it is asked for, which ends with the training.
-    pub fn train(&self, job: Job, signal: &AtomicUsize, label: String, console: &Console) -> Result<Finished> {
-        if !self.view {
-            return match self.place.port.is_some() || self.place.host.is_some() {
-                true => Err(Error::Config("--port and --host are of the page: add --view".into())),
-                false => job.train(console, signal),
-            };
+    /// Checks that flags of the page come with a page.
+    ///
+    /// # Errors
+    /// [`Error::Config`]: they do not.
+    pub fn check(&self) -> Result<()> {
+        match !self.view && (self.place.port.is_some() || self.place.host.is_some()) {
+            true => Err(Error::Config("--port and --host are of the page: add --view".into())),
+            false => Ok(()),
         }
-        let Setup { config, scene, runtime, .. } = job.setup();
-        let run = ShownRun::of_training(label, config.clone(), (*scene).clone(), runtime.clone());
-        let page = LivePage::open(run, &self.place, console)?;
-        page.during(|| job.before(&page).train(console, signal))
+    }
+
+    /// Opens the page of a training in `folder`, if it is asked for. The folder is not touched: a port that is taken must leave
+    /// no run behind, and replace none.
+    ///
+    /// # Errors
+    /// Those of [`Server::bind`].
+    pub fn open(&self, setup: &Setup, folder: &Path) -> Result<Option<LivePage>> {
+        if !self.view {
+            return Ok(None);
+        }
+        let Setup { config, scene, runtime, .. } = setup;
+        let label = folder.file_name().map(|name| name.to_string_lossy().into_owned()).unwrap_or_default();
+        let run = Arc::new(ShownRun::of_training(label, config.clone(), (*scene).clone(), runtime.clone()));
+        let server = self.place.open(vec![run.clone()])?;
+        Ok(Some(LivePage { run, server, next: Mutex::default() }))
     }
 }
 
 /// A page that shows a training as it goes.
-struct LivePage {
+pub struct LivePage {
     run: Arc<ShownRun>,
     server: Arc<Server>,
     /// When the next weights may be shown.
@@ -134,19 +158,23 @@ struct LivePage {
 }
 
 impl LivePage {
-    /// Opens the page of a training that is about to begin.
-    fn open(run: ShownRun, place: &Place, console: &Console) -> Result<LivePage> {
-        let run = Arc::new(run);
-        let server = place.open(vec![run.clone()], console)?;
-        console.say(&format!("look at it: {}", server.url()));
-        Ok(LivePage { run, server, next: Mutex::default() })
+    /// Prints the page's address and trains. The page ends with the training.
+    pub fn train(&self, job: Job, signal: &AtomicUsize, console: &Console) -> Result<Finished> {
+        warn_of_others(&self.server, console);
+        // Also with --quiet: nobody can guess the address.
+        report(&format!("look at it: {}", self.server.url()));
+        self.during(|| job.before(self).train(console, signal))
     }
 
     /// Does `work` while the page answers. The page ends with it.
     fn during<T: Send>(&self, work: impl FnOnce() -> T + Send) -> T {
         let stop = AtomicUsize::new(0);
         std::thread::scope(|scope| {
-            scope.spawn(|| self.server.serve(&stop));
+            scope.spawn(|| {
+                if let Err(error) = self.server.serve(&stop) {
+                    report(&format!("the page has ended and the training continues: {error}"));
+                }
+            });
             // Also if the work ends by a panic.
             let _ends = Ends(&stop);
             work()

@@ -25,6 +25,7 @@ mod hostile;
 #[cfg(target_os = "linux")]
 mod hostile_memory;
 mod hostile_results;
+mod idle;
 mod interruption;
 mod light;
 mod loaders;
@@ -69,6 +70,7 @@ mod verify;
 mod verify_changes;
 mod view;
 mod view_browser;
+mod view_program;
 mod views;
 #[cfg(feature = "baselines")]
 mod volumes;

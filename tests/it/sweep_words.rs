@@ -1,14 +1,16 @@
 //! What commands of sweeps say and how they end: estimates, exit codes, ranges of seeds, pruning, folders of somebody else.
 
 use std::fs;
+use std::io::{BufRead, BufReader};
 use std::path::Path;
+use std::process::Stdio;
 use std::time::Duration;
 
 use tempfile::TempDir;
 
 use crate::common::assert_says;
 use crate::common::files::entries;
-use crate::common::program::{augnerf, demand};
+use crate::common::program::{augnerf, demand, wait_for};
 use augnerf::runtime::Runtime;
 use augnerf::sweep::{Definition, Point, Trainings, expand, plan_costs};
 
@@ -149,6 +151,26 @@ fn a_sweep_says_how_long_it_takes_and_how_it_ended() {
     assert!(frames.lines().all(|line| line.starts_with("{\"folder\":")) && frames.lines().count() == 1, "{frames}");
 }
 
+/// Who has seen enough of a watch closes the pipe: the watch ends as a single look does.
+#[test]
+fn a_watch_that_nobody_reads_ends() {
+    let dir = workplace();
+    run(dir.path(), &["sweep", "begin", "sweeps/tiny.toml"], 0);
+    for further in [&[][..], &["--json"]] {
+        let mut watch = augnerf(&[&["sweep", "status", "runs/tiny", "--watch", "1"], further].concat());
+        let mut child = watch.current_dir(dir.path()).stdout(Stdio::piped()).stderr(Stdio::null()).spawn().unwrap();
+        let mut first = String::new();
+        BufReader::new(child.stdout.take().unwrap()).read_line(&mut first).unwrap();
+        assert!(first.ends_with(" UTC\n") || first.starts_with("{\"folder\":"), "{first}");
+        let mut status = None;
+        wait_for("the watch's end", || {
+            status = child.try_wait().unwrap();
+            status.is_some()
+        });
+        assert_eq!(status.unwrap().code(), Some(11));
+    }
+}
+
 #[test]
 fn points_that_nobody_asks_for_are_pruned() {
     let dir = workplace();
@@ -231,6 +253,7 @@ fn mistakes_in_sweep_files_are_answered_with_what_to_do() {
     assert_says(&run(root, &["sweep", "new", "my sweep.toml"], 0), &["augnerf sweep run 'my sweep.toml'"]);
     assert!(Definition::parse(&printed(root, &["sweep", "new", "-"]), "-").is_ok());
     assert!(printed(root, &["sweep", "new", "-", "--from", "regularizers_chair"]).contains("+ distortion Reg."));
+    assert_says(&run(root, &["sweep", "new", "-", "--json"], 2), &["--json: - prints the sweep file itself"]);
     assert!(!root.join("-").exists());
 }
 

@@ -36,7 +36,7 @@ pub fn shown(label: &str, method: Method, steps: usize) -> Arc<ShownRun> {
 
 /// An answer of the server.
 pub struct Reply {
-    status: u16,
+    pub status: u16,
     head: String,
     body: Vec<u8>,
 }
@@ -97,7 +97,7 @@ fn unchunked(mut body: &[u8]) -> Vec<u8> {
     }
 }
 
-fn get(url: &str) -> Reply {
+pub fn get(url: &str) -> Reply {
     ask("GET", url, "", "")
 }
 
@@ -156,6 +156,56 @@ fn without_its_token_or_from_another_page_nothing_is_answered() {
         let own = format!("Origin: {place}\r\n");
         assert_eq!(ask("GET", &state, &own, "").status, 200);
         assert!(server.is_watched() && !server.is_public());
+    });
+}
+
+/// Sends the lines before a body that never comes, and returns the answer.
+pub fn claim(place: &str, length: &str) -> String {
+    let mut stream = TcpStream::connect(place.strip_prefix("http://").unwrap()).unwrap();
+    stream.set_read_timeout(Some(Duration::from_secs(60))).unwrap();
+    write!(stream, "POST / HTTP/1.1\r\n{length}\r\n\r\n").unwrap();
+    std::io::read_to_string(stream).unwrap()
+}
+
+#[test]
+fn bodies_without_the_token_are_refused_and_their_connections_closed() {
+    served(vec![shown("a", Method::Nerf, 0)], |url, server| {
+        let place = url.trim_end_matches('/').rsplit_once('/').unwrap().0;
+        for body in ["x".to_string(), "x".repeat(5000)] {
+            let reply = ask("POST", &format!("{place}/"), "", &body);
+            assert!(reply.status == 403 && reply.words().contains("token"), "{}", reply.words());
+        }
+        let lengths = ["Content-Length: 100000", "Content-Length: 4611686018427387904", "Content-Length: much"];
+        for length in lengths.into_iter().chain(["Transfer-Encoding: chunked"]) {
+            let answer = claim(place, length);
+            assert!(answer.starts_with("HTTP/1.1 413 ") && answer.contains("Connection: close"), "{length}: {answer}");
+        }
+        // Who promises a body and sends none holds up nobody else.
+        let silent: Vec<TcpStream> = (0..20)
+            .map(|_| {
+                let mut stream = TcpStream::connect(place.strip_prefix("http://").unwrap()).unwrap();
+                stream.write_all(b"POST / HTTP/1.1\r\nContent-Length: 2000\r\n\r\n").unwrap();
+                stream
+            })
+            .collect();
+        assert!(!server.is_watched());
+        assert_eq!(get(url).status, 200);
+        drop(silent);
+    });
+}
+
+#[test]
+fn a_connection_stays_open_for_the_page_alone() {
+    served(vec![shown("a", Method::Nerf, 0)], |url, _| {
+        let (host, token) = url.strip_prefix("http://").unwrap().split_once('/').unwrap();
+        let mut stream = TcpStream::connect(host).unwrap();
+        stream.set_read_timeout(Some(Duration::from_secs(60))).unwrap();
+        let lines = ["GET /TOKENstate", "HEAD /TOKENstate", "GET /", "GET /TOKENstate"];
+        let requests = lines.map(|line| format!("{} HTTP/1.1\r\n\r\n", line.replace("TOKEN", token)));
+        stream.write_all(requests.concat().as_bytes()).unwrap();
+        let answers = std::io::read_to_string(stream).unwrap();
+        let statuses: Vec<&str> = answers.split("HTTP/1.1 ").skip(1).map(|answer| &answer[..3]).collect();
+        assert_eq!(statuses, ["200", "405", "403"], "{answers}");
     });
 }
 

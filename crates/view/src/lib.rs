@@ -13,6 +13,7 @@ pub(crate) use augnerf_report::draw;
 pub(crate) use augnerf_run::{model, run};
 
 mod empty_space;
+mod http;
 mod perturbed;
 mod picture;
 mod request;

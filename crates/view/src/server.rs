@@ -1,17 +1,14 @@
 //! The server: addresses and their answers, tokens, and whose turn it is.
 
 use std::collections::HashMap;
-use std::io::Read;
-use std::net::{IpAddr, SocketAddr};
-use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::io;
+use std::net::{IpAddr, SocketAddr, TcpListener, TcpStream};
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
-use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
 use candle_core::{DType, Tensor};
 use serde_json::{Value, json};
-use tiny_http::{Header, Method, Request, Response};
 
 use crate::base::{Error, Image, Result};
 use crate::data::cameras::camera_path;
@@ -19,22 +16,29 @@ use crate::data::{Camera, RayBuffer, View, path, pose};
 use crate::draw::{encode_jpeg, encode_png8};
 use crate::run::{RenderedView, Viewer};
 
+use super::http::{Connection, Request};
 use super::perturbed::Attack;
 use super::picture::{Layer, draw_layer};
 use super::request::{Arguments, check_pose};
 use super::samples::RaySamples;
 use super::shown::{ShownRun, Weights};
 
-/// Threads that answer. Pictures are made by one at a time.
-const WORKERS: usize = 8;
-/// How often a worker looks whether the server stops.
-const PATIENCE: Duration = Duration::from_millis(200);
+/// The most connections at once. A page has at most six. Pictures are made for one at a time.
+const MOST_CONNECTIONS: usize = 64;
+/// How often the server looks for a connection and for its end.
+const PAUSE: Duration = Duration::from_millis(10);
+/// Pause after a connection that cannot be accepted, as without descriptors, and for how long such failures may follow each
+/// other. Silent connections end sooner, so that descriptors become free.
+const PAUSE_AFTER_ERROR: Duration = Duration::from_millis(200);
+const HOPELESS: Duration = Duration::from_secs(20);
 /// A page asks for the state every two seconds. After this time without it is closed.
 const WATCHED: Duration = Duration::from_secs(7);
 /// How long the server waits for its last answers.
 const FAREWELL: Duration = Duration::from_secs(2);
 /// The most pages whose turns are remembered.
 const MOST_PAGES: usize = 1000;
+/// The most bytes of a body that is read without being asked for, so that its sender gets an answer.
+const MOST_STRAY_BYTES: u64 = 64 << 10;
 /// The most bytes and cameras of a path.
 const MOST_PATH_BYTES: u64 = 4 << 20;
 const MOST_CAMERAS: usize = 10_000;
@@ -64,7 +68,7 @@ pub struct ServerOptions {
 
 /// The server of one page with one or two runs.
 pub struct Server {
-    http: tiny_http::Server,
+    listener: TcpListener,
     address: SocketAddr,
     token: String,
     runs: Vec<Arc<ShownRun>>,
@@ -76,6 +80,10 @@ pub struct Server {
     stopping: AtomicBool,
     /// Held while a picture is made: two at once would each take twice as long.
     rendering: Mutex<()>,
+    /// A clone is held for each connection.
+    connections: Arc<()>,
+    /// A clone is held for each request that is being answered.
+    answering: Arc<()>,
 }
 
 /// An answer.
@@ -151,13 +159,18 @@ impl Server {
         let failed = |why: String| {
             Error::Output(format!("{wanted}: cannot listen there: {why}; choose another --host or --port"))
         };
-        let http = tiny_http::Server::http(wanted).map_err(|e| failed(e.to_string()))?;
-        let address = http.server_addr().to_ip().ok_or_else(|| failed("it is no address of a network".into()))?;
+        let listen = || -> io::Result<(TcpListener, SocketAddr)> {
+            let listener = TcpListener::bind(wanted)?;
+            listener.set_nonblocking(true)?;
+            let address = listener.local_addr()?;
+            Ok((listener, address))
+        };
+        let (listener, address) = listen().map_err(|e| failed(e.to_string()))?;
         let mut secret = [0u8; 16];
         getrandom::fill(&mut secret).map_err(|e| failed(format!("no random numbers for its token ({e})")))?;
         let token = secret.iter().map(|byte| format!("{byte:02x}")).collect();
         Ok(Server {
-            http,
+            listener,
             address,
             token,
             runs,
@@ -165,6 +178,8 @@ impl Server {
             asked: Mutex::default(),
             stopping: AtomicBool::new(false),
             rendering: Mutex::default(),
+            connections: Arc::default(),
+            answering: Arc::default(),
         })
     }
 
@@ -178,6 +193,13 @@ impl Server {
         !self.address.ip().is_loopback()
     }
 
+    /// Returns the host of its address if that is no computer's, but stands for every interface of this one: `0.0.0.0` or
+    /// `[::]`.
+    pub fn every_interface(&self) -> Option<&'static str> {
+        let ip = self.address.ip();
+        ip.is_unspecified().then_some(if ip.is_ipv4() { "0.0.0.0" } else { "[::]" })
+    }
+
     /// Returns whether a page is open.
     pub fn is_watched(&self) -> bool {
         self.asked.lock().unwrap_or_else(PoisonError::into_inner).is_some_and(|asked| asked.elapsed() < WATCHED)
@@ -185,40 +207,83 @@ impl Server {
 
     /// Answers until `stop` is not 0. What is being answered then gets a short time to end. A thread whose other side neither
     /// reads nor writes is left behind, so that it holds nobody up.
-    pub fn serve(self: &Arc<Self>, stop: &AtomicUsize) {
-        let workers: Vec<_> = (0..WORKERS).map(|_| std::thread::spawn(self.worker())).collect();
-        while stop.load(Ordering::SeqCst) == 0 {
-            std::thread::sleep(PATIENCE);
-        }
+    ///
+    /// # Errors
+    /// [`Error::Output`]: no connection can be accepted any more.
+    pub fn serve(self: &Arc<Self>, stop: &AtomicUsize) -> Result<()> {
+        let ended = self.accept(stop);
         self.stopping.store(true, Ordering::SeqCst);
         let until = Instant::now() + FAREWELL;
-        while Instant::now() < until && !workers.iter().all(JoinHandle::is_finished) {
-            std::thread::sleep(PATIENCE / 10);
+        while Instant::now() < until && Arc::strong_count(&self.answering) > 1 {
+            std::thread::sleep(PAUSE);
         }
+        ended
     }
 
-    fn worker(self: &Arc<Self>) -> impl FnOnce() + Send + 'static {
-        let server = self.clone();
-        move || {
-            while !server.stopping.load(Ordering::SeqCst) {
-                if let Ok(Some(request)) = server.http.recv_timeout(PATIENCE) {
-                    // A defect here must not end a training that is shown.
-                    let _ = catch_unwind(AssertUnwindSafe(|| server.answer(request)));
+    fn accept(self: &Arc<Self>, stop: &AtomicUsize) -> Result<()> {
+        let mut failing = None;
+        while stop.load(Ordering::SeqCst) == 0 {
+            match self.listener.accept() {
+                Ok((stream, _)) => {
+                    failing = None;
+                    self.begin(stream);
                 }
+                Err(error) if error.kind() == io::ErrorKind::WouldBlock => {
+                    failing = None;
+                    std::thread::sleep(PAUSE);
+                }
+                Err(error) if failing.get_or_insert_with(Instant::now).elapsed() > HOPELESS => {
+                    let address = self.address;
+                    return Err(Error::Output(format!(
+                        "{address}: no connection to the page can be accepted any more: {error}"
+                    )));
+                }
+                Err(_) => std::thread::sleep(PAUSE_AFTER_ERROR),
             }
         }
+        Ok(())
     }
 
-    fn answer(&self, mut request: Request) {
-        let body = request.body_length().unwrap_or(0) as u64;
-        let may_have_body = *request.method() == Method::Post && self.check(&request).is_none();
-        if body > if may_have_body { MOST_PATH_BYTES } else { 0 } {
-            // tiny_http reads a body to its end before it lets go of a request, and makes room for it first. Such a connection
-            // gets no answer.
-            return std::mem::forget(request);
+    /// Answers a connection on a thread of its own, so that a defect there ends nothing else. A connection too many is closed.
+    fn begin(self: &Arc<Self>, stream: TcpStream) {
+        let (server, connection) = (self.clone(), self.connections.clone());
+        // One is the server's own.
+        if Arc::strong_count(&connection) > MOST_CONNECTIONS + 1 {
+            return;
         }
-        let reply = self.check(&request).unwrap_or_else(|| self.route(&mut request));
-        let mut response = Response::from_data(reply.body).with_status_code(reply.status);
+        let work = move || {
+            let _connection = connection;
+            // Its other side has gone, is silent or sends no requests: there is nobody to tell.
+            let _ = server.converse(stream);
+        };
+        // Without a thread it is closed.
+        let _ = std::thread::Builder::new().name("page".into()).spawn(work);
+    }
+
+    fn converse(&self, stream: TcpStream) -> io::Result<()> {
+        let mut connection = Connection::new(stream)?;
+        while let Some(request) = connection.request()? {
+            let _answering = self.answering.clone();
+            if self.stopping.load(Ordering::SeqCst) || !self.answer(&mut connection, &request)? {
+                break;
+            }
+        }
+        Ok(())
+    }
+
+    /// Answers a request. Returns whether its connection stays open.
+    fn answer(&self, connection: &mut Connection, request: &Request) -> io::Result<bool> {
+        let refusal = self.check(request);
+        let is_known = refusal.is_none();
+        let most = if is_known && request.method == "POST" { MOST_PATH_BYTES } else { MOST_STRAY_BYTES };
+        let is_short = request.body_length() <= most;
+        let reply = if is_short {
+            let body = connection.body(request.body_length())?;
+            refusal.unwrap_or_else(|| self.route(request, &body))
+        } else {
+            Reply::refused(413, "The request is too long, or does not say how long it is.")
+        };
+        let stays_open = is_known && is_short && request.stays_open();
         let fixed = [
             ("Content-Type", reply.kind),
             ("Cache-Control", "no-store"),
@@ -228,24 +293,15 @@ impl Server {
             ("Content-Security-Policy", POLICY),
         ];
         let own = reply.headers.iter().map(|(name, value)| (*name, value.as_str()));
-        for (name, value) in fixed.into_iter().chain(own) {
-            if let Ok(header) = Header::from_bytes(name, value) {
-                response.add_header(header);
-            }
-        }
-        // The page has gone; there is nobody to tell.
-        let _ = request.respond(response);
+        let body: &[u8] = if request.method == "HEAD" { &[] } else { &reply.body };
+        connection.answer(reply.status, fixed.into_iter().chain(own), body, stays_open)?;
+        Ok(stays_open)
     }
 
     /// Refuses what comes from another page, or without the token.
     fn check(&self, request: &Request) -> Option<Reply> {
-        let header = |name: &str| {
-            let found =
-                request.headers().iter().find(|header| header.field.as_str().as_str().eq_ignore_ascii_case(name));
-            found.map(|header| header.value.as_str())
-        };
-        if let Some(origin) = header("Origin") {
-            let host = header("Host").unwrap_or_default();
+        if let Some(origin) = request.header("Origin") {
+            let host = request.header("Host").unwrap_or_default();
             if origin.strip_prefix("http://") != Some(host) {
                 return Some(Reply::refused(
                     403,
@@ -253,7 +309,7 @@ impl Server {
                 ));
             }
         }
-        let given = request.url().split('/').nth(1).unwrap_or_default();
+        let given = request.url.split('/').nth(1).unwrap_or_default();
         let differences = given.bytes().zip(self.token.bytes()).fold(0, |found, (a, b)| found | (a ^ b));
         if given.len() != self.token.len() || differences != 0 {
             let words = "The address lacks its token. Open the whole address that augnerf printed.";
@@ -262,25 +318,24 @@ impl Server {
         None
     }
 
-    fn route(&self, request: &mut Request) -> Reply {
+    fn route(&self, request: &Request, body: &[u8]) -> Reply {
         *self.asked.lock().unwrap_or_else(PoisonError::into_inner) = Some(Instant::now());
-        let url = request.url().to_string();
-        let (path, query) = url.split_once('?').unwrap_or((&url, ""));
+        let (path, query) = request.url.split_once('?').unwrap_or((&request.url, ""));
         let name = path.splitn(3, '/').nth(2);
         let arguments = Arguments::of(query);
-        let answer = match (request.method(), name) {
+        let answer = match (request.method.as_str(), name) {
             // The page's addresses are relative: they need the slash.
-            (Method::Get, None) => {
+            ("GET", None) => {
                 let headers = vec![("Location", format!("/{}/", self.token))];
                 Ok(Reply { headers, ..Reply::refused(301, "") })
             }
-            (Method::Get, Some("scene")) => Ok(Reply::json(&self.scene())),
-            (Method::Get, Some("state")) => Ok(Reply::json(&self.state())),
-            (Method::Get, Some("picture")) => self.picture(&arguments),
-            (Method::Get, Some("photograph")) => self.photograph(&arguments),
-            (Method::Get, Some("ray")) => self.ray(&arguments),
-            (Method::Post, Some("path")) => self.path(&arguments, request),
-            (Method::Get, Some(name)) => match FILES.iter().find(|(file, ..)| *file == name) {
+            ("GET", Some("scene")) => Ok(Reply::json(&self.scene())),
+            ("GET", Some("state")) => Ok(Reply::json(&self.state())),
+            ("GET", Some("picture")) => self.picture(&arguments),
+            ("GET", Some("photograph")) => self.photograph(&arguments),
+            ("GET", Some("ray")) => self.ray(&arguments),
+            ("POST", Some("path")) => self.path(&arguments, body),
+            ("GET", Some(name)) => match FILES.iter().find(|(file, ..)| *file == name) {
                 Some((_, kind, content)) => Ok(Reply::new(kind, content.as_bytes().to_vec())),
                 None => Ok(Reply::refused(404, "There is nothing at this address.")),
             },
@@ -455,12 +510,9 @@ impl Server {
     }
 
     /// Returns the recorded cameras as the file that `augnerf render --cameras` reads.
-    fn path(&self, arguments: &Arguments, request: &mut Request) -> Answer {
-        let mut body = String::new();
-        let read = request.as_reader().take(MOST_PATH_BYTES).read_to_string(&mut body);
-        read.map_err(|_| "the path is not text".to_string())?;
+    fn path(&self, arguments: &Arguments, body: &[u8]) -> Answer {
         let poses: Vec<[[f64; 4]; 3]> =
-            serde_json::from_str(&body).map_err(|_| "a path is a list of 3 x 4 numbers".to_string())?;
+            serde_json::from_slice(body).map_err(|_| "a path is a list of 3 x 4 numbers".to_string())?;
         if poses.is_empty() || poses.len() > MOST_CAMERAS {
             return Err(format!("{} cameras: a path has 1 to {MOST_CAMERAS}", poses.len()).into());
         }

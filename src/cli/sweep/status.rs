@@ -7,9 +7,9 @@ use clap::Args;
 use serde::Serialize;
 use serde_json::json;
 
-use crate::base::{Error, Result};
+use crate::base::{Error, Result, shown};
 use crate::cli::answer::Answer;
-use crate::cli::progress::print_shown;
+use crate::cli::progress::{print_shown, print_to_reader};
 use crate::metrics::PSNR;
 use crate::report::{Record, Status};
 use crate::sweep::slurm::{Queue, Slurm};
@@ -86,7 +86,7 @@ impl StatusArguments {
             return self.as_json(&folder, &points);
         }
         let terminal = console::Term::stdout();
-        let mut shown = 0;
+        let mut on_screen = 0;
         loop {
             let (mut lines, left) = states(&folder, &points)?;
             if self.watch.is_some() {
@@ -94,23 +94,26 @@ impl StatusArguments {
             }
             // On a terminal the new table replaces the old one.
             terminal
-                .clear_last_lines(shown)
+                .clear_last_lines(on_screen)
                 .map_err(|e| Error::Output(format!("cannot write to the terminal: {e}")))?;
-            lines.iter().try_for_each(|line| print_shown(line))?;
+            let table: Vec<_> = lines.iter().map(|line| shown(line)).collect();
+            let is_read = print_to_reader(&table.join("\n"))?;
             match self.watch {
-                Some(seconds) if left > 0 => std::thread::sleep(std::time::Duration::from_secs(seconds.into())),
+                Some(seconds) if left > 0 && is_read => {
+                    std::thread::sleep(std::time::Duration::from_secs(seconds.into()));
+                }
                 _ => return check_done(&states_of(&folder, &points)?),
             }
-            shown = if terminal.is_term() { screen_lines(&lines, terminal.size()) } else { 0 };
+            on_screen = if terminal.is_term() { screen_lines(&lines, terminal.size()) } else { 0 };
         }
     }
 
-    /// Prints the points as an object in one line, with `--watch` again and again until all have ended.
+    /// Prints the points as an object in one line, with `--watch` again and again until all have ended or nobody reads it.
     fn as_json(&self, folder: &SweepFolder, points: &[Point]) -> Result<()> {
         loop {
-            self.answer.give_silently(&statuses(folder, points)?)?;
+            let is_read = print_to_reader(&statuses(folder, points)?.to_string())?;
             let is_open = |point: &Point| point.no_data.is_none() && !folder.point(&point.id).ended();
-            match self.watch.filter(|_| points.iter().any(is_open)) {
+            match self.watch.filter(|_| is_read && points.iter().any(is_open)) {
                 Some(seconds) => std::thread::sleep(std::time::Duration::from_secs(seconds.into())),
                 None => return check_done(&states_of(folder, points)?),
             }

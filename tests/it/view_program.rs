@@ -1,0 +1,108 @@
+//! The page as a user meets it: `augnerf view` and `train --view`, their addresses and how they end.
+
+use std::io::{BufRead, BufReader};
+use std::net::{Ipv4Addr, TcpListener};
+use std::process::{Child, Command, Stdio};
+
+use crate::common::assert_says;
+use crate::common::files::files;
+use crate::common::learning::Small;
+use crate::common::program::{augnerf, demand};
+
+/// The program with a page, killed when it is dropped.
+struct Page {
+    child: Child,
+    url: String,
+}
+
+impl Page {
+    /// Starts a command that prints the address of its page first.
+    fn start(command: &mut Command) -> Page {
+        let mut child = command.stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap();
+        let mut url = String::new();
+        BufReader::new(child.stdout.take().unwrap()).read_line(&mut url).unwrap();
+        Page { child, url: url.trim_end().into() }
+    }
+}
+
+impl Drop for Page {
+    fn drop(&mut self) {
+        // It may have ended.
+        let _ = self.child.kill();
+        let _ = self.child.wait();
+    }
+}
+
+/// Strangers use up no descriptors, and a page that had none for a while goes on.
+#[cfg(unix)]
+#[test]
+fn strangers_do_not_end_the_page() {
+    use crate::view::{ask, claim, get};
+    let (_dir, out) = Small { method: "nerf", settings: "" }.once();
+    let view = "ulimit -n 40; exec \"$0\" view \"$1\" --port 0 --quiet --threads 1";
+    let program = env!("CARGO_BIN_EXE_augnerf");
+    let mut page = Page::start(Command::new("sh").args(["-c", view, program, out.to_str().unwrap()]));
+    let place = page.url.trim_end_matches('/').rsplit_once('/').unwrap().0.to_string();
+    for _ in 0..100 {
+        assert_eq!(ask("POST", &format!("{place}/"), "", "x").status, 403);
+        assert!(claim(&place, "Content-Length: 99999999").starts_with("HTTP/1.1 413 "));
+    }
+    assert_eq!(get(&page.url).status, 200);
+    let host = place.strip_prefix("http://").unwrap();
+    let idle: Vec<_> = (0..60).map(|_| std::net::TcpStream::connect(host).unwrap()).collect();
+    std::thread::sleep(std::time::Duration::from_secs(1));
+    drop(idle);
+    assert_eq!(get(&page.url).status, 200);
+    assert!(page.child.try_wait().unwrap().is_none());
+}
+
+/// A page that nobody can reach any more does not stay without a word.
+#[cfg(target_os = "linux")]
+#[test]
+#[ignore = "slow"]
+fn a_page_without_descriptors_ends_with_a_sentence() {
+    let (_dir, out) = Small { method: "nerf", settings: "" }.once();
+    let mut page = Page::start(&mut augnerf(&["view", out.to_str().unwrap(), "--port", "0", "--quiet"]));
+    let limit = libc::rlimit { rlim_cur: 3, rlim_max: 3 };
+    // SAFETY: the limit outlives the call, which writes nothing back.
+    let set = unsafe {
+        libc::prlimit(page.child.id() as libc::pid_t, libc::RLIMIT_NOFILE, &raw const limit, std::ptr::null_mut())
+    };
+    assert_eq!(set, 0);
+    assert_eq!(page.child.wait().unwrap().code(), Some(4));
+    let said = std::io::read_to_string(page.child.stderr.take().unwrap()).unwrap();
+    assert_says(&said, &["error: 127.0.0.1:", "no connection to the page can be accepted any more", "os error 24"]);
+}
+
+#[test]
+fn an_address_of_every_interface_says_what_other_computers_need() {
+    let (_dir, out) = Small { method: "nerf", settings: "" }.once();
+    let mut page = Page::start(&mut augnerf(&["view", out.to_str().unwrap(), "--host", "0.0.0.0", "--port", "0"]));
+    assert!(page.url.starts_with("http://0.0.0.0:"), "{}", page.url);
+    page.child.kill().unwrap();
+    let said = std::io::read_to_string(page.child.stderr.take().unwrap()).unwrap();
+    assert_says(&said, &["warning: other computers can reach this page", "replace 0.0.0.0 in the address by"]);
+}
+
+/// A page that cannot be opened leaves no run behind, and replaces none.
+#[test]
+fn a_page_that_cannot_be_opened_creates_no_run() {
+    let dir = tempfile::tempdir().unwrap();
+    let out = dir.path().join("run");
+    let taken = TcpListener::bind((Ipv4Addr::LOCALHOST, 0)).unwrap();
+    let port = taken.local_addr().unwrap().port().to_string();
+    let train = |further: &[&str], code: i32| {
+        let run = ["train", "--preset", "smoke", "--quiet", "--out", out.to_str().unwrap()];
+        let small = ["--set", "data.width=16", "--set", "train.rays=64", "--set", "train.steps=4"];
+        demand(&mut augnerf(&[&run[..], &small, further].concat()), code)
+    };
+    assert_says(&train(&["--port", &port], 2), &["--port and --host", "add --view"]);
+    assert_says(&train(&["--view", "--port", &port], 4), &[&port, "cannot listen there"]);
+    assert!(!out.exists());
+    // With --quiet, too, the address is printed: it has a secret.
+    assert_says(&train(&["--view", "--port", "0"], 0), &["look at it: http://127.0.0.1:"]);
+    let before = files(&out, &[]);
+    train(&["--overwrite", "--host", "127.0.0.1"], 2);
+    train(&["--overwrite", "--view", "--port", &port], 4);
+    assert!(files(&out, &[]) == before, "the run is as before");
+}
