@@ -243,10 +243,13 @@ fn what_has_no_effect_or_far_too_much_is_said() {
         let output = augnerf(&arguments).current_dir(dir.path()).output().unwrap();
         String::from_utf8(output.stderr).unwrap()
     };
-    let said = train(&["perturb.lambda=0.5", "regularizer.weight=[]", "train.steps=13"]);
+    let idle = ["perturb.lambda=0.5", "regularizer.weight=[]", "data.corruption.severity=5", "data.validation=3"];
+    let said = train(&[&idle[..], &["train.steps=13"]].concat());
     let idle = said.find("--set perturb.lambda has no effect: method nerf has no perturbed pass").expect(&said);
     assert!(idle < said.find("step 13/13").unwrap(), "{said}");
     assert!(said.contains("--set regularizer.weight has no effect: regularizer.kind names no term"), "{said}");
+    assert!(said.contains("--set data.corruption.severity has no effect: data.corruption.kind is \"none\""), "{said}");
+    assert!(said.contains("--set data.validation has no effect: the scene has splits of its own"), "{said}");
     assert!(!said.contains("train.steps has no effect") && !said.contains("times the photometric loss"), "{said}");
     let said = train(&["regularizer.kind=l1", "regularizer.weight=1000", "train.learning_rate=1e-9"]);
     assert!(said.contains("regularizer l1: weight 1e3 x value is ") && said.contains("augnerf balance"), "{said}");

@@ -158,7 +158,8 @@ pub fn value_at<'a>(table: &'a Table, path: &str) -> Option<&'a Value> {
     }
 }
 
-fn remove(table: &mut Table, path: &str) {
+/// Removes the value at a dotted path, if there is one.
+pub(super) fn remove(table: &mut Table, path: &str) {
     match path.split_once('.') {
         Some((section, rest)) => {
             if let Some(inner) = table.get_mut(section).and_then(Value::as_table_mut) {

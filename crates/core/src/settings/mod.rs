@@ -15,6 +15,7 @@ mod identity;
 mod idle;
 mod layers;
 mod method;
+mod over_run;
 mod perturb;
 mod planes;
 pub mod registry;

@@ -148,6 +148,15 @@ impl PerturbConfig {
         }
     }
 
+    /// Returns whether no number is empty, as in a run's file. A site that is off and newer than the first six is not written.
+    pub(super) fn is_filled_in(&self) -> bool {
+        let is_filled = |site: &SiteConfig| {
+            site.steps.is_some() && site.step_size.is_some() && site.epsilon.is_some() && site.norm.is_some()
+        };
+        let mut written = self.sites.iter().filter(|(site, config)| config.on() || site.about().passes != Passes::Off);
+        self.step_unit.is_some() && written.all(|(_, site)| is_filled(site))
+    }
+
     /// Fills every empty number from `attack`. `span` is far - near in the units of `t_vals`, `coarse` the samples of
     /// the coarse pass, and `width` the network's width.
     pub fn resolve(mut self, span: f64, coarse: usize, width: usize) -> ResolvedPerturb {

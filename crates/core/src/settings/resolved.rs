@@ -68,7 +68,15 @@ impl Config {
     ///
     /// # Errors
     /// If a setting is out of range, or contradicts another setting or the kind of scene.
-    pub fn locate(mut self, kind: DataKind) -> Result<Located> {
+    pub fn locate(self, kind: DataKind) -> Result<Located> {
+        let mut located = self.filled(kind);
+        located.config.validate()?;
+        located.config.forget_other_methods();
+        Ok(located)
+    }
+
+    /// Fills the same settings without a check. Settings on which others depend must be in their ranges.
+    pub(super) fn filled(mut self, kind: DataKind) -> Located {
         let forward = kind.forward_facing();
         self.data.kind = kind;
         self.data.downscale.get_or_insert(kind.downscale());
@@ -101,9 +109,7 @@ impl Config {
             self.regularizer.unseen_poses = Some(unseen_poses);
         }
         self.data.corruption.resolve();
-        self.validate()?;
-        self.forget_other_methods();
-        Ok(Located { config: self, density_noise, batching, decay_steps, precrop_steps, unseen_rays, unseen_poses })
+        Located { config: self, density_noise, batching, decay_steps, precrop_steps, unseen_rays, unseen_poses }
     }
 
     /// Calls [`Config::locate`] and [`Located::resolve`] for a scene whose kind and extent are known.
@@ -142,8 +148,42 @@ impl Located {
 }
 
 impl Resolved {
+    /// Returns the same with other unseen rays, for terms that section `regularizer` does not name. `None` keeps what is
+    /// there.
+    ///
+    /// # Errors
+    /// If a value is out of range, or contradicts another setting.
+    pub fn with_unseen(mut self, rays: Option<usize>, poses: Option<UnseenPoses>) -> Result<Resolved> {
+        let mut draft = self.clone().into_draft();
+        (draft.regularizer.unseen_rays, draft.regularizer.unseen_poses) = (rays, poses);
+        draft.validate()?;
+        let Located { unseen_rays, unseen_poses, .. } = &mut self.located;
+        (*unseen_rays, *unseen_poses) = (rays.unwrap_or(*unseen_rays), poses.unwrap_or(*unseen_poses));
+        Ok(self)
+    }
+
     /// Returns the draft with every number filled in. It resolves to itself.
     pub fn into_draft(self) -> Config {
         self.located.config
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// They are checked as those of a term, and are no part of the configuration.
+    #[test]
+    fn unseen_rays_of_other_terms_are_checked_and_change_no_hash() {
+        let extent = Extent { near: 0.0, far: 1.0, domain: None, pixels: 16 };
+        let config = Config::default().resolve(DataKind::BuiltinForward, extent).unwrap();
+        let with = |rays, poses| config.clone().with_unseen(rays, poses);
+        assert_eq!(with(None, None).unwrap(), config);
+        let other = with(Some(128), Some(UnseenPoses::Between)).unwrap();
+        assert_eq!((other.unseen_rays, other.unseen_poses), (128, UnseenPoses::Between));
+        assert_eq!((other.hash(), other.into_draft()), (config.hash(), config.clone().into_draft()));
+        let refused = |rays, poses| with(rays, poses).unwrap_err().to_string();
+        assert!(refused(Some(0), None).contains("regularizer.unseen_rays"));
+        assert!(refused(None, Some(UnseenPoses::Sphere)).contains("regularizer.unseen_poses = \"sphere\""));
     }
 }

@@ -2,8 +2,9 @@
 
 use super::registry::Section;
 use super::{
-    ChangedEntries, Config, Core, DataKind, DeltaSource, Encoding, EvalSplit, LatticePoints, MESH_SIDES, Objective,
-    PerturbField, Precision, Regularizer, Resample, SecondPass, Sizes, Spacing, Split, TermNeeds, UnseenPoses, word,
+    ChangedEntries, Config, Core, CorruptionKind, DataKind, DeltaSource, Encoding, EvalSplit, LatticePoints,
+    MESH_SIDES, Objective, PerturbField, Precision, Regularizer, Resample, SecondPass, Sizes, Spacing, Split,
+    TermNeeds, UnseenPoses, word,
 };
 use crate::augment::{Epsilon, Geometry, Norm, Passes, REACH, Site, StepUnit};
 use crate::base::{Error, Result, SettingError};
@@ -281,8 +282,8 @@ impl Config {
             )));
         }
         refuse(perturb.sizes == Sizes::Calibrated && perturb.step_unit == Some(StepUnit::Absolute), || {
-            "perturb.attack = \"calibrated\" measures steps in radii; leave perturb.step_unit empty or set it to \
-             \"relative\""
+            "perturb.attack = \"calibrated\" measures steps in radii; omit perturb.step_unit or set it to \"relative\", and \
+             omit the sites' numbers that are the paper's"
                 .into()
         })?;
         match perturb.sites.iter().find(|(_, config)| config.step_size.is_none()) {
@@ -345,6 +346,12 @@ impl Config {
         })?;
         refuse(kinds.contains(&Regularizer::SparseDepth) && self.data.in_ndc(), || {
             "regularizer.kind = \"sparse-depth\" with data.ndc = true: t is no depth in normalized device coordinates; set data.ndc=false"
+                .into()
+        })?;
+        let is_moved = self.data.corruption.kind == CorruptionKind::Poses;
+        refuse(kinds.contains(&Regularizer::SparseDepth) && is_moved, || {
+            "regularizer.kind = \"sparse-depth\" with data.corruption.kind = \"poses\": COLMAP's points are those of the cameras before \
+             they were moved; choose one of them"
                 .into()
         })?;
         if let (Some(rays), Some(group)) = (regularizer.unseen_rays, regularizer.unseen_groups().last()) {
@@ -416,6 +423,16 @@ mod tests {
         let texts = ["field.encoding=hash"].iter().chain(further);
         let set: Vec<_> = texts.map(|text| parse_assignment(text).unwrap()).collect();
         build(None, None, &set).map_or_else(|refusal| refusal.to_string(), |_| String::new())
+    }
+
+    /// A camera that is moved sees COLMAP's points elsewhere than its photo does.
+    #[test]
+    fn depth_at_points_needs_the_cameras_that_found_them() {
+        let term = ["data.kind=colmap", "regularizer.kind=sparse-depth"];
+        let told = |further: &[&str]| told(&[&term[..], further].concat());
+        let message = told(&["data.corruption.kind=poses"]);
+        assert!(message.contains("sparse-depth") && message.contains("data.corruption.kind = \"poses\""), "{message}");
+        assert_eq!(told(&[]) + &told(&["data.corruption.kind=pepper"]), "");
     }
 
     /// Its coarse pass is never perturbed: such an attack would never run.

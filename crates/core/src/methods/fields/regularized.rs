@@ -9,7 +9,8 @@ use crate::losses::{HashDecay, LossTerm, SpaceTerm, TermSource, WeightedTerm, es
 use crate::methods::gradients::Gradients;
 use crate::methods::learner::StopCheck;
 use crate::settings::{
-    Encoding, LatticePoints, REGULARIZERS, RegularizedFields, Regularizer, RegularizerConfig, TermNeeds, TermRays,
+    CorruptionKind, Encoding, LatticePoints, REGULARIZERS, RegularizedFields, Regularizer, RegularizerConfig,
+    TermNeeds, TermRays,
 };
 use crate::space::{Lattice, Quadrature};
 
@@ -164,7 +165,10 @@ impl FieldLearner {
         let photometric_norm = photometric_gradients.norm()?;
         let field = self.config.field.clone();
         let has_unseen = UnseenCameras::of(self.batches.cameras(), self.config.unseen_poses).is_ok();
-        let (unseen_rays, has_points) = (self.config.unseen_rays, self.points.count() > 0);
+        let unseen_rays = self.config.unseen_rays;
+        // A moved camera sees them elsewhere than its photo does.
+        let is_moved = self.config.data.corruption.kind == CorruptionKind::Poses;
+        let has_points = self.points.count() > 0 && !is_moved;
         let has_slopes = self.config.representation().has_derivatives_at_points();
         let measurable = |term: &Regularizer| match term.needs() {
             TermNeeds::Density(Order::Laplacian) => field.has_laplacian(),
