@@ -13,11 +13,11 @@ use crate::data::View;
 use crate::data::corruption::corrupt;
 use crate::data::formats::builtin::export;
 use crate::run::{load_scene, scene_picture, split_name, write_corrupted};
-use crate::settings::{Resolved, build, parse_assignment};
+use crate::settings::{Resolved, build};
 
 use super::UnusedWeights;
 use super::answer::Answer;
-use super::experiment::{Experiment, scene_settings};
+use super::experiment::{Experiment, data_settings, say_without_effect, scene_settings};
 use super::progress::{Console, print, print_shown};
 
 #[derive(Subcommand)]
@@ -37,7 +37,8 @@ pub enum DataCommand {
 pub struct CheckArguments {
     /// Scene folder, here or in AUGNERF_DATA [default: the built-in scene]
     dir: Option<PathBuf>,
-    /// A setting of section data, as in training: --set data.downscale=4
+    /// A setting of section data, as in training, or seed: --set data.downscale=4; with --picture also regularizer.kind,
+    /// regularizer.rays and regularizer.unseen_poses
     #[arg(long, value_name = "FIELD=VALUE")]
     set: Vec<String>,
     /// Draw cameras, points, ray ends and the box into a PNG or SVG
@@ -54,6 +55,13 @@ const CHECK_EXAMPLES: &str = "Examples:
   augnerf data check                                     # the built-in scene
   augnerf data check fern --picture fern.png             # with a drawing of the cameras
   augnerf data check ~/data/fern --set data.downscale=4  # as training with this setting reads it";
+
+/// The settings outside section data that a check reads: the seed of corruptions and of unseen cameras, and for an image what
+/// says whether and where there are such cameras.
+const CHECKED: [&str; 1] = ["seed"];
+const DRAWN: [&str; 4] = ["seed", "regularizer.kind", "regularizer.rays", "regularizer.unseen_poses"];
+const CHECK_READS: &str = "data check, which reads section data and seed, and with --picture also regularizer.kind, \
+                           regularizer.rays and regularizer.unseen_poses";
 
 const EXPORT_EXAMPLES: &str = "Examples:
   augnerf data export-builtin scene              # then: augnerf train --data scene
@@ -175,13 +183,16 @@ impl CheckArguments {
         // An error before images are read.
         self.picture.as_ref().map_or(Ok(()), |file| ending(file).map(|_| ()))?;
         let console = Console::new(self.quiet);
-        let mut assignments = self.set.iter().map(|text| parse_assignment(text)).collect::<Result<Vec<_>>>()?;
-        if let Some(dir) = &self.dir {
-            assignments.extend(scene_settings("", dir, &console)?);
-        }
+        let further = if self.picture.is_some() { &DRAWN[..] } else { &CHECKED };
+        let set = data_settings(&self.set, further, CHECK_READS, "the argument DIR")?;
+        let named: Vec<String> = set.iter().map(|(path, _)| path.join(".")).collect();
+        let mut assignments = self.dir.as_ref().map_or(Ok(Vec::new()), |dir| scene_settings("", dir, &console))?;
+        // Last, as in training.
+        assignments.extend(set);
         let config = build(None, None, &assignments)?;
         let (config, scene) = load_scene(config, &console)?;
-        let split = split_name(&config);
+        say_without_effect(named.into_iter(), |setting| config.without_effect(setting), &console);
+        let split = split_name(&config, scene.lacks_split);
         let said: Vec<(String, String)> =
             scene.describe().into_iter().chain([("split".to_string(), split.clone())]).collect();
         self.picture.as_ref().map_or(Ok(()), |file| draw(&config, &scene, file))?;

@@ -103,7 +103,7 @@ impl Adam {
         let correction1 = 1.0 - BETA1.powf(updates as f64);
         let AdamSettings { beta2, epsilon, weight_decay } = self.settings;
         if weight_decay > 0.0 {
-            let weights = self.variables.iter().filter(|(name, _)| name.ends_with(".weight"));
+            let weights = self.variables.iter().filter(|(name, _)| decays(name));
             weights
                 .map(|(_, var)| var)
                 .try_for_each(|var| var.set(&(var.as_tensor() * (1.0 - learning_rate * weight_decay))?))?;
@@ -259,6 +259,11 @@ impl Update {
     }
 }
 
+/// Returns whether the parameter is a layer's weights. Those of an LSTM are `weight_ih` and `weight_hh`.
+fn decays(name: &str) -> bool {
+    name.rsplit('.').next().is_some_and(|part| part.starts_with("weight"))
+}
+
 /// Returns whether the parameter is a hash grid's table. An update leaves its entries without gradient as they are,
 /// including moments (Mueller et al. 2022).
 fn is_table(name: &str) -> bool {
@@ -314,18 +319,28 @@ mod tests {
         assert!((var.to_vec1::<f64>().unwrap()[0] - p).abs() < 1e-12);
     }
 
-    /// Without a gradient a weight falls by the rate times the decay, times itself; a bias and a table keep their size.
+    /// Without a gradient a weight falls by the rate times the decay, times itself; a bias and a table keep their size, and
+    /// so do other parameters of a head that is called weights.
     #[test]
     fn weights_alone_decay() {
-        let names = ["coarse.trunk.0.weight", "coarse.trunk.0.bias", "coarse.table"];
-        let variables = names.map(|name| (name.to_string(), Var::new(&[[2.0f64]], &Device::Cpu).unwrap()));
+        const NAMES: [&str; 7] = [
+            "coarse.trunk.0.weight",
+            "lstm.weight_ih",
+            "lstm.weight_hh",
+            "coarse.trunk.0.bias",
+            "lstm.bias_ih",
+            "volume.warp.weights.0.bias",
+            "coarse.table",
+        ];
+        let variables = NAMES.map(|name| (name.to_string(), Var::new(&[[2.0f64]], &Device::Cpu).unwrap()));
         let train = TrainConfig { weight_decay: 0.5, ..TrainConfig::default() };
         let mut adam = Adam::new(AdamSettings::of(&train), variables.to_vec()).unwrap();
         let zero = Tensor::new(&[[0.0f64]], &Device::Cpu).unwrap();
         for updates in 1..=2 {
-            adam.update(&[Some(zero.clone()), None, None], 0.1, updates).unwrap();
+            adam.update(&[Some(zero.clone()), None, None, None, None, None, None], 0.1, updates).unwrap();
         }
         let found = variables.map(|(_, var)| var.to_vec2::<f64>().unwrap()[0][0]);
-        assert_eq!(found, [2.0 * 0.95 * 0.95, 2.0, 2.0]);
+        let decayed = 2.0 * 0.95 * 0.95;
+        assert_eq!(found, [decayed, decayed, decayed, 2.0, 2.0, 2.0, 2.0]);
     }
 }

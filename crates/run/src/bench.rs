@@ -128,6 +128,7 @@ pub fn scene() -> Scene {
         background: None,
         path: vec![],
         corrupted: None,
+        lacks_split: false,
         space: Default::default(),
     }
 }

@@ -63,17 +63,35 @@ impl Model {
         let device = runtime.device();
         if config.representation().is_field() {
             let (learner, redraws) = FieldLearner::start(config, scene, dtype, device)?;
-            // An accelerator takes its own time.
-            if runtime.accelerator().is_none() {
-                learner.check_own_duration()?;
-            }
+            check_duration(&learner, runtime)?;
             let model = Model::Fields(learner.fields().clone());
             return Ok(Start { model, learner: Box::new(learner), redraws });
         }
-        let representation = config.representation();
-        let network = baseline(config)?.init(config, dtype, device)?;
-        let learner = network.start(config, scene, dtype, device)?;
-        Ok(Start { model: Model::Baseline(representation, network), learner, redraws: vec![0] })
+        let model = Model::Baseline(config.representation(), baseline(config)?.init(config, dtype, device)?);
+        let learner = model.first_learner(config, scene, dtype, runtime)?;
+        Ok(Start { model, learner, redraws: vec![0] })
+    }
+
+    /// Returns the learner of a new run with these parameters, after the checks of a run's start.
+    ///
+    /// # Errors
+    /// Settings do not suit the scene.
+    pub fn first_learner(
+        &self,
+        config: &Resolved,
+        scene: &Scene,
+        dtype: DType,
+        runtime: &Runtime,
+    ) -> Result<Box<dyn Learner>> {
+        let device = runtime.device();
+        match self {
+            Model::Fields(fields) => {
+                let learner = FieldLearner::begin(config, scene, fields.clone(), dtype, device)?;
+                check_duration(&learner, runtime)?;
+                Ok(Box::new(learner))
+            }
+            Model::Baseline(_, network) => network.start(config, scene, dtype, device),
+        }
     }
 
     /// Returns the names of a configuration's networks, in the fixed order of parameters.
@@ -183,6 +201,11 @@ impl Model {
             }
         }
     }
+}
+
+/// Returns an error if a run's terms in space would take this machine too long. An accelerator takes its own time.
+fn check_duration(learner: &FieldLearner, runtime: &Runtime) -> Result<()> {
+    if runtime.accelerator().is_none() { learner.check_own_duration() } else { Ok(()) }
 }
 
 /// Returns the error for an operation that the representation does not support.

@@ -51,6 +51,11 @@ impl Camera {
         corners.into_iter().all(|(x, y)| self.ray(x * self.width as f64, y * self.height as f64).1[2] < -1e-3)
     }
 
+    /// Returns whether the camera stands before the plane where NDC begin.
+    pub fn is_before_ndc(&self) -> bool {
+        self.pose[2][3] >= -NEAR
+    }
+
     /// Returns the world ray through pixel coordinates (`x`, `y`): origin, and direction with unit z-component in the
     /// camera frame. `t` is then depth along the view axis.
     pub fn ray(&self, x: f64, y: f64) -> ([f64; 3], [f64; 3]) {

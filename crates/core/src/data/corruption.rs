@@ -8,7 +8,7 @@ use std::sync::Arc;
 use rayon::prelude::*;
 
 use super::pose::{Pose, Vec3, column, compose, from_columns};
-use super::{Camera, Scene, View};
+use super::{Camera, LARGEST, Scene, View, brief, camera_is_sound};
 use crate::base::rng::{Random, Stream};
 use crate::base::{Error, Image, Result};
 use crate::settings::{CorruptionConfig, CorruptionKind};
@@ -25,12 +25,14 @@ pub struct Corrupted {
 /// Corrupts the training views of a scene. The same configuration and seed give the same bytes.
 ///
 /// # Errors
-/// If NDC cannot express a pose.
+/// If a moved camera is too far away to compute with, or NDC cannot express its pose.
 pub fn corrupt(scene: &mut Scene, config: &CorruptionConfig, seed: u64) -> Result<()> {
     if !config.is_on() {
         return Ok(());
     }
     let corrupted = Corrupted { what: describe(config), clean_hash: scene.hash() };
+    // Of a capture that goes around something, cameras may stand elsewhere.
+    let stood_before = scene.ndc.is_some() && scene.train.iter().all(|view| view.camera.is_before_ndc());
     let random = |index: usize| Random::new(seed, Stream::Corruption, index as u64);
     scene.train.par_iter_mut().enumerate().for_each(|(i, view)| {
         let random = &mut random(i);
@@ -47,6 +49,9 @@ pub fn corrupt(scene: &mut Scene, config: &CorruptionConfig, seed: u64) -> Resul
             }
         }
     });
+    if config.kind == CorruptionKind::Poses {
+        check_places(&scene.train, config, stood_before)?;
+    }
     if scene.ndc.is_some() {
         check_facing(&scene.train, config)?;
     }
@@ -121,6 +126,30 @@ fn rotation([x, y, z]: [f64; 3]) -> Pose {
         turn
     };
     compose(&about(z, 2), &compose(&about(y, 1), &about(x, 0)))
+}
+
+/// Checks that moved cameras have numbers that training computes with, and stand before the plane where NDC begin if all
+/// `stood_before` it.
+fn check_places(views: &[View], config: &CorruptionConfig, stood_before: bool) -> Result<()> {
+    let refuse = |View { name, camera, .. }: &View, why: String| {
+        let (offset, degrees, place) = (brief(config.offset), config.degrees, column(&camera.pose, 3));
+        Err(Error::Config(format!(
+            "data.corruption.offset = {offset} with data.corruption.degrees = {degrees}: moved so far, training view {name} \
+             stands at {place:?}, {why}"
+        )))
+    };
+    if let Some(far) = views.iter().find(|view| !camera_is_sound(&view.camera)) {
+        let why = format!("and training computes with numbers from -{LARGEST:e} to {LARGEST:e}; take a smaller offset");
+        return refuse(far, why);
+    }
+    match views.iter().find(|view| stood_before && !view.camera.is_before_ndc()) {
+        None => Ok(()),
+        Some(beyond) => {
+            let why = "beyond the plane z = -1 where normalized device coordinates begin; take a smaller offset or set \
+                       data.ndc=false";
+            refuse(beyond, why.into())
+        }
+    }
 }
 
 /// Checks that rotated cameras still face the scene. NDC have no rays that do not go towards -z.
@@ -268,6 +297,33 @@ mod tests {
         let message = turn(180.0, &clean).unwrap_err().to_string();
         assert!(message.contains("data.corruption.degrees = 180") && message.contains("fewer degrees"), "{message}");
         turn(180.0, &Scene { ndc: None, ..clean.clone() }).unwrap();
+    }
+
+    /// Beyond 1e12 f32 cannot compute; NDC begin one unit before the origin.
+    #[test]
+    fn cameras_that_are_moved_too_far_are_refused() {
+        let config = DataConfig { kind: DataKind::BuiltinForward, width: 16, ..DataConfig::default() };
+        let clean = crate::data::load(&config, 0, &()).unwrap();
+        let outside = Scene { ndc: None, ..clean.clone() };
+        let moved = |offset: f64, scene: &Scene| {
+            let poses = CorruptionConfig { kind: CorruptionKind::Poses, offset, ..CorruptionConfig::default() };
+            corrupt(&mut scene.clone(), &poses, 0)
+        };
+        for (offset, named) in [(1e300, "1e300"), (1e14, "100000000000000")] {
+            for scene in [&clean, &outside] {
+                let message = moved(offset, scene).unwrap_err().to_string();
+                assert!(message.contains(&format!("data.corruption.offset = {named} with")), "{message}");
+                assert!(message.contains("from -1e12 to 1e12") && message.contains("degrees = 5"), "{message}");
+            }
+        }
+        let message = moved(20.0, &clean).unwrap_err().to_string();
+        assert!(message.contains("data.corruption.offset = 20") && message.contains("z = -1"), "{message}");
+        moved(20.0, &outside).unwrap();
+        moved(0.1, &clean).unwrap();
+        // One that stood beyond it before is not the corruption's.
+        let mut around = clean;
+        around.train[0].camera.pose[2][3] = -1.5;
+        moved(0.1, &around).unwrap();
     }
 
     /// A quarter turn about x takes y to z, then one about z leaves it.

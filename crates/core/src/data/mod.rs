@@ -89,6 +89,8 @@ pub struct Scene {
     pub path: Vec<Camera>,
     /// The corruption of the training views.
     pub corrupted: Option<Corrupted>,
+    /// The split to evaluate has no photos: every `data.holdout`-th training view is held out instead.
+    pub lacks_split: bool,
     /// The scene's space: units, box, points.
     pub space: SceneSpace,
 }
@@ -221,14 +223,19 @@ fn check(scene: &Scene, config: &DataConfig) -> Result<()> {
     )))
 }
 
+fn is_sound(value: f64) -> bool {
+    value.abs() <= LARGEST
+}
+
+/// Returns whether a camera's numbers are safe to compute with.
+fn camera_is_sound(camera: &Camera) -> bool {
+    let Camera { focal, centre, pose, .. } = camera;
+    let focal_is = focal.iter().all(|&focal| focal >= SMALLEST);
+    focal_is && focal.iter().chain(centre).chain(pose.iter().flatten()).all(|&value| is_sound(value))
+}
+
 /// Checks that numbers are still safe to compute with after poses are scaled and centred.
 fn check_numbers(scene: &Scene, config: &DataConfig) -> Result<()> {
-    let sound = |value: f64| value.abs() <= LARGEST;
-    let camera_is_sound = |camera: &Camera| {
-        let Camera { focal, centre, pose, .. } = camera;
-        let focal_is = focal.iter().all(|&focal| focal >= SMALLEST);
-        focal_is && focal.iter().chain(centre).chain(pose.iter().flatten()).all(|&value| sound(value))
-    };
     let from = if config.dir.is_empty() { &scene.name } else { &config.dir };
     if let Some(view) = scene.train.iter().chain(&scene.test).find(|view| !camera_is_sound(&view.camera)) {
         return Err(Error::Data(format!(
@@ -252,7 +259,7 @@ fn check_numbers(scene: &Scene, config: &DataConfig) -> Result<()> {
             view.name, centre[0], centre[1]
         )));
     }
-    if !(sound(scene.near) && sound(scene.far) && scene.path.iter().all(camera_is_sound)) {
+    if !(is_sound(scene.near) && is_sound(scene.far) && scene.path.iter().all(camera_is_sound)) {
         return Err(Error::Data(format!(
             "{from}: depth bounds {} and {} and poses of this size make no video path and no rays that can be computed \
              with (numbers from -{LARGEST:e} to {LARGEST:e}); check the poses' units and depth bounds",

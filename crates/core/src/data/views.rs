@@ -65,9 +65,8 @@ fn even(count: usize, all: usize) -> Vec<usize> {
 /// Returns part number `part` of a fixed order of `all` indices, each of `count`, in their order.
 fn disjoint(count: usize, all: usize, part: u64) -> Result<Vec<usize>> {
     let order = Random::new(0, Stream::Views, TRAINED).distinct(all, all as u32);
-    let start =
-        usize::try_from(part).ok().and_then(|part| part.checked_mul(count)).filter(|start| start + count <= all);
-    let Some(start) = start else {
+    let start = usize::try_from(part).ok().and_then(|part| part.checked_mul(count));
+    let Some(start) = start.filter(|start| start.checked_add(count).is_some_and(|end| end <= all)) else {
         return Err(Error::Config(format!(
             "data.train_views = \"{count} disjoint\" with data.views_seed = {part}: {all} views to train on have {} parts of \
              {count}, numbered from 0; lower data.views_seed or the number of views",
@@ -199,6 +198,9 @@ mod tests {
         assert_eq!(seen.len(), 16);
         let said = ruled(ViewsRule::Disjoint, 8, 2).unwrap_err().to_string();
         assert!(said.contains("2 parts of 8") && said.contains("views_seed"), "{said}");
+        // The largest seed, whose part would end beyond the largest number.
+        let said = ruled(ViewsRule::Disjoint, 2, i64::MAX as u64).unwrap_err().to_string();
+        assert!(said.contains("data.views_seed = 9223372036854775807") && said.contains("8 parts of 2"), "{said}");
     }
 
     #[test]

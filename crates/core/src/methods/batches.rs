@@ -232,6 +232,7 @@ mod tests {
             background: None,
             path: vec![],
             corrupted: None,
+            lacks_split: false,
             space: Default::default(),
         }
     }

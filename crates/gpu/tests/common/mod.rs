@@ -40,6 +40,7 @@ pub fn scene() -> Scene {
         background: Some([1.0, 0.5, 0.25]),
         path: vec![],
         corrupted: None,
+        lacks_split: false,
         space: Default::default(),
     }
 }

@@ -64,9 +64,9 @@ fn balance_here(
         )));
     }
     let regularizer = std::mem::take(&mut config.regularizer);
-    (config.regularizer.unseen_rays, config.regularizer.unseen_poses) =
-        (regularizer.unseen_rays, regularizer.unseen_poses);
     let (config, scene) = load_scene(config, events)?;
+    // The training names no term that reads unseen rays, so it has lost where they are.
+    let config = config.with_unseen(regularizer.unseen_rays, regularizer.unseen_poses)?;
     Lattice { domain: regularizer.domain, side: regularizer.lattice }.check_meets(&scene, "regularizer.domain")?;
     let mut trainer = Trainer::new(&config, &scene, DType::F32, runtime)?;
     // It shares the trainer's weights.

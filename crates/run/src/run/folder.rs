@@ -240,16 +240,6 @@ impl RunDir {
         folder.join(DEPTH_ERRORS)
     }
 
-    /// Returns the path of `metrics.json`: metrics of the held-out views and their mean, with provenance.
-    pub fn metrics_json(&self) -> PathBuf {
-        self.path.join(METRICS_JSON)
-    }
-
-    /// Returns the path of `metrics.csv`: one row for each held-out view.
-    pub fn metrics_csv(&self) -> PathBuf {
-        self.path.join(METRICS_CSV)
-    }
-
     /// Returns the path of `smoothness.csv`: l1, TV and Laplacian of density, one row for each network.
     pub fn smoothness(&self) -> PathBuf {
         self.path.join(SMOOTHNESS)

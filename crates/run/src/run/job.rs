@@ -241,11 +241,6 @@ impl<'a> Job<'a> {
         Ok(Job { experiment, trainer })
     }
 
-    /// Returns what it trains with.
-    pub fn setup(&self) -> &Setup<'a> {
-        &self.experiment.setup
-    }
-
     /// Lets `audience` look at the model as it trains.
     pub fn before(mut self, audience: &'a dyn Audience) -> Job<'a> {
         self.experiment.audience = Some(audience);

@@ -192,20 +192,12 @@ pub struct MeshReport {
 }
 
 impl Trained {
-    /// Draws the surface of the evaluated field into the run's `mesh` folder: `mesh.ply`, `mesh.obj`, `mesh.json`,
-    /// `density.npy`. The old files are replaced all at once.
+    /// Draws the surface of the evaluated field into a folder, such as the run's `mesh`: `mesh.ply`, `mesh.obj`,
+    /// `mesh.json`, `density.npy`. The old files are replaced all at once.
     ///
     /// # Errors
     /// The box misses the scene's rays; the level set is empty or exceeds the memory; the disk has too little space;
     /// weights are not numbers.
-    pub fn draw_mesh(&self, options: &MeshOptions, events: &dyn Listener) -> Result<MeshReport> {
-        self.draw_mesh_into(AtomicDir::new(&self.run.mesh())?, options, events)
-    }
-
-    /// Draws into another folder, such as for a run on a read-only disk.
-    ///
-    /// # Errors
-    /// Those of [`Trained::draw_mesh`].
     pub fn draw_mesh_into(&self, into: AtomicDir, options: &MeshOptions, events: &dyn Listener) -> Result<MeshReport> {
         self.runtime.install(|| self.draw_mesh_here(into, options, events))
     }

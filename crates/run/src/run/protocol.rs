@@ -65,11 +65,12 @@ impl Protocol {
         OF_VIEWS.into_iter().filter_map(|name| Some((name, known(name)?))).collect()
     }
 
-    /// Returns as text the columns that a configuration decides alone, for a run that trained to its end.
+    /// Returns as text the columns that a configuration decides alone, for a run that trained to its end on a scene with the
+    /// split's photos.
     pub fn of_configuration(config: &Resolved) -> Vec<(&'static str, String)> {
         let table = config.to_table();
         let mut own = of_settings(config);
-        own.push(("steps", config.train.steps.into()));
+        own.extend([("steps", config.train.steps.into()), ("split", split_name(config, false).into())]);
         let decided = COLUMNS.iter().filter_map(|column| {
             let set = column.setting().and_then(|setting| value_at(&table, &setting.path));
             let set = set.map(|value| serde_json::to_value(value).expect("plain data"));
@@ -125,7 +126,6 @@ fn of_settings(config: &Resolved) -> Found {
     vec![
         ("protocol", PROTOCOL.into()),
         ("scene", config.data.name.clone().into()),
-        ("split", split_name(config).into()),
         ("training_views", training_views(config).into()),
         ("validation", (config.data.validation > 0).then(|| format!("every-{}", config.data.validation)).into()),
         ("levels", perturb.map(|perturb| levels(perturb, config.representation())).into()),
@@ -163,6 +163,7 @@ fn of_scene(config: &Resolved, scene: &Scene) -> Found {
     let corrupted = scene.corrupted.as_ref();
     vec![
         ("dataset", scene.kind.into()),
+        ("split", split_name(config, scene.lacks_split).into()),
         ("width", side(scene, |camera| camera.width)),
         ("height", side(scene, |camera| camera.height)),
         ("background", background(scene).into()),
@@ -370,10 +371,11 @@ fn regularizer_points(regularizer: &RegularizerConfig) -> String {
 }
 
 /// Returns which views are evaluated. `test` is a fixed split; `every-8` holds out every 8th view, and
-/// `every-8-from-3` starts at view 3, counted from 0. The suffix `-val` means validation views.
-pub fn split_name(config: &Config) -> String {
+/// `every-8-from-3` starts at view 3, counted from 0. The suffix `-val` means validation views. `lacks_split` is the scene's:
+/// [`Scene::lacks_split`].
+pub fn split_name(config: &Config, lacks_split: bool) -> String {
     let data = &config.data;
-    let split = match (data.has_splits(), data.eval_split) {
+    let split = match (data.has_splits() && !lacks_split, data.eval_split) {
         (true, EvalSplit::Val) => "val".to_string(),
         (true, EvalSplit::Test) => "test".to_string(),
         (false, eval_split) => {
@@ -426,13 +428,18 @@ mod tests {
 
     #[test]
     fn splits_are_named_by_all_that_makes_them() {
-        let named = |texts: &[&str]| {
+        let named_where = |lacks_split: bool, texts: &[&str]| {
             let texts: Vec<_> = texts.iter().map(|text| parse_assignment(text).unwrap()).collect();
-            split_name(&build(None, None, &texts).unwrap())
+            split_name(&build(None, None, &texts).unwrap(), lacks_split)
         };
+        let named = |texts: &[&str]| named_where(false, texts);
         assert_eq!(named(&["data.kind=llff"]), "every-8");
         assert_eq!(named(&["data.kind=llff", "data.holdout=5", "data.holdout_offset=3"]), "every-5-from-3");
         assert_eq!(named(&["data.kind=llff", "data.validation=4", "data.eval_split=val"]), "every-8-val");
         assert_eq!(named(&["data.kind=blender", "data.eval_split=val", "data.test_skip=2"]), "val-skip-2");
+        // Training views that are held out in place of a split without photos.
+        let held_out = |texts: &[&str]| named_where(true, &[&["data.kind=blender"][..], texts].concat());
+        assert_eq!((named(&["data.kind=blender"]), held_out(&[])), ("test".into(), "every-8".into()));
+        assert_eq!(held_out(&["data.holdout=4", "data.eval_split=val", "data.test_skip=2"]), "every-4-val-skip-2");
     }
 }

@@ -381,19 +381,20 @@ impl Trainer {
         runtime.install(|| {
             let state = load_state(checkpoint)?;
             check_config(checkpoint, &state, config)?;
-            inputs.restore(checkpoint, state, true)
+            let (model, moments) = inputs.restore(checkpoint, state.step, true)?;
+            let stepper = inputs.stepper(&model, None, moments)?;
+            Ok(inputs.trainer(model, stepper, state))
         })
     }
 }
 
 impl Inputs<'_> {
-    /// Returns a trainer with the parameters of a checkpoint, and with its moments if it `goes_on`.
-    pub(super) fn restore(self, checkpoint: &Path, state: State, goes_on: bool) -> Result<Trainer> {
+    /// Returns the parameters of a checkpoint as they are at `step`, and its moments if the run `goes_on`.
+    pub(super) fn restore(self, checkpoint: &Path, step: u64, goes_on: bool) -> Result<(Model, Option<Vec<Moments>>)> {
         let names = Model::parameter_names(self.config);
         let tensors = Tensors::open(checkpoint, self.dtype, self.runtime.device())?;
-        let model = Model::from_parameters(self.config, tensors.all("", &names)?)?.at_step(self.config, state.step)?;
+        let model = Model::from_parameters(self.config, tensors.all("", &names)?)?.at_step(self.config, step)?;
         let moments = if goes_on { Some(tensors.moments(&names)?) } else { None };
-        let stepper = self.stepper(&model, None, moments)?;
-        Ok(self.trainer(model, stepper, state))
+        Ok((model, moments))
     }
 }

@@ -36,7 +36,7 @@ impl Trainer {
     ///
     /// # Errors
     /// [`Error::Checkpoint`](crate::base::Error::Checkpoint): the checkpoint is damaged or has other networks; weights
-    /// have another shape; more memory is needed than is free.
+    /// have another shape. Those of [`Trainer::new`], but for a dead start.
     pub fn begin_from(
         origin: Origin,
         config: &Resolved,
@@ -47,19 +47,26 @@ impl Trainer {
         check_memory(config, scene, runtime)?;
         accelerator::check(config, runtime)?;
         let inputs = Inputs { config, scene, dtype, runtime };
-        runtime.install(|| match origin {
-            Origin::Checkpoint { folder, goes_on } => {
-                let state = load_state(folder)?;
-                let state = if goes_on { state } else { State { step: 0, adam_since: 0, empty_steps: 0, ..state } };
-                inputs.restore(folder, state, goes_on)
-            }
-            Origin::Weights { values, step } => {
-                let model = Model::from_parameters(config, values)?;
-                let stepper = inputs.stepper(&model, None, None)?;
-                let redraws = vec![0; Model::parts(config).len()];
-                let state = State { step, adam_since: step, redraws, ..State::default() };
-                Ok(inputs.trainer(model, stepper, state))
-            }
+        let redraws = vec![0; Model::parts(config).len()];
+        runtime.install(|| {
+            let (model, moments, state) = match origin {
+                Origin::Checkpoint { folder, goes_on } => {
+                    let state = load_state(folder)?;
+                    let state = match goes_on {
+                        true => state,
+                        false => State { step: 0, adam_since: 0, empty_steps: 0, redraws, ..state },
+                    };
+                    let (model, moments) = inputs.restore(folder, state.step, goes_on)?;
+                    (model, moments, state)
+                }
+                Origin::Weights { values, step } => {
+                    let state = State { step, adam_since: step, redraws, ..State::default() };
+                    (Model::from_parameters(config, values)?, None, state)
+                }
+            };
+            let learner = model.first_learner(config, scene, dtype, runtime)?;
+            let stepper = inputs.stepper(&model, Some(learner), moments)?;
+            Ok(inputs.trainer(model, stepper, state))
         })
     }
 }

@@ -215,6 +215,24 @@ fn a_broken_step_ends_a_training() {
     assert!(checkpoint::list(folder.path()).unwrap().is_empty());
 }
 
+/// A run that starts from another's weights drew none of its own.
+#[test]
+fn a_restarted_run_has_no_redraws() {
+    let (config, scene) = small("method=nerf");
+    let cpu = Runtime::new("cpu", Some(1)).unwrap();
+    let inputs = Inputs { config: &config, scene: &scene, dtype: DType::F32, runtime: &cpu };
+    let model = Model::start(&config, &scene, DType::F32, &cpu).unwrap().model;
+    let stepper = inputs.stepper(&model, None, None).unwrap();
+    let parent = inputs.trainer(model, stepper, State { redraws: vec![3, 1], ..State::default() });
+    let folder = tempfile::tempdir().unwrap();
+    let checkpoint = parent.save(folder.path()).unwrap();
+    let redraws = |goes_on: bool| {
+        let origin = Origin::Checkpoint { folder: &checkpoint, goes_on };
+        Trainer::begin_from(origin, &config, &scene, DType::F32, &cpu).unwrap().redraws().to_vec()
+    };
+    assert_eq!((redraws(true), redraws(false)), (vec![3, 1], vec![0, 0]));
+}
+
 #[test]
 fn what_an_accelerator_cannot_train_is_refused() {
     let gpu = gpu();

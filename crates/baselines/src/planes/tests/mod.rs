@@ -62,6 +62,7 @@ fn scene(side: usize) -> Scene {
         background: None,
         path: vec![],
         corrupted: None,
+        lacks_split: false,
         space: Default::default(),
     }
 }

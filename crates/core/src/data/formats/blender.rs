@@ -33,7 +33,8 @@ pub fn load(config: &DataConfig, events: &dyn Listener) -> Result<Scene> {
         EvalSplit::Val => "val",
     };
     let train = read_split(config, "train", events)?;
-    let (train, listed) = match has_no_photos(config, eval)? {
+    let lacks_split = has_no_photos(config, eval)?;
+    let (train, listed) = match lacks_split {
         false => (train, read_split(config, eval, events)?),
         true if config.eval_split == EvalSplit::Val && has_no_photos(config, "test")? => return Err(no_val(config)),
         true => hold_out(train, config, eval, events),
@@ -66,6 +67,7 @@ pub fn load(config: &DataConfig, events: &dyn Listener) -> Result<Scene> {
             .map(|pose| Camera { pose, ..cameras[0] })
             .collect(),
         corrupted: None,
+        lacks_split,
         space,
         train: train_views,
         test: test_views,

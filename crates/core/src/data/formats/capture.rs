@@ -84,6 +84,6 @@ impl Capture {
 
     fn into_scene(self, name: String, kind: &'static str, train: Vec<View>, test: Vec<View>) -> Scene {
         let Capture { path, near, far, ndc, background, space, .. } = self;
-        Scene { name, kind, train, test, near, far, ndc, background, path, corrupted: None, space }
+        Scene { name, kind, train, test, near, far, ndc, background, path, corrupted: None, lacks_split: false, space }
     }
 }

@@ -18,14 +18,13 @@ const MOST_REDRAWS: u64 = 100;
 impl FieldLearner {
     /// Initializes the fields of a run, and draws dead ones again. Also returns the number of redraws of each field of
     /// [`Fields::roles`].
+    ///
+    /// # Errors
+    /// Those of [`FieldLearner::begin`]; every initialization of a field is dead.
     pub fn start(config: &Resolved, scene: &Scene, dtype: DType, device: &Device) -> Result<(FieldLearner, Vec<u64>)> {
-        if config.regularizer.has_space_terms() {
-            regularized::lattice(&config.regularizer).check_meets(scene, "regularizer.domain")?;
-        }
-        check_grid(config, scene)?;
         let mut redraws = vec![0; Fields::roles(config).len()];
         let fields = Fields::init(config, &redraws, dtype, device)?.at_step(config, 0)?;
-        let mut learner = FieldLearner::new(config, scene, fields, dtype, device)?;
+        let mut learner = FieldLearner::begin(config, scene, fields, dtype, device)?;
         let first = learner.draw(0)?;
         let positions = positions_at(&learner.fields.coarse, &first.rays, &first.t_coarse)?.flatten(0, 1)?;
         loop {
@@ -48,6 +47,24 @@ impl FieldLearner {
             learner.variables = learner.fields.variables();
         }
         Ok((learner, redraws))
+    }
+
+    /// Creates the learner of a new run of `fields`, which are random or from elsewhere.
+    ///
+    /// # Errors
+    /// Those of [`FieldLearner::new`]; no ray meets a box of the settings.
+    pub fn begin(
+        config: &Resolved,
+        scene: &Scene,
+        fields: Fields,
+        dtype: DType,
+        device: &Device,
+    ) -> Result<FieldLearner> {
+        if config.regularizer.has_space_terms() {
+            regularized::lattice(&config.regularizer).check_meets(scene, "regularizer.domain")?;
+        }
+        check_grid(config, scene)?;
+        FieldLearner::new(config, scene, fields, dtype, device)
     }
 
     /// Returns the fields whose fraction of positive densities at `positions` is below the configured one. Positions

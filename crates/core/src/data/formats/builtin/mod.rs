@@ -75,6 +75,7 @@ pub fn load_blender(config: &DataConfig) -> Result<Scene> {
         background: Some(background),
         path: views::orbit(width),
         corrupted: None,
+        lacks_split: false,
         space: SceneSpace::default(),
     })
 }
