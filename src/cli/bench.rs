@@ -9,6 +9,7 @@ use crate::settings::parse_assignment;
 
 use super::Compute;
 use super::answer::Answer;
+use super::experiment::say_without_effect;
 use super::progress::print;
 
 pub const EXAMPLES: &str = "Examples:
@@ -57,7 +58,12 @@ impl BenchArguments {
             steps: self.steps.into(),
             set: self.set.iter().map(|text| parse_assignment(text)).collect::<Result<_>>()?,
         };
-        let timed = self.compute.run(|runtime, _| workload.run(runtime))?;
+        let timed = self.compute.run(|runtime, console| {
+            let config = workload.config(runtime)?;
+            let settings = workload.set.iter().map(|(path, _)| path.join("."));
+            say_without_effect(settings, |setting| config.without_effect(setting), console);
+            workload.run(runtime)
+        })?;
         // Scripts rely on JSON, with or without the flag.
         self.answer.give(&timed, || print(&serde_json::to_string(&timed).expect("plain data")))
     }

@@ -56,6 +56,7 @@ impl EvalArguments {
     }
 
     fn evaluate(&self, runtime: &Runtime, console: &Console) -> Result<()> {
+        self.check_out()?;
         let split = self.split.map(|name| match name {
             SplitName::Test => Split::Test,
             SplitName::Val => Split::Val,
@@ -74,6 +75,24 @@ impl EvalArguments {
         console.say(&format!("step {step} of {steps}: {}", json.display()));
         report.no_better_than_one_colour().iter().for_each(|remark| console.say(remark));
         report.check_learned(&self.run)
+    }
+
+    /// Checks that `--out` replaces no run's own metrics by others.
+    ///
+    /// # Errors
+    /// [`Error::Output`]: it is another run, or this run with `--step` or `--split`.
+    fn check_out(&self) -> Result<()> {
+        let Some(out) = self.out.as_deref().filter(|out| RunDir::holds_run(out)) else { return Ok(()) };
+        let real = |path: &Path| path.canonicalize().ok();
+        let why = if real(out) != real(&self.run) {
+            "another run, whose metrics.json would be replaced; name another folder"
+        } else if self.step.is_some() || self.split.is_some() {
+            "the run itself, whose metrics.json is of its newest checkpoint and its held-out views; name another \
+             folder, or omit --out"
+        } else {
+            return Ok(());
+        };
+        Err(Error::Output(format!("--out {}: {why}", out.display())))
     }
 
     /// Returns the folder for the files.

@@ -7,13 +7,13 @@ use serde_json::json;
 
 use crate::base::files::AtomicDir;
 use crate::base::{Error, Result};
-use crate::run::{Existing, Foreign, Job, Networks, Setup, export, load_scene};
+use crate::run::{Existing, Foreign, Job, Networks, Setup, export, load_lpips, load_scene};
 use crate::runtime::Runtime;
 use crate::settings::Preset;
 use crate::train::Origin;
 
 use super::answer::Answer;
-use super::experiment::{Base, Experiment, settings_file};
+use super::experiment::{Base, Experiment, say_without_effect, settings_file};
 use super::progress::Console;
 use super::train::default_folder;
 use super::{Compute, LpipsWeights};
@@ -102,8 +102,12 @@ impl ImportArguments {
             // The weights are of the paper's networks, not of a hash grid.
             preset: |preset| if preset == Preset::Fast { Preset::Cpu } else { preset },
         };
-        let (config, scene) = load_scene(self.experiment.config_over(base, &self.weights, console)?, console)?;
+        let config = self.experiment.config_over(base, &self.weights, console)?;
+        // A run that names unreadable weights could not be measured.
+        load_lpips(&config.eval.lpips_weights, runtime.device())?;
+        let (config, scene) = load_scene(config, console)?;
         check_steps(&self.file, foreign.step(), config.train.steps)?;
+        say_without_effect(self.experiment.settings(), |setting| config.without_effect(setting), console);
         let values = foreign.values(&config, runtime.device())?;
         let folder = self.out.clone().unwrap_or_else(|| default_folder(&config));
         let networks = crate::methods::Model::parts(&config).len();

@@ -9,7 +9,8 @@ use toml::Value;
 use crate::base::{Error, Result};
 use crate::data::{self, Format};
 use crate::settings::{
-    BuiltinScene, Config, Encoding, Method, Preset, REGULARIZERS, build, data_section, parse_assignment,
+    BuiltinScene, Config, Encoding, Method, Preset, REGULARIZERS, build, check_assignment, data_section,
+    parse_assignment,
 };
 
 use super::LpipsWeights;
@@ -102,6 +103,41 @@ pub fn scene_settings(flag: &str, named: &Path, console: &Console) -> Result<Ass
         return Ok(vec![of_data("dir", &dir), of_data("kind", kind)]);
     }
     Ok(vec![of_data("dir", &folder?.to_string_lossy())])
+}
+
+/// Parses the `--set` of a command that reads a scene and trains nothing: settings of section `data`, and those of `further`.
+/// `reader` names the command and these settings in errors, `scene` the argument that names the scene.
+///
+/// # Errors
+/// [`Error::Config`]: no such setting, one that the command does not read, or `data.dir`.
+pub fn data_settings(set: &[String], further: &[&str], reader: &str, scene: &str) -> Result<Assignments> {
+    let parse = |text: &String| {
+        let (path, value) = parse_assignment(text)?;
+        // First, because an unknown setting is answered with the nearest one.
+        check_assignment("--set", &path, &value)?;
+        let name = path.join(".");
+        if name == "data.dir" || name == "data" && value.get("dir").is_some() {
+            return Err(Error::Config(format!("--set data.dir: {scene} names the scene; use that instead")));
+        }
+        if path[0] != "data" && !further.contains(&name.as_str()) {
+            return Err(Error::Config(format!("--set {name}: not read by {reader}; omit it")));
+        }
+        Ok((path, value))
+    };
+    set.iter().map(parse).collect()
+}
+
+/// Prints a note for each of the settings that has no effect; `why` returns the reason.
+pub fn say_without_effect(
+    settings: impl Iterator<Item = String>,
+    why: impl Fn(&str) -> Option<String>,
+    console: &Console,
+) {
+    for setting in settings {
+        if let Some(why) = why(&setting) {
+            console.say(&format!("--set {setting} has no effect: {why}"));
+        }
+    }
 }
 
 /// Settings as `(path, value)`.

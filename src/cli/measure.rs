@@ -13,11 +13,12 @@ use crate::run::{
     smoothness_box,
 };
 use crate::runtime::Runtime;
+use crate::settings::Config;
 use crate::settings::registry::check_flag;
 use crate::space::Lattice;
 
 use super::answer::Answer;
-use super::experiment::Experiment;
+use super::experiment::{Experiment, say_without_effect};
 use super::progress::{Console, print};
 use super::{Compute, UnusedWeights, numbers};
 
@@ -129,7 +130,9 @@ impl BalanceArguments {
     }
 
     fn balance(&self, runtime: &Runtime, console: &Console) -> Result<()> {
-        let (config, lines) = balance(self.experiment.config(console)?, self.steps, runtime, console)?;
+        let config = self.experiment.config(console)?;
+        say_without_effect(self.experiment.settings(), |setting| not_balanced(&config, setting), console);
+        let (config, lines) = balance(config, self.steps, runtime, console)?;
         let answer = json!({ "scene": config.data.name, "steps": self.steps, "weights": lines });
         self.answer.give(&answer, || print(&balance_csv(&config.data.name, self.steps, &lines)))?;
         console.say(
@@ -137,6 +140,18 @@ impl BalanceArguments {
              --set regularizer.kind=TERM --set regularizer.weight=WEIGHT",
         );
         Ok(())
+    }
+}
+
+/// Returns why a setting has no effect on `balance`, or `None` if it may have one. Section `regularizer` says where terms are
+/// evaluated, whichever terms it names.
+fn not_balanced(config: &Config, setting: &str) -> Option<String> {
+    match setting {
+        "regularizer.kind" | "regularizer.weight" | "regularizer.schedule" => {
+            Some("balance measures every term at weight 1".into())
+        }
+        _ if setting.starts_with("regularizer.") => None,
+        _ => config.without_effect(setting),
     }
 }
 

@@ -53,15 +53,15 @@ pub struct MeshArguments {
     /// Output folder, new or empty [default: RUN/mesh, replaced]
     #[arg(long, value_name = "DIR", help_heading = "Output")]
     out: Option<PathBuf>,
-    /// Files to write, one or both
-    #[arg(long, value_enum, value_delimiter = ',', default_value = "ply", help_heading = "Output")]
+    /// Files to write, one or both [default: ply]
+    #[arg(long, value_enum, value_delimiter = ',', help_heading = "Output")]
     format: Vec<Format>,
-    /// Units of the files
-    #[arg(long, value_enum, default_value = "scene", help_heading = "Output")]
-    units: UnitsName,
-    /// Source of the normals
-    #[arg(long, value_enum, default_value = "triangles", help_heading = "Output")]
-    normals: NormalsName,
+    /// Units of the files [default: scene]
+    #[arg(long, value_enum, help_heading = "Output")]
+    units: Option<UnitsName>,
+    /// Source of the normals [default: triangles]
+    #[arg(long, value_enum, help_heading = "Output")]
+    normals: Option<NormalsName>,
     /// Write density.npy, too: float32 [x, y, z] at the cells' midpoints
     #[arg(long, help_heading = "Output")]
     density: bool,
@@ -192,6 +192,11 @@ impl MeshArguments {
         if !self.picture.view.is_empty() {
             return Err(Error::Config(format!("--view: the mesh {name} has no held-out views; use --at 0.1,0.6")));
         }
+        if let Some(flag) = self.extraction_flag() {
+            return Err(Error::Config(format!(
+                "{flag}: {name} is already a mesh, of which only an image is drawn; omit {flag}, or name a run folder"
+            )));
+        }
         let mesh = reference_mesh(&name)?.whole();
         if picture.paint == Paint::Colours && mesh.colours.is_empty() {
             return Err(Error::Config(format!("--paint colours: {name} has no colours that are read; omit --paint")));
@@ -202,6 +207,26 @@ impl MeshArguments {
         write_png8(&picture.file, &mesh_picture(&mesh, &cameras, picture.paint)?)?;
         let file = picture.file.display().to_string();
         self.answer.give_place(&json!({ "of": name, "folder": null, "picture": file, "mesh": null }), &picture.file)
+    }
+
+    /// Returns the first given flag that only a mesh of a run reads.
+    fn extraction_flag(&self) -> Option<&'static str> {
+        let given = [
+            ("--data", self.data.is_some()),
+            ("--resolution", self.resolution.is_some()),
+            ("--threshold", self.threshold.is_some()),
+            ("--bbox", self.bbox.is_some()),
+            ("--preset", self.preset.is_some()),
+            ("--cap", self.cap),
+            ("--largest", self.largest),
+            ("--out", self.out.is_some()),
+            ("--format", !self.format.is_empty()),
+            ("--units", self.units.is_some()),
+            ("--normals", self.normals.is_some()),
+            ("--density", self.density),
+            ("--memory", self.memory.is_some()),
+        ];
+        given.into_iter().find(|(_, given)| *given).map(|(flag, _)| flag)
     }
 
     fn draw(&self, options: &MeshOptions, runtime: &Runtime, console: &Console) -> Result<()> {
@@ -232,7 +257,8 @@ impl MeshArguments {
             None => MeshOptions::default(),
         };
         let bbox = self.bbox.as_deref().map(|text| parse_box("bbox", text)).transpose()?;
-        let formats = self.format.iter().map(|format| match format {
+        let formats = if self.format.is_empty() { &[Format::Ply][..] } else { &self.format[..] };
+        let formats = formats.iter().map(|format| match format {
             Format::Ply => MeshFormat::Ply,
             Format::Obj => MeshFormat::Obj,
         });
@@ -247,12 +273,12 @@ impl MeshArguments {
             most_mib: self.memory,
             picture: self.picture.picture()?,
             normals: match self.normals {
-                NormalsName::Triangles => Normals::Triangles,
-                NormalsName::Density => Normals::Density,
+                None | Some(NormalsName::Triangles) => Normals::Triangles,
+                Some(NormalsName::Density) => Normals::Density,
             },
             units: match self.units {
-                UnitsName::Scene => MeshUnits::Scene,
-                UnitsName::Capture => MeshUnits::Capture,
+                None | Some(UnitsName::Scene) => MeshUnits::Scene,
+                Some(UnitsName::Capture) => MeshUnits::Capture,
             },
         };
         check_options(&options)?;

@@ -66,7 +66,7 @@ pub struct RenderArguments {
     #[arg(long, value_name = "DIR", help_heading = "Output")]
     out: Option<PathBuf>,
     /// Write the cameras to a file (camera_path.json, or [N,3,4] poses as .npy) and render nothing
-    #[arg(long, value_name = "FILE", help_heading = "Output")]
+    #[arg(long, value_name = "FILE", conflicts_with = "out", help_heading = "Output")]
     write_cameras: Option<PathBuf>,
     /// Render each camera that a line of JSON on standard input asks for, and answer with a line of JSON
     #[arg(long, requires = "out", conflicts_with_all = NOT_SERVED, help_heading = "Output")]
@@ -108,6 +108,15 @@ impl RenderArguments {
                 "--what views: renders all held-out views at their size; omit it to use --cameras, --resolution, --frames or --fps"
                     .into(),
             ));
+        }
+        if let Some(file) = self.write_cameras.as_deref().filter(|file| holds_poses_alone(file)) {
+            let of_lens = [("--resolution", size.is_some()), ("--fps", self.fps.is_some())];
+            if let Some((flag, _)) = of_lens.into_iter().find(|(_, given)| *given) {
+                return Err(Error::Config(format!(
+                    "{flag}: {} holds poses alone; choose a name that ends in .json, or omit {flag}",
+                    file.display()
+                )));
+            }
         }
         self.compute.run(|runtime, console| self.render(size, runtime, console))
     }
@@ -261,6 +270,11 @@ fn path(viewer: Viewer, shots: &Shots, folder: &Path, console: &Console) -> Resu
         console.on(Event::Advanced);
     }
     pictures.finish()
+}
+
+/// Returns whether a file of cameras keeps neither their size nor frames per second.
+fn holds_poses_alone(file: &Path) -> bool {
+    file.extension().is_some_and(|ending| ending.eq_ignore_ascii_case("npy"))
 }
 
 /// Parses columns and rows of an image, such as `320x240`.

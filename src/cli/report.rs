@@ -70,6 +70,12 @@ impl ReportArguments {
                 (table, page, out)
             }
             runs => {
+                if let Some(results) = runs.iter().find(|run| run.join("points.csv").is_file()) {
+                    return Err(Error::Config(format!(
+                        "{}: a sweep's results, which have a page of their own; name them alone, or runs alone",
+                        results.display()
+                    )));
+                }
                 if let Some(sweep) = runs.iter().find(|run| run.join("sweep.toml").is_file()) {
                     return Err(Error::Config(format!(
                         "{0}: the folder of a sweep, whose page is made of its results; name the folder that `augnerf sweep collect \

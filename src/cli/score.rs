@@ -16,10 +16,11 @@ use crate::run::{
     Matching, Picture, RunDir, Score, Truth, both_pictures, load_lpips, load_scene, load_scene_of, pictures, score,
 };
 use crate::runtime::Runtime;
-use crate::settings::{BuiltinScene, Config, Resolved, build, parse_assignment};
+use crate::settings::{Config, Resolved, build};
 use crate::sweep::{Point, Scored, SweepFolder, SweepOutputs};
 
 use super::answer::Answer;
+use super::experiment::{data_settings, scene_settings};
 use super::progress::{Console, print};
 use super::{Compute, LpipsWeights};
 
@@ -55,10 +56,10 @@ pub struct ScoreArguments {
     /// Folder of ground-truth images, or a run folder [default: --data, or the scene of --into]
     #[arg(conflicts_with_all = ["data", "into"])]
     truth: Option<PathBuf>,
-    /// Scene folder with the held-out views, or builtin
+    /// Scene folder with the held-out views, here or in AUGNERF_DATA, or builtin
     #[arg(long, value_name = "DIR", conflicts_with = "into")]
     data: Option<PathBuf>,
-    /// A setting of that scene: --set data.downscale=8
+    /// A setting of section data, or seed: --set data.downscale=8
     #[arg(long, value_name = "FIELD=VALUE", requires = "data")]
     set: Vec<String>,
     /// How images are matched with views
@@ -175,7 +176,7 @@ impl ScoreArguments {
                 return load_scene_of(&run, run.read_config()?, console).map(Some);
             }
             (Some(_), ..) => return Ok(None),
-            (None, Some(data), _) => self.config(data)?,
+            (None, Some(data), _) => self.config(data, console)?,
             (None, None, Some(into)) => {
                 let of_scene = || into.points.iter().filter(|point| point.scene == into.scene);
                 // Held-out views may depend on the seed.
@@ -187,19 +188,10 @@ impl ScoreArguments {
         load_scene(config, console).map(Some)
     }
 
-    fn config(&self, data: &Path) -> Result<Config> {
-        let mut assignments = Vec::new();
-        let of_data = |key: &str, value: String| (vec!["data".into(), key.into()], toml::Value::String(value));
-        if let Some(builtin) = data.to_str().and_then(BuiltinScene::named) {
-            let (dir, kind) = builtin.settings();
-            assignments.extend([of_data("dir", dir), of_data("kind", kind.to_string())]);
-        } else {
-            let data = std::path::absolute(data).map_err(|e| Error::unreadable(data, &e))?;
-            assignments.push(of_data("dir", data.to_string_lossy().into_owned()));
-        }
-        for text in &self.set {
-            assignments.push(parse_assignment(text)?);
-        }
+    fn config(&self, data: &Path, console: &Console) -> Result<Config> {
+        let mut assignments = scene_settings("--data ", data, console)?;
+        // Training views, which a seed may corrupt, give the floor.
+        assignments.extend(data_settings(&self.set, &["seed"], "score, which reads section data and seed", "--data")?);
         build(None, None, &assignments)
     }
 

@@ -233,6 +233,28 @@ fn balance_prints_a_grid_of_weights() {
     refuse(&["balance", "--method", "aug-nerf"], 2, &["aug-nerf", "plain NeRF"]);
 }
 
+/// Terms on unseen rays are measured on those that are set, and terms in space where they were.
+#[test]
+fn balance_reads_the_unseen_rays_that_are_set() {
+    let rows = |set: &[&str]| -> Vec<String> {
+        let mut arguments = vec!["balance", "--quiet", "--preset", "smoke", "--steps", "3"];
+        arguments.extend(TINY);
+        let all = ["regularizer.rays=unseen", "regularizer.points_per_step=64"].iter().chain(set);
+        all.for_each(|set| arguments.extend(["--set", set]));
+        printed(&arguments).lines().map(String::from).collect()
+    };
+    let usual = rows(&[]);
+    for set in ["regularizer.unseen_poses=between", "regularizer.unseen_rays=128"] {
+        let other = rows(&[set]);
+        assert_eq!(usual.len(), other.len());
+        let changed = |term: &str| {
+            let of = |rows: &[String]| rows.iter().find(|row| row.contains(&format!(",{term},"))).cloned().unwrap();
+            of(&usual) != of(&other)
+        };
+        assert_eq!(["l1", "distortion"].map(changed), [false, true], "{set}");
+    }
+}
+
 #[test]
 fn killed_and_resumed_equals_not_having_stopped() {
     let set = ["--set", "train.steps=120", "--set", "train.eval_every=40"];

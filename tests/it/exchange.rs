@@ -183,6 +183,13 @@ fn what_cannot_be_taken_over_is_refused() {
     };
     from(&[], 2, &["step 2", "train.steps=4", "--restart"]);
     from(&["--set", "train.steps=4", "--set", "field.width=8"], 5, &["shape", "another architecture"]);
+    // The checks of a start with random weights.
+    let tv = ["--restart", "--set", "regularizer.kind=tv", "--set"];
+    let far = "regularizer.domain=[[50,50,50],[51,51,51]]";
+    from(&[&tv[..], &[far]].concat(), 2, &["regularizer.domain", "outside"]);
+    from(&["--set", "train.steps=4", "--set", "regularizer.kind=tv", "--set", far], 2, &["regularizer.domain"]);
+    let endless = ["regularizer.points=full", "--set", "regularizer.lattice=1024", "--set", "train.steps=1000000000"];
+    from(&[&tv[..], &endless].concat(), 2, &["regularizer.lattice = 1024", "days", "sampled"]);
     let parent = ["train", "--preset", "smoke", "--set", "train.parent=abc", "--out", path(&out), "-q"];
     refuse(&parent, 2, &["train.parent", "--from"]);
     std::fs::write(&bad, "no archive").unwrap();
@@ -202,8 +209,17 @@ fn what_cannot_be_taken_over_is_refused() {
         3,
         &["pts_linears.0.weight", "shape"],
     );
+    // Before the folder is there: such a run could not be measured.
+    refuse(&["import", path(&file), "--lpips-weights", "/nope", "--out", path(&out)], 3, &["LPIPS weights /nope"]);
+    assert!(!out.join("config.toml").exists());
     let hash = dir.path().join("hash");
     let grid = ["--preset", "fast", "--set", "train.steps=1", "--set", "data.width=8", "--set", "eval.pictures=0"];
     succeed(&[&["train", "--out", path(&hash), "-q"], &grid[..]].concat());
     refuse(&["export", path(&hash), path(&dir.path().join("hash.tar"))], 2, &["hash", ".safetensors"]);
+    let empty = ["--restart", "--set", "field.hash.bounds=[[50,50,50],[51,51,51]]"];
+    let outside = [&["train", "--from", path(&hash), "--out", path(&out), "-q"], &empty[..]].concat();
+    refuse(&outside, 2, &["field.hash.bounds", "outside"]);
+    let file = fixture("nerf_pytorch.tar");
+    let imported = ["import", path(&file), "--set", "regularizer.kind=tv", "--set", far, "--out", path(&out)];
+    refuse(&imported, 2, &["regularizer.domain", "outside"]);
 }

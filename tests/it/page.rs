@@ -1,5 +1,7 @@
 //! The page of a sweep or of runs: whole, escaped, the same twice.
 
+use std::path::Path;
+
 use augnerf::base::Image;
 use augnerf::report::page::{Film, Page, ShownScene, ViewOfRow, ViewOfScene};
 use augnerf::report::tables::{AttackLine, Table};
@@ -247,6 +249,11 @@ fn committed_results_become_a_page_without_their_runs() {
     let said = demand(augnerf(&["report", "/nowhere"]).current_dir(dir.path()), 5);
     assert_says(&said, &["cannot open run /nowhere"]);
     assert!(!dir.path().join("report.html").exists());
+    let said = demand(augnerf(&["report", &results, "/nowhere"]).current_dir(dir.path()), 2);
+    assert_says(&said, &["few_views_chair: a sweep's results", "name them alone"]);
+    let said = demand(augnerf(&["report", &results, "--out", "a.png"]).current_dir(dir.path()), 2);
+    assert_says(&said, &["--out a.png: the page is HTML", "report.html"]);
+    assert!(!dir.path().join("a.png").exists());
 }
 
 /// The page leaves out what metrics leave out: whatever is rendered where the photo is masked.
@@ -283,24 +290,62 @@ fn masked_pixels_have_no_error_on_the_page() {
     assert!(changed != colour && same == error);
 }
 
+/// A training of four steps in a folder, with a setting such as its seed.
+fn train(dir: &Path, set: &str, method: &str, out: &str) {
+    let small =
+        ["data.width=16", "field.width=16", "train.rays=32", "train.steps=4", "train.log_every=2", "eval.pictures=1"];
+    let small = small.into_iter().flat_map(|set| ["--set", set]);
+    let command = ["train", "--quiet", "--preset", "smoke", "--method", method, "--out", out, "--set", set];
+    let arguments: Vec<&str> = command.into_iter().chain(small).collect();
+    demand(augnerf(&arguments).current_dir(dir), 0);
+}
+
+/// A page shows no run under the numbers of another, or of other views.
+#[test]
+fn a_run_is_shown_with_its_own_numbers() {
+    let dir = tempfile::tempdir().unwrap();
+    for (seed, method, out) in [("seed=0", "nerf", "a0"), ("seed=1", "nerf", "a1"), ("seed=0", "aug-nerf", "b0")] {
+        train(dir.path(), seed, method, out);
+    }
+    let run = |arguments: &[&str], code: i32| demand(augnerf(arguments).current_dir(dir.path()), code);
+    let file = |run: &str| dir.path().join(run).join("metrics.json");
+    let own = text(&file("a1"));
+    for (further, out, words) in [
+        (&[][..], "a1", "--out a1: another run"),
+        (&["--split", "train"], "a0", "--out a0: the run itself"),
+        (&["--step", "4"], "./a0/", "--out ./a0/: the run itself"),
+    ] {
+        let said = run(&[&["eval", "a0", "-q", "--out", out], further].concat(), 4);
+        assert_says(&said, &[words, "name another folder"]);
+    }
+    let before = text(&file("a0"));
+    run(&["eval", "a0", "-q", "--out", "a0"], 0);
+    run(&["eval", "a0", "-q", "--split", "train", "--out", "elsewhere"], 0);
+    assert_eq!((text(&file("a0")), text(&file("a1"))), (before, own.clone()));
+    run(&["report", "a0", "a1", "b0"], 0);
+    // As earlier versions left them.
+    for (forged, words) in [
+        (text(&file("a0")), "its seed is 0, that of config.toml is 1"),
+        (own.replace("\"config_hash\": \"", "\"config_hash\": \"0"), "its config_hash is 0"),
+        (own.replace("\"split\": \"test\"", "\"split\": \"train\""), "it is of training views"),
+    ] {
+        assert!(forged != own, "{words}");
+        std::fs::write(file("a1"), forged).unwrap();
+        let said = run(&["report", "a0", "a1"], 5);
+        assert_says(&said, &["a1/metrics.json: not the run's own evaluation", words, "`augnerf eval a1`"]);
+        assert_says(&run(&["verify", "."], 10), &["a1/metrics.json: not the run's own evaluation", words]);
+    }
+    run(&["eval", "a1", "-q"], 0);
+    assert_eq!(text(&file("a1")), own);
+    run(&["report", "a0", "a1"], 0);
+    run(&["verify", "."], 0);
+}
+
 /// Runs of one configuration and two seeds are one row; its view, and seconds where asked for.
 #[test]
 fn runs_become_a_page() {
     let dir = tempfile::tempdir().unwrap();
-    let train = |seed: &str, method: &str, out: &str| {
-        let small = [
-            "data.width=16",
-            "field.width=16",
-            "train.rays=32",
-            "train.steps=4",
-            "train.log_every=2",
-            "eval.pictures=1",
-        ];
-        let set = small.into_iter().flat_map(|set| ["--set", set]);
-        let command = ["train", "--quiet", "--preset", "smoke", "--method", method, "--out", out, "--set", seed];
-        let arguments: Vec<&str> = command.into_iter().chain(set).collect();
-        demand(augnerf(&arguments).current_dir(dir.path()), 0);
-    };
+    let train = |seed: &str, method: &str, out: &str| train(dir.path(), seed, method, out);
     train("seed=0", "nerf", "a0");
     train("seed=1", "nerf", "a1");
     train("seed=0", "aug-nerf", "b0");

@@ -5,11 +5,11 @@ use std::path::Path;
 use crate::common::files::json;
 use crate::common::learning::Small;
 use crate::common::program::{refuse, succeed};
-use crate::common::{flat, runtime};
+use crate::common::{assert_says, flat, runtime};
 use augnerf::data::Scene;
 use augnerf::run::load_scene;
 use augnerf::settings::{Resolved, build, parse_assignment};
-use augnerf::train::Trainer;
+use augnerf::train::{Origin, Trainer};
 use candle_core::DType;
 use tempfile::TempDir;
 
@@ -79,6 +79,22 @@ fn a_run_is_evaluated_rendered_and_compared() {
     assert!(Path::new(&run).join("renders/path/rgb_001.png").is_file());
     succeed(&["compare", "--quiet", &run, "--out", &compared]);
     refuse(&["mesh", &run], 2, &["LLFF has a stack of planes for each training view"]);
+}
+
+/// Two views look the one way, two the other: no step has inputs, wherever its weights come from.
+#[test]
+fn weights_from_elsewhere_need_the_inputs_of_random_ones() {
+    let (config, mut scene) = scene();
+    let trainer = Trainer::new(&config, &scene, DType::F32, runtime()).unwrap();
+    let variables = trainer.model().unwrap().variables();
+    let values = variables.iter().map(|(_, var)| var.as_tensor().clone()).collect();
+    scene.train.truncate(4);
+    for view in &mut scene.train[2..] {
+        view.camera.pose.iter_mut().for_each(|row| (row[0], row[2]) = (-row[0], -row[2]));
+    }
+    let origin = Origin::Weights { values, step: 0 };
+    let refused = Trainer::begin_from(origin, &config, &scene, DType::F32, runtime()).err().expect("it is refused");
+    assert_says(&refused.to_string(), &["see too little of the same", "llff.references"]);
 }
 
 #[test]

@@ -122,6 +122,23 @@ fn a_run_s_own_pictures_score_what_it_measured() {
     assert_says(&demand(dir, &["score", "other", of, "--match", "order"], 0), &["no better than one colour"]);
 }
 
+/// In `AUGNERF_DATA`, and a folder before the built-in scene of its name.
+#[test]
+fn the_scene_of_images_is_found_as_in_training() {
+    let dir = TempDir::new().unwrap();
+    demand(dir.path(), &["data", "export-builtin", "data/synthetic/small", "--width", "16"], 0);
+    let score = |data: &str, code: i32| {
+        let arguments = ["score", "data/synthetic/small/test", "--data", data, "--set", "data.downscale=1", "--quiet"];
+        let mut command = augnerf(&arguments);
+        program::demand(command.env("AUGNERF_DATA", dir.path().join("data")).current_dir(dir.path()), code)
+    };
+    let line: Value = serde_json::from_str(&score("small", 0)).unwrap();
+    assert_eq!((&line["truth"], &line["views"], &line["ssim"]), (&"small".into(), &8.into(), &1.0.into()));
+    assert_says(&score("nowhere", 3), &["--data nowhere: no such folder, here or in AUGNERF_DATA"]);
+    std::fs::create_dir(dir.path().join("builtin")).unwrap();
+    assert_says(&score("builtin", 3), &["builtin is no scene"]);
+}
+
 #[test]
 fn what_cannot_be_scored_is_refused() {
     let work = swept();

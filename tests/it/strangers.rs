@@ -317,7 +317,7 @@ fn models_in_other_folders_and_photos_in_others_are_named() {
 #[test]
 fn training_views_are_held_out_where_no_test_view_was_rendered() {
     let said = check("blender_no_test_pictures", &[]);
-    assert_says(&said, &["no photo of transforms_test.json is there", "is held out instead"]);
+    assert_says(&said, &["no photo of transforms_test.json is there", "is held out instead", "split  every-8\n"]);
     // Weights are not to be chosen on the views that are reported.
     let name = "blender_no_test_pictures";
     let dir = changed(name, "transforms_test.json", |value| value["frames"] = Value::Array(Vec::new()));
@@ -329,6 +329,19 @@ fn training_views_are_held_out_where_no_test_view_was_rendered() {
     std::fs::rename(&poses, poses.with_file_name("transforms.json")).unwrap();
     let validation = check_folder(dir.path(), &["data.eval_split=val", "data.validation=3"]);
     assert_says(&validation, &["5 (0002, 0004, 0005, 0007, 0008)", "2 (0003, 0006)"]);
+}
+
+/// Validation views have photos, or training views stand in for them. The split is called by what it is.
+#[test]
+fn training_views_in_place_of_validation_views_are_named_so() {
+    let dir = tempfile::tempdir().unwrap();
+    copy(Path::new(&capture("blender_no_test_pictures")), dir.path());
+    let file = |split: &str| dir.path().join(format!("transforms_{split}.json"));
+    std::fs::rename(file("test"), file("val")).unwrap();
+    std::fs::copy(file("train"), file("test")).unwrap();
+    assert_says(&check_folder(dir.path(), &[]), &["split  test\n"]);
+    let said = check_folder(dir.path(), &["data.eval_split=val"]);
+    assert_says(&said, &["no photo of transforms_val.json is there", "split  every-8-val\n"]);
 }
 
 #[test]
@@ -358,6 +371,9 @@ fn an_object_on_black_is_learned_or_said_to_be_lost() {
     assert_says(&said, &["training collapsed", "all rays had one colour, and the photos had not"]);
     let said = demand(&mut train(&["train.steps=160", "field.rgb_limit=0", "train.collapse_steps=0"]), 6);
     assert_says(&said, &["nothing was learned", "no better than one colour", "field.rgb_limit = 8"]);
+    // Measured again, it is printed, and the code is the same.
+    let said = demand(&mut program::augnerf(&["eval", out.to_str().unwrap(), "--json", "-q"]), 6);
+    assert_says(&said, &["nothing was learned", "\"mean\":{"]);
     demand(&mut train(&["train.steps=250"]), 0);
     let mean = &json(&out.join("metrics.json"))["mean"];
     let [psnr, floor] = ["psnr", "floor_psnr"].map(|key| mean[key].as_f64().unwrap());

@@ -3,7 +3,7 @@
 use std::path::{Path, PathBuf};
 
 use crate::common::assert_says;
-use crate::common::files::{rows, text};
+use crate::common::files::{entries, files, rows, text};
 use crate::common::program::{self, augnerf};
 use crate::sweep_run::Costs;
 use augnerf::sweep::{Claim, Definition, Point, PointResult, SHIPPED, Sharing, SweepFolder, TEMPLATE, expand};
@@ -150,6 +150,56 @@ fn chosen_rows_have_the_statistics_of_what_is_shown() {
     collect(&["--rows", "NeRF,B", "--out", "results/view"], 0);
     let said = crate::verify::verify(dir.path(), &["results/view"], 0);
     assert!(said.contains("a view of sweeps"), "{said}");
+}
+
+/// Results are written over those of the same sweep, and over nothing else.
+#[test]
+fn results_replace_only_those_of_their_sweep() {
+    let dir = TempDir::new().unwrap();
+    let at = |path: &str| dir.path().join(path);
+    let collect = |further: &[&str], code: i32| demand(dir.path(), &[&["sweep", "collect"], further].concat(), code);
+    finished(dir.path(), "one", BASE, &[]);
+    finished(dir.path(), "two", &BASE.replace("seeds = [0, 1, 2]", "seeds = [3]"), &[]);
+    collect(&["runs/one", "--out", "tables"], 0);
+    let before = files(&at("tables"), &[]);
+    let said = collect(&["runs/two", "--out", "tables"], 4);
+    assert_says(&said, &["tables holds results of the sweep 'one', which those of 'two' would replace", "--out"]);
+    // A figure of somebody's own with a name of ours.
+    std::fs::create_dir(at("paper")).unwrap();
+    std::fs::write(at("paper/curves_mine.png"), "mine").unwrap();
+    let said = collect(&["runs/one", "--results", "paper"], 4);
+    assert_says(&said, &["paper holds files that are not results of a sweep", "--out"]);
+    assert_eq!(entries(&at("paper")), [at("paper/curves_mine.png")]);
+    assert_eq!(text(&at("paper/curves_mine.png")), "mine");
+    // A view takes the place of chosen rows alone.
+    collect(&["runs/one", "--rows", "NeRF,B", "--out", "view"], 0);
+    assert_says(&collect(&["runs/one", "--out", "view"], 4), &["view holds files that are not results of a sweep"]);
+    collect(&["runs/one", "--out", "tables"], 0);
+    assert!(files(&at("tables"), &[]) == before, "the same files with the same bytes");
+    // Beside hidden files, and beside seconds of steps, which a sweep takes over.
+    std::fs::create_dir_all(at("results/named")).unwrap();
+    for name in [".gitkeep", "step_seconds.json"] {
+        std::fs::write(at("results/named").join(name), "").unwrap();
+    }
+    collect(&["runs/one", "--name", "named"], 0);
+    collect(&["runs/one", "--name", "named"], 0);
+    // Early versions wrote no provenance.
+    let provenance = at("results/named/provenance.toml");
+    let kept = text(&provenance);
+    std::fs::remove_file(&provenance).unwrap();
+    collect(&["runs/one", "--name", "named"], 0);
+    assert_eq!(text(&provenance), kept);
+    // In the sweep's own folder its results may have any of its names.
+    std::fs::rename(at("runs/two"), at("own")).unwrap();
+    collect(&["own"], 0);
+    collect(&["own", "--name", "another"], 0);
+    assert_says(&text(&at("own/results/provenance.toml")), &["name = \"another\""]);
+    // A sweep is not trained before.
+    std::fs::write(at("mine.toml"), BASE).unwrap();
+    let begin = ["sweep", "begin", "mine.toml"];
+    std::fs::rename(at("tables"), at("results/mine")).unwrap();
+    assert_says(&demand(dir.path(), &begin, 4), &["results/mine holds results of the sweep 'one'"]);
+    assert!(!at("runs/mine").exists());
 }
 
 #[test]

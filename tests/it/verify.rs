@@ -376,6 +376,7 @@ fn a_comparison_over_scenes_is_made_again() {
     assert_says(&across(&["--rows", "Nerf"], 2), &["'Nerf' is not a row"]);
     assert_says(&across(&["--rows", "Aug-NeRF", "--scenes", "ship"], 2), &["--scenes ship: the scenes are", "fern"]);
     assert_says(&across(&["--row", "Aug-NeRF"], 2), &["--row"]);
+    assert_says(&across(&["--label", "precision=Foo"], 2), &["--label is for --unit sweep"]);
     assert_says(&of(["precision", "tab4_fern"], &[], 2), &["scene 'fern' is in sweep", "a scene counts once"]);
     assert_says(&of(["tab4_fern", "tab4_embedded"], &["--rows", "Aug-NeRF"], 9), &["row 'NeRF' has ", "by_scene"]);
     let said = across(&["--rows", "Aug-NeRF"], 0);
@@ -434,6 +435,14 @@ fn a_comparison_across_sweeps_is_made_again() {
     assert_says(&across("results/both", "Aug-NeRF,NeRF + second clean pass", 2), &["has no row"]);
     assert_says(&across("results", "Aug-NeRF", 4), &["results holds other folders"]);
     assert_says(&across("results/both", "NeRF", 2), &["both 'NeRF'"]);
+    // A table of somebody's own with a name of ours.
+    let mine = dir.path().join("mine");
+    std::fs::create_dir(&mine).unwrap();
+    std::fs::write(mine.join("across.csv"), "mine").unwrap();
+    assert_says(&across("mine", "Aug-NeRF", 4), &["mine holds files that are not a comparison of sweeps", "--out"]);
+    assert_eq!(text(&mine.join("across.csv")), "mine");
+    // Once more takes its own place.
+    across("results/both", "Aug-NeRF", 0);
     let said = across("results/both", "Aug-NeRF", 0);
     assert_says(&said, &["Aug-NeRF against NeRF, psnr", "chair, 8 views", "files: results/both"]);
     let folder = dir.path().join("results/both");

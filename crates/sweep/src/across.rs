@@ -10,6 +10,7 @@ use crate::base::{Error, Result};
 use crate::report::Across;
 use crate::report::plots::{Width, across_figure};
 
+use super::collect::holds_files;
 use super::folder::DEFINITION;
 use super::over_scenes::OVER_SCENES;
 use super::view::{Origin, Selection, Source, VIEW, View};
@@ -116,17 +117,18 @@ impl AcrossRequest {
     /// Writes them into a folder, which may hold pages beside them.
     ///
     /// # Errors
-    /// A folder with tables of a sweep, or with other folders.
+    /// A folder with tables of a sweep, with other folders, or with files that are not such a comparison.
     pub fn write(&self, across: &Across, folder: &Path) -> Result<()> {
-        write_folder(folder, OVER_SCENES, &self.files(across)?)
+        write_folder(folder, (ACROSS, OVER_SCENES), &self.files(across)?)
     }
 }
 
-/// Writes the files of a comparison into a folder, which may hold pages beside them.
+/// Writes the files of a comparison into a folder, which may hold pages beside them. `own` is the first file, the
+/// request of this kind of comparison, and `other` that of the other kind.
 ///
 /// # Errors
-/// A folder with tables of a sweep, with `other`, the request of another kind of comparison, or with other folders.
-pub(super) fn write_folder(folder: &Path, other: &str, files: &[(String, Vec<u8>)]) -> Result<()> {
+/// A folder with tables of a sweep, with `other`, with other folders, or with files but without `own`.
+pub(super) fn write_folder(folder: &Path, (own, other): (&str, &str), files: &[(String, Vec<u8>)]) -> Result<()> {
     let refuse =
         |holds: &str| Err(Error::Output(format!("{} holds {holds}: name another folder with --out", folder.display())));
     if [DEFINITION, VIEW].iter().any(|name| folder.join(name).exists()) {
@@ -138,6 +140,9 @@ pub(super) fn write_folder(folder: &Path, other: &str, files: &[(String, Vec<u8>
     let mut entries = std::fs::read_dir(folder).into_iter().flatten().flatten();
     if entries.any(|entry| entry.path().is_dir()) {
         return refuse("other folders");
+    }
+    if !folder.join(own).exists() && holds_files(folder, &[]) {
+        return refuse("files that are not a comparison of sweeps");
     }
     std::fs::create_dir_all(folder).map_err(|e| Error::unwritable(folder, &e))?;
     files.iter().try_for_each(|(name, bytes)| write_atomic(&folder.join(name), bytes))

@@ -8,11 +8,12 @@ use crate::base::files::{check_own, clean_temporaries, remove, wait_and_hold, wr
 use crate::base::{Error, Result};
 
 use super::definition::Definition;
-use super::folder::{DEFINITION, SweepFolder};
+use super::folder::{DEFINITION, STEP_SECONDS, SweepFolder};
 use super::outputs::SweepOutputs;
 use super::points::Point;
 use super::provenance::{Provenance, sha256};
 use super::scored::with_scored;
+use super::view::VIEW;
 use crate::report::exporters::{Collected, EXPORTERS, File as Export};
 use crate::report::plots::{Curve, Seeds, Shifts, Surface};
 use crate::report::statistics::mean;
@@ -38,6 +39,44 @@ pub struct Collector<'a> {
     pub force: bool,
     /// Add clock times to the tables, which are then no longer reproducible.
     pub with_timing: bool,
+}
+
+/// Checks that the results of the sweep `name` in `folder` may be written to `results`, where old tables and figures
+/// are deleted: it is missing or empty, or holds results of the same sweep.
+///
+/// # Errors
+/// [`Error::Output`]: it holds results of another sweep, or other files.
+pub fn check_results_place(results: &Path, name: &str, folder: &SweepFolder) -> Result<()> {
+    let absolute = |path: &Path| std::path::absolute(path).map_err(|e| Error::unreadable(path, &e));
+    // A sweep in a folder of its own may have had another name.
+    let is_inside = absolute(results)?.parent() == Some(absolute(folder.path())?.as_path());
+    if is_inside {
+        check_own(results, true)?;
+    }
+    if !results.is_dir() {
+        return Ok(());
+    }
+    // Early versions wrote no provenance, and always into a folder of this name.
+    let is_early = || {
+        let is_named = is_inside || results.file_name().is_some_and(|own| own == name);
+        is_named && results.join("points.csv").is_file() && !results.join(VIEW).exists()
+    };
+    let holds = match Provenance::read(results)? {
+        Some(earlier) if is_inside || earlier.name == name => return Ok(()),
+        Some(earlier) => format!("results of the sweep '{}', which those of '{name}' would replace", earlier.name),
+        // Seconds of steps are taken over from there.
+        None if is_early() || !holds_files(results, &[STEP_SECONDS]) => return Ok(()),
+        None => "files that are not results of a sweep".into(),
+    };
+    Err(Error::Output(format!("{} holds {holds}; name another folder with --out", results.display())))
+}
+
+/// Returns whether a folder holds more than hidden entries and those named in `besides`.
+pub(super) fn holds_files(folder: &Path, besides: &[&str]) -> bool {
+    let names = std::fs::read_dir(folder).into_iter().flatten().flatten().map(|entry| entry.file_name());
+    names
+        .map(|name| name.to_string_lossy().into_owned())
+        .any(|name| !name.starts_with('.') && !besides.contains(&name.as_str()))
 }
 
 /// A locked results folder, until the value is dropped. Of several processes that collect into one folder, each writes
@@ -94,10 +133,14 @@ impl Collector<'_> {
     /// Writes the files of all exporters, the page, and the inputs that `augnerf verify` needs to make them again.
     /// Files that show no rows side by side are written even if rows are not comparable. Returns the table.
     pub fn write(&self, results: &Results) -> Result<Table> {
-        self.outputs.archive(self.definition, self.points, &results.path)?;
         let (mut files, mut provenance) = (Vec::new(), Provenance::of(self.name, &self.outputs.records));
-        // What a person has written of points that are missing stays as long as they are.
-        provenance.missing = Provenance::read(&results.path)?.map_or(Vec::new(), |earlier| earlier.missing);
+        match Provenance::read(&results.path)? {
+            // What a person has written of points that are missing stays as long as they are.
+            Some(earlier) => provenance.missing = earlier.missing,
+            // Written first, so that results that are killed here are recognized as this sweep's.
+            None => provenance.write(&results.path)?,
+        }
+        self.outputs.archive(self.definition, self.points, &results.path)?;
         provenance.missing.retain(|missing| self.outputs.records.iter().any(|record| missing.names(record)));
         let spec = self.spec();
         let table = self.inputs(&spec).write(results, &mut files);

@@ -56,7 +56,7 @@ pub use axes::{Axis, AxisPoint, RandomSpan, Scale, Span};
 pub use best::{Best, BestSeed, best};
 pub use budget::{Clock, StepCosts, evaluations_per_step, steps_within};
 pub use claim::{Claim, Claimed, Progress, Sharing};
-pub use collect::{Collector, PAGE, Results};
+pub use collect::{Collector, PAGE, Results, check_results_place};
 pub use definition::{Budget, BudgetKind, Combine, Definition, Overrides, Row};
 pub use folder::{Change, SweepFolder};
 pub use layout::TablePosition;

@@ -51,7 +51,7 @@ impl RunsTable {
     /// first.
     ///
     /// # Errors
-    /// A folder is not a run, or was not evaluated; the numbers of names and runs differ.
+    /// A folder is not a run, was not evaluated, or has another run's evaluation; the numbers of names and runs differ.
     pub fn read(runs: &[PathBuf], names: &[String]) -> Result<RunsTable> {
         if !names.is_empty() && names.len() != runs.len() {
             return Err(Error::Config(format!(
@@ -76,6 +76,13 @@ impl RunsTable {
                     run.display()
                 ))
             })?;
+            if let Some(why) = foreign(&evaluated.protocol, &config) {
+                return Err(Error::Checkpoint(format!(
+                    "{}: not the run's own evaluation: {why}; `augnerf eval {}` writes it again",
+                    path.display(),
+                    run.display()
+                )));
+            }
             table.outputs.read_run(&id, run)?;
             table.add(id, row, config, evaluated);
         }
@@ -84,11 +91,6 @@ impl RunsTable {
     }
 
     fn add(&mut self, id: String, row: String, config: Config, evaluated: Evaluated) {
-        let text = |value: &Value| match value {
-            Value::Null => String::new(),
-            Value::String(text) => text.clone(),
-            other => other.to_string(),
-        };
         let scene = evaluated.protocol.get("scene").map(text).unwrap_or_default();
         let metrics: Vec<_> = evaluated.mean.iter().map(|(name, value)| (name.clone(), value.as_f64())).collect();
         let inactive = evaluated.attack.iter().filter(|site| site.inactive).map(|site| site.level.clone());
@@ -152,6 +154,28 @@ impl RunsTable {
         })?;
         let page = inputs.page(&table, &files, folder)?;
         Ok((table, page))
+    }
+}
+
+/// Returns why numbers of this protocol are not those of a run of this configuration: another seed or configuration, or
+/// training views. Earlier versions wrote fewer columns.
+pub(super) fn foreign(protocol: &Map<String, Value>, config: &Config) -> Option<String> {
+    let told = |column: &str| protocol.get(column).map(text).filter(|found| !found.is_empty());
+    for (column, own) in [("seed", config.seed.to_string()), ("config_hash", config.hash())] {
+        if let Some(found) = told(column).filter(|found| *found != own) {
+            return Some(format!("its {column} is {found}, that of config.toml is {own}"));
+        }
+    }
+    // They are no split that settings name, so that the hash is the same.
+    (told("split")? == "train").then(|| "it is of training views".into())
+}
+
+/// Returns a value as text; empty for none.
+fn text(value: &Value) -> String {
+    match value {
+        Value::Null => String::new(),
+        Value::String(text) => text.clone(),
+        other => other.to_string(),
     }
 }
 

@@ -124,9 +124,10 @@ impl ScenesRequest {
     /// Writes them into a folder, which may hold pages beside them.
     ///
     /// # Errors
-    /// A folder with tables of a sweep, with a comparison by sweep, or with other folders.
+    /// A folder with tables of a sweep, with a comparison by sweep, with other folders, or with files that are not such
+    /// a comparison.
     pub fn write(&self, over: &OverScenes, folder: &Path) -> Result<()> {
-        write_folder(folder, ACROSS, &self.files(over)?)
+        write_folder(folder, (OVER_SCENES, ACROSS), &self.files(over)?)
     }
 }
 

@@ -175,9 +175,12 @@ fn encoded(part: &str) -> String {
 /// Returns the page's path, or an error for a file that is not a page of this program.
 ///
 /// # Errors
-/// Another file or a folder is there.
+/// The name is that of another kind of file; another file or a folder is there.
 pub fn check_page_place(path: &Path) -> Result<PathBuf> {
     let shown = path.display();
+    if path.extension().is_some_and(|ending| !["html", "htm"].iter().any(|page| ending.eq_ignore_ascii_case(page))) {
+        return Err(Error::Config(format!("--out {shown}: the page is HTML; name a file such as report.html")));
+    }
     if path.is_dir() {
         return Err(Error::Output(format!("cannot write {shown}: it is a folder; give another --out")));
     }
@@ -215,5 +218,8 @@ mod tests {
         std::fs::write(&path, "mine").unwrap();
         assert!(check_page_place(&path).unwrap_err().to_string().contains("not a page of this program"));
         assert!(check_page_place(dir.path()).is_err());
+        let places =
+            ["b.HTM", "page", "b.png", "a.html.gz"].map(|name| check_page_place(&dir.path().join(name)).is_ok());
+        assert_eq!(places, [true, true, false, false]);
     }
 }

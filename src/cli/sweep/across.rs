@@ -97,6 +97,9 @@ impl AcrossArguments {
         if self.row.is_some() {
             return Err(Error::Config("--row is for --unit sweep; over scenes, --rows names rows".into()));
         }
+        if !self.labels.is_empty() {
+            return Err(Error::Config("--label is for --unit sweep; over scenes, no file shows it".into()));
+        }
         let asked = ScenesRequest {
             baseline: self.baseline.clone(),
             metric: self.metric.clone(),

@@ -19,7 +19,7 @@ use crate::runtime::Runtime;
 use crate::settings::parse_assignment;
 use crate::sweep::{
     AXIS, Change, Collector, Definition, Estimate, Overrides, Point, PublishedCosts, Results, SETTING, StepCosts,
-    SweepFolder, SweepOutputs, Trainings, begin, check_name, expand,
+    SweepFolder, SweepOutputs, Trainings, begin, check_name, check_results_place, expand,
 };
 
 use super::LpipsWeights;
@@ -268,8 +268,10 @@ fn begin_folder(
     (trainings, measure): (&Trainings, &dyn StepCosts),
     console: &Console,
 ) -> Result<(SweepFolder, Vec<Point>)> {
-    let folder = location.folder()?;
-    let costs = PublishedCosts::beside(&location.results()?, measure)?;
+    let (folder, results) = (location.folder()?, location.results()?);
+    // Before hours of training rather than after.
+    check_results_place(&results, &location.name()?, &folder)?;
+    let costs = PublishedCosts::beside(&results, measure)?;
     let check = |points: &[Point]| trainings.check_points(points);
     let points = begin(&folder, definition, location.data_root.as_deref(), extend, &costs, &check)?;
     costs.note().iter().for_each(|note| console.say(note));
@@ -473,6 +475,7 @@ fn collect(
     results: &Path,
     how: How,
 ) -> Result<Table> {
+    check_results_place(results, name, folder)?;
     link_by_name(folder, points);
     let results = Results::take(results)?;
     let outputs = &SweepOutputs::of_folder(folder, definition, points)?;

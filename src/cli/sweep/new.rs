@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use clap::Args;
 use serde_json::json;
 
-use crate::base::Result;
+use crate::base::{Error, Result};
 use crate::cli::answer::Answer;
 use crate::cli::progress::{print, print_shown};
 use crate::sweep::slurm::quoted;
@@ -31,6 +31,10 @@ pub struct NewArguments {
 impl NewArguments {
     pub fn run(self) -> Result<()> {
         if self.file.as_os_str() == "-" {
+            if self.answer.json {
+                let message = "--json: - prints the sweep file itself; name a file, or omit --json";
+                return Err(Error::Config(message.into()));
+            }
             return print(template(self.from.as_deref())?.trim_end());
         }
         let written = write_new(&self.file, self.from.as_deref())?;

@@ -49,6 +49,7 @@ pub fn tiny_scene() -> Scene {
         background: Some([1.0; 3]),
         path: vec![],
         corrupted: None,
+        lacks_split: false,
         space: SceneSpace { points, sightings, ..SceneSpace::default() },
     }
 }

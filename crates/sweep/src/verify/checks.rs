@@ -98,7 +98,8 @@ pub const CHECKS: [Check; 13] = [
     },
     Check {
         name: "runs",
-        what: "single runs: means are those of the views, metrics.csv and summary.csv agree with metrics.json",
+        what: "single runs: means are those of the views, metrics.csv, summary.csv and config.toml agree with \
+               metrics.json",
         left_out: "their weights and configurations",
         run: Run::Runs(runs::check),
     },

@@ -10,7 +10,7 @@ use crate::methods::{SiteSummary, logged_sites};
 use crate::points::Point;
 use crate::provenance::Provenance;
 use crate::report::{Record, Status};
-use crate::run::Protocol;
+use crate::run::{Protocol, split_name};
 use crate::settings::{BuiltinScene, Config, DataKind, Extent, Located, Split};
 use crate::varied::Varied;
 
@@ -82,10 +82,14 @@ fn decided(point: &Point, record: &Record) -> Result<Decided> {
     let at = |located: &Located, (near, far), domain| {
         Protocol::of_configuration(&located.clone().resolve(Extent { near, far, domain, pixels }))
     };
+    // Nor whether a Blender scene's split has photos.
+    let lacks_split = kind == DataKind::Blender && record.protocol("split").starts_with("every-");
     // The hash of a resolved configuration hangs on the settings that its revision had; points' names and scenes are
     // compared with their configurations elsewhere.
     let keep = |columns: Vec<Text>| -> Vec<Text> {
-        columns.into_iter().filter(|(name, _)| !["config_hash", "scene"].contains(name)).collect()
+        let kept = columns.into_iter().filter(|(name, _)| !["config_hash", "scene"].contains(name));
+        kept.map(|(name, text)| (name, if name == "split" { split_name(&located, lacks_split) } else { text }))
+            .collect()
     };
     let (bounds, own_box) = (known_bounds(&located.data), may_have_box(&located.data));
     if let Some(bounds) = bounds.filter(|_| !own_box) {

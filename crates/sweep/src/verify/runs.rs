@@ -10,6 +10,7 @@ use crate::base::csv::{column_names, plain_cell};
 use crate::base::files::read_json;
 use crate::base::{Error, Result};
 use crate::metrics::{DEPTH_LEFT_OUT, MSE, PSNR_OF_MEAN};
+use crate::of_runs::foreign;
 use crate::outputs::optional;
 use crate::run::{DepthErrors, RunDir};
 
@@ -46,6 +47,7 @@ pub fn check(folder: &Path, findings: &mut Findings) -> Result<()> {
         report.check_means(&name(&run), &mut wrong);
         check_views(&run, &report, &mut wrong)?;
         check_depths(&run, &report, &mut wrong)?;
+        check_config(&run, &report, &mut wrong);
         let smoothness = csv_lines(&run.join("smoothness.csv"))?.and_then(|mut lines| lines.pop());
         runs.insert(name(&run), (report, smoothness));
     }
@@ -130,6 +132,20 @@ fn check_depths(run: &Path, report: &Report, wrong: &mut Vec<String>) -> Result<
         wrong.push(format!("{}: depths of {found} views, metrics.json has {measured}", path.display()));
     }
     Ok(())
+}
+
+/// `metrics.json` is of the configuration beside it, if the folder is a complete run.
+fn check_config(run: &Path, report: &Report, wrong: &mut Vec<String>) {
+    if !RunDir::holds_run(run) {
+        return;
+    }
+    match RunDir::open(run).and_then(|run| run.read_config()) {
+        Ok(config) => wrong.extend(
+            foreign(&report.protocol, &config)
+                .map(|why| format!("{}/metrics.json: not the run's own evaluation: {why}", name(run))),
+        ),
+        Err(error) => wrong.push(error.to_string()),
+    }
 }
 
 /// A line of `summary.csv` has its run's means and protocol, and the smoothness of its evaluated network.

@@ -92,11 +92,6 @@ pub fn is_better(cell: &Cell) -> bool {
     cell.comparison.is_some_and(|comparison| Judgement::of(&cell.metric, &comparison) == Judgement::Better)
 }
 
-/// Returns whether a cell is worse than the baseline by Holm's p.
-pub fn is_worse(cell: &Cell) -> bool {
-    cell.comparison.is_some_and(|comparison| Judgement::of(&cell.metric, &comparison) == Judgement::Worse)
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;

@@ -23,7 +23,7 @@ pub use checks::disagreements;
 pub(super) use comparison::comparisons_to_come;
 pub use comparison::{Comparison, Equivalence, Verdict};
 pub use delimited::{PointTiming, points_csv, table_csv, timing_csv};
-pub use heading::{Heading, Judgement, is_better, is_worse};
+pub use heading::{Heading, Judgement, is_better};
 pub use latex::table_latex;
 pub use markdown::escape;
 pub use markdown::table_markdown;
