@@ -219,6 +219,4 @@ fn an_attack_over_a_plain_run_has_its_own_numbers() {
         assert_eq!(same["perturb"]["rgb"]["epsilon"].as_float(), Some(1e-5));
         assert_eq!(same["regularizer"]["weight"], toml::Value::from(vec![3.8e-6]));
     }
-    let unit = ["train", "--from", &run, "--method", "aug-nerf", "--set", "perturb.step_unit=relative"];
-    refuse(&unit, 2, &["perturb.step_unit is \"relative\" here", "set perturb.t.step_size, perturb.xyz.step_size"]);
 }

@@ -8,7 +8,7 @@ use super::identity::value_at;
 use super::registry::{REGISTRY, Setting, meant};
 use super::site::forget_passes;
 use super::types::number_text;
-use super::{Config, DataConfig, Method, Representation, over_run};
+use super::{Config, DataConfig, Method, over_run};
 use crate::base::input::{TEXT_BYTES, read_named};
 use crate::base::{Error, Result};
 
@@ -112,13 +112,6 @@ fn sized(layer: &str, preset: Option<Preset>) -> Table {
     layer
 }
 
-/// Returns the dotted keys that a representation's layer sets, with those of all sizes.
-pub(super) fn layer_keys(representation: Representation) -> Vec<String> {
-    let Some(layer) = representation.layer() else { return Vec::new() };
-    let presets = std::iter::once(None).chain(Preset::ALL.map(|(_, preset)| Some(preset)));
-    presets.flat_map(|preset| leaves(&sized(layer, preset), "")).collect()
-}
-
 /// Names of tables in a method's layer; later ones override earlier ones.
 const SIZES: [&str; 5] = ["paper", "small", "cpu", "smoke", "few-views"];
 
@@ -161,8 +154,8 @@ fn typed(text: &str, setting: Option<&Setting>) -> Value {
 }
 
 /// Layers preset, the named method's settings, file and assignments over the defaults, and checks the result.
-/// Assignments are `(path, value)` in order. Over the file of a run, numbers that the run had by default are those of
-/// the assigned settings.
+/// Assignments are `(path, value)` in order. Over the file of a run, numbers that belong to a value that is assigned anew,
+/// such as the attack's, are those of the new value.
 ///
 /// ```
 /// # use augnerf_core as augnerf;
@@ -178,38 +171,32 @@ fn typed(text: &str, setting: Option<&Setting>) -> Value {
 /// # Ok::<(), augnerf::base::Error>(())
 /// ```
 pub fn build(preset: Option<Preset>, file: Option<&Path>, assignments: &[(Vec<String>, Value)]) -> Result<Config> {
-    let mut table = file.map_or_else(|| Ok(Table::new()), read_layer)?;
-    let assign_to =
-        |table: &mut Table| assignments.iter().try_for_each(|(path, value)| assign(table, path, value.clone()));
-    if file.is_some() {
-        let mut given = Table::new();
-        assign_to(&mut given)?;
-        over_run::reopen(&mut table, &given, preset)?;
+    let mut base = Table::new();
+    if let Some(preset) = preset {
+        lay_over(&mut base, preset.table());
     }
-    assign_to(&mut table)?;
-    let text = toml::to_string(&complete(table, preset)).expect("a table of settings is plain data");
-    Config::from_toml(&text, "settings")
-}
-
-/// Reads the layer of a file.
-fn read_layer(path: &Path) -> Result<Table> {
-    let text = read_named(path, TEXT_BYTES)
-        .map_err(|e| Error::Config(format!("cannot read the configuration file {}: {e}", path.display())))?;
-    let layer: Table = toml::from_str(&text).map_err(|e| Error::Config(format!("{}: {e}", path.display())))?;
-    check_keys(&layer, &path.display().to_string())?;
-    // Also checks types and choices, while the file and its lines can still be named.
-    toml::from_str::<Config>(&text).map_err(|e| Error::Config(format!("{}: {e}", path.display())))?;
-    Ok(layer)
-}
-
-/// Returns settings with the layers below them: the preset, and what the named method starts from.
-pub(super) fn complete(table: Table, preset: Option<Preset>) -> Table {
-    let mut base = preset.map(Preset::table).unwrap_or_default();
+    let mut table = Table::new();
+    if let Some(path) = file {
+        let text = read_named(path, TEXT_BYTES)
+            .map_err(|e| Error::Config(format!("cannot read the configuration file {}: {e}", path.display())))?;
+        let layer: Table = toml::from_str(&text).map_err(|e| Error::Config(format!("{}: {e}", path.display())))?;
+        check_keys(&layer, &path.display().to_string())?;
+        // Also checks types and choices, while the file and its lines can still be named.
+        toml::from_str::<Config>(&text).map_err(|e| Error::Config(format!("{}: {e}", path.display())))?;
+        lay_over(&mut table, layer);
+        let mut given = Table::new();
+        assignments.iter().try_for_each(|(path, value)| assign(&mut given, path, value.clone()))?;
+        over_run::reopen(&mut table, &given);
+    }
+    for (path, value) in assignments {
+        assign(&mut table, path, value.clone())?;
+    }
     if let Some(layer) = representation_layer([&table, &base], preset) {
         lay_over(&mut base, layer);
     }
     lay_over(&mut base, table);
-    base
+    let text = toml::to_string(&base).expect("a table of settings is plain data");
+    Config::from_toml(&text, "settings")
 }
 
 /// Returns section `data` of the defaults with assignments over them. It decides the preset if none is named. Nothing
@@ -225,7 +212,7 @@ pub fn data_section(assignments: &[(Vec<String>, Value)]) -> Result<DataConfig> 
 }
 
 /// Layers `over` on the earlier layers.
-pub(super) fn lay_over(base: &mut Table, over: Table) {
+fn lay_over(base: &mut Table, over: Table) {
     forget_passes(base, &over);
     merge(base, over);
 }

@@ -68,15 +68,7 @@ impl Config {
     ///
     /// # Errors
     /// If a setting is out of range, or contradicts another setting or the kind of scene.
-    pub fn locate(self, kind: DataKind) -> Result<Located> {
-        let mut located = self.filled(kind);
-        located.config.validate()?;
-        located.config.forget_other_methods();
-        Ok(located)
-    }
-
-    /// Fills the same settings without a check. Settings on which others depend must be in their ranges.
-    pub(super) fn filled(mut self, kind: DataKind) -> Located {
+    pub fn locate(mut self, kind: DataKind) -> Result<Located> {
         let forward = kind.forward_facing();
         self.data.kind = kind;
         self.data.downscale.get_or_insert(kind.downscale());
@@ -109,7 +101,9 @@ impl Config {
             self.regularizer.unseen_poses = Some(unseen_poses);
         }
         self.data.corruption.resolve();
-        Located { config: self, density_noise, batching, decay_steps, precrop_steps, unseen_rays, unseen_poses }
+        self.validate()?;
+        self.forget_other_methods();
+        Ok(Located { config: self, density_noise, batching, decay_steps, precrop_steps, unseen_rays, unseen_poses })
     }
 
     /// Calls [`Config::locate`] and [`Located::resolve`] for a scene whose kind and extent are known.
