@@ -71,12 +71,16 @@ pub fn check_results_place(results: &Path, name: &str, folder: &SweepFolder) -> 
     Err(Error::Output(format!("{} holds {holds}; name another folder with --out", results.display())))
 }
 
-/// Returns whether a folder holds more than hidden entries and those named in `besides`.
+/// Returns whether a folder holds more than hidden entries, pages, what systems leave, and the files named in `besides`.
 pub(super) fn holds_files(folder: &Path, besides: &[&str]) -> bool {
     let names = std::fs::read_dir(folder).into_iter().flatten().flatten().map(|entry| entry.file_name());
     names
         .map(|name| name.to_string_lossy().into_owned())
-        .any(|name| !name.starts_with('.') && !besides.contains(&name.as_str()))
+        .any(|name| !is_ignored(&name) && !besides.contains(&name.as_str()))
+}
+
+fn is_ignored(name: &str) -> bool {
+    name.starts_with('.') || ["README.md", "desktop.ini", "Thumbs.db"].contains(&name)
 }
 
 /// A locked results folder, until the value is dropped. Of several processes that collect into one folder, each writes

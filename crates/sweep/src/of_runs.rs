@@ -158,11 +158,12 @@ impl RunsTable {
 }
 
 /// Returns why numbers of this protocol are not those of a run of this configuration: another seed or configuration, or
-/// training views. Earlier versions wrote fewer columns.
+/// training views. Earlier versions wrote fewer columns, and other revisions may hash other settings.
 pub(super) fn foreign(protocol: &Map<String, Value>, config: &Config) -> Option<String> {
     let told = |column: &str| protocol.get(column).map(text).filter(|found| !found.is_empty());
+    let is_of_now = told("code_revision").is_some_and(|revision| revision == crate::revision::revision());
     for (column, own) in [("seed", config.seed.to_string()), ("config_hash", config.hash())] {
-        if let Some(found) = told(column).filter(|found| *found != own) {
+        if let Some(found) = told(column).filter(|found| *found != own && (column == "seed" || is_of_now)) {
             return Some(format!("its {column} is {found}, that of config.toml is {own}"));
         }
     }

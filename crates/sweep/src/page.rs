@@ -178,7 +178,8 @@ fn encoded(part: &str) -> String {
 /// The name is that of another kind of file; another file or a folder is there.
 pub fn check_page_place(path: &Path) -> Result<PathBuf> {
     let shown = path.display();
-    if path.extension().is_some_and(|ending| !["html", "htm"].iter().any(|page| ending.eq_ignore_ascii_case(page))) {
+    const OTHERS: [&str; 10] = ["png", "svg", "jpg", "gif", "mp4", "csv", "json", "md", "tex", "pdf"];
+    if path.extension().is_some_and(|ending| OTHERS.iter().any(|other| ending.eq_ignore_ascii_case(other))) {
         return Err(Error::Config(format!("--out {shown}: the page is HTML; name a file such as report.html")));
     }
     if path.is_dir() {

@@ -3,13 +3,13 @@
 
 use std::io::{self, BufRead, BufReader, ErrorKind, Read, Write};
 use std::net::TcpStream;
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 /// The most bytes of a request before its body. Browsers send cookies of other pages on this computer, too.
-const MOST_HEAD_BYTES: u64 = 64 << 10;
+const MOST_HEAD_BYTES: usize = 64 << 10;
 /// The most lines among them.
 const MOST_HEADERS: usize = 100;
-/// After this time a connection whose other side neither sends nor reads is closed.
+/// After this time a connection whose other side neither sends nor reads is closed, and one whose request has no end yet.
 pub const SILENCE: Duration = Duration::from_secs(15);
 
 /// A request without its body.
@@ -83,13 +83,19 @@ impl Connection {
     /// Reads the next request without its body. Returns `None` if none follows.
     ///
     /// # Errors
-    /// The connection failed or was silent; what was sent is no request, or is too long.
+    /// The connection failed or was silent; what was sent is no request, or is too long, or comes too slowly.
     pub fn request(&mut self) -> io::Result<Option<Request>> {
-        let mut head = Vec::new();
-        let mut input = self.input.by_ref().take(MOST_HEAD_BYTES);
+        let (mut head, mut begun) = (Vec::new(), None);
         while !head.ends_with(b"\r\n\r\n") {
-            if input.read_until(b'\n', &mut head)? == 0 {
-                return if head.is_empty() { Ok(None) } else { Err(ErrorKind::InvalidData.into()) };
+            let sent = self.input.fill_buf()?;
+            if sent.is_empty() {
+                return if head.is_empty() { Ok(None) } else { Err(ErrorKind::UnexpectedEof.into()) };
+            }
+            let end = sent.iter().position(|byte| *byte == b'\n').map_or(sent.len(), |at| at + 1);
+            head.extend_from_slice(&sent[..end]);
+            self.input.consume(end);
+            if head.len() > MOST_HEAD_BYTES || begun.get_or_insert_with(Instant::now).elapsed() > SILENCE {
+                return Err(ErrorKind::InvalidData.into());
             }
         }
         Request::of(&head).map(Some).ok_or_else(|| ErrorKind::InvalidData.into())

@@ -367,10 +367,10 @@ fn states_of(folder: &SweepFolder, points: &[Point]) -> Result<Vec<PointState>> 
     points.iter().map(of_point).collect()
 }
 
-/// Returns one record of each point. Several rows may show a point.
+/// Returns one record of each point. Several rows may show a point. In two sweeps, it may be done in one alone.
 fn one_of_each(records: &[Record]) -> impl Iterator<Item = &Record> {
     let mut seen = HashSet::new();
-    records.iter().filter(move |record| seen.insert(record.id.as_str()))
+    records.iter().filter(move |record| seen.insert((record.id.as_str(), record.status.name())))
 }
 
 /// Returns how the points of some records stand.

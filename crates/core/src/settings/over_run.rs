@@ -12,7 +12,7 @@ struct Numbers {
     paths: Vec<String>,
 }
 
-fn numbers() -> Vec<Numbers> {
+fn numbers() -> [Numbers; 5] {
     let of_sites = |keys: &[&str]| -> Vec<String> {
         let of_site = |site: Site| keys.iter().map(move |key| format!("perturb.{}.{key}", site.name()));
         Site::ALL.into_iter().flat_map(of_site).collect()
@@ -20,7 +20,6 @@ fn numbers() -> Vec<Numbers> {
     let attack = [vec!["perturb.step_unit".into()], of_sites(&["step_size", "epsilon"])].concat();
     let terms = ["weight", "schedule", "unseen_rays", "unseen_poses"].map(|key| format!("regularizer.{key}"));
     let of = |of: &str, paths: &[String]| Numbers { of: of.into(), paths: paths.to_vec() };
-    let steps = of_sites(&["steps"]).into_iter().zip(of_sites(&["step_size"]));
     [
         of("perturb.attack", &attack),
         of("perturb.geometry", &attack),
@@ -28,21 +27,17 @@ fn numbers() -> Vec<Numbers> {
         of("regularizer.kind", &terms),
         of("train.batching", &["train.precrop_steps".into()]),
     ]
-    .into_iter()
-    .chain(steps.map(|(steps, size)| Numbers { of: steps, paths: vec![size] }))
-    .collect()
 }
 
 /// Removes from a run's `file` the numbers of each setting to which this call gives another value. They are then filled in as
 /// in a run from scratch. Any other file stays as it is, because a person chose what it says.
 pub(super) fn reopen(file: &mut Table, given: &Table) {
-    let is_of_run = file.clone().try_into().is_ok_and(|run: Config| run.perturb.is_filled_in());
-    if !is_of_run {
-        return;
-    }
+    let run: Option<Config> = file.clone().try_into().ok().filter(|run: &Config| run.perturb.is_filled_in());
+    // With the settings that are newer than the run, at their defaults.
+    let Some(run) = run.map(|run| run.to_table()) else { return };
     for Numbers { of, paths } in numbers() {
         let Some(now) = value_at(given, &of) else { continue };
-        let before = value_at(file, &of);
+        let before = value_at(&run, &of);
         // A run's file has one value as a list of one, too.
         if before != Some(now) && before != Some(&Value::Array(vec![now.clone()])) {
             paths.iter().for_each(|path| remove(file, path));
@@ -81,8 +76,8 @@ mod tests {
             (&[aug], &[calibrated]),
             (&[aug, calibrated], &["perturb.attack=paper"]),
             (&[aug, calibrated], &["perturb.geometry=paper"]),
-            (&[aug, calibrated], &["perturb.t.steps=10"]),
             (&[aug], &[calibrated, "perturb.feature.epsilon=0.02"]),
+            (&[aug, "perturb.rgb.step_size=0.7"], &["perturb.rgb.steps=3"]),
             // What does not change keeps what was chosen for it.
             (&[aug, calibrated, "perturb.rgb.epsilon=0.5"], &[calibrated, "train.steps=9"]),
             (&["regularizer.kind=tv", "regularizer.weight=0.5"], &["regularizer.kind=tv", "seed=3"]),

@@ -3,6 +3,7 @@
 use std::fs::{File, TryLockError};
 use std::io::{Read, Write};
 use std::path::Path;
+use std::time::Duration;
 
 use crate::base::{Error, Result};
 
@@ -27,7 +28,7 @@ impl RunLock {
             .truncate(false)
             .open(&name)
             .map_err(|error| Error::unwritable(&name, &error))?;
-        match file.try_lock() {
+        match (0..LOOKS).find_map(|_| taken(&file)).unwrap_or(Err(TryLockError::WouldBlock)) {
             Ok(()) => {
                 // Only for the message below; a failure to write it changes nothing.
                 let _ = file.set_len(0).and_then(|()| write!(file, "{}", std::process::id()));
@@ -53,6 +54,20 @@ impl RunLock {
     pub fn holder(path: &Path) -> Option<String> {
         let mut file = File::options().read(true).write(true).open(path.join(LOCK)).ok()?;
         matches!(file.try_lock(), Err(TryLockError::WouldBlock)).then(|| named(&mut file))
+    }
+}
+
+/// Attempts to lock a run that another process only looks at, as [`RunLock::holder`] does.
+const LOOKS: usize = 20;
+
+/// Locks a file, or returns `None` a little later if another process holds it.
+fn taken(file: &File) -> Option<std::result::Result<(), TryLockError>> {
+    match file.try_lock() {
+        Err(TryLockError::WouldBlock) => {
+            std::thread::sleep(Duration::from_millis(1));
+            None
+        }
+        done => Some(done),
     }
 }
 

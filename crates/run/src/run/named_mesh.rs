@@ -123,6 +123,10 @@ fn check_units(name: &str) -> Result<()> {
 /// Returns an error if the meshes are known to be of different scenes, or in different coordinates of one scene.
 fn check_alike(name: &str, other: &str) -> Result<()> {
     let (Some(mesh), Some(reference)) = (Placed::of(name)?, Placed::of(other)?) else { return Ok(()) };
+    // One capture may be read from two folders, or as two formats. In its own units that makes no difference.
+    if [&mesh, &reference].iter().all(|mesh| mesh.units == MeshUnits::Capture) {
+        return Ok(());
+    }
     let scenes = mesh.scene().zip(reference.scene());
     if let Some((scene, another)) = scenes.filter(|(scene, another)| scene != another) {
         return Err(Error::Config(format!(
