@@ -178,7 +178,7 @@ fn encoded(part: &str) -> String {
 /// The name is that of another kind of file; another file or a folder is there.
 pub fn check_page_place(path: &Path) -> Result<PathBuf> {
     let shown = path.display();
-    const OTHERS: [&str; 10] = ["png", "svg", "jpg", "gif", "mp4", "csv", "json", "md", "tex", "pdf"];
+    const OTHERS: [&str; 12] = ["png", "svg", "jpg", "gif", "mp4", "csv", "json", "md", "tex", "pdf", "gz", "zip"];
     if path.extension().is_some_and(|ending| OTHERS.iter().any(|other| ending.eq_ignore_ascii_case(other))) {
         return Err(Error::Config(format!("--out {shown}: the page is HTML; name a file such as report.html")));
     }
