@@ -1,10 +1,10 @@
 #!/usr/bin/env python3
 """Makes the tables of the comparison over scenes, and gives each row its words, by results/few_views/PLAN.md ("Analysis").
 
-    tools/scenes_answer.py | tee results/few_views/over_words.md
+    tools/scenes_answer.py > words.md
 
 Needs all points in results/few_views/scenes. Writes results/few_views/over_* with `augnerf sweep across`, and prints Markdown.
-AUGNERF names the program. SCENES and OVER name other results and another prefix for a trial of fewer scenes.
+AUGNERF names the program. SCENES and OVER name other results and another prefix for a trial of fewer scenes or rows.
 """
 import csv
 import os
@@ -22,17 +22,20 @@ SCENES = Path(os.environ.get("SCENES", "results/few_views/scenes"))
 OVER = os.environ.get("OVER", "results/few_views/over")
 NERF, EARLY, ATTACK = "NeRF", "NeRF, fewer steps", "Aug-NeRF calibrated"
 DRAWS, SMOOTHING = "Draws, as far", "Smoothing of positions"
-# The plan's rows. Those that tuning dropped have no points.
+# The plan's rows, and those of them that tuning dropped.
 ROWS = [
     NERF, EARLY, "NeRF, twice the steps", "+ TV", "+ l1", "+ distortion", "Aug-NeRF, paper's geometry", ATTACK, DRAWS, SMOOTHING,
     "Second clean pass", "+ hash decay", "Frequencies that open", "+ occlusion", "+ entropy of unseen rays", "+ depth smoothness",
     "Annealed samples", "SAM", "SAM, random",
 ]
+DROPPED = ["+ l1", "Frequencies that open", "SAM", "SAM, random"]
 MARGIN = 0.3
 AUTHORS = {
     "capture_fruit", "colmap_canclip", "dtu_scan24", "llff_ethiopianhead", "llff_flower", "llff_milk", "llff_orbit77", "blender_bike",
     "builtin-1",
 }
+# How messages say that numbers were not finite, in a training's loss or logs, or in a rendered view.
+NOT_FINITE = r"diverged at step|colour of pixel .* is not a number|values that are not finite|' is (NaN|-?inf) at step"
 is_other = lambda scene: scene.startswith(("blender_", "builtin"))
 by_author_of_tuning = lambda scene: scene in {"llff_flower", "llff_fortress", "llff_horns", "llff_trex", "blender_mic"} or scene.startswith("builtin")
 
@@ -56,7 +59,7 @@ class Points:
             if line["status"] == "done":
                 continue
             # Other failures say nothing of a row: such a point is trained again.
-            if line["status"] != "failed" or not re.search("is not a number|not finite", line["reason"]):
+            if line["status"] != "failed" or not re.search(NOT_FINITE, line["reason"]):
                 stop(f"point {line['id']} is {line['status']} ({line['reason']}); tables are made once all points have ended")
             lost_scenes |= {line["scene"]} if line["row"] == NERF else set()
             self.lost_rows[line["row"]].add(line["scene"])
@@ -68,12 +71,17 @@ class Points:
         self.rows = [row for row in rows if row not in self.lost_rows]
         self.scenes = [scene for scene in scenes if scene not in lost_scenes]
         self.dropped = [row for row in ROWS if row not in rows]
+        if not TRIAL and self.dropped != DROPPED:
+            stop(f"there are no points of {', '.join(self.dropped)}; the plan's tuning dropped {', '.join(DROPPED)}")
         row_of = {line["id"]: line["row"] for line in lines if line["scene"] in self.scenes}
         for line in read(SCENES / "timing.csv"):
             if line["id"] in row_of:
                 if line["threads"] != "1":
                     stop(f"point {line['id']} took {line['threads']} threads; seconds are compared between points of one")
                 self.seconds[row_of[line["id"]]].append(float(line["seconds_training"]))
+        for row in self.rows:
+            if len(self.seconds[row]) != 2 * len(self.scenes):
+                stop(f"timing.csv has {len(self.seconds[row])} points of {row}, for two seeds of {len(self.scenes)} scenes")
         self.cost = {row: sum(self.seconds[row]) / len(self.seconds[row]) for row in self.rows}
 
 
@@ -98,7 +106,7 @@ class Subset:
         lines = {line["row"]: line for line in read(out / "over_scenes.csv")}
         for row in wanted:
             if int(lines[row]["scenes"]) != len(self.scenes) or lines[row]["lacking"] != "0":
-                stop(f"{out}: {row} has {lines[row]['scenes']} of {len(self.scenes)} scenes")
+                stop(f"{out}: {row} has {lines[row]['scenes']} of {len(self.scenes)} scenes, and {lines[row]['lacking']} lack a seed")
         return lines
 
     def words(self, helping=None):
@@ -114,14 +122,15 @@ class Subset:
             ]
             if "matters" in said[row] and not cheaper:
                 said[row].append("recommended")
-        isolating = self.compare("worst_case", ATTACK, [DRAWS, SMOOTHING])
-        below = len(isolating) == 2 and all(line["verdict"] == "lower" for line in isolating.values())
+        self.isolating = self.compare("worst_case", ATTACK, [DRAWS, SMOOTHING])
+        below = len(self.isolating) == 2 and all(line["verdict"] == "lower" for line in self.isolating.values())
         ratios = draws_ratios(self.points)
         fits = ratios and all(0.8 <= ratio <= 1.25 for ratio in ratios.values())
         if ATTACK in helps and below and fits:
             said[ATTACK].append("the worst case helps")
-        early = self.compare("early", EARLY, helps if helping is None else helping)
-        for row, line in early.items():
+        # In a part of the scenes the family is that of all scenes, so that the same rows are compared.
+        self.early = self.compare("early", EARLY, helps if helping is None else helping)
+        for row, line in self.early.items():
             said[row].append("above fewer steps" if line["verdict"] == "higher" else "not shown above fewer steps")
         return said, lines
 
@@ -154,8 +163,17 @@ def draws_ratios(points):
     return {site: shift(DRAWS, site) / shift(ATTACK, site) for site in sites}
 
 
+def changed(words, others):
+    """What `others`, the words on a part of the scenes, lack of `words`, and what they have more."""
+    lost, gained = [word for word in words if word not in others], [word for word in others if word not in words]
+    return "; ".join(f"{verb} {', '.join(map(repr, found))}" for verb, found in [("lacks", lost), ("has", gained)] if found)
+
+
 def shown(p):
-    return f"{float(p):.3f}" if p and float(p) >= 0.0005 and abs(float(p) - 0.05) >= 0.0005 else f"{float(p):.1e}" if p else ""
+    if not p:
+        return ""
+    p = float(p)
+    return f"{p:.1e}" if p < 0.0005 else f"{p:.5f}" if abs(p - 0.05) < 0.0005 else f"{p:.3f}"
 
 
 def interval(line, low, high):
@@ -167,43 +185,51 @@ def main():
     whole = Subset(points, "", lambda scene: True)
     said, lines = whole.words()
     helping = [row for row in said if "helps" in said[row] and row != EARLY]
-    notes = defaultdict(list)
+    notes, parts, tables = defaultdict(list), {}, {}
     for name, meaning, is_in in [
         ("authors", "one scene of each author", AUTHORS.__contains__),
         ("new_authors", "without authors of tuning", lambda scene: not by_author_of_tuning(scene)),
+        ("same_unit", "without capture_fruit", lambda scene: scene != "capture_fruit"),
     ]:
-        found, _ = Subset(points, name, is_in).words(helping)
+        parts[name] = Subset(points, name, is_in)
+        found, tables[name] = parts[name].words(helping)
         for row in said:
-            if found.get(row) != said[row]:
-                notes[row].append(f"{meaning}: {', '.join(found.get(row, [])) or 'no word'}")
+            if change := changed(said[row], found.get(row, [])):
+                notes[row].append(f"{meaning}: {change}")
     beside = {
         "captures": Subset(points, "captures", lambda scene: not is_other(scene)).compare("psnr"),
         "others": Subset(points, "others", is_other).compare("psnr"),
-        "without fruit": Subset(points, "same_unit", lambda scene: scene != "capture_fruit").compare("psnr"),
+        "without fruit": tables["same_unit"],
         "SSIM": whole.compare("ssim", metric="ssim"),
-        "LPIPS": whole.compare("lpips", metric="lpips_squeeze"),
+        "LPIPS, lower is better": whole.compare("lpips", metric="lpips_squeeze"),
     }
     print(f"{len(points.scenes)} scenes. NeRF takes {points.cost[NERF]:.0f} s a training.\n")
-    print("| row | PSNR minus NeRF (dB), 95 % interval, Holm p | simultaneous interval | scenes up | seconds / NeRF's | words | depends on authors |")
+    print("| row | PSNR minus NeRF (dB), 95 % interval, Holm p | simultaneous interval | scenes up | seconds, / NeRF's | words | on other scenes |")
     print("|---|---:|---:|---:|---:|---|---|")
     order = sorted(lines, key=lambda row: -float(lines[row]["difference"]))
     for row in order:
         line = lines[row]
         if line["p_sign"] and (float(line["p"]) < 0.05) != (float(line["p_sign"]) < 0.05):
-            said[row].append(f"t test and sign test disagree (p {shown(line['p'])} and {shown(line['p_sign'])})")
+            said[row].append(f"t test and sign test disagree (uncorrected p {shown(line['p'])} and {shown(line['p_sign'])})")
+        if EARLY in points.lost_rows and row in helping:
+            said[row].append("not compared with fewer steps, which failed")
         print(
             f"| {row} | {float(line['difference']):+.2f} {interval(line, 'low', 'high')}, {shown(line['p_holm'])} "
             f"| {interval(line, 'simultaneous_low', 'simultaneous_high')} | {line['above']} of {line['scenes']} "
-            f"| {points.cost[row] / points.cost[NERF]:.1f} | {'; '.join(said[row]) or 'none'} | {'; '.join(notes[row]) or 'no'} |"
+            f"| {points.cost[row]:.0f}, {points.cost[row] / points.cost[NERF]:.2f} | {'; '.join(said[row]) or 'none'} | {'; '.join(notes[row]) or 'no'} |"
         )
     for row, scenes in points.lost_rows.items():
         print(f"| {row} | | | | | failed: {', '.join(sorted(scenes))} | |")
     for row in points.dropped:
         print(f"| {row} | | | | | not tested | |")
-    print(f"\n| row | {' | '.join(beside)} |\n|---|{'---:|' * len(beside)}")
+    print(f"\nDifferences and Holm's p:\n\n| row | {' | '.join(beside)} |\n|---|{'---:|' * len(beside)}")
     for row in order:
         cells = [f"{float(table[row]['difference']):+.3f}, {shown(table[row]['p_holm'])}" if row in table else "" for table in beside.values()]
         print(f"| {row} | {' | '.join(cells)} |")
+    print()
+    for baseline, comparison in [(ATTACK, whole.isolating), (EARLY, whole.early)]:
+        for row, line in comparison.items():
+            print(f"- {row} minus {baseline}: {float(line['difference']):+.2f} {interval(line, 'low', 'high')}, {shown(line['p_holm'])}")
     print()
     if not any("recommended" in words for words in said.values()):
         print("No row is recommended.")
