@@ -86,7 +86,8 @@ impl Column {
 
     /// Returns whether the setting decides the column's value.
     pub fn follows(&self, setting: &Setting) -> bool {
-        setting.rule.all_columns().any(|name| name == self.name) || self.name == DATA_HASH && is_read(setting)
+        let is_of_views = VIEWS.contains(&self.name) && is_read(setting);
+        is_of_views || setting.rule.all_columns().any(|name| name == self.name)
     }
 
     /// Returns the setting whose value it holds, or `None` if it holds what a run found.
@@ -96,6 +97,9 @@ impl Column {
 }
 
 const DATA_HASH: &str = "data_hash";
+
+/// Columns that say something of the views, whichever setting chose them: their hash, and how much of them is masked.
+const VIEWS: [&str; 2] = [DATA_HASH, "masks"];
 
 /// Returns whether the setting decides what is read of a scene, before any corruption.
 fn is_read(setting: &Setting) -> bool {
@@ -346,6 +350,15 @@ mod tests {
         }
         for setting in &REGISTRY.settings {
             assert!(setting.rule.all_columns().all(|name| find(name).is_some()), "{}", setting.path);
+        }
+    }
+
+    #[test]
+    fn masks_are_those_of_the_views() {
+        let masks = find("masks").unwrap();
+        for (path, follows) in [("data.views_seed", true), ("data.masks", true), ("train.steps", false)] {
+            let setting = REGISTRY.settings.iter().find(|setting| setting.path == path).unwrap();
+            assert_eq!(masks.follows(setting), follows, "{path}");
         }
     }
 
