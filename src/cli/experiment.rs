@@ -24,8 +24,8 @@ pub struct Experiment {
     /// number 17 [default: the built-in scene]
     #[arg(long, value_name = "DIR")]
     data: Option<PathBuf>,
-    /// fast, smoke, cpu, paper-llff, paper-blender, released-llff, released-blender, few-views-llff or few-views-blender
-    /// [default: fast for the built-in scene (MipNeRF: smoke), the paper's for others]
+    /// fast, smoke, cpu, paper-llff, paper-blender, released-llff, released-blender, few-views, few-views-llff or
+    /// few-views-blender [default: fast for the built-in scene (MipNeRF: smoke), the paper's for others]
     #[arg(long, value_name = "NAME")]
     preset: Option<String>,
     /// TOML file with settings, over the preset's; a run's config.toml repeats that run

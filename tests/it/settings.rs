@@ -30,8 +30,8 @@ fn the_page_of_settings_is_current() {
     }
 }
 
-/// Returns the settings of a shipped sweep's NeRF, without its seeds.
-fn set_of_sweep(name: &str) -> toml::Table {
+/// Returns the settings of a row of a shipped sweep, without its seeds. `row` is what the row sets.
+fn set_of_sweep(name: &str, row: &[&str]) -> toml::Table {
     let read = |name: &str| -> toml::Table {
         let file = Path::new(env!("CARGO_MANIFEST_DIR")).join(format!("sweeps/few_views/{name}.toml"));
         toml::from_str(&std::fs::read_to_string(file).unwrap()).unwrap()
@@ -39,21 +39,24 @@ fn set_of_sweep(name: &str) -> toml::Table {
     let own = read(name);
     let base = own.get("extends").map(|base| read(base.as_str().unwrap().trim_end_matches(".toml")));
     let tables = base.iter().chain([&own]).map(|table| table["set"].as_table().unwrap());
-    let set: Vec<_> =
-        tables.flatten().map(|(key, value)| parse_assignment(&format!("{key}={value}")).unwrap()).collect();
+    let set = tables.flatten().map(|(key, value)| format!("{key}={value}")).chain(row.iter().map(|&text| text.into()));
+    let set: Vec<_> = set.map(|text| parse_assignment(&text).unwrap()).collect();
     build(Some(Preset::Fast), None, &set).unwrap().to_table()
 }
 
 #[test]
 fn presets_of_few_views_train_as_the_sweeps_do() {
+    let curves = ["train.eval_every=75", "train.eval_stride=10", "eval.pictures=1"];
     let set = |preset, further: &[&str]| {
-        let curves = ["train.eval_every=75", "train.eval_stride=10", "eval.pictures=1"];
         let set: Vec<_> = curves.iter().chain(further).map(|text| parse_assignment(text).unwrap()).collect();
         build(Some(preset), None, &set).unwrap().to_table()
     };
-    assert_eq!(set(Preset::FewViewsLlff, &[]), set_of_sweep("few_views_llff_3"));
-    assert_eq!(set(Preset::FewViewsLlff, &["data.train_views=6 even"]), set_of_sweep("few_views_llff_6"));
-    assert_eq!(set(Preset::FewViewsBlender, &[]), set_of_sweep("few_views_blender_8"));
+    assert_eq!(set(Preset::FewViewsLlff, &[]), set_of_sweep("few_views_llff_3", &[]));
+    assert_eq!(set(Preset::FewViewsLlff, &["data.train_views=6 even"]), set_of_sweep("few_views_llff_6", &[]));
+    assert_eq!(set(Preset::FewViewsBlender, &[]), set_of_sweep("few_views_blender_8", &[]));
+    let of_scenes = ["train.eval_every=500", "data.train_views=8 disjoint", "train.collapse_steps=0"];
+    let row = ["regularizer.kind=occlusion", "regularizer.weight=0.03"];
+    assert_eq!(set(Preset::FewViews, &of_scenes), set_of_sweep("scenes", &row));
 }
 
 #[test]

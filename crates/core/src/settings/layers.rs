@@ -29,6 +29,8 @@ pub enum Preset {
     ReleasedLlff,
     /// The released code's NeRF-Synthetic settings.
     ReleasedBlender,
+    /// Few photographs of any scene: the settings that a comparison over 24 scenes recommends, on a hash grid.
+    FewViews,
     /// Few photographs as RegNeRF has them on LLFF scenes, on a hash grid.
     FewViewsLlff,
     /// Few photographs as DietNeRF has them on Blender's scenes, on a hash grid.
@@ -37,7 +39,7 @@ pub enum Preset {
 
 impl Preset {
     /// All presets with their names on the command line.
-    pub const ALL: [(&str, Preset); 9] = [
+    pub const ALL: [(&str, Preset); 10] = [
         ("fast", Preset::Fast),
         ("smoke", Preset::Smoke),
         ("cpu", Preset::Cpu),
@@ -45,6 +47,7 @@ impl Preset {
         ("paper-blender", Preset::PaperBlender),
         ("released-llff", Preset::ReleasedLlff),
         ("released-blender", Preset::ReleasedBlender),
+        ("few-views", Preset::FewViews),
         ("few-views-llff", Preset::FewViewsLlff),
         ("few-views-blender", Preset::FewViewsBlender),
     ];
@@ -63,7 +66,8 @@ impl Preset {
     pub(super) fn sizes(self) -> &'static [&'static str] {
         match self {
             Preset::Fast => &["small"],
-            Preset::FewViewsLlff | Preset::FewViewsBlender => &["small", "few-views"],
+            Preset::FewViews => &["small", "few-views"],
+            Preset::FewViewsLlff | Preset::FewViewsBlender => &["small", "few-views-of-papers"],
             Preset::Cpu => &["small", "cpu"],
             Preset::Smoke => &["small", "smoke"],
             Preset::PaperLlff | Preset::PaperBlender | Preset::ReleasedLlff | Preset::ReleasedBlender => &["paper"],
@@ -84,6 +88,7 @@ impl Preset {
             Preset::PaperBlender => include_str!("presets/paper-blender.toml"),
             Preset::ReleasedLlff => include_str!("presets/released-llff.toml"),
             Preset::ReleasedBlender => include_str!("presets/released-blender.toml"),
+            Preset::FewViews => include_str!("presets/few-views.toml"),
             Preset::FewViewsLlff => include_str!("presets/few-views-llff.toml"),
             Preset::FewViewsBlender => include_str!("presets/few-views-blender.toml"),
         }
@@ -113,7 +118,7 @@ fn sized(layer: &str, preset: Option<Preset>) -> Table {
 }
 
 /// Names of tables in a method's layer; later ones override earlier ones.
-const SIZES: [&str; 5] = ["paper", "small", "cpu", "smoke", "few-views"];
+const SIZES: [&str; 6] = ["paper", "small", "cpu", "smoke", "few-views", "few-views-of-papers"];
 
 /// More parts than the name of any setting has.
 const DEEPEST: usize = 8;
