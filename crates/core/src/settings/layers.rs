@@ -160,7 +160,7 @@ fn typed(text: &str, setting: Option<&Setting>) -> Value {
 
 /// Layers preset, the named method's settings, file and assignments over the defaults, and checks the result.
 /// Assignments are `(path, value)` in order. Over the file of a run, numbers that belong to a value that is assigned anew,
-/// such as the attack's, are those of the new value.
+/// such as the attack's, are those of the new value. A preset's weight does not go to another term.
 ///
 /// ```
 /// # use augnerf_core as augnerf;
@@ -199,6 +199,7 @@ pub fn build(preset: Option<Preset>, file: Option<&Path>, assignments: &[(Vec<St
     if let Some(layer) = representation_layer([&table, &base], preset) {
         lay_over(&mut base, layer);
     }
+    over_run::forget_term(&mut base, &table);
     lay_over(&mut base, table);
     let text = toml::to_string(&base).expect("a table of settings is plain data");
     Config::from_toml(&text, "settings")

@@ -1,4 +1,5 @@
-//! Settings over the file of a run, which has a number for each setting, also for those that nobody chose.
+//! Settings over the file of a run, which has a number for each setting, also for those that nobody chose; and over a preset
+//! that has a term of the loss.
 
 use toml::{Table, Value};
 
@@ -10,6 +11,18 @@ use crate::augment::Site;
 struct Numbers {
     of: String,
     paths: Vec<String>,
+}
+
+impl Numbers {
+    /// Removes the numbers from a layer if `given` has another value than `before`.
+    fn forget(&self, layer: &mut Table, before: &Table, given: &Table) {
+        let Some(now) = value_at(given, &self.of) else { return };
+        let before = value_at(before, &self.of);
+        // A run's file has one value as a list of one, too.
+        if before != Some(now) && before != Some(&Value::Array(vec![now.clone()])) {
+            self.paths.iter().for_each(|path| remove(layer, path));
+        }
+    }
 }
 
 fn numbers() -> [Numbers; 5] {
@@ -35,14 +48,14 @@ pub(super) fn reopen(file: &mut Table, given: &Table) {
     let run: Option<Config> = file.clone().try_into().ok().filter(|run: &Config| run.perturb.is_filled_in());
     // With the settings that are newer than the run, at their defaults.
     let Some(run) = run.map(|run| run.to_table()) else { return };
-    for Numbers { of, paths } in numbers() {
-        let Some(now) = value_at(given, &of) else { continue };
-        let before = value_at(&run, &of);
-        // A run's file has one value as a list of one, too.
-        if before != Some(now) && before != Some(&Value::Array(vec![now.clone()])) {
-            paths.iter().for_each(|path| remove(file, path));
-        }
-    }
+    numbers().iter().for_each(|numbers| numbers.forget(file, &run, given));
+}
+
+/// Removes from a `preset` the numbers of its term of the loss, such as the weight, if later layers name another term.
+pub(super) fn forget_term(preset: &mut Table, given: &Table) {
+    let before = preset.clone();
+    let of_term = numbers().into_iter().filter(|numbers| numbers.of == "regularizer.kind");
+    of_term.for_each(|numbers| numbers.forget(preset, &before, given));
 }
 
 #[cfg(test)]
@@ -90,6 +103,17 @@ mod tests {
             let at_once = built(Some(Preset::Cpu), None, &[texts, given].concat());
             assert_eq!(resolved(built(None, Some(&run), given)), resolved(at_once), "{texts:?} {given:?}");
         }
+    }
+
+    #[test]
+    fn another_term_than_the_preset_s_has_its_own_weight() {
+        let weight = |texts: &[&str]| built(Some(Preset::FewViews), None, texts).regularizer.weight;
+        let (empty, own): ([f64; 0], _) = ([], [0.03]);
+        assert_eq!(weight(&[]), own);
+        assert_eq!(weight(&["regularizer.kind=occlusion"]), own);
+        assert_eq!(weight(&["regularizer.kind=tv"]), built(None, None, &["regularizer.kind=tv"]).regularizer.weight);
+        assert_eq!(weight(&["regularizer.kind=tv", "regularizer.weight=1e-7"]), [1e-7]);
+        assert_eq!(weight(&["regularizer.kind=[]"]), empty);
     }
 
     #[test]
