@@ -235,8 +235,9 @@ impl ResumeArguments {
 fn what_is_trained(Setup { config, scene, .. }: &Setup) -> String {
     let size = scene.train.first().map(|view| (view.camera.width, view.camera.height)).unwrap_or_default();
     format!(
-        "{} on {}: {} views of {} x {} pixels, {} held out; {} steps of {} rays",
+        "{}{} on {}: {} views of {} x {} pixels, {} held out; {} steps of {} rays",
         config.method.name(),
+        config.regularizer.added(),
         scene.name,
         scene.train.len(),
         size.0,

@@ -224,6 +224,13 @@ fn training_says_what_it_trains_and_when_it_evaluates() {
     let said = String::from_utf8(output.stderr).unwrap();
     let first = said.lines().next().unwrap();
     assert_eq!(first, "nerf on builtin: 40 views of 16 x 16 pixels, 8 held out; 12 steps of 64 rays");
+    let with_term = augnerf(&arguments)
+        .args(["--set", "regularizer.kind=occlusion", "--out", "term"])
+        .current_dir(dir.path())
+        .output()
+        .unwrap();
+    let said_of_term = String::from_utf8(with_term.stderr).unwrap();
+    assert!(said_of_term.starts_with("nerf + occlusion 0.01 on builtin: "), "{said_of_term}");
     let place = |words: &str| said.find(words).unwrap_or_else(|| panic!("{words}: {said}"));
     assert!(
         place("step 12/12") < place("evaluating: 8 views")

@@ -221,9 +221,7 @@ fn called(configs: &[&Config]) -> Vec<String> {
         let own = told.iter().filter(|difference| !difference.values[row].is_empty()).take(MOST_SETTINGS);
         let own = own.map(|difference| format!("{} {}", difference.name, difference.values[row]));
         let own = own.collect::<Vec<String>>().join(", ");
-        let weight = |weight: f64| if weight < 1e-3 { format!("{weight:e}") } else { weight.to_string() };
-        let terms = config.regularizer.terms().filter(|_| regularized);
-        let terms: String = terms.map(|(term, of)| format!(" + {} {}", term.name(), weight(of))).collect();
+        let terms = if regularized { config.regularizer.added() } else { String::new() };
         let method = format!("{}{terms}", config.method.name());
         if own.is_empty() { method } else { format!("{method} ({own})") }
     };

@@ -273,6 +273,12 @@ impl RegularizerConfig {
         self.kind.iter().copied().zip(self.weight.iter().copied())
     }
 
+    /// Returns what comes after the method's name: ` + tv 8e-5`, and nothing without terms.
+    pub fn added(&self) -> String {
+        let weight = |weight: f64| if weight < 1e-3 { format!("{weight:e}") } else { weight.to_string() };
+        self.terms().map(|(term, of)| format!(" + {} {}", term.name(), weight(of))).collect()
+    }
+
     /// Returns the schedule of each term.
     pub fn schedules(&self) -> impl Iterator<Item = WeightSchedule> + '_ {
         self.schedule.iter().copied().chain(std::iter::repeat(WeightSchedule::Constant)).take(self.kind.len())
