@@ -232,6 +232,59 @@ fn a_training_has_one_row_and_a_fact_one_line() {
     assert_eq!(first.matches("<li>").count(), 2, "{first}");
 }
 
+/// Rows over three scenes: the second gains on all of them.
+#[test]
+fn rows_are_compared_over_scenes() {
+    let page_of = |scenes: &[&str]| {
+        let point = |scene: &str, row: &str, seed: u64, psnr: f64| Record {
+            id: format!("{scene}-{row}-{seed}"),
+            scene: scene.into(),
+            row: row.into(),
+            axes: vec![],
+            seed: Some(seed),
+            status: Status::Done,
+            reason: String::new(),
+            metrics: vec![("psnr".into(), Some(psnr))],
+            protocol: vec![],
+            inactive_levels: vec![],
+        };
+        let of_scene = |(index, scene): (usize, &&str)| {
+            let (level, gain) = (20.0 + 4.0 * index as f64, 1.0 + 0.01 * index as f64);
+            [0, 1].map(|seed| [point(scene, "NeRF", seed, level), point(scene, "TV", seed, level + gain)]).concat()
+        };
+        let records: Vec<Record> = scenes.iter().enumerate().flat_map(of_scene).collect();
+        let row = |name: &str, baseline: Option<&str>| RowSpec {
+            name: name.into(),
+            baseline: baseline.map(String::from),
+            ..RowSpec::default()
+        };
+        let rows = vec![row("NeRF", None), row("TV", Some("NeRF"))];
+        let spec = TableSpec { metrics: vec!["psnr".into()], rows, ..TableSpec::default() };
+        let table = Table::new(&spec, &records, false).unwrap();
+        let (views, films, meshes, attacks, link) = (vec![], vec![], vec![], vec![], |_: &str| None);
+        let page = Page {
+            table: &table,
+            records: &records,
+            files: &[],
+            views,
+            films,
+            meshes,
+            attacks,
+            timing: &[],
+            link: &link,
+        };
+        page.html().unwrap()
+    };
+    let page = page_of(&["a", "b", "c"]);
+    let over = page.split("id=\"over\"").nth(1).unwrap().split("</section>").next().unwrap();
+    assert_says(
+        over,
+        &["PSNR over 3 scenes, minus NeRF", "<svg", "+1.01 [+0.99, +1.03]", "3, 0", "class=\"better\">higher"],
+    );
+    assert!(page.find("id=\"over\"").unwrap() < page.find("id=\"table\"").unwrap());
+    assert!(!page_of(&["a", "b"]).contains("id=\"over\""), "two scenes are not compared over");
+}
+
 #[test]
 fn committed_results_become_a_page_without_their_runs() {
     let dir = tempfile::tempdir().unwrap();

@@ -236,18 +236,26 @@ impl OverScenes {
     }
 
     fn row_text(&self, row: &RowOverScenes) -> String {
+        let mut cells = self.cells(row);
+        cells[0] = escape(&cells[0]);
+        format!("| {} |\n", cells.join(" | "))
+    }
+
+    /// Returns row, scenes, difference with its interval, simultaneous interval, Holm's p, and what is said.
+    pub(super) fn cells(&self, row: &RowOverScenes) -> [String; 6] {
+        let name = row.row.clone();
         let Some(comparison) = &row.comparison else {
-            return format!("| {} | 0 |  |  |  | no scene has both rows |\n", escape(&row.row));
+            let [scenes, said] = ["0", "no scene has both rows"].map(String::from);
+            return [name, scenes, String::new(), String::new(), String::new(), said];
         };
-        format!(
-            "| {} | {} | {} | {} | {} | {} |\n",
-            escape(&row.row),
-            comparison.pairs,
+        [
+            name,
+            comparison.pairs.to_string(),
             signed_interval(&self.metric, comparison.difference, comparison.interval),
             self.ends_text(row.simultaneous),
             comparison.p_holm.map_or(String::new(), p_text),
-            self.said(row, comparison.verdict().map_or("", |verdict| verdict.name()))
-        )
+            self.said(row, comparison.verdict().map_or("", |verdict| verdict.name())),
+        ]
     }
 
     fn details_text(&self, row: &RowOverScenes) -> String {

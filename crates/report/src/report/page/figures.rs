@@ -86,7 +86,7 @@ fn title(name: &str) -> String {
 }
 
 /// Returns the SVG element of a figure of this program. Other content is not put into a page.
-fn inline(name: &str, bytes: &[u8]) -> Result<String> {
+pub fn inline(name: &str, bytes: &[u8]) -> Result<String> {
     let text = std::str::from_utf8(bytes).ok().map(str::trim).filter(|text| text.starts_with("<svg"));
     let is_plain =
         |text: &&str| !["<script", "<foreignObject", "<style", "<a "].iter().any(|other| text.contains(other));

@@ -7,6 +7,7 @@ mod attack;
 mod facts;
 mod figures;
 mod films;
+mod over;
 mod points;
 mod protocol;
 mod results;
@@ -61,6 +62,7 @@ struct Html<'a> {
     warnings: Vec<String>,
     facts: Vec<(&'static str, String)>,
     groups: Vec<(usize, String)>,
+    over: Option<over::Over>,
     columns: Vec<results::Column>,
     scenes: Vec<results::Scene<'a>>,
     notes: Vec<String>,
@@ -92,6 +94,7 @@ impl Page<'_> {
             warnings: facts::warnings(table, self.records),
             facts: facts::facts(table, self.records),
             groups,
+            over: over::over(table, self.records)?,
             columns: results::columns(table),
             scenes: results::scenes(table),
             notes: results::notes(table),

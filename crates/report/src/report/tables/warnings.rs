@@ -5,6 +5,9 @@ use super::text::{joined, status_and_reason, unmeasured_notes};
 use crate::report::distinct;
 use crate::settings::columns::{INACTIVE_BY, InactiveBy};
 
+/// End of a warning whose details stand in a table of their own.
+pub const SEE_ATTACK: &str = " (see Attack)";
+
 /// Returns what a reader must know before the numbers, in one line for each fact: lines that are not comparable,
 /// unfinished, without effect of the attack or different between seeds, and metrics without numbers.
 pub fn warnings(lines: &[&Line]) -> Vec<String> {
@@ -43,7 +46,7 @@ fn inactive_warning(lines: &[&Line], by: InactiveBy) -> Option<String> {
         format!("{site} in {all}{count}{rows}")
     };
     let said: Vec<String> = counts.iter().enumerate().map(text).collect();
-    (!said.is_empty()).then(|| format!("{}: {} (see Attack)", by.meaning(), said.join(", ")))
+    (!said.is_empty()).then(|| format!("{}: {}{SEE_ATTACK}", by.meaning(), said.join(", ")))
 }
 
 /// Most rows that a warning names.

@@ -1,0 +1,70 @@
+//! The rows over all scenes, before the table of each scene.
+
+use super::figures::{Drawn, inline};
+use crate::base::Result;
+use crate::report::plots::{Width, over_scenes_figure};
+use crate::report::tables::{Heading, Judgement, Table};
+use crate::report::{OverScenes, Record};
+
+/// Fewest scenes over which rows are compared.
+const FEWEST_SCENES: usize = 3;
+
+/// The comparison of one metric over scenes.
+pub struct Over {
+    pub baseline: String,
+    pub metric: String,
+    pub scenes: usize,
+    pub rows: Vec<Row>,
+    pub figure: Drawn,
+}
+
+/// A row's difference to the baseline.
+pub struct Row {
+    pub label: String,
+    /// Difference, simultaneous interval, Holm's p, scenes up and down.
+    pub cells: [String; 4],
+    pub said: String,
+    pub better: bool,
+    pub worse: bool,
+}
+
+/// Returns the comparison of the table's first metric, or `None` for tables of few scenes, without a baseline, or of rows
+/// that are not comparable.
+pub fn over(table: &Table, records: &[Record]) -> Result<Option<Over>> {
+    let compared = table.lines.iter().find_map(|line| Some((line, line.baseline.as_ref()?)));
+    let Some((line, label)) = compared.filter(|_| table.lines.iter().all(|line| line.mixed.is_empty())) else {
+        return Ok(None);
+    };
+    let baseline = table.lines.iter().find(|other| other.scene == line.scene && other.label == *label);
+    let (Some(baseline), Some(metric)) = (baseline, table.metrics.first()) else { return Ok(None) };
+    let cells = table.lines.iter().map(|line| &line.cells[0]);
+    let margin = cells.filter_map(|cell| cell.comparison?.equivalence).map(|equivalence| equivalence.margin).next();
+    let over = OverScenes::new(&baseline.row, metric, margin, records);
+    if over.scenes.len() < FEWEST_SCENES {
+        return Ok(None);
+    }
+    let [page, column] = Width::ALL.map(|width| drawn(&over, width));
+    let judged = |row: usize| over.rows[row].comparison.as_ref().map(|comparison| Judgement::of(metric, comparison));
+    let row = |(index, cells): (usize, [String; 6])| {
+        let [label, _, difference, simultaneous, p, said] = cells;
+        let signs = over.rows[index].signs.map_or(String::new(), |signs| format!("{}, {}", signs.above, signs.below));
+        Row {
+            label,
+            cells: [difference, simultaneous, p, signs],
+            said,
+            better: judged(index) == Some(Judgement::Better),
+            worse: judged(index) == Some(Judgement::Worse),
+        }
+    };
+    Ok(Some(Over {
+        baseline: over.baseline.clone(),
+        metric: Heading::of(metric).name.to_string(),
+        scenes: over.scenes.len(),
+        rows: over.rows.iter().map(|row| over.cells(row)).enumerate().map(row).collect(),
+        figure: Drawn { page: page?, column: column? },
+    }))
+}
+
+fn drawn(over: &OverScenes, width: Width) -> Result<String> {
+    over_scenes_figure(over, width)?.map_or(Ok(String::new()), |figure| inline("over_scenes", figure.svg.as_bytes()))
+}
