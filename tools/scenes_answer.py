@@ -103,6 +103,10 @@ class Subset:
         command += ["--rows", ",".join(wanted)] if rows is not None or self.points.lost_rows else []
         command += ["--scenes", ",".join(self.scenes)] if self.name or self.points.lost_scenes else []
         subprocess.run(command, check=True, stdout=subprocess.DEVNULL)
+        # One figure is kept: that of the page.
+        for figure in [*out.glob("*.svg"), *out.glob("*.png")]:
+            if f"{OVER}_psnr" != str(out) or "column" in figure.name:
+                figure.unlink()
         lines = {line["row"]: line for line in read(out / "over_scenes.csv")}
         for row in wanted:
             if int(lines[row]["scenes"]) != len(self.scenes) or lines[row]["lacking"] != "0":
