@@ -272,7 +272,9 @@ fn train(
     summarize(&finished, folder, console);
     let Finished { report, seconds, .. } = &finished;
     let [metrics, _] = RunDir::metrics_in(folder);
-    answer.give_silently(&Measured::new((folder, &metrics), report, finished.steps, Some(*seconds)))
+    answer.give_silently(&Measured::new((folder, &metrics), report, finished.steps, Some(*seconds)))?;
+    // Without train.collapse_steps a sweep counts such a training. Here it is an error all the same.
+    report.check_learned(folder)
 }
 
 /// The views that a run measures at its end.

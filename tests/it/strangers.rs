@@ -374,6 +374,20 @@ fn an_object_on_black_is_learned_or_said_to_be_lost() {
     // Measured again, it is printed, and the code is the same.
     let said = demand(&mut program::augnerf(&["eval", out.to_str().unwrap(), "--json", "-q"]), 6);
     assert_says(&said, &["nothing was learned", "\"mean\":{"]);
+    // A sweep that asks for it counts the training with what it has.
+    let sweep = dir.path().join("lost.toml");
+    let point = "\"data.downscale\" = 1\n\"eval.train_views\" = 0\n\"train.steps\" = 160\n\"field.rgb_limit\" = 0\n";
+    let text = format!(
+        "title = \"Lost\"\npreset = \"fast\"\nscenes = [\"black_background\"]\nseeds = [0]\nmetrics = [\"psnr\"]\n\
+         [set]\n{point}\"train.collapse_steps\" = 0\n[[row]]\nname = \"NeRF\"\n"
+    );
+    std::fs::write(&sweep, text).unwrap();
+    let root = Path::new(&folder).parent().unwrap();
+    let arguments = ["sweep", "run", sweep.to_str().unwrap(), "--out", "lost", "--data-root", root.to_str().unwrap()];
+    let said = demand(program::augnerf(&arguments).current_dir(dir.path()), 0);
+    assert_says(&said, &["nothing was learned", "it counts, because train.collapse_steps is 0"]);
+    let table = std::fs::read_to_string(dir.path().join("lost/results/table.md")).unwrap();
+    assert_says(&table, &["no better than one colour"]);
     demand(&mut train(&["train.steps=250"]), 0);
     let mean = &json(&out.join("metrics.json"))["mean"];
     let [psnr, floor] = ["psnr", "floor_psnr"].map(|key| mean[key].as_f64().unwrap());

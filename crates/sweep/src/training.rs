@@ -364,6 +364,10 @@ impl Work for Trainings<'_> {
             Job::resume(run, setup)?
         };
         let finished = job.train(&Noting { events: self.events, progress }, stop)?;
+        // Such a training ends here with an error, unless its numbers are wanted.
+        if let Err(lost) = finished.report.check_learned(&path) {
+            self.events.on(Event::Note(&format!("{lost}; it counts, because train.collapse_steps is 0")));
+        }
         self.result(&config, &scene, &path, runtime, &finished)
     }
 }

@@ -145,7 +145,7 @@ section! {
         /// file. `train --from` and `import` set it; it cannot be set otherwise.
         pub parent: Option<String> = None, numbers().column("parent").later().same_time();
         /// Number of steps after which a run counts as collapsed if every ray accumulates less than 1e-3, or all rays have
-        /// one colour and their photos have not (0 = never).
+        /// one colour and their photos have not (0 = never; a point of a sweep then counts with the PSNR that it has).
         pub collapse_steps: u64 = 200, numbers();
     }
     sections {}

@@ -309,7 +309,9 @@ impl Experiment<'_> {
         session.evaluated(&report.mean)?;
         let seconds = evaluating.elapsed().as_secs_f64() + watcher.seconds_evaluation;
         self.timing(session.trainer().step_count(), session.seconds(), seconds).write(&self.run.timing())?;
-        report.check_learned(self.run.path())?;
+        if self.setup.config.train.collapse_steps > 0 {
+            report.check_learned(self.run.path())?;
+        }
         let steps = (session.trainer().step_count(), self.setup.config.train.steps);
         let heavy_terms = heavy_terms(&self.setup.config, &session.trainer().columns(), session.last_terms());
         let (model, seconds) = (session.trainer().model()?.clone(), session.seconds());
