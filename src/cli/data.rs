@@ -152,7 +152,7 @@ impl CorruptArguments {
 /// Draws the scene into a PNG or SVG file.
 fn draw(config: &Resolved, scene: &Scene, file: &Path) -> Result<()> {
     let figure = scene_picture(config, scene)?;
-    match (ending(file)?, figure.png) {
+    match (ending(file)?, figure.png()?) {
         (Ending::Svg, _) => write_named(file, figure.svg.as_bytes()),
         (Ending::Png, Some(png)) => write_named(file, &png),
         (Ending::Png, None) => Err(Error::Config(format!(

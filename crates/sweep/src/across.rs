@@ -8,6 +8,7 @@ use crate::base::files::write_atomic;
 use crate::base::input::{TEXT_BYTES, read_text};
 use crate::base::{Error, Result};
 use crate::report::Across;
+use crate::report::exporters::Content;
 use crate::report::plots::{Width, across_figure};
 
 use super::collect::holds_files;
@@ -102,11 +103,11 @@ impl AcrossRequest {
     }
 
     /// The files of the folder, by their names.
-    pub fn files(&self, across: &Across) -> Result<Vec<(String, Vec<u8>)>> {
+    pub fn files(&self, across: &Across) -> Result<Vec<(String, Content)>> {
         let request = toml::to_string(self).expect("plain data");
         let texts = [(ACROSS, request), (ACROSS_CSV, across.csv()), (ACROSS_PAGE, across.markdown())];
-        let texts = texts.into_iter().map(|(name, text)| (name.to_string(), text.into_bytes()));
-        let mut files: Vec<(String, Vec<u8>)> = texts.collect();
+        let texts = texts.into_iter().map(|(name, text)| (name.to_string(), Content::Bytes(text.into_bytes())));
+        let mut files: Vec<(String, Content)> = texts.collect();
         for width in Width::ALL {
             let name = format!("{FIGURE}{}", width.suffix());
             files.extend(across_figure(across, width)?.into_iter().flat_map(|figure| figure.files(&name)));
@@ -128,7 +129,7 @@ impl AcrossRequest {
 ///
 /// # Errors
 /// A folder with tables of a sweep, with `other`, with other folders, or with files but without `own`.
-pub(super) fn write_folder(folder: &Path, (own, other): (&str, &str), files: &[(String, Vec<u8>)]) -> Result<()> {
+pub(super) fn write_folder(folder: &Path, (own, other): (&str, &str), files: &[(String, Content)]) -> Result<()> {
     let refuse =
         |holds: &str| Err(Error::Output(format!("{} holds {holds}: name another folder with --out", folder.display())));
     if [DEFINITION, VIEW].iter().any(|name| folder.join(name).exists()) {
@@ -145,7 +146,7 @@ pub(super) fn write_folder(folder: &Path, (own, other): (&str, &str), files: &[(
         return refuse("files that are not a comparison of sweeps");
     }
     std::fs::create_dir_all(folder).map_err(|e| Error::unwritable(folder, &e))?;
-    files.iter().try_for_each(|(name, bytes)| write_atomic(&folder.join(name), bytes))
+    files.iter().try_for_each(|(name, content)| write_atomic(&folder.join(name), &content.bytes()?))
 }
 
 fn has_row(source: &Source, name: &str) -> Result<()> {

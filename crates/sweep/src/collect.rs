@@ -14,7 +14,7 @@ use super::points::Point;
 use super::provenance::{Provenance, sha256};
 use super::scored::with_scored;
 use super::view::VIEW;
-use crate::report::exporters::{Collected, EXPORTERS, File as Export};
+use crate::report::exporters::{Collected, Content, EXPORTERS};
 use crate::report::plots::{Curve, Seeds, Shifts, Surface};
 use crate::report::statistics::mean;
 use crate::report::tables::{AttackLine, Table};
@@ -112,12 +112,12 @@ impl Results {
     }
 
     /// Writes files into the folder, and deletes old tables and figures that are not among them.
-    pub(super) fn put(&self, files: &[Export]) -> Result<()> {
+    pub(super) fn put(&self, files: &[(String, Vec<u8>)]) -> Result<()> {
         files.iter().try_for_each(|(name, bytes)| write_atomic(&self.path.join(name), bytes))?;
         self.delete_others(files)
     }
 
-    fn delete_others(&self, written: &[Export]) -> Result<()> {
+    fn delete_others(&self, written: &[(String, Vec<u8>)]) -> Result<()> {
         let own = |name: &str| name == PAGE || EXPORTERS.iter().any(|exporter| exporter.owns(name));
         for entry in std::fs::read_dir(&self.path).map_err(|e| Error::unreadable(&self.path, &e))? {
             let path = entry.map_err(|e| Error::unreadable(&self.path, &e))?.path();
@@ -131,7 +131,15 @@ impl Results {
 }
 
 /// Receives a file by its name below the results folder.
-pub type Taking<'a> = &'a mut dyn FnMut(&str, &[u8]) -> Result<()>;
+pub type Taking<'a> = &'a mut dyn FnMut(&str, Content) -> Result<()>;
+
+/// Adds a file if it is an SVG, which pages show.
+pub(super) fn keep_svg(figures: &mut Vec<(String, Vec<u8>)>, name: &str, content: &Content) -> Result<()> {
+    if name.ends_with(".svg") {
+        figures.push((name.into(), content.bytes()?.into_owned()));
+    }
+    Ok(())
+}
 
 impl Collector<'_> {
     /// Writes the files of all exporters, the page, and the inputs that `augnerf verify` needs to make them again.
@@ -192,9 +200,9 @@ pub(super) struct TableInputs<'a> {
 
 impl TableInputs<'_> {
     /// Returns the table and adds all files, with the page if there is a table.
-    pub fn write(&self, results: &Results, files: &mut Vec<Export>) -> Result<Table> {
-        let table = self.files(&mut |name, bytes| {
-            files.push((name.to_string(), bytes.to_vec()));
+    pub fn write(&self, results: &Results, files: &mut Vec<(String, Vec<u8>)>) -> Result<Table> {
+        let table = self.files(&mut |name, content| {
+            files.push((name.to_string(), content.bytes()?.into_owned()));
             Ok(())
         })?;
         let page = self.page(&table, files, &results.path)?;
@@ -306,8 +314,8 @@ impl TableInputs<'_> {
 /// Passes on the files of the exporters that need a table, or of those that need none.
 fn export(collected: &Collected, take: Taking) -> Result<()> {
     for exporter in EXPORTERS.into_iter().filter(|exporter| exporter.needs_table() == collected.table.is_some()) {
-        for (name, bytes) in exporter.export(collected)? {
-            take(&name, &bytes)?;
+        for (name, content) in exporter.export(collected)? {
+            take(&name, content)?;
         }
     }
     Ok(())

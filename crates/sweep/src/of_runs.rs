@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use serde::Deserialize;
 use serde_json::{Map, Value};
 
-use super::collect::TableInputs;
+use super::collect::{TableInputs, keep_svg};
 use super::comparability::{by_seed, must_match};
 use super::layout::TablePosition;
 use super::outputs::SweepOutputs;
@@ -14,7 +14,6 @@ use crate::base::files::read_json;
 use crate::base::{Error, Result};
 use crate::compare::{differing_settings, labels};
 use crate::metrics::{Metric, PSNR, PSNR_FLOAT, PSNR_OF_MEAN, Scope};
-use crate::report::exporters::File;
 use crate::report::tables::Table;
 use crate::report::{Record, RowSpec, Status, TableSpec, distinct};
 use crate::run::RunDir;
@@ -147,12 +146,9 @@ impl RunsTable {
     pub fn page(&self, folder: &Path, with_timing: bool) -> Result<(Table, String)> {
         let inputs =
             TableInputs { spec: &self.spec, outputs: &self.outputs, points: &self.points, force: true, with_timing };
-        let mut files: Vec<File> = Vec::new();
-        let table = inputs.files(&mut |name, bytes| {
-            files.push((name.into(), bytes.to_vec()));
-            Ok(())
-        })?;
-        let page = inputs.page(&table, &files, folder)?;
+        let mut figures = Vec::new();
+        let table = inputs.files(&mut |name, content| keep_svg(&mut figures, name, &content))?;
+        let page = inputs.page(&table, &figures, folder)?;
         Ok((table, page))
     }
 }

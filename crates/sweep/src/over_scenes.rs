@@ -6,6 +6,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::base::input::{TEXT_BYTES, read_text};
 use crate::base::{Error, Result};
+use crate::report::exporters::Content;
 use crate::report::plots::{Width, over_scenes_figure};
 use crate::report::{OverScenes, Record, distinct};
 use crate::settings::registry::{Effect, REGISTRY};
@@ -104,7 +105,7 @@ impl ScenesRequest {
     }
 
     /// The files of the folder, by their names.
-    pub fn files(&self, over: &OverScenes) -> Result<Vec<(String, Vec<u8>)>> {
+    pub fn files(&self, over: &OverScenes) -> Result<Vec<(String, Content)>> {
         let request = toml::to_string(self).expect("plain data");
         let texts = [
             (OVER_SCENES, request),
@@ -112,8 +113,8 @@ impl ScenesRequest {
             (SCENES_CSV, over.scenes_csv()),
             (OVER_SCENES_PAGE, over.markdown()),
         ];
-        let texts = texts.into_iter().map(|(name, text)| (name.to_string(), text.into_bytes()));
-        let mut files: Vec<(String, Vec<u8>)> = texts.collect();
+        let texts = texts.into_iter().map(|(name, text)| (name.to_string(), Content::Bytes(text.into_bytes())));
+        let mut files: Vec<(String, Content)> = texts.collect();
         for width in Width::ALL {
             let name = format!("{FIGURE}{}", width.suffix());
             files.extend(over_scenes_figure(over, width)?.into_iter().flat_map(|figure| figure.files(&name)));

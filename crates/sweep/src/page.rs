@@ -7,7 +7,6 @@ use super::outputs::{SweepOutputs, optional};
 use crate::base::input::read_bytes;
 use crate::base::{Error, Result};
 use crate::draw::pictures::encode_png8;
-use crate::report::exporters::File;
 use crate::report::page::{Film, Page, ShownScene, ViewOfRow, ViewOfScene};
 use crate::report::tables::{Line, Table};
 use crate::report::{Status, distinct};
@@ -28,7 +27,7 @@ const MOST_UP: usize = 4;
 
 impl TableInputs<'_> {
     /// Returns the page of a table and its files, for a page in `folder`.
-    pub fn page(&self, table: &Table, files: &[File], folder: &Path) -> Result<String> {
+    pub fn page(&self, table: &Table, files: &[(String, Vec<u8>)], folder: &Path) -> Result<String> {
         let outputs = self.outputs;
         let page = Page {
             table,

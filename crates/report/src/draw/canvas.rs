@@ -3,6 +3,8 @@
 //! A canvas holds a list of marks. The SVG is these marks as text. The PNG is the same marks, drawn with an embedded font,
 //! so that it does not depend on the fonts of the machine.
 
+use std::borrow::Cow;
+
 use base64::Engine;
 use base64::engine::general_purpose::STANDARD;
 use svg::node::element::{Circle, Image as Raster, Polygon, Polyline, Rectangle, Text};
@@ -16,19 +18,48 @@ pub use super::words::{text_width, wrapped};
 use crate::base::{Error, Image, Result};
 
 /// A finished figure.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone)]
 pub struct Figure {
     /// SVG text.
     pub svg: String,
-    /// PNG file, twice as fine; none without the feature `png-figures`.
-    pub png: Option<Vec<u8>>,
+    canvas: Canvas,
+}
+
+/// A file's bytes, or what makes them: pixels take most of a figure's time, and are drawn only where somebody wants them.
+#[derive(Clone)]
+pub enum Content {
+    /// The bytes.
+    Bytes(Vec<u8>),
+    /// The marks of a PNG.
+    Png(Canvas),
 }
 
 impl Figure {
-    /// `NAME.svg` and, where there is one, `NAME.png`, each with its bytes.
-    pub fn files(self, name: &str) -> impl Iterator<Item = (String, Vec<u8>)> {
-        let png = self.png.map(|png| (format!("{name}.png"), png));
-        std::iter::once((format!("{name}.svg"), self.svg.into_bytes())).chain(png)
+    /// The PNG file, twice as fine; none without the feature `png-figures`.
+    ///
+    /// # Errors
+    /// [`Error::Output`]: it cannot be drawn.
+    pub fn png(&self) -> Result<Option<Vec<u8>>> {
+        raster::png(&self.canvas)
+    }
+
+    /// `NAME.svg` and, with the feature `png-figures`, `NAME.png`.
+    pub fn files(self, name: &str) -> impl Iterator<Item = (String, Content)> {
+        let png = raster::SVG_ALONE.is_none().then(|| (format!("{name}.png"), Content::Png(self.canvas)));
+        std::iter::once((format!("{name}.svg"), Content::Bytes(self.svg.into_bytes()))).chain(png)
+    }
+}
+
+impl Content {
+    /// The bytes of the file.
+    ///
+    /// # Errors
+    /// [`Error::Output`]: a figure cannot be drawn.
+    pub fn bytes(&self) -> Result<Cow<'_, [u8]>> {
+        match self {
+            Content::Bytes(bytes) => Ok(Cow::Borrowed(bytes)),
+            Content::Png(canvas) => Ok(Cow::Owned(raster::png(canvas)?.unwrap_or_default())),
+        }
     }
 }
 
@@ -140,6 +171,7 @@ pub enum Anchor {
 pub(super) const DASHES: [f32; 2] = [6.0, 4.0];
 
 /// One element of a drawing.
+#[derive(Clone)]
 pub(super) enum Mark {
     Line {
         points: Vec<(f64, f64)>,
@@ -175,6 +207,7 @@ pub(super) enum Mark {
 }
 
 /// What a figure is made of, in pixels from the upper left corner.
+#[derive(Clone)]
 pub struct Canvas {
     /// Width in pixels.
     pub width: f64,
@@ -276,7 +309,7 @@ impl Canvas {
 
     /// The figure's files.
     pub fn finish(self) -> Result<Figure> {
-        Ok(Figure { svg: self.svg(), png: raster::png(&self)? })
+        Ok(Figure { svg: self.svg(), canvas: self })
     }
 
     /// The PNG's pixels, which only the feature `png-figures` draws.

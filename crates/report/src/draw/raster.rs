@@ -170,7 +170,7 @@ mod tests {
         for (width, centimetres) in [(Width::Page, 17.0), (Width::Column, 8.3)] {
             let figure = Canvas::titled(width, "A title").finish().unwrap();
             assert!(figure.svg.contains(&format!(" width=\"{centimetres}cm\"")), "{}", figure.svg);
-            let png = figure.png.unwrap();
+            let png = figure.png().unwrap().unwrap();
             let reader = ::png::Decoder::new(std::io::Cursor::new(png)).read_info().unwrap();
             let (info, dots) = (reader.info(), reader.info().pixel_dims.unwrap());
             let printed = 100.0 * f64::from(info.width) / f64::from(dots.xppu);

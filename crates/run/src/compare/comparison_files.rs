@@ -44,8 +44,8 @@ struct RunLine<'a> {
 
 /// Writes `NAME.png`, or `NAME.svg` without the feature `png-figures`. Either holds the pixels of images.
 pub(super) fn write_picture(figure: &Figure, folder: &Path, name: &str) -> Result<()> {
-    match &figure.png {
-        Some(png) => write_atomic(&folder.join(format!("{name}.png")), png),
+    match figure.png()? {
+        Some(png) => write_atomic(&folder.join(format!("{name}.png")), &png),
         None => write_atomic(&folder.join(format!("{name}.svg")), figure.svg.as_bytes()),
     }
 }

@@ -61,8 +61,8 @@ impl Profiles {
     /// Writes `profile.svg`, `profile.png` (with the feature `png-figures`), `ray.csv`, `patch.csv` and
     /// `profile.json` into a folder.
     pub fn write(&self, folder: &Path) -> Result<()> {
-        for (name, bytes) in profile_figure::draw(self)?.files("profile") {
-            write_atomic(&folder.join(name), &bytes)?;
+        for (name, content) in profile_figure::draw(self)?.files("profile") {
+            write_atomic(&folder.join(name), &content.bytes()?)?;
         }
         self.write_csv(&folder.join("ray.csv"), |run, profile| {
             let passes = [("coarse", Some(&profile.coarse)), ("fine", profile.fine.as_ref())];

@@ -119,8 +119,8 @@ impl Spread {
     /// A file cannot be written.
     pub fn write(&self, folder: &Path) -> Result<()> {
         write_picture(&spread_figure::draw(self)?, folder, "spread")?;
-        for (name, bytes) in spread_figure::draw_calibration(self)?.files("calibration") {
-            write_atomic(&folder.join(name), &bytes)?;
+        for (name, content) in spread_figure::draw_calibration(self)?.files("calibration") {
+            write_atomic(&folder.join(name), &content.bytes()?)?;
         }
         write_atomic(&folder.join("spread.csv"), self.csv().as_bytes())?;
         write_json(&folder.join("spread.json"), &self.file())

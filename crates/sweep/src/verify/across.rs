@@ -12,6 +12,7 @@ use crate::across::{ACROSS, AcrossRequest};
 use crate::base::{Error, Result};
 use crate::folder::DEFINITION;
 use crate::over_scenes::{OVER_SCENES, ScenesRequest};
+use crate::report::exporters::Content;
 use crate::view::{Origin, Source};
 
 /// What a folder asks of sweeps, made from their results.
@@ -20,7 +21,7 @@ pub struct Comparison {
     pub path: PathBuf,
     /// The file of the request, and the number of sweeps that it names.
     request: (&'static str, usize),
-    files: Vec<(String, Vec<u8>)>,
+    files: Vec<(String, Content)>,
 }
 
 impl Comparison {
@@ -44,14 +45,17 @@ impl Comparison {
     /// The tables that pages may quote.
     pub fn tables(&self) -> impl Iterator<Item = (&str, &[u8])> {
         let tables = self.files.iter().filter(|(name, _)| name.ends_with(".csv"));
-        tables.map(|(name, bytes)| (name.as_str(), bytes.as_slice()))
+        tables.filter_map(|(name, content)| match content {
+            Content::Bytes(bytes) => Some((name.as_str(), bytes.as_slice())),
+            Content::Png(_) => None,
+        })
     }
 }
 
 /// Compares a folder's files with what the sweeps make, or, with `update`, writes what differs.
 pub fn check(verifier: &Verifier, comparison: &Comparison, findings: &mut Findings) -> Result<()> {
     let Comparison { path, request: (request, sweeps), files } = comparison;
-    let made: BTreeMap<String, Vec<u8>> = files.iter().cloned().collect();
+    let made: BTreeMap<String, Content> = files.iter().cloned().collect();
     let compared = Compared::new(verifier, path, made.iter(), is_figure, findings)?;
     compared.report(&format!("from comparisons of {sweeps} sweeps, of which {request} has the hashes"), findings);
     not_kept(&compared.absent, None, path, findings);

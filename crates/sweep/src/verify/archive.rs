@@ -3,13 +3,12 @@
 use std::path::{Path, PathBuf};
 
 use crate::base::{Error, Result};
-use crate::collect::{Collector, PAGE, TableInputs, Taking};
+use crate::collect::{Collector, PAGE, TableInputs, Taking, keep_svg};
 use crate::definition::Definition;
 use crate::folder::SweepFolder;
 use crate::outputs::{SweepOutputs, optional, read_scalars};
 use crate::points::Point;
 use crate::provenance::Provenance;
-use crate::report::exporters::File;
 use crate::report::tables::{Table, read_points, read_timing};
 use crate::report::{Status, label};
 use crate::scored::read_scored;
@@ -91,15 +90,12 @@ impl Archive {
 
     /// The page of a results' folder: without pictures of views, which lie with the runs.
     pub fn page(&self, runs: Option<&SweepFolder>) -> Result<(Table, String)> {
-        let mut files: Vec<File> = Vec::new();
-        let table = self.files(&mut |name, bytes| {
-            files.push((name.into(), bytes.to_vec()));
-            Ok(())
-        })?;
+        let mut figures = Vec::new();
+        let table = self.files(&mut |name, content| keep_svg(&mut figures, name, &content))?;
         // Those that nothing makes again, as they were committed.
         for name in self.provenance.pinned.keys().filter(|name| name.ends_with(".svg")) {
             if let Some(bytes) = optional(&self.path.join(name))? {
-                files.push((name.clone(), bytes));
+                figures.push((name.clone(), bytes));
             }
         }
         let mut outputs = self.outputs.clone();
@@ -115,7 +111,7 @@ impl Archive {
             force: true,
             with_timing: self.with_timing,
         };
-        let page = inputs.page(&table, &files, &self.path)?;
+        let page = inputs.page(&table, &figures, &self.path)?;
         Ok((table, page))
     }
 

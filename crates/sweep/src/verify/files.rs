@@ -13,7 +13,7 @@ use crate::collect::{PAGE, TIMING};
 use crate::folder::{DEFINITION, PLAN, STEP_SECONDS};
 use crate::outputs::{SCALARS, optional};
 use crate::provenance::{Archived, PROVENANCE, sha256};
-use crate::report::exporters::{EXPORTERS, OF_LOGS};
+use crate::report::exporters::{Content, EXPORTERS, OF_LOGS};
 use crate::report::tables::Table;
 use crate::scored::SCORED;
 
@@ -26,7 +26,7 @@ pub fn is_kept(name: &str) -> bool {
 }
 
 /// Files by their names.
-pub type Made = BTreeMap<String, Vec<u8>>;
+pub type Made = BTreeMap<String, Content>;
 
 /// A sweep's results, and what its points make.
 pub struct Collected {
@@ -40,8 +40,8 @@ impl Collected {
     /// Reads a results' folder and makes its tables and figures.
     pub fn read(path: &Path, data_root: Option<&Path>) -> Result<Collected> {
         let (archive, mut made) = (Archive::read(path, data_root)?, Made::new());
-        let table = archive.files(&mut |name, bytes| {
-            made.insert(name.into(), bytes.to_vec());
+        let table = archive.files(&mut |name, content| {
+            made.insert(name.into(), content);
             Ok(())
         })?;
         Ok(Collected { archive, table, made })
@@ -50,7 +50,7 @@ impl Collected {
     /// A table as the points make it, whatever stands in the folder; as it is there, where it is held to its hash.
     pub fn text(&self, name: &str) -> Result<Vec<u8>> {
         match self.made.get(name) {
-            Some(bytes) => Ok(bytes.clone()),
+            Some(content) => Ok(content.bytes()?.into_owned()),
             None if self.archive.provenance.pinned.contains_key(name) => {
                 Ok(optional(&self.archive.path.join(name))?.unwrap_or_default())
             }
@@ -161,12 +161,12 @@ impl Compared {
     pub fn new<'m>(
         verifier: &Verifier,
         folder: &Path,
-        made: impl Iterator<Item = (&'m String, &'m Vec<u8>)>,
+        made: impl Iterator<Item = (&'m String, &'m Content)>,
         may_lack: impl Fn(&str) -> bool,
         findings: &mut Findings,
     ) -> Result<Compared> {
         let mut compared = Compared { count: 0, wrong: Vec::new(), absent: Vec::new() };
-        for (name, bytes) in made {
+        for (name, content) in made {
             let path = folder.join(name);
             let found = optional(&path)?;
             if found.is_none() && may_lack(name) && !verifier.all {
@@ -174,14 +174,15 @@ impl Compared {
                 continue;
             }
             compared.count += 1;
-            if found.as_ref() == Some(bytes) {
+            let bytes = content.bytes()?;
+            if found.as_deref() == Some(&bytes) {
                 continue;
             }
             if verifier.update {
-                write_atomic(&path, bytes)?;
+                write_atomic(&path, &bytes)?;
                 findings.holds(format!("{name}: written anew"));
             } else {
-                compared.wrong.push(difference(name, found.as_deref(), bytes));
+                compared.wrong.push(difference(name, found.as_deref(), &bytes));
             }
         }
         Ok(compared)

@@ -1,6 +1,7 @@
 //! The files that are made from a sweep's points: one exporter each, and the list of all.
 
 use crate::base::{Error, Result};
+pub use crate::draw::canvas::Content;
 
 use super::plots::{Curve, Shifts, Surface};
 use super::tables::{AttackLine, PointTiming, Table};
@@ -48,8 +49,8 @@ impl<'a> Collected<'a> {
     }
 }
 
-/// Name and bytes of a file.
-pub type File = (String, Vec<u8>);
+/// Name and content of a file.
+pub type File = (String, Content);
 
 /// Makes files from a sweep's points.
 pub trait Exporter: Sync {

@@ -2,7 +2,6 @@
 
 use crate::base::{Error, Result};
 use crate::metrics::Metric;
-use crate::report::exporters::File;
 use crate::report::plots::Width;
 use crate::report::tables::{Heading, Table};
 
@@ -24,7 +23,7 @@ pub struct Drawn {
 const SECONDS: &str = "_seconds";
 
 /// Returns the figures among the files, in order, without those of a metric that is the same for all rows.
-pub fn figures(table: &Table, files: &[File]) -> Result<Vec<Figure>> {
+pub fn figures(table: &Table, files: &[(String, Vec<u8>)]) -> Result<Vec<Figure>> {
     let column = Width::Column.suffix();
     let svgs = files.iter().filter_map(|(name, bytes)| Some((name.strip_suffix(".svg")?, bytes)));
     let mut figures: Vec<Figure> = Vec::new();

@@ -20,7 +20,6 @@ use sha2::{Digest, Sha256};
 
 use crate::base::{Error, Result};
 use crate::report::Record;
-use crate::report::exporters::File;
 use crate::report::tables::{AttackLine, Heading, PointTiming, Table, table_latex};
 
 pub use films::Film;
@@ -35,8 +34,8 @@ pub struct Page<'a> {
     pub table: &'a Table,
     /// The points.
     pub records: &'a [Record],
-    /// Files of the exporters; the page uses the figures.
-    pub files: &'a [File],
+    /// Names and bytes of files; the page uses the SVGs.
+    pub files: &'a [(String, Vec<u8>)],
     /// First held-out views, scene by scene.
     pub views: Vec<ShownScene>,
     /// Videos of rows.
