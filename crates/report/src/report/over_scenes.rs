@@ -122,6 +122,18 @@ impl OverScenes {
         self.rows.iter_mut().zip(ends).for_each(|(row, ends)| row.to_best = Some(ends));
     }
 
+    /// Returns the rows, the best mean first, and those without a difference last.
+    pub fn best_first(&self) -> Vec<&RowOverScenes> {
+        let sign = match Metric::find(&self.metric).map(|metric| metric.direction) {
+            Some(Direction::Down) => -1.0,
+            Some(Direction::Up | Direction::Neither) | None => 1.0,
+        };
+        let gain = |row: &RowOverScenes| row.comparison.map_or(f64::NEG_INFINITY, |found| sign * found.difference);
+        let mut rows: Vec<&RowOverScenes> = self.rows.iter().collect();
+        rows.sort_by(|a, b| gain(b).total_cmp(&gain(a)));
+        rows
+    }
+
     /// Returns one line a row, with all digits.
     pub fn csv(&self) -> String {
         const HEAD: [&str; 31] = [
@@ -409,6 +421,17 @@ mod tests {
 
     fn over(records: &[Record]) -> OverScenes {
         OverScenes::new("NeRF", "psnr", Some(0.3), records)
+    }
+
+    #[test]
+    fn the_best_row_comes_first() {
+        let mut found = over(&records());
+        let names = |found: &OverScenes| found.best_first().iter().map(|row| row.row.clone()).collect::<Vec<String>>();
+        assert_eq!(names(&found), ["TV", "attack"]);
+        found.metric = "lpips_vgg".into();
+        assert_eq!(names(&found), ["attack", "TV"]);
+        found.rows[1].comparison = None;
+        assert_eq!(names(&found), ["TV", "attack"]);
     }
 
     #[test]

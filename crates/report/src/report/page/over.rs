@@ -4,7 +4,7 @@ use super::figures::{Drawn, inline};
 use crate::base::Result;
 use crate::report::plots::{Width, over_scenes_figure};
 use crate::report::tables::{Heading, Judgement, Table};
-use crate::report::{OverScenes, Record};
+use crate::report::{OverScenes, Record, RowOverScenes};
 
 /// Fewest scenes over which rows are compared.
 const FEWEST_SCENES: usize = 3;
@@ -44,23 +44,23 @@ pub fn over(table: &Table, records: &[Record]) -> Result<Option<Over>> {
         return Ok(None);
     }
     let [page, column] = Width::ALL.map(|width| drawn(&over, width));
-    let judged = |row: usize| over.rows[row].comparison.as_ref().map(|comparison| Judgement::of(metric, comparison));
-    let row = |(index, cells): (usize, [String; 6])| {
-        let [label, _, difference, simultaneous, p, said] = cells;
-        let signs = over.rows[index].signs.map_or(String::new(), |signs| format!("{}, {}", signs.above, signs.below));
+    let row = |row: &RowOverScenes| {
+        let [label, _, difference, simultaneous, p, said] = over.cells(row);
+        let signs = row.signs.map_or(String::new(), |signs| format!("{}, {}", signs.above, signs.below));
+        let judged = row.comparison.as_ref().map(|comparison| Judgement::of(metric, comparison));
         Row {
             label,
             cells: [difference, simultaneous, p, signs],
             said,
-            better: judged(index) == Some(Judgement::Better),
-            worse: judged(index) == Some(Judgement::Worse),
+            better: judged == Some(Judgement::Better),
+            worse: judged == Some(Judgement::Worse),
         }
     };
     Ok(Some(Over {
         baseline: over.baseline.clone(),
         metric: Heading::of(metric).name.to_string(),
         scenes: over.scenes.len(),
-        rows: over.rows.iter().map(|row| over.cells(row)).enumerate().map(row).collect(),
+        rows: over.best_first().into_iter().map(row).collect(),
         figure: Drawn { page: page?, column: column? },
     }))
 }

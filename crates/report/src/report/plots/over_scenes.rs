@@ -1,4 +1,4 @@
-//! Rows against a baseline over scenes: one line a row, with each scene's difference.
+//! Rows against a baseline over scenes: one line a row, the best first, with each scene's difference.
 
 use super::Figure;
 use super::differences::{Differences, MARKS, NOT_SHOWN, Scale};
@@ -12,15 +12,16 @@ pub fn over_scenes_figure(over: &OverScenes, width: Width) -> Result<Option<Figu
     if over.rows.is_empty() {
         return Ok(None);
     }
+    let rows = over.best_first();
     let figure = Differences {
         title: format!("Rows against {} over {} scenes", over.baseline, over.scenes.len()),
         metric: &over.metric,
-        lines: over.rows.iter().map(|row| (row.row.clone(), over.judged(row))).collect(),
-        values: over.rows.iter().flat_map(shown).collect(),
+        lines: rows.iter().map(|row| (row.row.clone(), over.judged(row))).collect(),
+        values: rows.iter().copied().flat_map(shown).collect(),
         margin: over.margin,
         caption: caption(over),
     };
-    figure.figure(width, |drawing, scale, y, index| draw_row(drawing, scale, y, over, &over.rows[index]))
+    figure.figure(width, |drawing, scale, y, index| draw_row(drawing, scale, y, over, rows[index]))
 }
 
 fn draw_row(drawing: &mut Canvas, scale: &Scale, y: f64, over: &OverScenes, row: &RowOverScenes) {
