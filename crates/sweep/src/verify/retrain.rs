@@ -5,6 +5,7 @@ use super::archive::Archive;
 use super::files::Collected;
 use super::findings::Findings;
 use crate::base::csv::csv_number;
+use crate::base::rng::{Random, Stream};
 use crate::base::{Error, Result};
 use crate::claim::Sharing;
 use crate::folder::SweepFolder;
@@ -18,7 +19,7 @@ use crate::runner::{Options, Runner};
 /// Columns that say which program or machine it was: they may differ.
 const OF_THE_PROGRAM: [&str; 3] = ["program", "code_revision", "device"];
 
-/// Trains as many points again as are asked for, spread over the sweep, and compares metrics and protocol as `points.csv` has them.
+/// Trains as many points again as are asked for, drawn at random, and compares metrics and protocol as `points.csv` has them.
 ///
 /// # Errors
 /// This program is another revision than the points', unless `any_revision`.
@@ -44,7 +45,7 @@ pub fn check(verifier: &Verifier, sweep: &Collected, findings: &mut Findings) ->
         findings.not_checked("training again: no scene of the points is at hand");
         return Ok(());
     }
-    let points: Vec<Point> = (0..count).map(|index| at_hand[index * at_hand.len() / count].clone()).collect();
+    let points: Vec<Point> = drawn(count, at_hand.len()).map(|index| at_hand[index].clone()).collect();
     let scratch = tempfile::tempdir().map_err(|e| Error::unwritable(&std::env::temp_dir(), &e))?;
     let (folder, mut open) = (SweepFolder::new(scratch.path()), Vec::new());
     let options =
@@ -66,6 +67,14 @@ pub fn check(verifier: &Verifier, sweep: &Collected, findings: &mut Findings) ->
         findings.not_checked(format!("{metric} of points trained again: it is not measured here"));
     }
     Ok(())
+}
+
+/// Returns `count` of 0..`all` in order, drawn at random: at even distances they could all be of one row. The same count draws
+/// the same.
+fn drawn(count: usize, all: usize) -> impl Iterator<Item = usize> {
+    let mut drawn = Random::new(count as u64, Stream::Search, 0).distinct(count, all as u32);
+    drawn.sort_unstable();
+    drawn.into_iter().map(|index| index as usize)
 }
 
 /// What is another number than in the record, or is there in one of them alone. Names of metrics that could not be
@@ -99,4 +108,19 @@ fn differences(archive: &Archive, record: &Record, result: &PointResult, open: &
         wrong.push(format!("{}: inactive_levels is '{now}', points.csv has '{then}'", record.point_label()));
     }
     wrong
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn points_are_drawn_of_all_rows() {
+        let of = |count: usize| drawn(count, 720).collect::<Vec<usize>>();
+        assert_eq!(of(8), of(8));
+        assert!(of(8).is_sorted() && of(8).last().unwrap() < &720 && distinct(of(8).into_iter()).len() == 8);
+        // Rows of 15 repeat every 30 points.
+        assert!(distinct(of(8).into_iter().map(|index| index % 30)).len() > 4, "{:?}", of(8));
+        assert_eq!(drawn(5, 5).collect::<Vec<usize>>(), [0, 1, 2, 3, 4]);
+    }
 }
