@@ -15,9 +15,10 @@ mkdir -p "$to"
 for file in attack.csv points.csv points.json scalars.csv.gz sweep.toml table.csv table.md table.tex timing.csv; do
   [[ ! -e $from/$file ]] || cp "$from/$file" "$to/"
 done
-# [pinned] has the hashes of files that are not kept, and [inputs] lacks the clock times.
-{
-  sed '/^\[pinned\]$/,$d' "$from/provenance.toml" | sed -e :a -e '/^\n*$/{$d;N;ba' -e '}'
-  printf '"timing.csv" = "%s"\n' "$(sha256sum < "$from/timing.csv" | cut -d ' ' -f 1)"
-} > "$to/provenance.toml"
+# [pinned] has the hashes of files that are not kept, and [inputs] lacks the clock times. Other parts stay, such as [[missing]].
+awk -v timing="\"timing.csv\" = \"$(sha256sum < "$from/timing.csv" | cut -d ' ' -f 1)\"" '
+  /^\[/ { part = $0 }
+  part != "[pinned]" { print }
+  $0 == "[inputs]" { print timing }
+' "$from/provenance.toml" | cat -s > "$to/provenance.toml"
 ${AUGNERF:-cargo run --release --quiet --} verify "$to"

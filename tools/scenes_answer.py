@@ -3,8 +3,9 @@
 
     tools/scenes_answer.py > words.md
 
-Needs all points in results/few_views/scenes. Writes results/few_views/over_* with `augnerf sweep across`, and prints Markdown.
-AUGNERF names the program. SCENES and OVER name other results and another prefix for a trial of fewer scenes or rows.
+Needs all points in results/few_views/scenes. Replaces results/few_views/over_* with `augnerf sweep across`, and prints Markdown.
+AUGNERF names the program. SCENES and OVER name other results and another prefix. TRIAL=1 allows fewer scenes or rows than the
+plan has.
 """
 import csv
 import os
@@ -17,7 +18,7 @@ from collections import defaultdict
 from pathlib import Path
 
 AUGNERF = os.environ.get("AUGNERF", "target/release/augnerf")
-TRIAL = "SCENES" in os.environ
+TRIAL = "TRIAL" in os.environ
 SCENES = Path(os.environ.get("SCENES", "results/few_views/scenes"))
 OVER = os.environ.get("OVER", "results/few_views/over")
 NERF, EARLY, ATTACK = "NeRF", "NeRF, fewer steps", "Aug-NeRF calibrated"
@@ -47,6 +48,15 @@ def read(path):
 
 def stop(sentence):
     sys.exit(f"{SCENES}: {sentence}")
+
+
+def run(command):
+    try:
+        subprocess.run(command, check=True, stdout=subprocess.DEVNULL)
+    except FileNotFoundError:
+        sys.exit(f"{AUGNERF} is not there: build the program (cargo build --release), or set AUGNERF to its path")
+    except subprocess.CalledProcessError as failed:
+        sys.exit(f"{' '.join(map(str, command))} ended with exit code {failed.returncode}; tables that it had not reached are as they were")
 
 
 class Points:
@@ -95,22 +105,27 @@ class Subset:
     def compare(self, kind, baseline=NERF, rows=None, metric="psnr"):
         """Lines of `sweep across` by row."""
         out = Path("_".join(part for part in [OVER, kind, self.name] if part))
-        shutil.rmtree(out, ignore_errors=True)
         wanted = [row for row in (self.points.rows if rows is None else rows) if row != baseline and row in self.points.rows]
         if not self.scenes or not wanted or baseline not in self.points.rows:
+            shutil.rmtree(out, ignore_errors=True)
             return {}
-        command = [AUGNERF, "sweep", "across", SCENES, "--unit", "scene", "--metric", metric, "--baseline", baseline, "--out", out]
+        # The old folder stays until the new one is whole.
+        new = out.with_name(f"{out.name}_new")
+        shutil.rmtree(new, ignore_errors=True)
+        command = [AUGNERF, "sweep", "across", SCENES, "--unit", "scene", "--metric", metric, "--baseline", baseline, "--out", new]
         command += ["--rows", ",".join(wanted)] if rows is not None or self.points.lost_rows else []
         command += ["--scenes", ",".join(self.scenes)] if self.name or self.points.lost_scenes else []
-        subprocess.run(command, check=True, stdout=subprocess.DEVNULL)
+        run(command)
         # One figure is kept: that of the page.
-        for figure in [*out.glob("*.svg"), *out.glob("*.png")]:
+        for figure in [*new.glob("*.svg"), *new.glob("*.png")]:
             if f"{OVER}_psnr" != str(out) or "column" in figure.name:
                 figure.unlink()
-        lines = {line["row"]: line for line in read(out / "over_scenes.csv")}
+        lines = {line["row"]: line for line in read(new / "over_scenes.csv")}
         for row in wanted:
             if int(lines[row]["scenes"]) != len(self.scenes) or lines[row]["lacking"] != "0":
                 stop(f"{out}: {row} has {lines[row]['scenes']} of {len(self.scenes)} scenes, and {lines[row]['lacking']} lack a seed")
+        shutil.rmtree(out, ignore_errors=True)
+        new.rename(out)
         return lines
 
     def words(self, helping=None):

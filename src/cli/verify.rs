@@ -43,9 +43,12 @@ pub struct VerifyArguments {
     /// With --update: write figures and other files that are not kept, too
     #[arg(long, requires = "update")]
     all: bool,
-    /// Train N points again, spread over the sweep, and compare every digit [default: 0]
+    /// Train N points again, drawn at random, and compare every digit [default: 0]
     #[arg(long, value_name = "N", default_value_t = 0, hide_default_value = true)]
     retrain: usize,
+    /// With --retrain: draw other points than with another seed
+    #[arg(long, requires = "retrain", value_name = "SEED", default_value_t = 0)]
+    retrain_seed: u64,
     /// With --retrain: accept another revision than that of the points
     #[arg(long, requires = "retrain")]
     any_revision: bool,
@@ -96,6 +99,7 @@ impl VerifyArguments {
             update: self.update,
             all: self.all,
             retrain: self.retrain,
+            retrain_seed: self.retrain_seed,
             any_revision: self.any_revision,
             stop: &stop,
         };

@@ -620,5 +620,5 @@ fn a_capture_without_a_box_cannot_be_rescaled() {
     let folder = Folder::new(12).with("frames", frames.into());
     let error = folder.read(|config| config.rescale = true).0.expect_err("must be refused");
     assert_eq!(error.exit_code(), 3, "{error}");
-    assert_says(&error.to_string(), &["data.rescale", "no common point"]);
+    assert_says(&error.to_string(), &["data.rescale", "no common point", "set data.rescale=false"]);
 }

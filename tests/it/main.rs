@@ -15,6 +15,7 @@ mod corruption;
 mod device;
 mod docs;
 mod exchange;
+mod few_views;
 mod fused;
 mod fuzz;
 mod geometry;

@@ -76,10 +76,13 @@ pub fn page_of_axes() -> String {
         varied: true,
         ..TableSpec::default()
     };
-    let table = Table::new(&spec, &records, false).unwrap();
+    page_without_pictures(&spec, &records)
+}
+
+fn page_without_pictures(spec: &TableSpec, records: &[Record]) -> String {
     let page = Page {
-        table: &table,
-        records: &records,
+        table: &Table::new(spec, records, false).unwrap(),
+        records,
         files: &[],
         views: vec![],
         films: vec![],
@@ -210,20 +213,7 @@ fn a_training_has_one_row_and_a_fact_one_line() {
         places.iter().flat_map(|(id, axes)| [0, 1].map(|seed| point(id, seed, axes.clone()))).collect();
     let row = RowSpec { name: "Aug-NeRF".into(), ..RowSpec::default() };
     let spec = TableSpec { metrics: vec!["psnr".into()], rows: vec![row], ..TableSpec::default() };
-    let table = Table::new(&spec, &records, false).unwrap();
-    let (views, films, attacks, link) = (vec![], vec![], vec![], |_: &str| None);
-    let page = Page {
-        table: &table,
-        records: &records,
-        files: &[],
-        views,
-        films,
-        meshes: vec![],
-        attacks,
-        timing: &[],
-        link: &link,
-    };
-    let page = page.html().unwrap();
+    let page = page_without_pictures(&spec, &records);
     let results = page.split("class=\"results").nth(1).unwrap().split("</table>").next().unwrap();
     assert_eq!(results.matches("<th scope=\"row\">").count(), 2, "{results}");
     assert_says(results, &["the same training: epsilon = 0.06275"]);
@@ -260,20 +250,7 @@ fn rows_are_compared_over_scenes() {
         };
         let rows = vec![row("NeRF", None), row("TV", Some("NeRF"))];
         let spec = TableSpec { metrics: vec!["psnr".into()], rows, ..TableSpec::default() };
-        let table = Table::new(&spec, &records, false).unwrap();
-        let (views, films, meshes, attacks, link) = (vec![], vec![], vec![], vec![], |_: &str| None);
-        let page = Page {
-            table: &table,
-            records: &records,
-            files: &[],
-            views,
-            films,
-            meshes,
-            attacks,
-            timing: &[],
-            link: &link,
-        };
-        page.html().unwrap()
+        page_without_pictures(&spec, &records)
     };
     let page = page_of(&["a", "b", "c"]);
     let over = page.split("id=\"over\"").nth(1).unwrap().split("</section>").next().unwrap();

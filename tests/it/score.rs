@@ -224,7 +224,7 @@ fn scored_rows_stand_marked_in_the_table() {
         &markdown,
         &[
             "| other code ‖= |",
-            "= no better than one colour with any seed",
+            "= no better than one colour",
             "not trained here",
             "All rows: protocol 1",
             "scored-",

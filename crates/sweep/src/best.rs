@@ -105,7 +105,7 @@ pub fn best(
             unfinished: lines.iter().filter(missing).map(|line| line.label.clone()).collect(),
             on_validation: splits.iter().all(is_validation),
             split: splits.join(", "),
-            no_better_than_one_colour: line.no_better_than_one_colour,
+            no_better_than_one_colour: line.no_better_than_one_colour > 0,
         })
     };
     let found: Vec<Best> = table.scenes().into_iter().filter_map(of_scene).collect();

@@ -93,6 +93,7 @@ shipped![
     "few_views" "scenes_tuning_network",
     "few_views" "scenes_tuning_network_fit",
     "few_views" "scenes_tuning_nerf",
+    "few_views" "scenes_worst_case",
     "few_views" "worst_case_fern",
     "checks" "few_views_chair",
     "checks" "geometry",

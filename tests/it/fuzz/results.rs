@@ -48,6 +48,7 @@ fn verify(results: &Path) -> Result<()> {
         update: false,
         all: false,
         retrain: 0,
+        retrain_seed: 0,
         any_revision: false,
         stop: &AtomicUsize::new(0),
     };

@@ -51,6 +51,8 @@ pub enum Stream {
     Points,
     /// Points in cells of empty space, and starts of PGD, on the page of a run.
     View,
+    /// Points of a sweep that are trained again.
+    Retrain,
 }
 
 impl Stream {
@@ -76,6 +78,7 @@ impl Stream {
             Stream::Scene => 16,
             Stream::Points => 17,
             Stream::View => 18,
+            Stream::Retrain => 19,
         }
     }
 }

@@ -16,7 +16,8 @@ pub(super) fn rescale(scene: &mut Scene, may_have_box: bool) -> Result<()> {
     let Some([lower, upper]) = scene.space.domain else {
         return match may_have_box && scene.ndc.is_none() {
             true => Err(Error::Data(format!(
-                "data.rescale: the cameras of {} look at no common point, so there is no box to scale by; leave it false",
+                "data.rescale: the cameras of {} look at no common point, so there is no box to scale by; set \
+                 data.rescale=false (the preset few-views sets it to true)",
                 scene.name
             ))),
             false => Ok(()),

@@ -18,6 +18,23 @@ pub enum Direction {
     Neither,
 }
 
+impl Direction {
+    /// Returns the factor that makes differences gains: 1 or -1, and `None` if the metric has no better direction.
+    pub fn sign(self) -> Option<f64> {
+        match self {
+            Direction::Up => Some(1.0),
+            Direction::Down => Some(-1.0),
+            Direction::Neither => None,
+        }
+    }
+
+    /// Returns the ends of an interval of differences as gains, the smallest first. `None` as for [`Direction::sign`].
+    pub fn gains(self, (low, high): (f64, f64)) -> Option<(f64, f64)> {
+        let sign = self.sign()?;
+        Some(if sign < 0.0 { (-high, -low) } else { (low, high) })
+    }
+}
+
 /// How a table for readers prints a number.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Digits {
@@ -392,6 +409,15 @@ metrics! { OTHERS:
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn gains_are_differences_in_the_better_direction() {
+        let of = |direction: Direction| direction.gains((-1.0, 3.0));
+        assert_eq!(
+            [Direction::Up, Direction::Down, Direction::Neither].map(of),
+            [Some((-1.0, 3.0)), Some((-3.0, 1.0)), None]
+        );
+    }
 
     /// All that a reader of files sees, in the order of columns: key, label, unit, digits, direction, scope and needs.
     const ALL: &str = "\

@@ -17,12 +17,15 @@ impl Numbers {
     /// Removes the numbers from a layer if `given` has another value than `before`.
     fn forget(&self, layer: &mut Table, before: &Table, given: &Table) {
         let Some(now) = value_at(given, &self.of) else { return };
-        let before = value_at(before, &self.of);
-        // A run's file has one value as a list of one, too.
-        if before != Some(now) && before != Some(&Value::Array(vec![now.clone()])) {
+        if value_at(before, &self.of).map(as_list) != Some(as_list(now)) {
             self.paths.iter().for_each(|path| remove(layer, path));
         }
     }
+}
+
+/// A value and a list of it alone are the same setting.
+fn as_list(value: &Value) -> Vec<Value> {
+    value.as_array().cloned().unwrap_or_else(|| vec![value.clone()])
 }
 
 fn numbers() -> [Numbers; 5] {
@@ -111,6 +114,7 @@ mod tests {
         let (empty, own): ([f64; 0], _) = ([], [0.03]);
         assert_eq!(weight(&[]), own);
         assert_eq!(weight(&["regularizer.kind=occlusion"]), own);
+        assert_eq!(weight(&["regularizer.kind=['occlusion']"]), own);
         assert_eq!(weight(&["regularizer.kind=tv"]), built(None, None, &["regularizer.kind=tv"]).regularizer.weight);
         assert_eq!(weight(&["regularizer.kind=tv", "regularizer.weight=1e-7"]), [1e-7]);
         assert_eq!(weight(&["regularizer.kind=[]"]), empty);

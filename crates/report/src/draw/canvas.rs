@@ -58,7 +58,7 @@ impl Content {
     pub fn bytes(&self) -> Result<Cow<'_, [u8]>> {
         match self {
             Content::Bytes(bytes) => Ok(Cow::Borrowed(bytes)),
-            Content::Png(canvas) => Ok(Cow::Owned(raster::png(canvas)?.unwrap_or_default())),
+            Content::Png(canvas) => Ok(Cow::Owned(raster::png(canvas)?.expect("made where PNGs are drawn alone"))),
         }
     }
 }

@@ -5,7 +5,7 @@ use super::statistics::{holm, simultaneous};
 use super::tables::text::{signed_interval, signed_text};
 use super::tables::{Comparison, Judgement, Line, Table, escape};
 use crate::base::csv::{csv_number, csv_text};
-use crate::metrics::{Direction, Metric};
+use crate::metrics::Metric;
 use crate::report::distinct;
 use crate::report::statistics::p_text;
 
@@ -268,12 +268,8 @@ impl Block {
     /// Returns whether all of the simultaneous interval is worse than a gain of the margin. `None` without a margin or
     /// an interval, or if the metric has no better direction.
     pub fn ruled_out(&self, metric: &str) -> Option<bool> {
-        let ((low, high), margin) = (self.simultaneous?, self.margin()?);
-        match Metric::find(metric)?.direction {
-            Direction::Up => Some(high < margin),
-            Direction::Down => Some(low > -margin),
-            Direction::Neither => None,
-        }
+        let (_, high) = Metric::find(metric)?.direction.gains(self.simultaneous?)?;
+        Some(high < self.margin()?)
     }
 }
 

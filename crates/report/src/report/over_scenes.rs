@@ -24,6 +24,8 @@ pub struct OverScenes {
     pub rows: Vec<RowOverScenes>,
     /// As [`RowOverScenes::to_best`], of the baseline.
     pub baseline_to_best: Option<(f64, f64)>,
+    /// As [`RowOverScenes::no_better_than_one_colour`], of the baseline.
+    pub baseline_of_one_colour: Vec<usize>,
 }
 
 /// One row's differences to the baseline.
@@ -43,6 +45,8 @@ pub struct RowOverScenes {
     pub median: Option<(f64, Option<(f64, f64)>)>,
     /// Ends of the 95 % prediction interval of the same mean on one more scene.
     pub prediction: Option<(f64, f64)>,
+    /// How many of each scene's seeds are no better than one colour.
+    pub no_better_than_one_colour: Vec<usize>,
     /// Standard deviations between scenes and, in them, between seeds.
     pub components: Option<Components>,
     /// Ends of the interval of the row's mean minus the best other row's, in the better direction, the baseline among them
@@ -52,10 +56,11 @@ pub struct RowOverScenes {
     pub lacking: usize,
 }
 
-const HOW_TO_READ: [&str; 6] = [
+const HOW_TO_READ: [&str; 7] = [
     "a scene counts once: its difference is the mean over its seeds, paired by seed. The difference is the mean over scenes, \
      with its 95 % Student t interval; p is that of the t test over scenes, after Holm's correction over these rows. \
      Simultaneous intervals hold with 95 % for all rows at once (Bonferroni)",
+    "not significant: the interval excludes 0, but p is not below 0.05 after the correction",
     "scenes up and down: how many are above and below the baseline, with the p value of the exact sign test, not corrected",
     "median: the Hodges-Lehmann estimate with its 95 % interval from Wilcoxon's distribution, not corrected",
     "a new scene: the 95 % prediction interval of the mean of as many seeds on one more scene of this kind, if differences \
@@ -77,6 +82,7 @@ impl OverScenes {
             metric: metric.into(),
             margin,
             rows: places.into_iter().map(row).collect(),
+            baseline_of_one_colour: of_one_colour((baseline, &[]), &scenes, records),
             scenes,
             baseline_to_best: None,
         };
@@ -104,12 +110,12 @@ impl OverScenes {
         }
     }
 
+    fn direction(&self) -> Option<Direction> {
+        Some(Metric::find(&self.metric)?.direction)
+    }
+
     fn find_best(&mut self) {
-        let sign = match Metric::find(&self.metric).map(|metric| metric.direction) {
-            Some(Direction::Up) => 1.0,
-            Some(Direction::Down) => -1.0,
-            Some(Direction::Neither) | None => return,
-        };
+        let Some(sign) = self.direction().and_then(Direction::sign) else { return };
         // Rows that lack points would be ranked by other scenes or seeds than the rest.
         if self.rows.iter().any(|row| row.lacking > 0) {
             return;
@@ -124,10 +130,7 @@ impl OverScenes {
 
     /// Returns the rows, the best mean first, and those without a difference last.
     pub fn best_first(&self) -> Vec<&RowOverScenes> {
-        let sign = match Metric::find(&self.metric).map(|metric| metric.direction) {
-            Some(Direction::Down) => -1.0,
-            Some(Direction::Up | Direction::Neither) | None => 1.0,
-        };
+        let sign = self.direction().and_then(Direction::sign).unwrap_or(1.0);
         let gain = |row: &RowOverScenes| row.comparison.map_or(f64::NEG_INFINITY, |found| sign * found.difference);
         let mut rows: Vec<&RowOverScenes> = self.rows.iter().collect();
         rows.sort_by(|a, b| gain(b).total_cmp(&gain(a)));
@@ -208,12 +211,14 @@ impl OverScenes {
 
     /// Returns one line for each scene and row, with all digits.
     pub fn scenes_csv(&self) -> String {
-        const HEAD: [&str; 7] = ["scene", "row", "baseline", "metric", "seeds", "difference", "deviation"];
+        const HEAD: [&str; 8] =
+            ["scene", "row", "baseline", "metric", "seeds", "difference", "deviation", "no_better_than_one_colour"];
         let rows = self.rows.iter().flat_map(|row| {
-            self.scenes.iter().zip(&row.seeds).map(|(scene, seeds)| {
+            self.scenes.iter().zip(&row.seeds).zip(&row.no_better_than_one_colour).map(|((scene, seeds), unlearned)| {
                 let number = |number: Option<f64>| csv_number(number);
                 let mut cells = vec![scene.clone(), row.row.clone(), self.baseline.clone(), self.metric.clone()];
                 cells.extend([seeds.len().to_string(), number(mean(seeds)), number(standard_deviation(seeds))]);
+                cells.push(unlearned.to_string());
                 cells
             })
         });
@@ -237,6 +242,7 @@ impl OverScenes {
         text.extend(self.rows.iter().map(|row| self.details_text(row)));
         text += &format!("| {} |  |  |  |  | {} |\n", escape(&self.baseline), self.ends_text(self.baseline_to_best));
         text += &self.scenes_text();
+        text.extend(self.unlearned_note());
         text.extend(HOW_TO_READ.iter().map(|note| format!("- {note}\n")));
         if let Some(margin) = self.margin {
             text += &format!(
@@ -266,7 +272,7 @@ impl OverScenes {
             signed_interval(&self.metric, comparison.difference, comparison.interval),
             self.ends_text(row.simultaneous),
             comparison.p_holm.map_or(String::new(), p_text),
-            self.said(row, comparison.verdict().map_or("", |verdict| verdict.name())),
+            self.said(row, comparison.verdict().map_or(not_significant(comparison), |verdict| verdict.name())),
         ]
     }
 
@@ -281,6 +287,23 @@ impl OverScenes {
             row.components.map_or(String::new(), |c| format!("{}, {}", unsigned(c.between), unsigned(c.within))),
             self.ends_text(row.to_best)
         )
+    }
+
+    /// Returns where which rows are no better than one colour.
+    fn unlearned_note(&self) -> Option<String> {
+        let rows = self.rows.iter().map(|row| (&row.row, &row.no_better_than_one_colour));
+        let rows = rows.chain([(&self.baseline, &self.baseline_of_one_colour)]);
+        let of_row = |(row, counts): (&String, &Vec<usize>)| {
+            let scenes = self.scenes.iter().zip(counts).filter(|(_, count)| **count > 0);
+            let scenes: Vec<String> = scenes
+                .map(|(scene, count)| {
+                    format!("{} with {count} seed{}", escape(scene), if *count == 1 { "" } else { "s" })
+                })
+                .collect();
+            (!scenes.is_empty()).then(|| format!("{} on {}", escape(row), scenes.join(", ")))
+        };
+        let rows: Vec<String> = rows.filter_map(of_row).collect();
+        (!rows.is_empty()).then(|| format!("- NOTHING LEARNED, no better than one colour: {}\n", rows.join("; ")))
     }
 
     /// Returns the differences, a line for each scene.
@@ -327,23 +350,15 @@ impl OverScenes {
     /// Returns whether all of a row's simultaneous interval is a gain above the margin. `None` without a margin or an interval,
     /// or if the metric has no better direction.
     pub fn matters(&self, row: &RowOverScenes) -> Option<bool> {
-        let ((low, high), margin) = (row.simultaneous?, self.margin?);
-        match Metric::find(&self.metric)?.direction {
-            Direction::Up => Some(low > margin),
-            Direction::Down => Some(high < -margin),
-            Direction::Neither => None,
-        }
+        let (low, _) = self.direction()?.gains(row.simultaneous?)?;
+        Some(low > self.margin?)
     }
 
     /// Returns whether all of a row's simultaneous interval is worse than a gain of the margin. `None` as for
     /// [`OverScenes::matters`].
     pub fn is_ruled_out(&self, row: &RowOverScenes) -> Option<bool> {
-        let ((low, high), margin) = (row.simultaneous?, self.margin?);
-        match Metric::find(&self.metric)?.direction {
-            Direction::Up => Some(high < margin),
-            Direction::Down => Some(low > -margin),
-            Direction::Neither => None,
-        }
+        let (_, high) = self.direction()?.gains(row.simultaneous?)?;
+        Some(high < self.margin?)
     }
 }
 
@@ -355,7 +370,6 @@ impl RowOverScenes {
         scenes: &[String],
         records: &[Record],
     ) -> RowOverScenes {
-        let is_at = |record: &Record, (row, axes): (&str, &[AxisValue])| record.row == row && record.axes == axes;
         // The baseline at the same axis values, or the one without.
         let at_same = (baseline, place.1);
         let baseline = if records.iter().any(|record| is_at(record, at_same)) { at_same } else { (baseline, &[][..]) };
@@ -376,10 +390,27 @@ impl RowOverScenes {
             prediction: prediction(&means),
             components: components(&seeds),
             to_best: None,
+            no_better_than_one_colour: of_one_colour(place, scenes, records),
             lacking: expected - seeds.iter().map(Vec::len).sum::<usize>(),
             seeds,
         }
     }
+}
+
+fn is_at(record: &Record, (row, axes): (&str, &[AxisValue])) -> bool {
+    record.row == row && record.axes == axes
+}
+
+/// Returns how many seeds of each scene are no better than one colour.
+fn of_one_colour(place: (&str, &[AxisValue]), scenes: &[String], records: &[Record]) -> Vec<usize> {
+    let lost = |record: &&Record| is_at(record, place) && record.is_no_better_than_one_colour() == Some(true);
+    let of = |scene: &String| records.iter().filter(|record| record.scene == *scene).filter(lost).count();
+    scenes.iter().map(of).collect()
+}
+
+/// The verdict on a difference whose own interval excludes 0, and whose p is not significant after the correction.
+fn not_significant(comparison: &Comparison) -> &'static str {
+    if comparison.p_holm.is_some() { "not significant" } else { "" }
 }
 
 fn value(record: &Record, metric: &str) -> Option<f64> {
@@ -421,6 +452,21 @@ mod tests {
 
     fn over(records: &[Record]) -> OverScenes {
         OverScenes::new("NeRF", "psnr", Some(0.3), records)
+    }
+
+    #[test]
+    fn seeds_that_learned_nothing_are_said() {
+        let mut records = records();
+        for record in &mut records {
+            let lost = record.scene == "b" && (record.row == "NeRF" || (record.row == "TV" && record.seed == Some(1)));
+            record.metrics.push(("floor_psnr".into(), Some(if lost { 40.0 } else { 5.0 })));
+        }
+        let found = over(&records);
+        assert_eq!(found.rows[0].no_better_than_one_colour, [0, 1, 0, 0]);
+        let note = "- NOTHING LEARNED, no better than one colour: TV on b with 1 seed; NeRF on b with 2 seeds\n";
+        assert!(found.markdown().contains(note), "{}", found.markdown());
+        assert!(found.scenes_csv().lines().any(|line| line.starts_with("b,TV,") && line.ends_with(",1")));
+        assert!(!over(&self::records()).markdown().contains("NOTHING LEARNED"));
     }
 
     #[test]

@@ -2,6 +2,8 @@
 
 use serde::{Deserialize, Serialize};
 
+use crate::metrics::{FLOOR_PSNR, PSNR};
+
 /// One point of a sweep: a configuration with its seed, and its results.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Record {
@@ -102,6 +104,12 @@ impl Record {
     /// Returns a metric's value, if there is one.
     pub fn metric(&self, name: &str) -> Option<f64> {
         self.metrics.iter().find(|(known, _)| known == name).and_then(|(_, value)| *value)
+    }
+
+    /// Returns whether the PSNR is no higher than that of the training views' best single colour. `None` if one of both is
+    /// missing.
+    pub fn is_no_better_than_one_colour(&self) -> Option<bool> {
+        Some(self.metric(PSNR.key)? <= self.metric(FLOOR_PSNR.key)?)
     }
 
     /// Returns a protocol field's text; empty if there is none.

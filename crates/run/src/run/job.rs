@@ -278,8 +278,8 @@ impl<'a> Job<'a> {
     ///
     /// # Errors
     /// [`Error::Interrupted`](crate::base::Error::Interrupted), with a checkpoint, once `signal` holds a signal's
-    /// number; [`Error::Diverged`](crate::base::Error::Diverged) if training diverges or collapses; files cannot be
-    /// written.
+    /// number; [`Error::Diverged`](crate::base::Error::Diverged) if training diverges, or collapses and `train.collapse_steps` is
+    /// not 0; files cannot be written.
     pub fn train(self, events: &dyn Listener, signal: &AtomicUsize) -> Result<Finished> {
         let Job { experiment, trainer } = self;
         let runtime = experiment.setup.runtime.clone();
@@ -309,6 +309,7 @@ impl Experiment<'_> {
         session.evaluated(&report.mean)?;
         let seconds = evaluating.elapsed().as_secs_f64() + watcher.seconds_evaluation;
         self.timing(session.trainer().step_count(), session.seconds(), seconds).write(&self.run.timing())?;
+        // Whoever switches the check of each step off wants the numbers of collapsed trainings, too.
         if self.setup.config.train.collapse_steps > 0 {
             report.check_learned(self.run.path())?;
         }

@@ -52,6 +52,8 @@ pub struct Verifier<'a> {
     pub all: bool,
     /// So many points are trained again.
     pub retrain: usize,
+    /// Draws these points.
+    pub retrain_seed: u64,
     /// By any revision of the program, not only by that of the points.
     pub any_revision: bool,
     /// Holds a signal's number when it is time to stop.

@@ -24,7 +24,7 @@ const OF_THE_PROGRAM: [&str; 3] = ["program", "code_revision", "device"];
 /// # Errors
 /// This program is another revision than the points', unless `any_revision`.
 pub fn check(verifier: &Verifier, sweep: &Collected, findings: &mut Findings) -> Result<()> {
-    let (archive, Verifier { runtime, stop, any_revision, .. }) = (&sweep.archive, verifier);
+    let (archive, Verifier { runtime, stop, any_revision, retrain_seed, .. }) = (&sweep.archive, verifier);
     if verifier.retrain == 0 {
         return Ok(());
     }
@@ -45,7 +45,7 @@ pub fn check(verifier: &Verifier, sweep: &Collected, findings: &mut Findings) ->
         findings.not_checked("training again: no scene of the points is at hand");
         return Ok(());
     }
-    let points: Vec<Point> = drawn(count, at_hand.len()).map(|index| at_hand[index].clone()).collect();
+    let points: Vec<Point> = drawn(count, at_hand.len(), *retrain_seed).map(|index| at_hand[index].clone()).collect();
     let scratch = tempfile::tempdir().map_err(|e| Error::unwritable(&std::env::temp_dir(), &e))?;
     let (folder, mut open) = (SweepFolder::new(scratch.path()), Vec::new());
     let options =
@@ -69,10 +69,9 @@ pub fn check(verifier: &Verifier, sweep: &Collected, findings: &mut Findings) ->
     Ok(())
 }
 
-/// Returns `count` of 0..`all` in order, drawn at random: at even distances they could all be of one row. The same count draws
-/// the same.
-fn drawn(count: usize, all: usize) -> impl Iterator<Item = usize> {
-    let mut drawn = Random::new(count as u64, Stream::Search, 0).distinct(count, all as u32);
+/// Returns `count` of 0..`all` in order, drawn at random: at even distances they could all be of one row.
+fn drawn(count: usize, all: usize, seed: u64) -> impl Iterator<Item = usize> {
+    let mut drawn = Random::new(seed, Stream::Retrain, 0).distinct(count, all as u32);
     drawn.sort_unstable();
     drawn.into_iter().map(|index| index as usize)
 }
@@ -116,11 +115,12 @@ mod tests {
 
     #[test]
     fn points_are_drawn_of_all_rows() {
-        let of = |count: usize| drawn(count, 720).collect::<Vec<usize>>();
+        let of = |count: usize| drawn(count, 720, 0).collect::<Vec<usize>>();
         assert_eq!(of(8), of(8));
+        assert_ne!(of(8), drawn(8, 720, 1).collect::<Vec<usize>>());
         assert!(of(8).is_sorted() && of(8).last().unwrap() < &720 && distinct(of(8).into_iter()).len() == 8);
         // Rows of 15 repeat every 30 points.
         assert!(distinct(of(8).into_iter().map(|index| index % 30)).len() > 4, "{:?}", of(8));
-        assert_eq!(drawn(5, 5).collect::<Vec<usize>>(), [0, 1, 2, 3, 4]);
+        assert_eq!(drawn(5, 5, 0).collect::<Vec<usize>>(), [0, 1, 2, 3, 4]);
     }
 }

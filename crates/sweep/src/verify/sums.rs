@@ -14,8 +14,11 @@ const SUMS: &str = "SHA256SUMS";
 /// Endings of image files.
 const IMAGES: [&str; 6] = ["jpg", "jpeg", "png", "svg", "gif", "webp"];
 
-/// Compares each listed file of `tree`, a part of all results or `all` of them, with its hash, and demands that images in groups
-/// are listed.
+/// The name of a plan, which is frozen before what it plans is run.
+const PLAN: &str = "PLAN.md";
+
+/// Compares each listed file of `tree`, a part of all results or `all` of them, with its hash, and demands that images and plans
+/// in groups are listed.
 pub fn check(root: &Path, tree: &Tree, all: &Tree, findings: &mut Findings) -> Result<()> {
     let is_all = tree.leaves.len() == all.leaves.len();
     let file = root.join(SUMS);
@@ -38,8 +41,8 @@ pub fn check(root: &Path, tree: &Tree, all: &Tree, findings: &mut Findings) -> R
     }
     let listed = |path: &Path| sums.iter().any(|(_, name)| root.join(name) == path);
     for group in &groups {
-        let images = names_in(group)?.into_iter().map(|name| group.join(name)).filter(|path| is_image(path));
-        for path in images.filter(|path| !listed(path)) {
+        let files = names_in(group)?.into_iter().map(|name| group.join(name));
+        for path in files.filter(|path| (is_image(path) || path.ends_with(PLAN)) && !listed(path)) {
             findings.not_checked(format!("{}: nothing here makes it, and {SUMS} does not list it", path.display()));
         }
     }

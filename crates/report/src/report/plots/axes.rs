@@ -10,7 +10,7 @@ use crate::draw::canvas::{
     Anchor, BLACK, BLUE, Canvas, GREY, GRID, LINE_HEIGHT, PAPER, Panel, SIDE, TEXT, range, text_width, wrapped,
 };
 use crate::draw::numbers::number;
-use crate::metrics::{Direction, Metric};
+use crate::metrics::Metric;
 use crate::report::{Record, Status, distinct};
 
 /// Panels side by side of a page and of a column, and their heights.
@@ -308,11 +308,7 @@ fn baseline<'a>(style: Style<'a>, records: &[&Record], metric: &str) -> Option<(
 
 /// Returns the best mean with its index in the series, or `None` if the metric has no better direction.
 fn best(series: &Series, metric: &str) -> Option<(usize, Spread)> {
-    let sign = match Metric::find(metric)?.direction {
-        Direction::Up => 1.0,
-        Direction::Down => -1.0,
-        Direction::Neither => return None,
-    };
+    let sign = Metric::find(metric)?.direction.sign()?;
     series.means().into_iter().max_by(|(_, a), (_, b)| (sign * a.mean).total_cmp(&(sign * b.mean)))
 }
 

@@ -118,8 +118,8 @@ pub struct Line {
     pub inactive_levels: Vec<String>,
     /// PSNR of the best single colour of the training views, the mean over the seeds that have it.
     pub floor_psnr: Option<f64>,
-    /// Its PSNR, over the same seeds, is no higher than that.
-    pub no_better_than_one_colour: bool,
+    /// How many seeds have a PSNR that is no higher than theirs.
+    pub no_better_than_one_colour: usize,
     /// One cell for each of the table's metrics.
     pub cells: Vec<Cell>,
     /// The paper's LPIPS, of an unnamed backbone, or `None` if the table has no LPIPS.
@@ -268,8 +268,8 @@ fn line(spec: &TableSpec, group: &Group, groups: &[Group]) -> Line {
     let published = group.row.published.as_ref().and_then(|key| key.find(group.scene));
     let differences = published.as_ref().zip(measured).map(|(row, point)| row.protocol().difference(point));
     let (protocol, differs) = shared_protocol(group);
-    let floors: Vec<(f64, f64)> =
-        group.done().filter_map(|point| Some((point.metric(PSNR.key)?, point.metric(FLOOR_PSNR.key)?))).collect();
+    let floors: Vec<f64> =
+        group.done().filter_map(|point| point.metric(PSNR.key).and(point.metric(FLOOR_PSNR.key))).collect();
     Line {
         scene: group.scene.into(),
         row: group.row.name.clone(),
@@ -284,8 +284,11 @@ fn line(spec: &TableSpec, group: &Group, groups: &[Group]) -> Line {
         status: status_text(&group.points),
         reason: group.points.iter().map(|point| &point.reason).find(|r| !r.is_empty()).cloned().unwrap_or_default(),
         inactive_levels: distinct(group.done().flat_map(|point| point.inactive_levels.iter().cloned())),
-        floor_psnr: mean(&floors.iter().map(|(_, floor)| *floor).collect::<Vec<f64>>()),
-        no_better_than_one_colour: !floors.is_empty() && floors.iter().all(|(psnr, floor)| psnr <= floor),
+        floor_psnr: mean(&floors),
+        no_better_than_one_colour: group
+            .done()
+            .filter(|point| point.is_no_better_than_one_colour() == Some(true))
+            .count(),
         cells: spec.metrics.iter().map(|metric| cell(spec, metric, group, baseline, published.as_ref())).collect(),
         published_lpips: published.as_ref().map(|row| row.lpips).filter(|_| spec.has_any("lpips_")),
         published_average: published.as_ref().map(|row| row.average).filter(|_| spec.has_any("average_")),
@@ -323,7 +326,7 @@ fn quoted_line(spec: &TableSpec, row: &RowSpec, scene: &str) -> Option<Line> {
         reason: String::new(),
         inactive_levels: Vec::new(),
         floor_psnr: None,
-        no_better_than_one_colour: false,
+        no_better_than_one_colour: 0,
         cells: spec.metrics.iter().map(cell).collect(),
         published_lpips: Some(published.lpips).filter(|_| spec.has_any("lpips_")),
         published_average: Some(published.average).filter(|_| spec.has_any("average_")),

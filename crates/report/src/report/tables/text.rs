@@ -34,12 +34,21 @@ const MARKS: [Mark; 9] = [
     ('†', InactiveBy::Colour.meaning(), |line| line.inactive_sites(InactiveBy::Colour)),
     ('‡', "NOT COMPARABLE, built by force: differs from the scene's first row in", |line| joined(&line.mixed)),
     ('§', "points without numbers", |line| line.unfinished().then(|| status_and_reason(line))),
-    ('=', "no better than one colour with any seed", |line| line.no_better_than_one_colour.then(String::new)),
+    ('=', "no better than one colour", unlearned_seeds),
     ('¶', "settings that differ between seeds", |line| joined(&line.differs)),
 ];
 
 pub(super) fn joined(names: &[String]) -> Option<String> {
     (!names.is_empty()).then(|| names.join(", "))
+}
+
+/// Returns how many of a line's seeds are no better than one colour: nothing to add if all of them are.
+pub(super) fn unlearned_seeds(line: &Line) -> Option<String> {
+    match (line.no_better_than_one_colour, line.ids.len()) {
+        (0, _) => None,
+        (of_one_colour, seeds) if of_one_colour == seeds => Some(String::new()),
+        (of_one_colour, seeds) => Some(format!("{of_one_colour} of {seeds} seeds")),
+    }
 }
 
 pub(super) fn status_and_reason(line: &Line) -> String {

@@ -1,7 +1,7 @@
 //! What a reader must know before the numbers of a table.
 
 use super::Line;
-use super::text::{joined, status_and_reason, unmeasured_notes};
+use super::text::{joined, status_and_reason, unlearned_seeds, unmeasured_notes};
 use crate::report::distinct;
 use crate::settings::columns::{INACTIVE_BY, InactiveBy};
 
@@ -22,7 +22,10 @@ pub fn warnings(lines: &[&Line]) -> Vec<String> {
     };
     let marked = [
         grouped("NOT COMPARABLE, built by force; differ from the scene's first row", &|line| joined(&line.mixed)),
-        grouped("NOTHING LEARNED", &|line| line.no_better_than_one_colour.then(|| "no better than one colour".into())),
+        grouped("NOTHING LEARNED", &|line| {
+            let seeds = unlearned_seeds(line)?;
+            Some(format!("no better than one colour{}{seeds}", if seeds.is_empty() { "" } else { " with " }))
+        }),
         grouped("points without numbers", &|line| line.unfinished().then(|| status_and_reason(line))),
     ];
     let by_site = InactiveBy::ALL.into_iter().filter_map(|by| inactive_warning(lines, by));

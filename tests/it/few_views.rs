@@ -1,0 +1,191 @@
+//! The scripts of the comparison over scenes: settings, radii and words as its plan defines them. Python 3 runs them.
+
+use std::path::Path;
+use std::process::Command;
+
+use csv::StringRecord;
+use tempfile::TempDir;
+
+use crate::common::assert_says;
+use crate::common::files::text;
+use crate::common::program::demand;
+
+const ROOT: &str = env!("CARGO_MANIFEST_DIR");
+const RESULTS: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/results/few_views");
+const SCENES: [&str; 6] = ["capture_fruit", "colmap_canclip", "dtu_scan24", "dtu_scan65", "builtin-1", "builtin-2"];
+
+/// A tool as it is run in the folder of the committed results; `None` without Python.
+fn tool(name: &str) -> Option<Command> {
+    Command::new("python3").arg("--version").output().ok()?;
+    let mut command = Command::new("python3");
+    command.arg(format!("{ROOT}/tools/{name}")).current_dir(RESULTS);
+    Some(command)
+}
+
+/// Changes a CSV file's lines; those for which `change` returns false are left out.
+fn rewrite(from: &Path, to: &Path, mut change: impl FnMut(&dyn Fn(&str) -> usize, &mut Vec<String>) -> bool) {
+    let mut reader = csv::Reader::from_path(from).unwrap();
+    let head = reader.headers().unwrap().clone();
+    let column = |name: &str| head.iter().position(|known| known == name).unwrap();
+    let lines: Vec<StringRecord> = reader.records().map(Result::unwrap).collect();
+    let mut writer = csv::Writer::from_path(to).unwrap();
+    writer.write_record(&head).unwrap();
+    for line in lines {
+        let mut cells: Vec<String> = line.iter().map(String::from).collect();
+        if change(&column, &mut cells) {
+            writer.write_record(&cells).unwrap();
+        }
+    }
+    writer.flush().unwrap();
+}
+
+/// The plan quotes what the script chooses from the kept points, and the radii that the other one fits.
+#[test]
+fn the_plan_has_the_settings_that_the_scripts_choose() {
+    let Some(mut choose) = tool("choose_settings.py") else { return };
+    let points =
+        ["", "_fifth", "_nerf", "_draws", "_draws_fifth"].map(|part| format!("scenes_tuning{part}/points.csv"));
+    // It ends with 1, because best settings stand at ends.
+    let said = demand(choose.args(points), 1);
+    let plan = text(&Path::new(RESULTS).join("PLAN.md"));
+    for (row, setting, planned) in [
+        ("NeRF, fewer steps", "steps = 3000: -0.34", "3,000 steps | -0.34"),
+        ("+ TV", "weight = 0.0000001: -0.20", "weight 1e-7, at the end of its grid | -0.20"),
+        ("+ l1", "weight = 0.0000045: -0.17", "l1 (its best has -0.17 dB)"),
+        ("+ distortion", "weight = 0.003: +0.73", "weight 3e-3 | +0.73"),
+        ("Aug-NeRF, paper's geometry", "lambda = 0.1: +0.65", "lambda 0.1, at the end of its grid | +0.65"),
+        ("Aug-NeRF calibrated", "lambda = 0.003: +0.27", "lambda 3e-3 | +0.27"),
+        ("+ hash decay", "weight = 0.03: +0.74", "weight 0.03, at the end of its grid | +0.74"),
+        ("Frequencies that open", "steps = 1600: -2.12", "frequencies that open (-2.12)"),
+        ("+ occlusion", "weight = 0.03: +0.71", "weight 0.03 | +0.71"),
+        ("+ entropy of unseen rays", "weight = 0.0003: +0.48", "weight 3e-4 | +0.48"),
+        ("+ depth smoothness", "weight = 0.03: +0.39", "weight 0.03 | +0.39"),
+        ("Annealed samples", "steps = 1024: +0.29", "1,024 steps, at the end of its grid | +0.29"),
+        ("SAM", "radius = 0.002: -0.17", "SAM (-0.17)"),
+        ("Draws, as far", "lambda = 0.0003: -0.04", "lambda 3e-4, at the end of its grid | -0.04"),
+        ("Smoothing of positions", "lambda = 0.003: -0.12", "lambda 3e-3 | -0.12"),
+    ] {
+        let line = said.lines().find(|line| line.starts_with(&format!("| {row} |"))).expect(row);
+        assert_says(line, &[&format!("**{setting}**")]);
+        assert_says(&plan, &[planned]);
+    }
+    let network = demand(tool("choose_settings.py").unwrap().arg("scenes_tuning_network/points.csv"), 1);
+    // A setting with a point that failed has no mean.
+    assert_says(&network, &["**weight = 0.1: +0.02**; weight = 0.3: lacks scenes", "**lambda = 0.03: +0.22**"]);
+    let fit = ["scenes_tuning_network_fit", "Aug-NeRF calibrated", "Draws, round 5"];
+    let fit = demand(tool("fit_draws.py").unwrap().args(fit), 0);
+    for (site, ratio, radius) in [("t", "1.01", "0.314"), ("xyz", "1.01", "4.85"), ("density", "0.99", "0.37")] {
+        let line = fit.lines().find(|line| line.starts_with(&format!("| {site} |"))).expect(site);
+        assert_says(line, &[&format!("| {ratio} | {radius} |")]);
+        assert_says(&plan, &[&format!("| {radius} | {ratio} |")]);
+    }
+}
+
+/// A comparison of some scenes and rows, whose PSNR is a level of the scene and a gain of the row.
+struct Trial {
+    dir: TempDir,
+}
+
+impl Trial {
+    fn new() -> Trial {
+        let dir = TempDir::new().unwrap();
+        let (from, to) = (Path::new(RESULTS).join("scenes"), dir.path().join("scenes"));
+        std::fs::create_dir(&to).unwrap();
+        for file in ["sweep.toml", "provenance.toml", "points.json"] {
+            std::fs::copy(from.join(file), to.join(file)).unwrap();
+        }
+        let gain = |row: &str| match row {
+            "NeRF" | "Draws, as far" | "Smoothing of positions" => Some(0.0),
+            "NeRF, fewer steps" => Some(-1.0),
+            "+ occlusion" => Some(2.0),
+            "+ TV" => Some(2.1),
+            "Aug-NeRF calibrated" => Some(1.0),
+            _ => None,
+        };
+        let mut ids = Vec::new();
+        rewrite(&from.join("points.csv"), &to.join("points.csv"), |column, cells| {
+            let place = SCENES.iter().position(|scene| *scene == cells[column("scene")]);
+            let (Some(place), Some(gain)) = (place, gain(&cells[column("row")])) else { return false };
+            ids.push(cells[column("id")].clone());
+            // Rows differ over scenes, too, or tests would have no spread.
+            let spread = 0.05 * ((place as f64 + 1.0) * (gain + 2.0)).sin();
+            cells[column("psnr")] = (20.0 + place as f64 + gain + spread).to_string();
+            true
+        });
+        rewrite(&from.join("timing.csv"), &to.join("timing.csv"), |column, cells| ids.contains(&cells[column("id")]));
+        rewrite(&from.join("attack.csv"), &to.join("attack.csv"), |column, cells| {
+            SCENES.contains(&cells[column("scene")].as_str()) && gain(&cells[column("row")]).is_some()
+        });
+        Trial { dir }
+    }
+
+    fn change(&self, file: &str, change: impl FnMut(&dyn Fn(&str) -> usize, &mut Vec<String>) -> bool) {
+        let path = self.dir.path().join("scenes").join(file);
+        rewrite(&path, &path, change);
+    }
+
+    fn answer(&self, code: i32) -> Option<String> {
+        let mut command = tool("scenes_answer.py")?;
+        command.current_dir(self.dir.path()).env("AUGNERF", env!("CARGO_BIN_EXE_augnerf"));
+        Some(demand(command.envs([("TRIAL", "1"), ("SCENES", "scenes"), ("OVER", "over")]), code))
+    }
+
+    #[track_caller]
+    fn assert_words(said: &str, row: &str, words: &str) {
+        let line = said.lines().find(|line| line.starts_with(&format!("| {row} |"))).expect(row);
+        assert_eq!(line.split('|').map(str::trim).nth(6), Some(words), "{line}");
+    }
+}
+
+#[test]
+fn rows_have_the_words_of_the_plan() {
+    let trial = Trial::new();
+    let Some(said) = trial.answer(0) else { return };
+    Trial::assert_words(&said, "+ occlusion", "helps; matters; recommended; above fewer steps");
+    // A tenth of a decibel above occlusion, which costs less.
+    Trial::assert_words(&said, "+ TV", "helps; matters; above fewer steps");
+    Trial::assert_words(&said, "NeRF, fewer steps", "harms; a gain of 0.3 dB is ruled out");
+    // Above both controls, but the draws do not move colours as far.
+    Trial::assert_words(&said, "Aug-NeRF calibrated", "helps; matters; above fewer steps");
+    Trial::assert_words(&said, "SAM", "not tested");
+    trial.change("attack.csv", |column, cells| {
+        ["t", "xyz", "feature", "rgb", "density"]
+            .iter()
+            .for_each(|site| cells[column(&format!("shift.{site}"))] = "1".into());
+        true
+    });
+    let said = trial.answer(0).unwrap();
+    Trial::assert_words(&said, "Aug-NeRF calibrated", "helps; matters; the worst case helps; above fewer steps");
+    assert!(trial.dir.path().join("over_psnr/over_scenes.svg").exists());
+}
+
+#[test]
+fn trainings_that_went_non_finite_are_said_and_no_table_is_lost() {
+    let trial = Trial::new();
+    let fails = |row: &'static str, scene: &'static str, reason: &'static str| {
+        trial.change("points.csv", |column, cells| {
+            if cells[column("row")] == row && cells[column("scene")] == scene && cells[column("seed")] == "1" {
+                cells[column("status")] = "failed".into();
+                cells[column("reason")] = reason.into();
+                cells[column("psnr")] = String::new();
+            }
+            true
+        });
+    };
+    fails("+ TV", "dtu_scan24", "run: diverged at step 10: the loss is NaN");
+    fails("NeRF", "builtin-2", "run: diverged at step 10: the loss is NaN");
+    let Some(said) = trial.answer(0) else { return };
+    assert_says(&said, &["5 scenes.", "| + TV | | | | | failed: dtu_scan24 | |", "NeRF failed on builtin-2"]);
+    let disagree = "t test and sign test disagree (uncorrected p 5.4e-07 and 0.062)";
+    let words = format!("helps; matters; recommended; above fewer steps; {disagree}");
+    Trial::assert_words(&said, "+ occlusion", &words);
+    // A point that the machine ended says nothing of its row, and the tables stay as they were.
+    let table = text(&trial.dir.path().join("over_psnr/over_scenes.csv"));
+    fails("+ occlusion", "dtu_scan65", "killed");
+    assert_says(&trial.answer(1).unwrap(), &["is failed (killed)", "once all points have ended"]);
+    assert_eq!(table, text(&trial.dir.path().join("over_psnr/over_scenes.csv")));
+    let mut without = tool("scenes_answer.py").unwrap();
+    without.current_dir(trial.dir.path()).envs([("AUGNERF", "/nowhere/augnerf"), ("TRIAL", "1"), ("OVER", "over")]);
+    assert_says(&demand(without.env("SCENES", format!("{RESULTS}/scenes")), 1), &["/nowhere/augnerf is not there"]);
+    assert_eq!(table, text(&trial.dir.path().join("over_psnr/over_scenes.csv")));
+}
