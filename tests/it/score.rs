@@ -222,13 +222,7 @@ fn scored_rows_stand_marked_in_the_table() {
     let markdown = text(&dir.join("results/tiny/table.md"));
     assert_says(
         &markdown,
-        &[
-            "| other code ‖= |",
-            "= no better than one colour",
-            "not trained here",
-            "All rows: protocol 1",
-            "scored-",
-        ],
+        &["| other code ‖= |", "= no better than one colour", "not trained here", "All rows: protocol 1", "scored-"],
     );
     assert!(text(&dir.join("results/tiny/table.tex")).contains("$\\|$"));
     let points = rows(&text(&dir.join("results/tiny/points.csv")));
