@@ -375,6 +375,8 @@ fn a_comparison_over_scenes_is_made_again() {
     let across = |more: &[&str], code: i32| of(["precision", "precision_chair"], more, code);
     assert_says(&across(&["--rows", "Nerf"], 2), &["'Nerf' is not a row"]);
     assert_says(&across(&["--rows", "Aug-NeRF", "--scenes", "ship"], 2), &["--scenes ship: the scenes are", "fern"]);
+    assert_says(&across(&["--seeds", "7"], 2), &["--seeds 7: the seeds are", "0"]);
+    assert_says(&across(&["--seeds", "0"], 0), &["of seeds 0 alone"]);
     assert_says(&across(&["--row", "Aug-NeRF"], 2), &["--row"]);
     assert_says(&across(&["--label", "precision=Foo"], 2), &["--label is for --unit sweep"]);
     assert_says(&of(["precision", "tab4_fern"], &[], 2), &["scene 'fern' is in sweep", "a scene counts once"]);

@@ -42,6 +42,9 @@ pub struct ScenesRequest {
     /// Chosen scenes; empty for all.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub scenes: Vec<String>,
+    /// Chosen seeds; empty for all.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub seeds: Vec<u64>,
     /// The sweeps whose scenes are taken together.
     #[serde(default)]
     pub sweep: Vec<Origin>,
@@ -51,7 +54,7 @@ impl ScenesRequest {
     /// Compares rows with the baseline over all scenes of `sources`, which replace `self.sweep`.
     ///
     /// # Errors
-    /// An unknown row, scene or metric; a scene in two sweeps; rows that differ in an uncontrolled setting, within a sweep or
+    /// An unknown row, scene, seed or metric; a scene in two sweeps; rows that differ in an uncontrolled setting, within a sweep or
     /// between two; sweeps that state different margins.
     pub fn answer(mut self, sources: &[Source]) -> Result<(ScenesRequest, OverScenes)> {
         self.sweep = sources.iter().map(Origin::of).collect();
@@ -93,7 +96,14 @@ impl ScenesRequest {
         if let Some(unknown) = self.scenes.iter().find(|scene| !known.contains(scene)) {
             return Err(Error::Config(format!("--scenes {unknown}: the scenes are {}", quoted(&known))));
         }
-        let is_chosen = |record: &Record| self.scenes.is_empty() || self.scenes.contains(&record.scene);
+        let known: Vec<u64> = distinct(records.iter().filter_map(|record| record.seed));
+        if let Some(unknown) = self.seeds.iter().find(|seed| !known.contains(seed)) {
+            return Err(Error::Config(format!("--seeds {unknown}: the seeds are {}", listed(&known))));
+        }
+        let of_seed =
+            |record: &Record| self.seeds.is_empty() || record.seed.is_some_and(|seed| self.seeds.contains(&seed));
+        let of_scene = |record: &Record| self.scenes.is_empty() || self.scenes.contains(&record.scene);
+        let is_chosen = |record: &Record| of_seed(record) && of_scene(record);
         Ok(records.into_iter().filter(is_chosen).collect())
     }
 
@@ -111,7 +121,7 @@ impl ScenesRequest {
             (OVER_SCENES, request),
             (OVER_SCENES_CSV, over.csv()),
             (SCENES_CSV, over.scenes_csv()),
-            (OVER_SCENES_PAGE, over.markdown()),
+            (OVER_SCENES_PAGE, self.page(over)),
         ];
         let texts = texts.into_iter().map(|(name, text)| (name.to_string(), Content::Bytes(text.into_bytes())));
         let mut files: Vec<(String, Content)> = texts.collect();
@@ -122,6 +132,13 @@ impl ScenesRequest {
         Ok(files)
     }
 
+    /// The comparison for readers, with the seeds if some are chosen.
+    pub fn page(&self, over: &OverScenes) -> String {
+        let note =
+            if self.seeds.is_empty() { String::new() } else { format!("- of seeds {} alone\n", listed(&self.seeds)) };
+        over.markdown() + &note
+    }
+
     /// Writes them into a folder, which may hold pages beside them.
     ///
     /// # Errors
@@ -130,6 +147,10 @@ impl ScenesRequest {
     pub fn write(&self, over: &OverScenes, folder: &Path) -> Result<()> {
         write_folder(folder, (OVER_SCENES, ACROSS), &self.files(over)?)
     }
+}
+
+fn listed(seeds: &[u64]) -> String {
+    seeds.iter().map(u64::to_string).collect::<Vec<String>>().join(", ")
 }
 
 /// Requires that no scene is in two sweeps: their seeds would be mixed.

@@ -31,7 +31,7 @@ pub struct AcrossArguments {
     #[arg(long, value_enum, default_value_t = Unit::Sweep)]
     unit: Unit,
     /// Row to compare in each sweep
-    #[arg(long, required_if_eq("unit", "sweep"), conflicts_with_all = ["rows", "scenes"])]
+    #[arg(long, required_if_eq("unit", "sweep"), conflicts_with_all = ["rows", "scenes", "seeds"])]
     row: Option<String>,
     /// Rows to compare over scenes [default: all]
     #[arg(long, value_name = "ROW,...")]
@@ -39,6 +39,9 @@ pub struct AcrossArguments {
     /// Scenes to compare over [default: all]
     #[arg(long, value_name = "SCENE,...", value_delimiter = ',')]
     scenes: Vec<String>,
+    /// Seeds to compare over scenes [default: all]
+    #[arg(long, value_name = "SEED,...", value_delimiter = ',')]
+    seeds: Vec<u64>,
     /// Baseline, seed by seed
     #[arg(long, value_name = "ROW", default_value = "NeRF")]
     baseline: String,
@@ -46,7 +49,7 @@ pub struct AcrossArguments {
     #[arg(long, default_value = PSNR.key)]
     metric: String,
     /// Name of a sweep in the figure and the page, by sweep
-    #[arg(long = "label", conflicts_with_all = ["rows", "scenes"], value_name = "NAME=TEXT", value_parser = label)]
+    #[arg(long = "label", conflicts_with_all = ["rows", "scenes", "seeds"], value_name = "NAME=TEXT", value_parser = label)]
     labels: Vec<(String, String)>,
     /// Folder for the tables, a page and a figure: across.* or over_scenes.*
     #[arg(long, value_name = "DIR", help_heading = "Output")]
@@ -105,6 +108,7 @@ impl AcrossArguments {
             metric: self.metric.clone(),
             rows: self.rows.clone(),
             scenes: self.scenes.clone(),
+            seeds: self.seeds.clone(),
             sweep: Vec::new(),
         };
         let (request, over) = asked.answer(sources)?;
@@ -117,7 +121,7 @@ impl AcrossArguments {
             "metric": request.metric,
             "results": self.out,
         });
-        self.give(&answer, &over.markdown())
+        self.give(&answer, &request.page(&over))
     }
 
     fn give(&self, answer: &serde_json::Value, page: &str) -> Result<()> {
