@@ -119,7 +119,7 @@ pub const CHECKS: [Check; 13] = [
     Check {
         name: SUMS,
         what: "files that SHA256SUMS of the folder of all results lists, such as plans and photographs, have their SHA-256",
-        left_out: "images beside pages that it does not list",
+        left_out: "images and `PLAN.md` beside pages that it does not list",
         run: Run::Pages,
     },
 ];
