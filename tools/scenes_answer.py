@@ -199,63 +199,84 @@ def interval(line, low, high):
     return f"[{float(line[low]):+.2f}, {float(line[high]):+.2f}]"
 
 
-def main():
-    points = Points()
-    whole = Subset(points, "", lambda scene: True)
-    said, lines = whole.words()
-    helping = [row for row in said if "helps" in said[row] and row != EARLY]
-    notes, parts, tables = defaultdict(list), {}, {}
-    for name, meaning, is_in in [
+class Answer:
+    """The words of each row over all scenes, and what changes on parts of them."""
+
+    PARTS = [
         ("authors", "one scene of each author", AUTHORS.__contains__),
         ("new_authors", "without authors of tuning", lambda scene: not by_author_of_tuning(scene)),
         ("same_unit", "without capture_fruit", lambda scene: scene != "capture_fruit"),
-    ]:
-        parts[name] = Subset(points, name, is_in)
-        found, tables[name] = parts[name].words(helping)
-        for row in said:
-            if change := changed(said[row], found.get(row, [])):
-                notes[row].append(f"{meaning}: {change}")
-    beside = {
-        "captures": Subset(points, "captures", lambda scene: not is_other(scene)).compare("psnr"),
-        "others": Subset(points, "others", is_other).compare("psnr"),
-        "without fruit": tables["same_unit"],
-        "SSIM": whole.compare("ssim", metric="ssim"),
-        "LPIPS, lower is better": whole.compare("lpips", metric="lpips_squeeze"),
-    }
-    print(f"{len(points.scenes)} scenes. NeRF takes {points.cost[NERF]:.0f} s a training.\n")
-    print("| row | PSNR minus NeRF (dB), 95 % interval, Holm p | simultaneous interval | scenes up | seconds, / NeRF's | words | on other scenes |")
-    print("|---|---:|---:|---:|---:|---|---|")
-    order = sorted(lines, key=lambda row: -float(lines[row]["difference"]))
-    for row in order:
-        line = lines[row]
+    ]
+
+    def __init__(self, points):
+        self.points, self.whole = points, Subset(points, "", lambda scene: True)
+        self.said, self.lines = self.whole.words()
+        self.helping = [row for row in self.said if "helps" in self.said[row] and row != EARLY]
+        self.order = sorted(self.lines, key=lambda row: -float(self.lines[row]["difference"]))
+        self.notes, tables = defaultdict(list), {}
+        for name, meaning, is_in in self.PARTS:
+            found, tables[name] = Subset(points, name, is_in).words(self.helping)
+            for row in self.said:
+                if change := changed(self.said[row], found.get(row, [])):
+                    self.notes[row].append(f"{meaning}: {change}")
+        self.beside = {
+            "captures": Subset(points, "captures", lambda scene: not is_other(scene)).compare("psnr"),
+            "others": Subset(points, "others", is_other).compare("psnr"),
+            "without fruit": tables["same_unit"],
+            "SSIM": self.whole.compare("ssim", metric="ssim"),
+            "LPIPS, lower is better": self.whole.compare("lpips", metric="lpips_squeeze"),
+        }
+
+    def words(self, row):
+        words, line = list(self.said[row]), self.lines[row]
         if line["p_sign"] and (float(line["p"]) < 0.05) != (float(line["p_sign"]) < 0.05):
-            said[row].append(f"t test and sign test disagree (uncorrected p {shown(line['p'])} and {shown(line['p_sign'])})")
-        if EARLY in points.lost_rows and row in helping:
-            said[row].append("not compared with fewer steps, which failed")
-        print(
-            f"| {row} | {float(line['difference']):+.2f} {interval(line, 'low', 'high')}, {shown(line['p_holm'])} "
-            f"| {interval(line, 'simultaneous_low', 'simultaneous_high')} | {line['above']} of {line['scenes']} "
-            f"| {points.cost[row]:.0f}, {points.cost[row] / points.cost[NERF]:.2f} | {'; '.join(said[row]) or 'none'} | {'; '.join(notes[row]) or 'no'} |"
-        )
-    for row, scenes in points.lost_rows.items():
-        print(f"| {row} | | | | | failed: {', '.join(sorted(scenes))} | |")
-    for row in points.dropped:
-        print(f"| {row} | | | | | not tested | |")
-    print(f"\nDifferences and Holm's p:\n\n| row | {' | '.join(beside)} |\n|---|{'---:|' * len(beside)}")
-    for row in order:
-        cells = [f"{float(table[row]['difference']):+.3f}, {shown(table[row]['p_holm'])}" if row in table else "" for table in beside.values()]
-        print(f"| {row} | {' | '.join(cells)} |")
-    print()
-    for baseline, comparison in [(ATTACK, whole.isolating), (EARLY, whole.early)]:
-        for row, line in comparison.items():
-            print(f"- {row} minus {baseline}: {float(line['difference']):+.2f} {interval(line, 'low', 'high')}, {shown(line['p_holm'])}")
-    print()
-    if not any("recommended" in words for words in said.values()):
-        print("No row is recommended.")
-    if points.lost_scenes:
-        print(f"NeRF failed on {', '.join(points.lost_scenes)}, so that all rows lack them.")
-    ratios = ", ".join(f"{site} {ratio:.2f}" for site, ratio in draws_ratios(points).items())
-    print(f"Shift of draws over that of the attack: {ratios or 'none'}.")
+            words.append(f"t test and sign test disagree (uncorrected p {shown(line['p'])} and {shown(line['p_sign'])})")
+        if EARLY in self.points.lost_rows and row in self.helping:
+            words.append("not compared with fewer steps, which failed")
+        return "; ".join(words) or "none"
+
+    def print_rows(self):
+        cost = self.points.cost
+        print(f"{len(self.points.scenes)} scenes. NeRF takes {cost[NERF]:.0f} s a training.\n")
+        print("| row | PSNR minus NeRF (dB), 95 % interval, Holm p | simultaneous interval | scenes up | seconds, / NeRF's | words | on other scenes |")
+        print("|---|---:|---:|---:|---:|---|---|")
+        for row in self.order:
+            line = self.lines[row]
+            print(
+                f"| {row} | {float(line['difference']):+.2f} {interval(line, 'low', 'high')}, {shown(line['p_holm'])} "
+                f"| {interval(line, 'simultaneous_low', 'simultaneous_high')} | {line['above']} of {line['scenes']} "
+                f"| {cost[row]:.0f}, {cost[row] / cost[NERF]:.2f} | {self.words(row)} | {'; '.join(self.notes[row]) or 'no'} |"
+            )
+        for row, scenes in self.points.lost_rows.items():
+            print(f"| {row} | | | | | failed: {', '.join(sorted(scenes))} | |")
+        for row in self.points.dropped:
+            print(f"| {row} | | | | | not tested | |")
+
+    def print_beside(self):
+        print(f"\nDifferences and Holm's p:\n\n| row | {' | '.join(self.beside)} |\n|---|{'---:|' * len(self.beside)}")
+        for row in self.order:
+            of = lambda table: f"{float(table[row]['difference']):+.3f}, {shown(table[row]['p_holm'])}" if row in table else ""
+            print(f"| {row} | {' | '.join(map(of, self.beside.values()))} |")
+
+    def print_rest(self):
+        print()
+        for baseline, comparison in [(ATTACK, self.whole.isolating), (EARLY, self.whole.early)]:
+            for row, line in comparison.items():
+                print(f"- {row} minus {baseline}: {float(line['difference']):+.2f} {interval(line, 'low', 'high')}, {shown(line['p_holm'])}")
+        print()
+        if not any("recommended" in words for words in self.said.values()):
+            print("No row is recommended.")
+        if self.points.lost_scenes:
+            print(f"NeRF failed on {', '.join(self.points.lost_scenes)}, so that all rows lack them.")
+        ratios = ", ".join(f"{site} {ratio:.2f}" for site, ratio in draws_ratios(self.points).items())
+        print(f"Shift of draws over that of the attack: {ratios or 'none'}.")
+
+
+def main():
+    answer = Answer(Points())
+    answer.print_rows()
+    answer.print_beside()
+    answer.print_rest()
 
 
 if __name__ == "__main__":

@@ -85,6 +85,7 @@ shipped![
     "few_views" "scenes_network",
     "few_views" "scenes_network_admission",
     "few_views" "scenes_network_gate",
+    "few_views" "scenes_network_seeds",
     "few_views" "scenes_tuning",
     "few_views" "scenes_tuning_draws",
     "few_views" "scenes_tuning_draws_fifth",
