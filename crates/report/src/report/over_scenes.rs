@@ -303,7 +303,7 @@ impl OverScenes {
             (!scenes.is_empty()).then(|| format!("{} on {}", escape(row), scenes.join(", ")))
         };
         let rows: Vec<String> = rows.filter_map(of_row).collect();
-        (!rows.is_empty()).then(|| format!("- NOTHING LEARNED, no better than one colour: {}\n", rows.join("; ")))
+        (!rows.is_empty()).then(|| format!("- NO BETTER THAN ONE COLOUR on held-out views: {}\n", rows.join("; ")))
     }
 
     /// Returns the differences, a line for each scene.
@@ -463,10 +463,10 @@ mod tests {
         }
         let found = over(&records);
         assert_eq!(found.rows[0].no_better_than_one_colour, [0, 1, 0, 0]);
-        let note = "- NOTHING LEARNED, no better than one colour: TV on b with 1 seed; NeRF on b with 2 seeds\n";
+        let note = "- NO BETTER THAN ONE COLOUR on held-out views: TV on b with 1 seed; NeRF on b with 2 seeds\n";
         assert!(found.markdown().contains(note), "{}", found.markdown());
         assert!(found.scenes_csv().lines().any(|line| line.starts_with("b,TV,") && line.ends_with(",1")));
-        assert!(!over(&self::records()).markdown().contains("NOTHING LEARNED"));
+        assert!(!over(&self::records()).markdown().contains("ONE COLOUR"));
     }
 
     #[test]
