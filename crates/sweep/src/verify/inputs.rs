@@ -1,7 +1,7 @@
 //! Whether the scenes and LPIPS weights of this machine are those that points were trained on and measured with.
 
-use std::cell::RefCell;
 use std::collections::HashMap;
+use std::sync::{Mutex, MutexGuard};
 
 use super::Verifier;
 use super::archive::Archive;
@@ -28,18 +28,23 @@ struct Read {
 
 /// What was read of scenes, by their settings: many sweeps are of one scene.
 #[derive(Debug, Default)]
-pub struct SceneHashes(RefCell<HashMap<String, Read>>);
+pub struct SceneHashes(Mutex<HashMap<String, Read>>);
 
 impl SceneHashes {
     fn of(&self, config: &DataConfig, events: &dyn Listener) -> Result<Read> {
         let key = toml::to_string(config).expect("settings are plain data");
-        if let Some(known) = self.0.borrow().get(&key) {
+        // Not locked while the scene is read: that uses threads of the same pool.
+        if let Some(known) = self.known().get(&key) {
             return Ok(known.clone());
         }
         let scene = data::load(config, 0, events)?;
         let read = Read { hash: scene.hash(), floor_psnr: floor_psnr(&scene)? };
-        self.0.borrow_mut().insert(key, read.clone());
+        self.known().insert(key, read.clone());
         Ok(read)
+    }
+
+    fn known(&self) -> MutexGuard<'_, HashMap<String, Read>> {
+        self.0.lock().expect("no thread panics while it holds them")
     }
 }
 

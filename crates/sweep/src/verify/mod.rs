@@ -3,6 +3,8 @@
 use std::path::{Path, PathBuf};
 use std::sync::atomic::AtomicUsize;
 
+use rayon::prelude::*;
+
 use crate::base::{Error, Result};
 use crate::runtime::Runtime;
 use crate::training::Trainings;
@@ -60,6 +62,9 @@ pub struct Verifier<'a> {
     pub stop: &'a AtomicUsize,
 }
 
+/// So many folders are checked side by side before what was found in them is shown.
+const AT_ONCE: usize = 16;
+
 /// What a folder's checks look at.
 #[expect(clippy::large_enum_variant, reason = "one at a time")]
 enum Subject {
@@ -83,10 +88,19 @@ impl Verifier<'_> {
         }
         let mut findings = Findings::default();
         findings.begin(checks::PAGES);
-        for (folder, kind) in &tree.leaves {
-            match kind {
-                Kind::Other => findings.wrong(format!("{}: {NOTHING}: nothing in it can be checked", folder.display())),
-                kind => show(folder, &self.leaf(folder, *kind)?)?,
+        let leaf = |(folder, kind): &(PathBuf, Kind)| (*kind != Kind::Other).then(|| self.leaf(folder, *kind));
+        // A training has all threads.
+        let at_once = if self.retrain > 0 { 1 } else { AT_ONCE };
+        for leaves in tree.leaves.chunks(at_once) {
+            let found: Vec<Option<Result<Findings>>> = match at_once {
+                1 => leaves.iter().map(leaf).collect(),
+                _ => self.runtime.install(|| leaves.par_iter().map(leaf).collect()),
+            };
+            for ((folder, _), found) in leaves.iter().zip(found) {
+                match found {
+                    Some(found) => show(folder, &found?)?,
+                    None => findings.wrong(format!("{}: {NOTHING}: nothing in it can be checked", folder.display())),
+                }
             }
         }
         let root = root_of(path)?.map_or_else(|| std::path::absolute(path), Ok);

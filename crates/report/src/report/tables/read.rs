@@ -33,6 +33,7 @@ pub fn read_points(
         return Err(format!("its first columns are not {}", POINT_COLUMNS.join(", ")));
     }
     let protocol = head.iter().position(|name| name == FIRST_OF_PROTOCOL).unwrap_or(head.len());
+    let own: Vec<usize> = (protocol..head.len()).filter(|&column| !clocks.contains(&head[column])).collect();
     let mut records = Vec::new();
     for (index, row) in reader.records().enumerate() {
         let row = row.map_err(|e| e.to_string())?;
@@ -52,8 +53,7 @@ pub fn read_points(
         let mut columns: Vec<(String, String)> = Vec::new();
         if status == Status::Done {
             columns.push(("scene".into(), scene.into()));
-            let own = (protocol..head.len()).filter(|&column| !clocks.contains(&head[column]));
-            columns.extend(own.map(|column| (head[column].clone(), plain_cell(&row[column]).to_string())));
+            columns.extend(own.iter().map(|&column| (head[column].clone(), plain_cell(&row[column]).to_string())));
         }
         records.push(Record {
             id: id.into(),
