@@ -314,3 +314,19 @@ fn expected(cameras: &[Camera], seconds: f64, what: What) -> String {
     };
     format!("{views} of {width} x {height} pixels: about {apiece}{} in total{offer}", duration(seconds))
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_it_will_take_is_told_and_fewer_frames_are_offered() {
+        let camera = Camera { width: 400, height: 300, focal: [500.0; 2], centre: [200.0, 150.0], pose: [[0.0; 4]; 3] };
+        let told = |count: usize, seconds: f64, what: What| expected(&vec![camera; count], seconds, what);
+        assert_eq!(told(1, 4.0, What::Views), "1 view of 400 x 300 pixels: about 4 s in total");
+        assert_eq!(told(8, 20.0, What::Path), "8 views of 400 x 300 pixels: about 2.5 s each, 20 s in total");
+        let long = "60 views of 400 x 300 pixels: about 10 s each, 10 min in total; --frames 18 takes 3 min, --resolution 200x150 a \
+                    quarter";
+        assert_eq!(told(60, 600.0, What::Path), long);
+    }
+}

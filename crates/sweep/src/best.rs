@@ -38,7 +38,7 @@ pub struct Best {
     pub unfinished: Vec<String>,
     /// The views that were measured, as in the protocol: `test`, `every-8-val`.
     pub split: String,
-    /// Its PSNR is no higher than that of the best single colour of the training views.
+    /// With at least one seed, PSNR is no higher than that of the best single colour of the training views.
     pub no_better_than_one_colour: bool,
     /// These are validation views, not the views of reported results.
     pub on_validation: bool,

@@ -69,7 +69,7 @@ fn text(best: &Best) -> String {
         lines.push(format!("  skipped, with unfinished points: {}", best.unfinished.join(", ")));
     }
     if best.no_better_than_one_colour {
-        lines.push("  no better than one colour: its PSNR is no higher than floor_psnr".into());
+        lines.push("  no better than one colour with at least one seed: PSNR is no higher than floor_psnr".into());
     }
     lines.push(match best.on_validation {
         true => format!(

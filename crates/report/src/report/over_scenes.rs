@@ -25,7 +25,7 @@ pub struct OverScenes {
     /// As [`RowOverScenes::to_best`], of the baseline.
     pub baseline_to_best: Option<(f64, f64)>,
     /// As [`RowOverScenes::no_better_than_one_colour`], of the baseline.
-    pub baseline_of_one_colour: Vec<usize>,
+    pub baseline_of_one_colour: Vec<Option<usize>>,
 }
 
 /// One row's differences to the baseline.
@@ -45,8 +45,8 @@ pub struct RowOverScenes {
     pub median: Option<(f64, Option<(f64, f64)>)>,
     /// Ends of the 95 % prediction interval of the same mean on one more scene.
     pub prediction: Option<(f64, f64)>,
-    /// How many of each scene's seeds are no better than one colour.
-    pub no_better_than_one_colour: Vec<usize>,
+    /// How many of each scene's seeds are no better than one colour; `None` where that was not measured.
+    pub no_better_than_one_colour: Vec<Option<usize>>,
     /// Standard deviations between scenes and, in them, between seeds.
     pub components: Option<Components>,
     /// Ends of the interval of the row's mean minus the best other row's, in the better direction, the baseline among them
@@ -82,7 +82,7 @@ impl OverScenes {
             metric: metric.into(),
             margin,
             rows: places.into_iter().map(row).collect(),
-            baseline_of_one_colour: of_one_colour((baseline, &[]), &scenes, records),
+            baseline_of_one_colour: of_one_colour(&scenes, records, |record| record.row == baseline),
             scenes,
             baseline_to_best: None,
         };
@@ -214,13 +214,15 @@ impl OverScenes {
         const HEAD: [&str; 8] =
             ["scene", "row", "baseline", "metric", "seeds", "difference", "deviation", "no_better_than_one_colour"];
         let rows = self.rows.iter().flat_map(|row| {
-            self.scenes.iter().zip(&row.seeds).zip(&row.no_better_than_one_colour).map(|((scene, seeds), unlearned)| {
-                let number = |number: Option<f64>| csv_number(number);
-                let mut cells = vec![scene.clone(), row.row.clone(), self.baseline.clone(), self.metric.clone()];
-                cells.extend([seeds.len().to_string(), number(mean(seeds)), number(standard_deviation(seeds))]);
-                cells.push(unlearned.to_string());
-                cells
-            })
+            self.scenes.iter().zip(&row.seeds).zip(&row.no_better_than_one_colour).map(
+                |((scene, seeds), of_one_colour)| {
+                    let number = |number: Option<f64>| csv_number(number);
+                    let mut cells = vec![scene.clone(), row.row.clone(), self.baseline.clone(), self.metric.clone()];
+                    cells.extend([seeds.len().to_string(), number(mean(seeds)), number(standard_deviation(seeds))]);
+                    cells.push(of_one_colour.map_or(String::new(), |count| count.to_string()));
+                    cells
+                },
+            )
         });
         csv_text(std::iter::once(HEAD.map(String::from).to_vec()).chain(rows))
     }
@@ -242,7 +244,7 @@ impl OverScenes {
         text.extend(self.rows.iter().map(|row| self.details_text(row)));
         text += &format!("| {} |  |  |  |  | {} |\n", escape(&self.baseline), self.ends_text(self.baseline_to_best));
         text += &self.scenes_text();
-        text.extend(self.unlearned_note());
+        text.extend(self.one_colour_note());
         text.extend(HOW_TO_READ.iter().map(|note| format!("- {note}\n")));
         if let Some(margin) = self.margin {
             text += &format!(
@@ -290,16 +292,15 @@ impl OverScenes {
     }
 
     /// Returns where which rows are no better than one colour.
-    fn unlearned_note(&self) -> Option<String> {
+    fn one_colour_note(&self) -> Option<String> {
         let rows = self.rows.iter().map(|row| (&row.row, &row.no_better_than_one_colour));
         let rows = rows.chain([(&self.baseline, &self.baseline_of_one_colour)]);
-        let of_row = |(row, counts): (&String, &Vec<usize>)| {
-            let scenes = self.scenes.iter().zip(counts).filter(|(_, count)| **count > 0);
-            let scenes: Vec<String> = scenes
-                .map(|(scene, count)| {
-                    format!("{} with {count} seed{}", escape(scene), if *count == 1 { "" } else { "s" })
-                })
-                .collect();
+        let of_row = |(row, counts): (&String, &Vec<Option<usize>>)| {
+            let of_scene = |(scene, count): (&String, &Option<usize>)| {
+                let count = count.filter(|count| *count > 0)?;
+                Some(format!("{} with {count} seed{}", escape(scene), if count == 1 { "" } else { "s" }))
+            };
+            let scenes: Vec<String> = self.scenes.iter().zip(counts).filter_map(of_scene).collect();
             (!scenes.is_empty()).then(|| format!("{} on {}", escape(row), scenes.join(", ")))
         };
         let rows: Vec<String> = rows.filter_map(of_row).collect();
@@ -390,7 +391,7 @@ impl RowOverScenes {
             prediction: prediction(&means),
             components: components(&seeds),
             to_best: None,
-            no_better_than_one_colour: of_one_colour(place, scenes, records),
+            no_better_than_one_colour: of_one_colour(scenes, records, |record| is_at(record, place)),
             lacking: expected - seeds.iter().map(Vec::len).sum::<usize>(),
             seeds,
         }
@@ -401,10 +402,13 @@ fn is_at(record: &Record, (row, axes): (&str, &[AxisValue])) -> bool {
     record.row == row && record.axes == axes
 }
 
-/// Returns how many seeds of each scene are no better than one colour.
-fn of_one_colour(place: (&str, &[AxisValue]), scenes: &[String], records: &[Record]) -> Vec<usize> {
-    let lost = |record: &&Record| is_at(record, place) && record.is_no_better_than_one_colour() == Some(true);
-    let of = |scene: &String| records.iter().filter(|record| record.scene == *scene).filter(lost).count();
+/// Returns how many of a row's trainings on each scene are no better than one colour; `None` where that was measured of none.
+fn of_one_colour(scenes: &[String], records: &[Record], is_of_row: impl Fn(&Record) -> bool) -> Vec<Option<usize>> {
+    let of = |scene: &String| {
+        let own = records.iter().filter(|record| record.scene == *scene && is_of_row(record));
+        let measured: Vec<bool> = own.filter_map(Record::is_no_better_than_one_colour).collect();
+        (!measured.is_empty()).then(|| measured.iter().filter(|of_one_colour| **of_one_colour).count())
+    };
     scenes.iter().map(of).collect()
 }
 
@@ -462,11 +466,13 @@ mod tests {
             record.metrics.push(("floor_psnr".into(), Some(if lost { 40.0 } else { 5.0 })));
         }
         let found = over(&records);
-        assert_eq!(found.rows[0].no_better_than_one_colour, [0, 1, 0, 0]);
+        assert_eq!(found.rows[0].no_better_than_one_colour, [Some(0), Some(1), Some(0), Some(0)]);
         let note = "- NO BETTER THAN ONE COLOUR on held-out views: TV on b with 1 seed; NeRF on b with 2 seeds\n";
         assert!(found.markdown().contains(note), "{}", found.markdown());
         assert!(found.scenes_csv().lines().any(|line| line.starts_with("b,TV,") && line.ends_with(",1")));
-        assert!(!over(&self::records()).markdown().contains("ONE COLOUR"));
+        let unmeasured = over(&self::records());
+        assert!(!unmeasured.markdown().contains("ONE COLOUR"));
+        assert!(unmeasured.scenes_csv().lines().any(|line| line.starts_with("b,TV,") && line.ends_with(',')));
     }
 
     #[test]

@@ -89,8 +89,8 @@ impl Verifier<'_> {
         let mut findings = Findings::default();
         findings.begin(checks::PAGES);
         let leaf = |(folder, kind): &(PathBuf, Kind)| (*kind != Kind::Other).then(|| self.leaf(folder, *kind));
-        // A training has all threads.
-        let at_once = if self.retrain > 0 { 1 } else { AT_ONCE };
+        // A training has all threads, and nothing reads a folder while another is written anew.
+        let at_once = if self.retrain > 0 || self.update { 1 } else { AT_ONCE };
         for leaves in tree.leaves.chunks(at_once) {
             let found: Vec<Option<Result<Findings>>> = match at_once {
                 1 => leaves.iter().map(leaf).collect(),

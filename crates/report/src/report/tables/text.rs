@@ -34,7 +34,7 @@ const MARKS: [Mark; 9] = [
     ('†', InactiveBy::Colour.meaning(), |line| line.inactive_sites(InactiveBy::Colour)),
     ('‡', "NOT COMPARABLE, built by force: differs from the scene's first row in", |line| joined(&line.mixed)),
     ('§', "points without numbers", |line| line.unfinished().then(|| status_and_reason(line))),
-    ('=', "no better than one colour", unlearned_seeds),
+    ('=', "no better than one colour", seeds_of_one_colour),
     ('¶', "settings that differ between seeds", |line| joined(&line.differs)),
 ];
 
@@ -43,7 +43,7 @@ pub(super) fn joined(names: &[String]) -> Option<String> {
 }
 
 /// Returns how many of a line's seeds are no better than one colour: nothing to add if all of them are.
-pub(super) fn unlearned_seeds(line: &Line) -> Option<String> {
+pub(super) fn seeds_of_one_colour(line: &Line) -> Option<String> {
     match (line.no_better_than_one_colour, line.ids.len()) {
         (0, _) => None,
         (of_one_colour, seeds) if of_one_colour == seeds => Some(String::new()),

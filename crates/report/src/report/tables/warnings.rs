@@ -1,7 +1,7 @@
 //! What a reader must know before the numbers of a table.
 
 use super::Line;
-use super::text::{joined, status_and_reason, unlearned_seeds, unmeasured_notes};
+use super::text::{joined, seeds_of_one_colour, status_and_reason, unmeasured_notes};
 use crate::report::distinct;
 use crate::settings::columns::{INACTIVE_BY, InactiveBy};
 
@@ -23,7 +23,7 @@ pub fn warnings(lines: &[&Line]) -> Vec<String> {
     let marked = [
         grouped("NOT COMPARABLE, built by force; differ from the scene's first row", &|line| joined(&line.mixed)),
         grouped("NOTHING LEARNED", &|line| {
-            let seeds = unlearned_seeds(line)?;
+            let seeds = seeds_of_one_colour(line)?;
             Some(format!("no better than one colour{}{seeds}", if seeds.is_empty() { "" } else { " with " }))
         }),
         grouped("points without numbers", &|line| line.unfinished().then(|| status_and_reason(line))),
