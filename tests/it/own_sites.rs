@@ -104,6 +104,29 @@ fn both_cores_search_alike() {
     }
 }
 
+/// In steps without a log, where the fused core adds the deltas that it knows in one operation: a site that it does not
+/// know, or one that moves samples while no site of the paper's does, counts all the same, and each step of its search.
+#[test]
+fn a_seventh_site_raises_the_loss_of_both_cores_at_every_place() {
+    let wrong = Site::ALL.into_iter().filter_map(|place| {
+        let radius = if place == Site::View { 0.3 } else { 0.1 };
+        let losses = |core: Core, steps: Option<usize>| -> Vec<f64> {
+            let runtime = Runtime::new("cpu", Some(2)).unwrap();
+            let config = alone(|config| config.field.core = core);
+            let mut trainer = Trainer::new(&config, &tiny_scene(), DType::F32, &runtime).unwrap();
+            steps.into_iter().for_each(|steps| trainer.add_site(of_rays(place, radius, steps)).unwrap());
+            (0..3).map(|_| trainer.step(false).unwrap().loss).collect()
+        };
+        let [without, one, three] = [None, Some(1), Some(3)].map(|steps| losses(Core::Fused, steps));
+        let plain = losses(Core::Plain, Some(3));
+        // The first step is of equal weights.
+        let raises = without[0] < one[0] && one[0] < three[0];
+        let agrees = three.iter().zip(&plain).all(|(fused, plain)| (fused - plain).abs() < 1e-4 * plain);
+        (!raises || !agrees).then(|| format!("{place:?}: {without:?} {one:?} {three:?} {plain:?}"))
+    });
+    assert_eq!(wrong.collect::<Vec<_>>(), Vec::<String>::new());
+}
+
 /// With a set that is a point nothing changes, not even the other sites' random numbers.
 #[test]
 fn a_site_of_no_size_changes_nothing() {

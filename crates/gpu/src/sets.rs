@@ -1,13 +1,15 @@
 //! The constraint sets of a pass on the device: radii, random points, and steps of the search.
 
 use augnerf_core::augment::{
-    Draw, Epsilon, Norm, PassGeometry, PerSite, Radius, SampleDensity, SetChoices, Sets, Site, SiteNumbers, StepUnit,
+    Draw, Epsilon, Level, Norm, PassGeometry, PerSite, Radius, SampleDensity, SetChoices, Sets, Site, SiteNumbers,
+    StepUnit,
 };
 use augnerf_core::base::Result;
 use augnerf_core::base::rng::Stream;
 use augnerf_core::data::Scene;
 use augnerf_core::methods::AttackGeometry;
-use augnerf_core::settings::Resolved;
+use augnerf_core::render::output_range;
+use augnerf_core::settings::{OutputPlace, Resolved};
 use candle_core::{DType, Device, Tensor};
 use wgpu::Buffer;
 
@@ -74,7 +76,7 @@ impl PassSets {
                     let cap = (far - near) / (2.0 * (pass.cap_samples as f64 - 1.0)) * epsilon;
                     SiteRadius::Pixel { pixel: one()?, cap }
                 }
-                _ => SiteRadius::One(one()?),
+                Site::Xyz | Site::View | Site::Feature | Site::Rgb | Site::Density => SiteRadius::One(one()?),
             };
             let (size_of, per_ray) = match site {
                 Site::T => (1, size.columns),
@@ -149,7 +151,7 @@ impl SetBuffers {
         SetBuffers {
             deltas: PerSite::from_fn(of),
             random: PerSite::from_fn(of),
-            used: PerSite::from_fn(|site| of(site).filter(|_| matches!(site, Site::Rgb | Site::Density))),
+            used: PerSite::from_fn(|site| of(site).filter(|_| site.about().level == Level::Output)),
             t_radius: gpu.numbers(rays * columns),
             xyz_radius: gpu.numbers(rays),
         }
@@ -402,8 +404,8 @@ impl Recorder<'_> {
         }
     }
 
-    /// Records the count of numbers on the edge of a site's set, after the pass that used them. `range` is that of
-    /// colours or densities.
+    /// Records the count of numbers on the edge of a site's set, after the pass that used them. `padding` is that of
+    /// colours.
     pub(crate) fn at_bound(
         &mut self,
         sets: &PassSets,
@@ -411,12 +413,13 @@ impl Recorder<'_> {
         pass: &PassAt,
         site: Site,
         (counts, first): (&Buffer, usize),
-        range: (f64, f64),
+        padding: f64,
     ) {
         let set = sets.set(site);
-        let is_output = matches!(site, Site::Rgb | Site::Density) && !pass.deltas.before;
-        let offset = if site == Site::Density { 3 } else { 0 };
-        let range = is_output.then_some(range);
+        let is_output = site.about().level == Level::Output && !pass.deltas.before;
+        let range = is_output.then(|| output_range(site, padding));
+        // Values lie as their gradients do.
+        let offset = if is_output { self.gradient_of(site, OutputPlace::After).2 } else { 0 };
         let words = self.set_words(sets, set, pass, SetWords { offset, first, range, ..SetWords::default() });
         let delta = match self.used(site) {
             Some(used) => used,

@@ -100,7 +100,7 @@ impl PerturbedRenderer {
             sets.draw(Draw::Uniform, |site| Random::part(self.config.seed, Stream::View, 0, site.part(part)))?;
         let mut fixed = None;
         let found = worst_case(&sets, &numbers, perturb.step_unit, start, |at| {
-            if fixed.is_none() && at.fixes(&FixedSamples::MOVED_BY) {
+            if fixed.is_none() && at.fixes_samples() {
                 fixed = Some(FixedSamples::new(field, pass, at.deltas)?);
             }
             let perturbation = self.perturbation(at.deltas, &sets);
@@ -117,8 +117,8 @@ impl PerturbedRenderer {
             let scaled_up = (delta.detach() * attack.scale)?;
             // What is scaled up leaves its set on purpose.
             let mut set = sets.get(site).expect("is on").clone();
-            if site == Site::T {
-                // Samples that pass each other have no meaning.
+            if site.about().largest_epsilon.0 < f64::MAX {
+                // Its set ends where deltas lose their meaning: samples would pass each other.
                 scaled.set(site, set.project(&scaled_up)?);
                 continue;
             }

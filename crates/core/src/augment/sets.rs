@@ -8,7 +8,7 @@ use crate::augment::flat;
 use crate::augment::geometry::PassGeometry;
 use crate::augment::own::{OwnDelta, OwnEntry, OwnSite};
 use crate::augment::set::{DeltaSet, Draw};
-use crate::augment::site::{SetChoices, SiteNumbers};
+use crate::augment::site::{Level, SetChoices, SiteNumbers};
 use crate::augment::sites::{PerSite, Site, own_part};
 use crate::base::Result;
 use crate::base::rng::Random;
@@ -134,9 +134,9 @@ impl Sets {
         &self.own
     }
 
-    /// Returns whether own sites are on at the place of one of `sites`.
-    pub(crate) fn has_own_at(&self, sites: &[Site]) -> bool {
-        self.own.iter().any(|entry| sites.contains(&entry.site.place()))
+    /// Returns whether own sites are on at a place of `level`.
+    pub(crate) fn has_own_at(&self, level: Level) -> bool {
+        self.own.iter().any(|entry| entry.site.place().about().level == level)
     }
 
     /// Iterates over the sites that are on, with their sets, in order.

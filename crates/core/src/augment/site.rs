@@ -140,6 +140,9 @@ pub struct SiteSpec {
     pub name: &'static str,
     /// Its level.
     pub level: Level,
+    /// Whether its delta moves the samples at which the field is queried. A search computes what depends on them alone
+    /// once, as soon as no such site moves any more.
+    pub moves_samples: bool,
     /// Its delta in words, for the documentation of settings.
     pub what: &'static str,
     /// The unit of its epsilon.

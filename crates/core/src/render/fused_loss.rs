@@ -6,7 +6,7 @@
 
 use candle_core::{CpuStorage, CustomOp3, DType, Device, Layout, Result as TensorResult, Shape, Tensor};
 
-use crate::augment::{DeltaSet, Deltas, Norm, Sets, Site, larger, smaller};
+use crate::augment::{DeltaSet, Deltas, Level, Norm, Sets, Site, larger, smaller};
 use crate::base::Result;
 use crate::base::place::is_ours_in_f32;
 use crate::base::tensors::with_values;
@@ -14,6 +14,7 @@ use crate::field::{Field, RawOutput, density_of, leads_away, raw_density_gradien
 use crate::settings::DensityActivation;
 
 use super::pass::Pass;
+use super::perturbed::output_range;
 use super::photometric_loss;
 use super::scan::{Gradients, Passed, Scan};
 use super::volume::{Composite, LAST_INTERVAL};
@@ -60,7 +61,15 @@ impl BoxSet {
 }
 
 /// The output deltas of a pass, added after the activations.
-struct Added {
+enum Added {
+    Nothing,
+    Boxes(Boxes),
+    /// Deltas that this operation does not add.
+    NotHere,
+}
+
+/// The output deltas whose sets are boxes.
+struct Boxes {
     /// Of colours `[3 n]`, then of densities `[n]`. 0 where a site is off.
     delta: Tensor,
     rgb: Option<BoxSet>,
@@ -68,29 +77,33 @@ struct Added {
 }
 
 impl Added {
-    /// Returns the output deltas of samples. The inner option is empty if there are none, the outer one if this
-    /// operation does not support them.
-    fn of(samples: &Samples) -> Result<Option<Option<Added>>> {
-        let Samples { raw, added: Some((deltas, sets)), .. } = samples else { return Ok(Some(None)) };
-        if sets.has_own_at(&[Site::Rgb, Site::Density]) {
-            return Ok(None);
+    fn of(samples: &Samples) -> Result<Added> {
+        let Samples { raw, added: Some((deltas, sets)), .. } = samples else { return Ok(Added::Nothing) };
+        if sets.has_own_at(Level::Output) {
+            return Ok(Added::NotHere);
         }
-        let at = |site: Site| deltas.get(site).zip(sets.get(site));
-        let (rgb, density) = (at(Site::Rgb), at(Site::Density));
+        let (mut rgb, mut density) = (None, None);
+        for (site, set) in sets.iter() {
+            let of_site = match site {
+                // Samples and raw output have these.
+                Site::T | Site::Xyz | Site::View | Site::Feature => continue,
+                Site::Rgb => &mut rgb,
+                Site::Density => &mut density,
+            };
+            let Some(delta) = deltas.get(site) else { continue };
+            let Some(box_set) = BoxSet::of(set)? else { return Ok(Added::NotHere) };
+            *of_site = Some((delta, box_set));
+        }
         if rgb.is_none() && density.is_none() {
-            return Ok(Some(None));
+            return Ok(Added::Nothing);
         }
-        let box_set = |site: Option<(&Tensor, &DeltaSet)>| site.map_or(Ok(None), |(_, set)| BoxSet::of(set));
-        let (of_rgb, of_density) = (box_set(rgb)?, box_set(density)?);
-        if of_rgb.is_some() != rgb.is_some() || of_density.is_some() != density.is_some() {
-            return Ok(None);
-        }
-        let flat = |site: Option<(&Tensor, &DeltaSet)>, raw: &Tensor| match site {
+        let flat = |site: &Option<(&Tensor, BoxSet)>, raw: &Tensor| match site {
             Some((delta, _)) => delta.flatten_all(),
             None => raw.detach().flatten_all()?.zeros_like(),
         };
-        let delta = Tensor::cat(&[flat(rgb, &raw.rgb)?, flat(density, &raw.density)?], 0)?;
-        Ok(Some(Some(Added { delta, rgb: of_rgb, density: of_density })))
+        let delta = Tensor::cat(&[flat(&rgb, &raw.rgb)?, flat(&density, &raw.density)?], 0)?;
+        let box_set = |site: Option<(&Tensor, BoxSet)>| site.map(|(_, set)| set);
+        Ok(Added::Boxes(Boxes { delta, rgb: box_set(rgb), density: box_set(density) }))
     }
 }
 
@@ -133,7 +146,11 @@ impl Samples<'_> {
     pub(super) fn fused_loss(&self, target: &Tensor) -> Result<Option<ShadedLoss>> {
         let Samples { field, pass, t_vals, raw, .. } = *self;
         let Some(joined) = raw.joined.as_ref().filter(|joined| is_ours_in_f32(joined)) else { return Ok(None) };
-        let Some(added) = Added::of(self)? else { return Ok(None) };
+        let added = match Added::of(self)? {
+            Added::Nothing => None,
+            Added::Boxes(boxes) => Some(boxes),
+            Added::NotHere => return Ok(None),
+        };
         let (rays, samples) = raw.density.dims2()?;
         let direction_norm = pass.rays.direction_norm.to_dtype(DType::F64)?.flatten_all()?.to_vec1()?;
         let mut operation = FusedLoss {
@@ -178,7 +195,7 @@ impl FusedLoss {
     }
 
     /// Computes what is composited from raw output `[4 n]`.
-    fn activate(&self, raw: &[f32], added: Option<&Added>, samples: usize) -> Result<Activations> {
+    fn activate(&self, raw: &[f32], added: Option<&Boxes>, samples: usize) -> Result<Activations> {
         let (colours, densities) = raw.split_at(raw.len() / 4 * 3);
         let sigmoids: Vec<f32> = colours.iter().map(|raw| self.sigmoid(*raw)).collect();
         let (scale, shift) = self.spread();
@@ -189,12 +206,13 @@ impl FusedLoss {
         if let Some(added) = added {
             let delta = added.delta.detach().to_vec1::<f32>()?;
             let (of_rgb, of_density) = delta.split_at(activations.rgb.len());
+            let limits = |site: Site| output_range(site, self.padding);
             if let Some(box_set) = &added.rgb {
-                let limits = (-self.padding as f32, (1.0 + self.padding) as f32);
-                activations.used[0] = box_set.add(&mut activations.rgb, of_rgb, limits, 3 * samples);
+                activations.used[0] = box_set.add(&mut activations.rgb, of_rgb, limits(Site::Rgb), 3 * samples);
             }
             if let Some(box_set) = &added.density {
-                activations.used[1] = box_set.add(&mut activations.density, of_density, (0.0, f32::MAX), samples);
+                let limits = limits(Site::Density);
+                activations.used[1] = box_set.add(&mut activations.density, of_density, limits, samples);
             }
         }
         Ok(activations)
@@ -212,7 +230,7 @@ impl FusedLoss {
     /// Returns the output deltas as they were used.
     fn take_used(
         &mut self,
-        added: Option<&Added>,
+        added: Option<&Boxes>,
         (rays, samples): (usize, usize),
         device: &Device,
     ) -> Result<Vec<(Site, Tensor)>> {
@@ -256,7 +274,8 @@ impl FusedLoss {
 impl BoxSet {
     /// Adds `delta` to `values`, projected so that they stay within `limits`. Returns the projected delta. It agrees
     /// with `add_after`.
-    fn add(&self, values: &mut [f32], delta: &[f32], (low, high): (f32, f32), of_ray: usize) -> Vec<f32> {
+    fn add(&self, values: &mut [f32], delta: &[f32], (low, high): (f64, f64), of_ray: usize) -> Vec<f32> {
+        let (low, high) = (low as f32, high as f32);
         let entries = values.iter_mut().zip(delta).enumerate();
         let projected = entries.map(|(i, (value, &delta))| {
             let now = *value;

@@ -76,10 +76,8 @@ pub struct FixedSamples<'a> {
 }
 
 impl<'a> FixedSamples<'a> {
-    /// The sites that move samples. A search can fix the samples when none of these moves.
-    pub const MOVED_BY: [Site; 2] = [Site::T, Site::Xyz];
-
-    /// Fixes the samples of `pass` where `deltas` have moved them. `field` must be frozen.
+    /// Fixes the samples of `pass` where `deltas` have moved them. `field` must be frozen. A search can do so once
+    /// [`Iterate::fixes_samples`](crate::augment::Iterate::fixes_samples) says so.
     ///
     /// # Errors
     /// Those of candle, if shapes do not fit.
@@ -88,7 +86,7 @@ impl<'a> FixedSamples<'a> {
         Ok(FixedSamples { field, pass, t_vals, points: field.fix(&positions)? })
     }
 
-    /// Runs [`perturbed_pass`] on these samples. The deltas of [`FixedSamples::MOVED_BY`] must be those at creation.
+    /// Runs [`perturbed_pass`] on these samples. The deltas of sites that move samples must be those at creation.
     ///
     /// # Errors
     /// Those of candle, if shapes do not fit.
@@ -112,12 +110,17 @@ struct MovedSamples {
 
 impl MovedSamples {
     fn new(field: &Field, pass: Pass, deltas: &Deltas) -> Result<MovedSamples> {
-        let t_vals = match deltas.at(Site::T)? {
-            Some(delta) => (pass.t_vals + delta)?,
-            None => pass.t_vals.clone(),
-        };
+        let (mut t_vals, mut shift) = (pass.t_vals.clone(), None);
+        for site in Site::ALL.into_iter().filter(|site| site.about().moves_samples) {
+            let Some(delta) = deltas.at(site)? else { continue };
+            match site {
+                Site::T => t_vals = (t_vals + delta)?,
+                Site::Xyz => shift = Some(delta),
+                Site::View | Site::Feature | Site::Rgb | Site::Density => unreachable!("it moves no samples"),
+            }
+        }
         let positions = positions_at(field, pass.rays, &t_vals)?;
-        let positions = match deltas.at(Site::Xyz)? {
+        let positions = match shift {
             Some(delta) if positions.dim(2)? > 3 => (positions + Tensor::cat(&[&delta, &delta.zeros_like()?], 2)?)?,
             Some(delta) => (positions + delta)?,
             None => positions,
@@ -182,31 +185,43 @@ fn tilt(rays: &Rays, angles: &Tensor) -> Result<Tensor> {
     Ok(moved.broadcast_div(&norm)?)
 }
 
+/// Returns the range of the values to which a site of the output level is added. Density has no upper limit: `f32::MAX`.
+/// `padding` is that of the field's colours.
+///
+/// # Panics
+/// The site is of another level.
+pub fn output_range(site: Site, padding: f64) -> (f64, f64) {
+    match site {
+        Site::Rgb => (-padding, 1.0 + padding),
+        Site::Density => (0.0, f64::from(f32::MAX)),
+        Site::T | Site::Xyz | Site::View | Site::Feature => unreachable!("{} is not of the output level", site.name()),
+    }
+}
+
 /// Adds the output deltas to colour and density. They are projected so that colour stays in 0..=1 (and the field's
 /// padding) and density at least 0. The projected value counts. Gradients pass to delta and field as if nothing had
 /// been projected.
 fn add_after(values: SampleValues, p: Perturbation, padding: f64, used: &mut UsedDeltas) -> Result<SampleValues> {
-    // A projected sum can leave the range by rounding, and own sites know no range.
-    let legal = |site: Site, moved: Tensor| match site {
-        Site::Rgb => moved.clamp(-padding, 1.0 + padding),
-        _ => moved.relu(),
-    };
     let mut add = |site: Site, value: Tensor| -> Result<Tensor> {
+        let (low, high) = output_range(site, padding);
+        let has_end = high < f64::from(f32::MAX);
+        // A projected sum can leave the range by rounding, and own sites know no range.
+        let legal = |moved: Tensor| if has_end { moved.clamp(low, high) } else { moved.relu() };
         let value = match p.deltas.spread(site)? {
-            Some(own) => straight_through(legal(site, (value.detach() + own.detach())?)?, &value, &own)?,
+            Some(own) => straight_through(legal((value.detach() + own.detach())?)?, &value, &own)?,
             None => value,
         };
         let (Some(delta), Some(set)) = (p.deltas.get(site), p.sets.get(site)) else { return Ok(value) };
         let now = value.detach();
-        let (lower, upper) = match site {
-            Site::Rgb => (now.affine(-1.0, -padding)?, now.affine(-1.0, 1.0 + padding)?),
-            _ => (now.neg()?, (now.zeros_like()? + f64::from(f32::MAX))?),
+        let (lower, upper) = match has_end {
+            true => (now.affine(-1.0, low)?, now.affine(-1.0, high)?),
+            false => (now.neg()?, (now.zeros_like()? + high)?),
         };
         let cut = set.within(lower, upper);
         let projected = cut.project(&delta.detach())?;
         let moved = (&now + &projected)?;
         used.put(site, projected, cut);
-        straight_through(legal(site, moved)?, &value, delta)
+        straight_through(legal(moved)?, &value, delta)
     };
     Ok(SampleValues { rgb: add(Site::Rgb, values.rgb)?, density: add(Site::Density, values.density)? })
 }

@@ -5,7 +5,7 @@ use super::{
     Batching, Config, CorruptionKind, DataKind, DensityActivation, Encoding, LatticePoints, Method, NO_REFERENCE,
     REGULARIZERS, Regularizer, Schedule, SecondPass, VolumeCode, word,
 };
-use crate::augment::{Epsilon, Site};
+use crate::augment::{Epsilon, Level, Site};
 use crate::data::{RayGroup, may_have_box};
 
 /// Keys of a section, whether they have no effect, and why.
@@ -217,25 +217,32 @@ impl Config {
         if let Some((site, key)) = key.split_once('.') {
             return self.idle_at_site(Site::of_name(site)?, key, no_search);
         }
-        let off = |sites: &[Site]| sites.iter().all(|site| !perturb.sites[*site].on());
+        // Whether none of the chosen sites is on, and that in words.
+        let off = |chosen: fn(Site) -> bool| {
+            let sites: Vec<Site> = Site::ALL.into_iter().filter(|site| chosen(*site)).collect();
+            let named: Vec<String> = sites.iter().map(|site| format!("perturb.{}.passes", site.name())).collect();
+            let verb = if sites.len() == 1 { "is" } else { "are" };
+            let is_off = sites.iter().all(|site| !perturb.sites[*site].on());
+            (is_off, format!("{} {verb} \"off\"", named.join(" and ")))
+        };
+        let (feature_off, no_feature) = off(|site| site.about().level == Level::Feature);
+        let (output_off, no_output) = off(|site| site.about().level == Level::Output);
+        let (density_off, no_density) = off(|site| site == Site::Density);
+        let (xyz_off, no_xyz) = off(|site| site == Site::Xyz);
         let encoding = word(self.field.encoding);
         reason(
             key,
             [
                 (&["step_unit"], no_search.is_some(), no_search.unwrap_or_default()),
-                (&["injection_layer"], off(&[Site::Feature]), "perturb.feature.passes is \"off\"".into()),
-                (
-                    &["output"],
-                    off(&[Site::Rgb, Site::Density]),
-                    "perturb.rgb.passes and perturb.density.passes are \"off\"".into(),
-                ),
-                (&["perturb_last"], off(&[Site::Density]), "perturb.density.passes is \"off\"".into()),
+                (&["injection_layer"], feature_off, no_feature),
+                (&["output"], output_off, no_output),
+                (&["perturb_last"], density_off, no_density),
                 (
                     &["perturb_last"],
                     self.field.encoding.at_intervals(),
                     format!("field.encoding is \"{encoding}\", with which the last sample is as the others"),
                 ),
-                (&["xyz_radius"], off(&[Site::Xyz]), "perturb.xyz.passes is \"off\"".into()),
+                (&["xyz_radius"], xyz_off, no_xyz),
                 (&["resample"], self.sampling.fine == 0, "sampling.fine is 0".into()),
                 (
                     &["resample"],

@@ -6,7 +6,7 @@ use super::{
     MESH_SIDES, Objective, PerturbField, Precision, Regularizer, Resample, SecondPass, Sizes, Spacing, Split,
     TermNeeds, UnseenPoses, word,
 };
-use crate::augment::{Epsilon, Geometry, Norm, Passes, REACH, Site, StepUnit};
+use crate::augment::{Epsilon, Geometry, Level, Norm, Passes, REACH, StepUnit};
 use crate::base::{Error, Result, SettingError};
 use crate::data::RayGroup;
 
@@ -215,7 +215,7 @@ impl Config {
         if self.method.is_augmented() && !self.representation().has_coarse_loss() {
             self.validate_fine_alone(perturbs)?;
         }
-        if perturbs && perturb.sites[Site::Feature].on() {
+        if perturbs && perturb.sites_on().any(|(site, _)| site.about().level == Level::Feature) {
             let allowed = format!("1 to {} (field.depth)", self.field.depth);
             require((1..=self.field.depth).contains(&layer), "perturb.injection_layer", layer, &allowed)?;
         }

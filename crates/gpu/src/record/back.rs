@@ -167,7 +167,7 @@ impl<'a> Recorder<'a> {
         match site {
             Site::Rgb => Some(&self.scratch.used_rgb),
             Site::Density => Some(&self.scratch.used_density),
-            _ => None,
+            Site::T | Site::Xyz | Site::View | Site::Feature => None,
         }
     }
 }

@@ -306,9 +306,8 @@ impl<'a> ChunkRecorder<'a> {
         recorder.forward(pass, None);
         let padding = self.config().field.rgb_padding;
         for site in sets.sites() {
-            let range = if site == Site::Rgb { (-padding, 1.0 + padding) } else { (0.0, f64::from(f32::MAX)) };
             let counts = (&steps.buffers.counts, bounded(index, site));
-            recorder.at_bound(sets, buffers, pass, site, counts, range);
+            recorder.at_bound(sets, buffers, pass, site, counts, padding);
         }
         let first = first_of(index);
         recorder.keep_used(sets, buffers, pass);

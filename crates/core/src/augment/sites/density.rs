@@ -10,6 +10,7 @@ use crate::base::Result;
 pub const SITE: SiteSpec = SiteSpec {
     name: "density",
     level: Level::Output,
+    moves_samples: false,
     what: "added to the density of a sample",
     unit: "1 / length",
     passes: Passes::Both,

@@ -8,6 +8,7 @@ use crate::base::Result;
 pub const SITE: SiteSpec = SiteSpec {
     name: "feature",
     level: Level::Feature,
+    moves_samples: false,
     what: "added to the output of a trunk layer",
     unit: "feature units",
     passes: Passes::Both,

@@ -1,8 +1,8 @@
 //! The list of sites: the points of the perturbed pass at which a delta is added.
 //!
-//! A new site is a file here, two lines below, and the code in `render` that adds it to the pass. It is off by default.
-//! This list reads and writes its section `perturb.NAME`. Its random numbers are its own:
-//! `the_first_six_keep_their_numbers` says which keys are taken.
+//! A new site is a file here, two lines below, and the code that adds it to the pass: the compiler names the matches in
+//! `render` (and those of the GPU). It is off by default. This list reads and writes its section `perturb.NAME`. Its
+//! random numbers are its own: `the_first_six_keep_their_numbers` says which keys are taken.
 
 use std::ops::{Index, IndexMut};
 

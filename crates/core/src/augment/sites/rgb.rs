@@ -8,6 +8,7 @@ use crate::base::Result;
 pub const SITE: SiteSpec = SiteSpec {
     name: "rgb",
     level: Level::Output,
+    moves_samples: false,
     what: "added to the colour of a sample",
     unit: "colour, 0 to 1",
     passes: Passes::Both,

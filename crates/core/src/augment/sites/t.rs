@@ -14,6 +14,7 @@ const LARGEST: f64 = 0.5;
 pub const SITE: SiteSpec = SiteSpec {
     name: "t",
     level: Level::Input,
+    moves_samples: true,
     what: "shift along the ray",
     unit: "gap to the nearer sample",
     passes: Passes::Both,

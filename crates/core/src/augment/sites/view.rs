@@ -8,6 +8,7 @@ use crate::base::Result;
 pub const SITE: SiteSpec = SiteSpec {
     name: "view",
     level: Level::Input,
+    moves_samples: false,
     what: "tilt of the viewing direction",
     unit: "half a pixel's angle, 1/(2f)",
     passes: Passes::Both,

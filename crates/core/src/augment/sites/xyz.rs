@@ -9,6 +9,7 @@ use crate::base::Result;
 pub const SITE: SiteSpec = SiteSpec {
     name: "xyz",
     level: Level::Input,
+    moves_samples: true,
     what: "shift of a sample's point",
     unit: "pixels",
     passes: Passes::Both,

@@ -203,7 +203,7 @@ impl FieldLearner {
         let clean = Pass { scales_gradients: false, ..pass.pass };
         let mut fixed = None;
         worst_case(&pass.sets, &perturb.numbers, perturb.step_unit, start, |at| {
-            if fixed.is_none() && at.fixes(&FixedSamples::MOVED_BY) {
+            if fixed.is_none() && at.fixes_samples() {
                 fixed = Some(FixedSamples::new(&field, clean, at.deltas)?);
             }
             let perturbation = self.perturbation(pass, at.deltas);
