@@ -29,6 +29,9 @@ use super::{Compute, LpipsWeights, Sources};
 /// Steps from which on settings are the paper's.
 const PAPER_STEPS: u64 = 100_000;
 
+/// Seconds of training from which on pictures are drawn before its end.
+const PREVIEWS_FROM: f64 = 10.0;
+
 /// Seconds from which on a question is asked.
 pub(super) const LONG: f64 = 3600.0;
 
@@ -265,6 +268,7 @@ fn train(
     if let Some(estimate) = job.estimate(&signal)? {
         console.say(&how_long(estimate, &measured));
     }
+    let job = job.with_previews(PREVIEWS_FROM);
     let finished = match page {
         Some(page) => page.train(job, &signal, console)?,
         None => job.train(console, &signal)?,

@@ -86,7 +86,7 @@ impl Viewer<'_> {
     /// # Errors
     /// The same.
     pub fn render_with(&self, renderer: &dyn Renderer, camera: &Camera) -> Result<RenderedView> {
-        self.render_every(renderer, 1, camera)
+        self.render_every(renderer, 1, camera, &|| Ok(()))
     }
 
     /// Renders a view as [`Viewer::render_with`] does. `stop_check` may end it with an error before any part.
@@ -99,12 +99,18 @@ impl Viewer<'_> {
         camera: &Camera,
         stop_check: &(dyn Fn() -> Result<()> + Sync),
     ) -> Result<RenderedView> {
-        self.runtime.install(|| self.render_here(renderer, 1, camera, stop_check))
+        self.render_every(renderer, 1, camera, stop_check)
     }
 
     /// Renders every `stride`-th pixel across and down, from the first one on, as an image of these.
-    fn render_every(&self, renderer: &dyn Renderer, stride: usize, camera: &Camera) -> Result<RenderedView> {
-        self.runtime.install(|| self.render_here(renderer, stride, camera, &|| Ok(())))
+    pub(super) fn render_every(
+        &self,
+        renderer: &dyn Renderer,
+        stride: usize,
+        camera: &Camera,
+        stop_check: &(dyn Fn() -> Result<()> + Sync),
+    ) -> Result<RenderedView> {
+        self.runtime.install(|| self.render_here(renderer, stride, camera, stop_check))
     }
 
     fn render_here(
@@ -234,13 +240,9 @@ impl Viewer<'_> {
         let (renderer, floor) = (self.renderer()?, self.floor());
         let of_view = |view: &View| -> Result<ViewMetrics> {
             stop_check()?;
-            let rendered = self.render_every(&*renderer, stride, &view.camera)?;
-            let (columns, rows) = (view.image.width, view.image.height);
-            let mask: Option<Vec<bool>> = view.mask.as_ref().map(|mask| {
-                let kept = |y: usize| (0..columns).step_by(stride).map(move |x| mask[y * columns + x]);
-                (0..rows).step_by(stride).flat_map(kept).collect()
-            });
-            let (truth, mask) = (view.image.every(stride), mask.as_deref());
+            let rendered = self.render_every(&*renderer, stride, &view.camera, &|| Ok(()))?;
+            let (truth, mask) = every(view, stride);
+            let mask = mask.as_deref();
             let mut measured = measure_unmasked(&view.name, &rendered.image, &truth, mask, &[])?;
             floor.map_or(Ok(()), |floor| floor.measure(&mut measured, &truth, mask))?;
             Ok(measured)
@@ -290,4 +292,14 @@ impl Viewer<'_> {
         events.on(Event::Finished);
         Ok(metrics)
     }
+}
+
+/// Returns every `stride`-th pixel of a photo and of its mask, across and down.
+pub(super) fn every(view: &View, stride: usize) -> (Image, Option<Vec<bool>>) {
+    let (columns, rows) = (view.image.width, view.image.height);
+    let mask = view.mask.as_ref().map(|mask| {
+        let kept = |y: usize| (0..columns).step_by(stride).map(move |x| mask[y * columns + x]);
+        (0..rows).step_by(stride).flat_map(kept).collect()
+    });
+    (view.image.every(stride), mask)
 }

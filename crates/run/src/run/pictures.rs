@@ -1,12 +1,12 @@
 //! Images that training and rendering write.
 
 use std::cell::RefCell;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use serde::Serialize;
 
-use crate::base::files::write_json;
-use crate::base::{Image, Result};
+use crate::base::files::{remove, write_json};
+use crate::base::{Error, Image, Result};
 use crate::compare::{DisplaySize, colour_bar};
 use crate::data::{Scene, View};
 use crate::draw::canvas::{Anchor, BLACK, Canvas, LINE_HEIGHT, TEXT};
@@ -156,31 +156,56 @@ impl<'a> Pictures<'a> {
         let Image { width, height, .. } = rendered.image;
         let file = |what: &str| self.folder.join(format!("{}_{what}.png", view.name));
         // The first view's range colours all views.
-        let range = *self.range.borrow_mut().get_or_insert_with(|| {
-            let range = depth_range(&rendered.depth, Some(&rendered.acc));
-            range.unwrap_or((self.scene.near as f32, self.scene.far as f32))
-        });
+        let range = *self.range.borrow_mut().get_or_insert_with(|| self.depth_range(rendered));
         let colours = depth_picture(rendered, range)?;
         write_png8(&file("rgb"), &rendered.image)?;
         write_png8(&file("truth"), &view.image)?;
         write_png8(&file("depth"), &colours)?;
         write_depth16(&file("depth16"), &solid_depth(rendered), width, height, self.scene.far as f32)?;
-        let mut truth = view.image.as_ref().clone();
         if let Some(mask) = &view.mask {
             write_png8(&file("mask"), &mask_picture(mask, width, height))?;
-            stripe(&mut truth, mask);
         }
-        let all = side_by_side(&[&rendered.image, &truth, &colours], range, self.depth_unit())?;
+        let all = self.beside(view.image.as_ref().clone(), view.mask.as_deref(), rendered, (&colours, range))?;
         write_png8(&file("beside"), &all)?;
         Ok(Some(all))
     }
 
-    fn depth_unit(&self) -> &'static str {
-        if self.scene.ndc.is_some() { "NDC" } else { "scene units" }
+    fn depth_range(&self, rendered: &RenderedView) -> (f32, f32) {
+        let range = depth_range(&rendered.depth, Some(&rendered.acc));
+        range.unwrap_or((self.scene.near as f32, self.scene.far as f32))
     }
 
-    /// Writes `depth.json`.
+    /// Returns rendering, ground truth and depth, `colours` over a range, side by side.
+    fn beside(
+        &self,
+        mut truth: Image,
+        mask: Option<&[bool]>,
+        rendered: &RenderedView,
+        (colours, range): (&Image, (f32, f32)),
+    ) -> Result<Image> {
+        if let Some(mask) = mask {
+            stripe(&mut truth, mask);
+        }
+        let unit = if self.scene.ndc.is_some() { "NDC" } else { "scene units" };
+        side_by_side(&[&rendered.image, &truth, colours], range, unit)
+    }
+
+    /// Returns the path of the image of an unfinished training.
+    pub fn preview_path(&self) -> PathBuf {
+        self.folder.join("preview.png")
+    }
+
+    /// Writes the image of an unfinished training: a rendering of the first view, beside its ground truth and depth.
+    pub fn preview(&self, truth: Image, mask: Option<&[bool]>, rendered: &RenderedView) -> Result<()> {
+        let range = self.depth_range(rendered);
+        let all = self.beside(truth, mask, rendered, (&depth_picture(rendered, range)?, range))?;
+        write_png8(&self.preview_path(), &all)
+    }
+
+    /// Writes `depth.json` and deletes the image of the unfinished training.
     pub fn finish(&self) -> Result<()> {
+        let preview = self.preview_path();
+        remove(&preview).map_err(|error| Error::unwritable(&preview, &error))?;
         if self.count == 0 {
             return Ok(());
         }
