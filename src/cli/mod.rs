@@ -200,14 +200,19 @@ enum Command {
     Man(manual::ManArguments),
 }
 
+/// The variable that sets the threads of programs on rayon, as this one is.
+const RAYON_THREADS: &str = "RAYON_NUM_THREADS";
+/// The most threads that can be asked for.
+const MOST_THREADS: u16 = 1024;
+
 /// Flags that say where numbers are computed; they change no setting of a run.
 #[derive(Args)]
 #[command(next_help_heading = "Hardware")]
 struct Compute {
     #[arg(long, value_name = "DEVICE", help = DEVICES)]
     device: Option<String>,
-    /// CPU threads [default: all cores]
-    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=1024))]
+    /// CPU threads [default: RAYON_NUM_THREADS, or all cores]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=i64::from(MOST_THREADS)))]
     threads: Option<u16>,
     /// Print errors and results only
     #[arg(long, short, help_heading = "Output")]
@@ -278,8 +283,24 @@ impl Compute {
     /// Returns the runtime of the named device and threads, with another default device.
     fn runtime_or(&self, default: &str) -> Result<Runtime> {
         let device = self.device.as_deref().unwrap_or(default);
+        let threads = self.threads.map(usize::from).or_else(|| self.threads_of_rayon());
         // The messages begin with the name of the flag.
-        open_runtime(device, self.threads.map(usize::from)).map_err(|error| Error::Config(format!("--{error}")))
+        open_runtime(device, threads).map_err(|error| Error::Config(format!("--{error}")))
+    }
+
+    /// Returns the threads that rayon's variable asks for; 0 and nothing are all cores. Says if it is no number.
+    fn threads_of_rayon(&self) -> Option<usize> {
+        let asked = std::env::var_os(RAYON_THREADS).filter(|asked| !asked.is_empty())?;
+        match asked.to_str().and_then(|asked| asked.parse().ok()) {
+            Some(threads @ 0..=MOST_THREADS) => (threads > 0).then_some(threads.into()),
+            _ => {
+                let found = asked.to_string_lossy();
+                Console::new(self.quiet).say(&format!(
+                    "warning: {RAYON_THREADS}={found} is not a number from 0 to {MOST_THREADS} and is ignored; --threads also sets the threads"
+                ));
+                None
+            }
+        }
     }
 }
 

@@ -4,10 +4,11 @@ use std::io::{IsTerminal, Write};
 use std::sync::{Mutex, MutexGuard};
 use std::time::{Duration, Instant};
 
-use indicatif::{ProgressBar, ProgressStyle};
+use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 
 use crate::base::{Error, Event, Listener, Result, shown};
 use crate::run::EVALUATING;
+use crate::runtime::in_background;
 
 /// Seconds of a year.
 const YEAR: f64 = 365.25 * 86_400.0;
@@ -29,6 +30,14 @@ pub fn says_yes(question: &str) -> Result<bool> {
     let mut answer = String::new();
     std::io::stdin().read_line(&mut answer).map_err(|e| Error::Config(format!("cannot read the answer: {e}")))?;
     Ok(["y", "yes"].contains(&answer.trim().to_ascii_lowercase().as_str()))
+}
+
+/// Removes a bar.
+fn clear(bar: &ProgressBar) {
+    if in_background() {
+        bar.set_draw_target(ProgressDrawTarget::hidden());
+    }
+    bar.finish_and_clear();
 }
 
 /// Prints a result on standard output. A reader may close it early (`| head`).
@@ -128,7 +137,7 @@ impl Console {
             (Event::Started { what, parts }, _) => *bar = Some(Bar::Stretch(Stretch::new(self.quiet, what, parts))),
             (Event::Advanced, Some(Bar::Stretch(stretch))) => stretch.advance(),
             (Event::Finished, Some(Bar::Stretch(stretch))) => {
-                stretch.bar.finish_and_clear();
+                clear(&stretch.bar);
                 *bar = None;
             }
             (Event::TrainingStarted { first, steps, rays }, _) => {
@@ -187,7 +196,9 @@ impl Stretch {
             let style = ProgressStyle::with_template("{msg:>12} {wide_bar} {pos}/{len} ETA {eta}");
             let bar = ProgressBar::new(parts).with_style(style.expect("a valid template"));
             let bar = bar.with_message(what.to_string());
-            bar.tick();
+            if !in_background() {
+                bar.tick();
+            }
             bar
         };
         let now = Instant::now();
@@ -196,7 +207,9 @@ impl Stretch {
 
     fn advance(&mut self) {
         self.done += 1;
-        self.bar.inc(1);
+        if !in_background() {
+            self.bar.set_position(self.done);
+        }
         if !self.quiet && self.bar.is_hidden() && self.line_at.elapsed() >= LINE_EVERY && self.done < self.parts {
             self.line_at = Instant::now();
             let left =
@@ -237,6 +250,7 @@ impl TrainingBar {
         let psnr = psnr.map_or("-".into(), |psnr| format!("{psnr:.2}"));
         let state = format!("loss {loss:.4}  PSNR {psnr} dB  {:.0} rays/s", rate * self.rays);
         match &self.bar {
+            Some(_) if in_background() => {}
             Some(bar) => {
                 bar.set_message(state);
                 bar.set_position(step);
@@ -254,16 +268,16 @@ impl TrainingBar {
     /// Prints a line above the bar.
     fn say(&self, line: &str) {
         match &self.bar {
-            Some(bar) => bar.println(shown(line)),
-            None if self.quiet => {}
-            None => report(line),
+            Some(bar) if !in_background() => bar.println(shown(line)),
+            _ if self.quiet => {}
+            _ => report(line),
         }
     }
 
     /// Removes the bar.
     fn finish(&self) {
         if let Some(bar) = &self.bar {
-            bar.finish_and_clear();
+            clear(bar);
         }
     }
 }

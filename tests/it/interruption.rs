@@ -368,3 +368,26 @@ fn leftovers_of_killed_commands_go_at_the_next_start() {
     assert_eq!(entries(&checkpoints).len(), 3);
     assert!(entries(&out.join("renders")).is_empty());
 }
+
+/// A shell with job control keeps the terminal for itself while a program is in the background: no bar is drawn over what is
+/// typed there.
+#[cfg(unix)]
+#[test]
+fn a_program_in_the_background_draws_no_bars() {
+    if Command::new("script").arg("--version").output().is_err() {
+        eprintln!("left out: no script (util-linux) is here to make a terminal");
+        return;
+    }
+    let dir = TempDir::new().unwrap();
+    let said = |name: &str, after: &str| {
+        let out = dir.path().join(name);
+        let small = "--preset smoke --set train.steps=40 --set data.width=16 --set field.width=16 --set train.rays=64";
+        let shell = format!("set -m; {} train {small} --out {} {after}", env!("CARGO_BIN_EXE_augnerf"), out.display());
+        let mut script = Command::new("script");
+        script.args(["-qec", &shell, "/dev/null"]).env("SHELL", "/bin/sh").env("TERM", "xterm").current_dir(dir.path());
+        let said = demand(&mut script, 0);
+        assert_says(&said, &["held-out views: PSNR"]);
+        said.matches("rays/s").count()
+    };
+    assert_eq!((said("foreground", "") > 0, said("background", "& wait")), (true, 0));
+}

@@ -12,7 +12,7 @@ use crate::cli::{Compute, LpipsWeights};
 use crate::draw::SVG_ALONE;
 use crate::report::Status;
 use crate::report::tables::table_terminal;
-use crate::runtime::Runtime;
+use crate::runtime::{Runtime, with_own_variables};
 use crate::sweep::{Options, Runner, Sharing, Unmeasured};
 
 use super::{
@@ -172,6 +172,7 @@ fn then(command: &str, ran: Result<()>) -> Result<()> {
     let code = ran.as_ref().map_or_else(|error| error.exit_code(), |()| 0);
     let (shell, flag) = if cfg!(windows) { ("cmd", "/C") } else { ("sh", "-c") };
     let mut shell = Command::new(shell);
+    with_own_variables(&mut shell);
     let ended = shell.args([flag, command]).env(EXIT_CODE, code.to_string()).stdout(std::io::stderr()).status();
     let failed = match ended {
         Ok(status) if status.success() => None,

@@ -3,6 +3,8 @@
 use std::process::{Command, Output};
 use std::time::Duration;
 
+use augnerf::runtime::with_own_variables;
+
 use super::assert_says;
 
 /// The program with arguments, not yet started. It sees neither scenes nor LPIPS weights of this machine.
@@ -10,6 +12,8 @@ pub fn augnerf(arguments: &[&str]) -> Command {
     let mut command = Command::new(env!("CARGO_BIN_EXE_augnerf"));
     command.args(arguments).env("RUST_BACKTRACE", "0");
     command.env_remove("AUGNERF_LPIPS_WEIGHTS").env_remove("AUGNERF_DATA");
+    // A runtime in this process has set the threads of its children.
+    with_own_variables(&mut command);
     // Whatever lands in a default place must not land in the repository.
     command.current_dir(std::env::temp_dir());
     command

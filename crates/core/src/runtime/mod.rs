@@ -19,6 +19,7 @@ pub use accelerator::Accelerator;
 pub use host::{Host, Timing, instructions};
 pub use host::{free_memory_mib, host_name, peak_memory_mib};
 pub use memory::MemoryWatch;
+pub use process::{in_background, with_own_variables};
 pub use work::Work;
 pub use work::{count_multiply_adds, count_points, count_table_bytes};
 
@@ -40,7 +41,8 @@ const STACK_BYTES: usize = 8 << 20;
 ///
 /// - Freed memory stays with the process (glibc's `mallopt`). A training step would take twice as long without it.
 /// - candle works on the calling thread only: `RAYON_NUM_THREADS` and `CANDLE_NUM_THREADS` become 1. candle 0.11 offers
-///   no other way. Rayon's global pool is started first, with the threads that it would have had.
+///   no other way. Rayon's global pool is started first, with the threads that it would have had. [`with_own_variables`]
+///   gives child processes the variables as they were.
 /// - With `cuda-tf32`, matrix products of all CUDA devices are rounded. A process cannot have both `cuda` and
 ///   `cuda-tf32`.
 ///

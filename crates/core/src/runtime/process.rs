@@ -1,5 +1,7 @@
 //! Settings of the complete process, set once.
 
+use std::ffi::OsString;
+use std::process::Command;
 use std::sync::OnceLock;
 
 use crate::base::{Error, Result};
@@ -41,14 +43,46 @@ fn keep_freed_memory() {
 /// operations would mostly wait for one another. candle has no function for it. It reads one variable at its first
 /// large operation, and the other at every matrix product. Without the other it would read the list of CPUs.
 fn keep_tensors_to_their_thread() {
+    variables_before();
     // SAFETY: Rust's readers and writers of the environment wait for one another. C code that reads it on another thread at this
     // moment would not: hence the first runtime is to be made before such code runs, as the documentation of Runtime::new asks.
     unsafe {
-        std::env::set_var("RAYON_NUM_THREADS", "1");
-        std::env::set_var("CANDLE_NUM_THREADS", "1");
+        THREADS.iter().for_each(|name| std::env::set_var(name, "1"));
     }
     // The variable is read now, before other code can change it.
     candle_core::utils::barrier_pool();
+}
+
+/// The variables that the first runtime sets.
+const THREADS: [&str; 2] = ["RAYON_NUM_THREADS", "CANDLE_NUM_THREADS"];
+
+fn variables_before() -> &'static [Option<OsString>; 2] {
+    static BEFORE: OnceLock<[Option<OsString>; 2]> = OnceLock::new();
+    BEFORE.get_or_init(|| THREADS.map(std::env::var_os))
+}
+
+/// Gives a command the variables that the first runtime sets, as they were before it.
+pub fn with_own_variables(command: &mut Command) -> &mut Command {
+    THREADS.iter().zip(variables_before()).for_each(|(name, value)| {
+        match value {
+            Some(value) => command.env(name, value),
+            None => command.env_remove(name),
+        };
+    });
+    command
+}
+
+/// Returns whether the terminal belongs to another program: the shell has this one in the background, where bars would
+/// overwrite what is typed. It is false without a terminal at standard error.
+pub fn in_background() -> bool {
+    #[cfg(unix)]
+    {
+        // SAFETY: both functions only read the state of the process.
+        let (foreground, own) = unsafe { (libc::tcgetpgrp(libc::STDERR_FILENO), libc::getpgrp()) };
+        foreground > 0 && foreground != own
+    }
+    #[cfg(not(unix))]
+    false
 }
 
 /// Sets whether the factors of matrix products on CUDA are rounded to 10 bits. candle has one switch for the process:
