@@ -18,6 +18,12 @@ const OTHER_COMMANDS: [(&str, &[&str]); 5] = [
 /// Adds tips to an error: a setting that an unknown flag names, a flag for a stray word, a command for one of other programs.
 /// `words` is the command line without the program.
 pub fn with_tips(mut error: clap::Error, words: &[OsString]) -> clap::Error {
+    if error.kind() == ErrorKind::InvalidUtf8 {
+        let odd: Vec<String> =
+            words.iter().filter(|word| word.to_str().is_none()).map(|word| format!("{word:?}")).collect();
+        let text = format!("not UTF-8: {}; only paths may have such bytes\n", odd.join(", "));
+        return meant_command(words).error(ErrorKind::InvalidUtf8, text);
+    }
     if let Some(ContextValue::String(command)) = error.get(ContextKind::InvalidSubcommand)
         && let Some((_, ours)) = OTHER_COMMANDS.iter().find(|(other, _)| other == command)
     {

@@ -139,7 +139,7 @@ fn budgets_of_evaluations_are_for_fields_and_those_of_seconds_for_all() {
         let named = format!("method {method}");
         for like in ["NeRF", "Other"] {
             let told = points("evaluations", like).unwrap_err().to_string();
-            assert_says(&told, &["row 'Other'", "budget.kind = \"evaluations\"", &named, "budget.kind = \"seconds\""]);
+            assert_says(&told, &["Other", "budget.kind = \"evaluations\"", &named, "budget.kind = \"seconds\""]);
         }
         let steps: Vec<u64> = points("seconds", "NeRF").unwrap().iter().map(|point| point.config.train.steps).collect();
         assert_eq!(steps, [1200, 1200], "{method}");

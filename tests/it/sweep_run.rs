@@ -286,7 +286,10 @@ fn wrong_definitions_are_refused_with_words() {
         ),
         (axis("", "8"), vec!["axis 'a'", "keys"]),
         (axis("\"train.raise\"", "8"), vec!["axis 'a': train.raise: unknown key", "train.rays"]),
-        (replace("\"perturb.t.steps\"", "\"trian.steps\""), vec!["row 'Aug-NeRF': its set: trian.steps: unknown key"]),
+        (
+            replace("\"perturb.t.steps\"", "\"trian.steps\""),
+            vec!["cannot run: Aug-NeRF (builtin): its set: trian.steps: unknown key"],
+        ),
         (
             replace("\"perturb.t.steps\" = 3", "\"train.steps\" = \"x\""),
             vec!["its set: train.steps: 'x' is not a whole"],

@@ -24,6 +24,14 @@ set = { "data.width" = 16, "field.width" = 16, "sampling.coarse" = 8, "sampling.
 row = [{ name = "NeRF" }, { name = "TV, weak", set = { "regularizer.kind" = "tv", "regularizer.weight" = 1e-9 } }]
 "#;
 
+struct Free;
+
+impl augnerf::sweep::StepCosts for Free {
+    fn seconds_per_step(&self, _: &augnerf::settings::Config) -> augnerf::base::Result<f64> {
+        Ok(1.0)
+    }
+}
+
 /// A folder with `sweeps/tiny.toml`.
 fn workplace() -> TempDir {
     let dir = TempDir::new().unwrap();
@@ -262,12 +270,6 @@ fn mistakes_in_sweep_files_are_answered_with_what_to_do() {
 #[test]
 fn a_plan_stops_by_the_clock() {
     let definition = Definition::parse(TINY, "tiny.toml").unwrap();
-    struct Free;
-    impl augnerf::sweep::StepCosts for Free {
-        fn seconds_per_step(&self, _: &augnerf::settings::Config) -> augnerf::base::Result<f64> {
-            Ok(1.0)
-        }
-    }
     let points = expand(&definition, None, &Free).unwrap();
     let trainings = Trainings::new(Runtime::new("cpu", Some(1)).unwrap(), (Vec::new(), String::new()), false, &());
     let costs = |limit: Duration| {
@@ -285,4 +287,142 @@ fn a_plan_stops_by_the_clock() {
     let stopped = costs(Duration::ZERO);
     assert_eq!(measured(&stopped), [true, false]);
     assert!(stopped.iter().all(|cost| cost.1 > 0.0) && stopped[0].1 != stopped[1].1, "{stopped:?}");
+}
+
+/// Rows are refused together: those of wrong settings, and else those that do not suit the scene.
+#[test]
+fn rows_that_cannot_run_are_named_together() {
+    let dir = workplace();
+    let file = dir.path().join("sweeps/tiny.toml");
+    let cases = [
+        (
+            r#"{ name = "A", set = { "train.stps" = 1 } }, { name = "B", set = { "field.width" = 7 } }"#,
+            ["rows that cannot run: A (builtin): its set: train.stps", "; B (builtin): field.width = 7"],
+        ),
+        // 40 views of 16 x 16 pixels, whose rays end 6 from the cameras.
+        (
+            r#"{ name = "A", set = { "train.rays" = 20000 } }, { name = "B", set = { "regularizer.kind" = "l1",
+               "regularizer.domain" = [[90.0, 90.0, 90.0], [91.0, 91.0, 91.0]] } }"#,
+            ["rows that cannot run: A (builtin): train.rays = 20000", "; B (builtin): regularizer.domain: the box"],
+        ),
+        (
+            r#"{ name = "A", set = { "train.rays" = 20000 } }, { name = "B", set = { "train.rays" = 20000,
+               "train.steps" = 3 } }"#,
+            ["rows that cannot run: A (builtin), B (builtin): train.rays = 20000", "at most 64"],
+        ),
+    ];
+    for (rows, words) in cases {
+        fs::write(&file, TINY.replace("row = [", &format!("row = [{}, ", rows.replace("\n", "")))).unwrap();
+        for command in ["begin", "plan", "run"] {
+            let said = run(dir.path(), &["sweep", command, "sweeps/tiny.toml"], 2);
+            assert_says(&said, &words);
+            assert!(!said.contains("NeRF (") && !dir.path().join("runs").exists(), "{said}");
+        }
+    }
+}
+
+/// Two fields of 16 layers of 4,096 neurons have 2 GB of weights.
+#[cfg(target_os = "linux")]
+#[test]
+fn a_check_makes_no_field() {
+    let dir = workplace();
+    let file = dir.path().join("sweeps/tiny.toml");
+    let wide = r#"row = [{ name = "Wide", set = { "field.width" = 4096, "field.depth" = 16 } }, "#;
+    fs::write(&file, TINY.replace("row = [", wide)).unwrap();
+    let begin = "ulimit -v 1500000; exec \"$0\" sweep begin sweeps/tiny.toml --threads 1";
+    let mut command = std::process::Command::new("sh");
+    command.args(["-c", begin, env!("CARGO_BIN_EXE_augnerf")]).current_dir(dir.path());
+    let said = demand(&mut command, 0);
+    assert_says(&said, &["checking 3 configurations of 3 points on builtin", "runs/tiny: 3 points"]);
+}
+
+/// 40 views of 16 x 16 pixels are 10,240; two steps of 32 rays are 64.
+#[test]
+fn every_table_says_how_often_a_pixel_was_seen() {
+    let dir = workplace();
+    let root = dir.path();
+    let twice = r#"row = [{ name = "Twice", set = { "train.steps" = 4 } }, "#;
+    fs::write(root.join("sweeps/tiny.toml"), TINY.replace("row = [", twice)).unwrap();
+    let said = run(root, &["sweep", "run", "sweeps/tiny.toml"], 0);
+    let note =
+        "each training pixel was seen 0.0063 times, 0.013 times in Twice (epochs: steps x rays of a step / training";
+    let results = root.join("results/tiny");
+    let read = |name: &str| fs::read_to_string(results.join(name)).unwrap();
+    assert_says(&said, &[note]);
+    assert_says(&read("table.md"), &[&note.replace("each", "Each")]);
+    assert_says(&read("table.tex"), &["each training pixel was seen 0.0063 times"]);
+    assert_says(&read("report.html"), &["less than one epoch: each training pixel", "0.0063 to 0.013"]);
+    let points = read("points.csv");
+    let of_rows = |text: &str| -> Vec<String> {
+        crate::common::files::rows(text).iter().map(|row| row["epochs"].clone()).collect()
+    };
+    assert_eq!(of_rows(&points), ["0.0125", "0.00625", "0.00625"]);
+    // Results of earlier programs lack the column.
+    let mut reader = csv::Reader::from_reader(points.as_bytes());
+    let at = reader.headers().unwrap().iter().position(|name| name == "epochs").unwrap();
+    let without = |row: &csv::StringRecord| -> Vec<String> {
+        row.iter().enumerate().filter(|(index, _)| *index != at).map(|(_, cell)| cell.to_string()).collect()
+    };
+    let mut writer = csv::Writer::from_writer(Vec::new());
+    writer.write_record(without(&reader.headers().unwrap().clone())).unwrap();
+    reader.records().for_each(|row| writer.write_record(without(&row.unwrap())).unwrap());
+    fs::write(results.join("points.csv"), writer.into_inner().unwrap()).unwrap();
+    run(root, &["verify", "results/tiny", "--update"], 0);
+    assert_eq!(of_rows(&read("points.csv")), ["0.0125", "0.00625", "0.00625"]);
+    assert_says(&read("table.md"), &[&note.replace("each", "Each")]);
+}
+
+#[test]
+fn a_large_sweep_is_summed_up_and_its_names_sort() {
+    let dir = workplace();
+    let root = dir.path();
+    run(root, &["sweep", "begin", "sweeps/tiny.toml", "--seeds", "0-59"], 0);
+    let status = |more: &[&str]| run(root, &[&["sweep", "status", "runs/tiny"], more].concat(), 11);
+    let waiting = |said: &str| said.lines().filter(|line| line.starts_with("waiting")).count();
+    let said = status(&[]);
+    assert_says(&said, &["of 120 points, those that run or failed are listed; --all", "row NeRF: 0 of 60 done"]);
+    assert_eq!((waiting(&said), waiting(&status(&["--all"]))), (0, 120));
+    #[cfg(unix)]
+    assert!(entries(&root.join("runs/tiny/by-name/NeRF"))[9].ends_with("seed-09"));
+}
+
+#[test]
+fn status_says_why_the_last_worker_ended() {
+    let dir = workplace();
+    let root = dir.path();
+    run(root, &["sweep", "begin", "sweeps/tiny.toml"], 0);
+    let status = || run(root, &["sweep", "status", "runs/tiny"], 11);
+    assert!(!status().contains("worker"));
+    // A file where the first point's run belongs.
+    let definition = Definition::read(&root.join("sweeps/tiny.toml")).unwrap();
+    let id = &expand(&definition, None, &Free).unwrap()[0].id;
+    let in_the_way = root.join("runs/tiny/points").join(id).join("run");
+    fs::create_dir_all(in_the_way.parent().unwrap()).unwrap();
+    fs::write(&in_the_way, "").unwrap();
+    run(root, &["sweep", "run", "sweeps/tiny.toml"], 4);
+    assert_says(&status(), &["the last worker (", ") ended: runs/tiny/points/", id]);
+    fs::remove_file(in_the_way).unwrap();
+    run(root, &["sweep", "run", "sweeps/tiny.toml", "--quiet"], 0);
+    assert!(!run(root, &["sweep", "status", "runs/tiny"], 0).contains("worker"));
+}
+
+#[cfg(unix)]
+#[test]
+fn words_that_are_not_utf_8_are_named() {
+    use std::os::unix::ffi::OsStrExt;
+    let odd = std::ffi::OsStr::from_bytes(b"train.steps=\xff");
+    let said = demand(augnerf(&["sweep", "plan", "smoke", "--set"]).arg(odd), 2);
+    assert_says(&said, &[r#"not UTF-8: "train.steps=\xFF""#]);
+}
+
+/// A title that names steps is wrong with `--set train.steps`; the protocol says them.
+#[test]
+fn no_shipped_title_names_steps() {
+    for (name, text) in augnerf::sweep::SHIPPED {
+        let table: toml::Table = toml::from_str(text).unwrap();
+        let title = table.get("title").and_then(toml::Value::as_str).unwrap_or_default();
+        let words: Vec<&str> = title.split([' ', ',']).collect();
+        let counted = |pair: &[&str]| pair[1].starts_with("step") && pair[0].ends_with(|c: char| c.is_ascii_digit());
+        assert!(!words.windows(2).any(counted), "{name}: {title}");
+    }
 }

@@ -110,6 +110,10 @@ impl Family for PlanesFamily {
         MpiNetwork::parameter_names(config)
     }
 
+    fn check(&self, config: &Resolved, scene: &Scene) -> Result<()> {
+        PlanesLearner::check(config, scene)
+    }
+
     fn init(&self, config: &Resolved, dtype: DType, device: &Device) -> Result<Arc<dyn Network>> {
         Ok(Arc::new(MpiNetwork::init(config, dtype, device)?))
     }
@@ -126,10 +130,6 @@ impl Network for MpiNetwork {
 
     fn learner(&self, config: &Resolved, scene: &Scene, _: DType, _: &Device) -> Result<Box<dyn Learner>> {
         Ok(Box::new(PlanesLearner::new(config, scene, self.clone())?))
-    }
-
-    fn start(&self, config: &Resolved, scene: &Scene, _: DType, _: &Device) -> Result<Box<dyn Learner>> {
-        Ok(Box::new(PlanesLearner::start(config, scene, self.clone())?))
     }
 
     fn renderer(&self, config: &Config, scene: &Scene) -> Result<Box<dyn Renderer>> {

@@ -8,7 +8,7 @@ use crate::accelerator;
 use crate::base::{Error, Result};
 use crate::data::Scene;
 use crate::field::Density;
-use crate::methods::{Family, FieldLearner, FieldRenderer, Fields, Learner, Network, Renderer};
+use crate::methods::{Family, FieldLearner, FieldRenderer, Fields, Learner, Network, Renderer, is_timed};
 use crate::runtime::Runtime;
 use crate::settings::{Capability, Config, Representation, Resolved};
 
@@ -67,9 +67,25 @@ impl Model {
             let model = Model::Fields(learner.fields().clone());
             return Ok(Start { model, learner: Box::new(learner), redraws });
         }
-        let model = Model::Baseline(config.representation(), baseline(config)?.init(config, dtype, device)?);
-        let learner = model.first_learner(config, scene, dtype, runtime)?;
+        let family = baseline(config)?;
+        family.check(config, scene)?;
+        let model = Model::Baseline(config.representation(), family.init(config, dtype, device)?);
+        let learner = model.learner(config, scene, dtype, device)?;
         Ok(Start { model, learner, redraws: vec![0] })
+    }
+
+    /// Checks that a run can start at step 0. It makes a model only to measure terms in space at very many points.
+    ///
+    /// # Errors
+    /// Those of [`Model::start`], except a dead start.
+    pub fn check(config: &Resolved, scene: &Scene, dtype: DType, runtime: &Runtime) -> Result<()> {
+        if !config.representation().is_field() {
+            return baseline(config)?.check(config, scene);
+        }
+        match runtime.accelerator().is_none() && is_timed(&config.regularizer) {
+            true => Model::start(config, scene, dtype, runtime).map(drop),
+            false => FieldLearner::check(config, scene, dtype, runtime.device()),
+        }
     }
 
     /// Returns the learner of a new run with these parameters, after the checks of a run's start.
@@ -86,11 +102,15 @@ impl Model {
         let device = runtime.device();
         match self {
             Model::Fields(fields) => {
-                let learner = FieldLearner::begin(config, scene, fields.clone(), dtype, device)?;
+                FieldLearner::check(config, scene, dtype, device)?;
+                let learner = FieldLearner::new(config, scene, fields.clone(), dtype, device)?;
                 check_duration(&learner, runtime)?;
                 Ok(Box::new(learner))
             }
-            Model::Baseline(_, network) => network.start(config, scene, dtype, device),
+            Model::Baseline(..) => {
+                baseline(config)?.check(config, scene)?;
+                self.learner(config, scene, dtype, device)
+            }
         }
     }
 

@@ -9,6 +9,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::path::PathBuf;
 
 use crate::base::Result;
+use crate::draw::numbers::rounded;
 use crate::report::label;
 
 use super::folder::SweepFolder;
@@ -19,6 +20,8 @@ const LONGEST: usize = 120;
 
 /// Returns the paths of the links below `by-name/`, with the targets.
 pub fn links(points: &[Point]) -> Vec<(PathBuf, PathBuf)> {
+    // Leading zeros, so that names sort as numbers do.
+    let digits = points.iter().map(|point| point.config.seed).max().map_or(1, |seed| seed.to_string().len());
     let scenes: BTreeSet<&str> = points.iter().map(|point| point.scene.as_str()).collect();
     let mut taken = BTreeSet::new();
     let folders: BTreeMap<&str, String> =
@@ -29,12 +32,12 @@ pub fn links(points: &[Point]) -> Vec<(PathBuf, PathBuf)> {
         for place in &point.places {
             let cell = (point.scene.clone(), label(&place.row, &place.axes));
             if !names.iter().any(|(known, _)| *known == cell) {
-                let name = unused(&safe(&cell.1), &point.scene, &mut taken);
+                let name = unused(&safe(&rounded(&cell.1)), &point.scene, &mut taken);
                 names.push((cell.clone(), name));
             }
             let (_, name) = names.iter().find(|(known, _)| *known == cell).expect("just named");
             let scene = if scenes.len() > 1 { PathBuf::from(&folders[point.scene.as_str()]) } else { PathBuf::new() };
-            let link = scene.join(name).join(format!("seed-{}", point.config.seed));
+            let link = scene.join(name).join(format!("seed-{:0digits$}", point.config.seed));
             let up: PathBuf = link.iter().map(|_| "..").collect();
             links.push((link, up.join("points").join(&point.id)));
         }

@@ -5,6 +5,7 @@
 //! points.json             the points, with their configurations; fixed from then on
 //! begin.lock              held while these two files are written
 //! step_seconds.json       measured seconds of a step, where budgets are in seconds
+//! worker.json             the newest worker, and how it ended
 //! points/ID/config.toml   the point's configuration, before its scene fills it
 //! points/ID/run/          the run folder, as `augnerf train` writes it
 //! points/ID/result.json   metrics and protocol: the point is done
@@ -219,7 +220,7 @@ impl SweepFolder {
         for point in points {
             let state = self.point(&point.id).state(point)?;
             for place in &point.places {
-                records.push(Record {
+                let record = Record {
                     id: point.id.clone(),
                     scene: point.scene.clone(),
                     row: place.row.clone(),
@@ -237,7 +238,8 @@ impl SweepFolder {
                         _ => state.result.protocol.clone(),
                     },
                     inactive_levels: state.result.inactive_levels.clone(),
-                });
+                };
+                records.push(record.with_epochs());
             }
         }
         let names: Vec<String> = definition.scenes.iter().map(|scene| scene_name(scene)).collect();

@@ -1,6 +1,7 @@
 //! From a definition to configurations. Each is built and checked, and its scene is located, before anything is
 //! measured.
 
+use std::collections::HashSet;
 use std::path::{Path, PathBuf};
 
 use serde::{Deserialize, Serialize};
@@ -47,21 +48,67 @@ pub struct PlannedRun {
 /// that part of a sweep already makes a table. Relative scenes are below `data_root`.
 ///
 /// # Errors
-/// A row has wrong settings; the error names the row.
+/// Rows have wrong settings; the error names all of these rows.
 pub fn lay_out(definition: &Definition, data_root: Option<&Path>) -> Result<Vec<PlannedRun>> {
     let preset = Preset::parse(&definition.preset)?;
-    let mut planned = Vec::new();
+    let (mut planned, mut refused) = (Vec::new(), Refused::default());
     for &seed in &definition.seeds {
         for scene in &definition.scenes {
             let builder = Builder { definition, preset, scene, folder: scene_folder(scene, data_root), seed };
             for row in &definition.row {
                 for axes in combinations(definition, row)? {
-                    planned.push(builder.lay(row, &axes)?);
+                    let laid = builder.lay(row, &axes);
+                    planned.extend(refused.unless(laid, &[&label(&row.name, &named(&axes))], scene_name(scene))?);
                 }
             }
         }
     }
+    refused.check()?;
     Ok(planned)
+}
+
+/// Rows that cannot run, with their scenes, by the reason.
+#[derive(Default)]
+pub(super) struct Refused {
+    reasons: Vec<(String, Vec<String>)>,
+    known: HashSet<(String, String)>,
+}
+
+/// Most rows that are named with a reason.
+const MOST_NAMED: usize = 20;
+
+impl Refused {
+    /// Returns what is there of rows on a scene. A wrong setting refuses the rows; any other error is returned.
+    pub fn unless<T>(&mut self, made: Result<T>, rows: &[&str], scene: impl std::fmt::Display) -> Result<Option<T>> {
+        let reason = match made {
+            Err(error) if error.is_of_settings() => error.to_string(),
+            made => return made.map(Some),
+        };
+        for row in rows.iter().map(|row| format!("{row} ({scene})")) {
+            if !self.known.insert((reason.clone(), row.clone())) {
+                continue;
+            }
+            match self.reasons.iter_mut().find(|(known, _)| *known == reason) {
+                Some((_, rows)) => rows.push(row),
+                None => self.reasons.push((reason.clone(), vec![row])),
+            }
+        }
+        Ok(None)
+    }
+
+    /// Returns the error that names all refused rows, if there are any.
+    pub fn check(self) -> Result<()> {
+        if self.reasons.is_empty() {
+            return Ok(());
+        }
+        let of_reason = |(reason, rows): &(String, Vec<String>)| {
+            let more = rows.len().saturating_sub(MOST_NAMED);
+            let more = if more > 0 { format!(" and {more} more") } else { String::new() };
+            format!("{}{more}: {reason}", rows[..rows.len().min(MOST_NAMED)].join(", "))
+        };
+        let reasons: Vec<String> = self.reasons.iter().map(of_reason).collect();
+        Err(Error::Config(format!("rows that cannot run: {}", reasons.join("; "))))
+    }
 }
 
 fn named(axes: &Combination) -> Vec<AxisValue> {
@@ -143,19 +190,20 @@ impl Builder<'_> {
                  128",
                 metric.key
             );
-            return Err(in_row(row, axes, Error::Config(message)));
+            return Err(Error::Config(message));
         }
         let located = locate_scene(config.clone());
         let located = match located {
-            Err(error) if error.is_of_settings() => return Err(in_row(row, axes, error)),
+            Err(error) if error.is_of_settings() => return Err(error),
             located => located,
         };
         let budget = row.budget.as_ref().or(self.definition.budget.as_ref()).filter(|budget| budget.like != row.name);
         let budget = budget.map(|budget| {
             let other = self.definition.row.iter().find(|row| row.name == budget.like).expect("checked");
-            let like = self.plain_config(other, &Vec::new())?;
-            check_budget(budget.kind, &config).map_err(|error| in_row(row, axes, error))?;
-            check_budget(budget.kind, &like).map_err(|error| in_row(other, &Vec::new(), error))?;
+            check_budget(budget.kind, &config)?;
+            let like = self.plain_config(other, &Vec::new());
+            let like = like.and_then(|like| check_budget(budget.kind, &like).map(|()| like));
+            let like = like.map_err(|error| error.within(&format!("its budget.like, row '{}'", other.name)))?;
             Ok::<_, Error>((budget.kind, like))
         });
         Ok(PlannedRun {
@@ -206,9 +254,9 @@ impl Builder<'_> {
         }
         assign("seeds", "seed", Value::Integer(self.seed as i64));
         if let Some(error) = wrong {
-            return Err(in_row(row, axes, error));
+            return Err(error);
         }
-        build(Some(preset), None, &assignments).map_err(|error| in_row(row, axes, self.with_tip(error)))
+        build(Some(preset), None, &assignments).map_err(|error| self.with_tip(error))
     }
 
     /// Adds the sweep for small networks to an error in the layer, where the command line named the preset.
@@ -222,11 +270,6 @@ impl Builder<'_> {
             self.definition.preset
         ))
     }
-}
-
-/// Adds the row's name to an error.
-fn in_row(row: &Row, axes: &Combination, error: Error) -> Error {
-    error.within(&format!("row '{}'", label(&row.name, &named(axes))))
 }
 
 /// Sets dotted names, from `a.b = v` and from nested tables alike.

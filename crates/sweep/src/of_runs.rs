@@ -93,7 +93,7 @@ impl RunsTable {
         let scene = evaluated.protocol.get("scene").map(text).unwrap_or_default();
         let metrics: Vec<_> = evaluated.mean.iter().map(|(name, value)| (name.clone(), value.as_f64())).collect();
         let inactive = evaluated.attack.iter().filter(|site| site.inactive).map(|site| site.level.clone());
-        self.outputs.records.push(Record {
+        let record = Record {
             id: id.clone(),
             scene: scene.clone(),
             row: row.clone(),
@@ -104,7 +104,8 @@ impl RunsTable {
             metrics,
             protocol: evaluated.protocol.iter().map(|(name, value)| (name.clone(), text(value))).collect(),
             inactive_levels: inactive.collect(),
-        });
+        };
+        self.outputs.records.push(record.with_epochs());
         let places = vec![TablePosition { row, axes: Vec::new() }];
         let source = scene.clone();
         self.points.push(Point { id, scene, source, config, places, without_budget: false, no_data: None });

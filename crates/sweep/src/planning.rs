@@ -28,14 +28,10 @@ pub fn begin(
     measure: &dyn StepCosts,
     check: &dyn Fn(&[Point]) -> Result<()>,
 ) -> Result<Vec<Point>> {
-    // A wrong definition must leave no folder.
     let planned = lay_out(definition, data_root)?;
     let tried = apply_budgets(&planned, &Unmeasured)?;
-    // Before scenes are loaded.
-    if !extend {
-        check_unchanged(folder, definition, data_root)?;
-    }
-    if folder.compare(definition)? != Change::None {
+    // A wrong definition must leave no folder.
+    if folder.compare(definition)? == Change::New {
         check(&tried)?;
     }
     let _lock = folder.lock()?;
@@ -43,16 +39,14 @@ pub fn begin(
     let begun = folder.points(data_root)?;
     match (change, begun) {
         (Change::None, Some(points)) if !budgets_can_be_applied(&points) => return Ok(points),
-        (Change::Changed, begun) => {
-            let before = begun.unwrap_or_default();
-            if let Some(points) = reworded(&folder.definition()?, definition, &planned, &before) {
+        (Change::Changed, begun) => match reworded(folder, definition, &planned, &begun.unwrap_or_default())? {
+            Ok(points) => {
                 folder.begin(definition, &points, data_root)?;
                 return Ok(points);
             }
-            if !extend {
-                return Err(refusal(folder, definition, &planned, &before)?);
-            }
-        }
+            Err(refusal) if !extend => return Err(refusal),
+            Err(_) => check(&tried)?,
+        },
         _ => {}
     }
     let costs = KeptCosts::new(folder, measure)?;
@@ -66,12 +60,23 @@ pub fn check_unchanged(folder: &SweepFolder, definition: &Definition, data_root:
     if folder.compare(definition)? != Change::Changed {
         return Ok(());
     }
-    let planned = lay_out(definition, data_root)?;
     let before = folder.points(data_root)?.unwrap_or_default();
-    if reworded(&folder.definition()?, definition, &planned, &before).is_some() {
-        return Ok(());
-    }
-    Err(refusal(folder, definition, &planned, &before)?)
+    reworded(folder, definition, &lay_out(definition, data_root)?, &before)?.map(|_| ())
+}
+
+/// Returns the points that a definition's folder would get. `check` is called with them before anything is measured.
+///
+/// # Errors
+/// Those of the definition and of `check`.
+pub fn plan(
+    definition: &Definition,
+    data_root: Option<&Path>,
+    costs: &dyn StepCosts,
+    check: &dyn Fn(&[Point]) -> Result<()>,
+) -> Result<Vec<Point>> {
+    let planned = lay_out(definition, data_root)?;
+    check(&apply_budgets(&planned, &Unmeasured)?)?;
+    apply_budgets(&planned, costs)
 }
 
 /// Points of equal cost: the same number of steps and the same shape.
@@ -182,18 +187,17 @@ fn budgets_can_be_applied(points: &[Point]) -> bool {
     points.iter().any(|point| point.without_budget && point.no_data.is_none())
 }
 
-/// Returns the points if a changed definition has the same points and nothing else differs, otherwise `None`. Examples
-/// are `perturb.levels` in place of the passes of sites, and a new `train.eval_every`, which no hash includes.
+/// Returns the points if a changed definition has the same points and nothing else differs, otherwise the error that says what
+/// differs. Examples are `perturb.levels` in place of the passes of sites, and a new `train.eval_every`, which no hash includes.
 fn reworded(
-    before: &Definition,
+    folder: &SweepFolder,
     definition: &Definition,
     planned: &[PlannedRun],
     points: &[Point],
-) -> Option<Vec<Point>> {
-    let without_changes = |definition: &Definition| Definition { changed: BTreeMap::new(), ..definition.clone() };
-    if without_changes(before) == without_changes(definition) {
-        return Some(points.to_vec());
-    }
+) -> Result<Result<Vec<Point>>> {
+    let before = folder.definition()?;
+    // Budgets in seconds must be measured first.
+    let now = apply_budgets(planned, &Unknown).ok();
     let without_settings = |definition: &Definition| {
         let mut bare = definition.clone();
         bare.set.clear();
@@ -206,33 +210,31 @@ fn reworded(
     let same = |now: &[Point]| {
         now.len() == points.len() && now.iter().zip(points).all(|(a, b)| (&a.id, &a.places) == (&b.id, &b.places))
     };
-    if without_settings(before) != without_settings(definition) {
-        return None;
+    let without_changes = |definition: &Definition| Definition { changed: BTreeMap::new(), ..definition.clone() };
+    if without_changes(&before) == without_changes(definition) {
+        return Ok(Ok(points.to_vec()));
     }
-    apply_budgets(planned, &Unknown).ok().filter(|now| same(now))
-}
-
-fn refusal(folder: &SweepFolder, definition: &Definition, planned: &[PlannedRun], before: &[Point]) -> Result<Error> {
-    let counted = match apply_budgets(planned, &Unknown) {
-        Ok(now) => {
-            let missing = |from: &[Point], other: &[Point]| {
-                let known: HashSet<&str> = other.iter().map(|point| point.id.as_str()).collect();
-                from.iter().filter(|point| !known.contains(point.id.as_str())).count()
-            };
-            match (missing(&now, before), missing(before, &now)) {
-                (0, 0) => "; no point is new, so that --extend costs no training".to_string(),
-                (new, gone) => format!("; {new} points are new, and {gone} of the old ones are gone"),
-            }
+    if let Some(now) = now.as_ref().filter(|now| same(now))
+        && without_settings(&before) == without_settings(definition)
+    {
+        return Ok(Ok(now.clone()));
+    }
+    let counted = now.map_or(String::new(), |now| {
+        let missing = |from: &[Point], other: &[Point]| {
+            let known: HashSet<&str> = other.iter().map(|point| point.id.as_str()).collect();
+            from.iter().filter(|point| !known.contains(point.id.as_str())).count()
+        };
+        match (missing(&now, points), missing(points, &now)) {
+            (0, 0) => "; no point is new, so that --extend costs no training".to_string(),
+            (new, gone) => format!("; {new} points are new, and {gone} of the old ones are gone"),
         }
-        // Budgets in seconds must be measured first.
-        Err(_) => String::new(),
-    };
-    Ok(Error::Config(format!(
+    });
+    Ok(Err(Error::Config(format!(
         "{} was created with another definition, which differs in {}{counted}. --extend accepts this definition (nothing is \
          deleted); another --name or --out starts a new sweep",
         folder.path().display(),
-        differences(&folder.definition()?, definition)
-    )))
+        differences(&before, definition)
+    ))))
 }
 
 /// Arbitrary seconds that differ between shapes; enough to check a definition.

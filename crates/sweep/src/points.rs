@@ -11,7 +11,7 @@ use crate::settings::Config;
 
 use super::budget::{StepCosts, steps_within};
 use super::definition::{BudgetKind, Definition};
-use super::layout::{PlannedRun, TablePosition, lay_out, missing, scene_folder};
+use super::layout::{PlannedRun, Refused, TablePosition, lay_out, missing, scene_folder};
 
 /// Suffix of the name of a point whose budget is unknown.
 pub(super) const WITHOUT_BUDGET: &str = "-without-budget";
@@ -90,13 +90,16 @@ pub fn expand(definition: &Definition, data_root: Option<&Path>, costs: &dyn Ste
 /// Turns planned runs into points. Runs with equal configurations share a point.
 ///
 /// # Errors
-/// Two rows are the same configuration.
+/// Two rows are the same configuration, or the steps of rows do not suit their settings.
 pub(super) fn apply_budgets(planned: &[PlannedRun], costs: &dyn StepCosts) -> Result<Vec<Point>> {
     costs.prepare(&timed(planned))?;
-    let mut points: Vec<Point> = Vec::new();
+    let (mut points, mut refused) = (Vec::<Point>::new(), Refused::default());
     let mut known: HashMap<String, (usize, Vec<&PlannedRun>)> = HashMap::new();
     for planned in planned {
-        let point = point(planned, costs)?;
+        let (point, TablePosition { row, axes }) = (point(planned, costs)?, &planned.place);
+        if refused.unless(point.config.validate(), &[&label(row, axes)], &planned.scene)?.is_none() {
+            continue;
+        }
         let Some((index, others)) = known.get_mut(&point.id) else {
             known.insert(point.id.clone(), (points.len(), vec![planned]));
             points.push(point);
@@ -111,6 +114,7 @@ pub(super) fn apply_budgets(planned: &[PlannedRun], costs: &dyn StepCosts) -> Re
         others.push(planned);
         points[*index].places.push(planned.place.clone());
     }
+    refused.check()?;
     Ok(points)
 }
 
@@ -145,8 +149,6 @@ pub(super) fn point(planned: &PlannedRun, costs: &dyn StepCosts) -> Result<Point
         config.field.frequency_steps = stretched(config.field.frequency_steps).min(steps);
         config.sampling.anneal_steps = stretched(config.sampling.anneal_steps).min(steps);
         config.train.steps = steps;
-        let row = || format!("row '{}'", label(&planned.place.row, &planned.place.axes));
-        config.validate().map_err(|error| error.within(&row()))?;
     }
     let without_budget = planned.budget.is_some() && planned.decay_steps.is_none();
     Ok(Point {

@@ -16,6 +16,7 @@ use super::folder::SweepFolder;
 use super::pace::{Pace, spent};
 use super::point_folder::{Failure, PointFolder, PointResult};
 use super::points::Point;
+use super::worker::Worker;
 
 /// Between two looks at points that other workers hold.
 const LOOK_EVERY: Duration = Duration::from_millis(500);
@@ -119,6 +120,14 @@ impl Runner<'_> {
     /// one of the whole sweep (a full disk, a signal); failed points are in the folder. Returns the finished points that
     /// could not be measured again.
     pub fn run(&self) -> Result<Vec<Unmeasured>> {
+        Worker::write(self.folder, None);
+        let ran = self.run_all();
+        let reason = ran.as_ref().err().map_or(String::new(), ToString::to_string);
+        Worker::write(self.folder, Some(&reason));
+        ran
+    }
+
+    fn run_all(&self) -> Result<Vec<Unmeasured>> {
         let runnable: Vec<&Point> = self.points.iter().filter(|point| point.no_data.is_none()).collect();
         for point in &runnable {
             let folder = self.folder.point(&point.id);

@@ -11,18 +11,20 @@ use crate::base::{Error, Event, Listener, Result};
 use crate::data::corruption::corrupt;
 use crate::data::{self, Scene, seen_views};
 use crate::metrics::Lpips;
+use crate::report::label;
 use crate::revision::revision;
 use crate::run::{
     Existing, Finished, Job, Report, RunDir, SMOOTHNESS_SIDE, Setup, SmoothnessReport, Viewer, columns, locate_scene,
     smoothness_box, watch_memory,
 };
 use crate::runtime::{Host, Runtime};
-use crate::settings::{Config, CorruptionConfig, DataConfig, Resolved, TrainConfig};
+use crate::settings::{Config, CorruptionConfig, CorruptionKind, DataConfig, Resolved, TrainConfig};
 use crate::space::Lattice;
 use crate::train::Trainer;
 
 use super::budget::{Clock, StepCosts};
 use super::claim::Progress;
+use super::layout::Refused;
 use super::point_folder::{PointFolder, PointResult};
 use super::points::Point;
 use super::runner::Work;
@@ -83,8 +85,19 @@ impl<'a> Trainings<'a> {
 
     /// Returns the scene of a configuration, and the configuration resolved by it.
     pub fn scene(&self, config: Config) -> Result<(Resolved, Arc<Scene>)> {
-        let config = locate_scene(config)?;
+        let (config, scene) = self.clean_scene(config)?;
         let corruption = config.data.corruption;
+        if !corruption.is_on() {
+            return Ok((config, scene));
+        }
+        let mut corrupted = Scene::clone(&scene);
+        corrupt(&mut corrupted, &corruption, config.seed)?;
+        Ok((config, Arc::new(corrupted)))
+    }
+
+    /// Returns the same with the scene before any corruption.
+    fn clean_scene(&self, config: Config) -> Result<(Resolved, Arc<Scene>)> {
+        let config = locate_scene(config)?;
         let clean = DataConfig { corruption: CorruptionConfig::default(), ..config.data.clone() };
         let key = toml::to_string(&clean).expect("settings are plain data");
         let mut scenes = self.scenes.lock().unwrap_or_else(PoisonError::into_inner);
@@ -101,40 +114,42 @@ impl<'a> Trainings<'a> {
             }
         };
         drop(scenes);
-        let config = config.resolve(scene.extent());
-        if !corruption.is_on() {
-            return Ok((config, scene));
-        }
-        let mut corrupted = Scene::clone(&scene);
-        corrupt(&mut corrupted, &corruption, config.seed)?;
-        Ok((config, Arc::new(corrupted)))
+        Ok((config.resolve(scene.extent()), scene))
     }
 
     /// Checks that points with data can start: settings that depend on each other or on the scene, such as the rays of a
     /// step. Configurations that differ by the seed alone are checked once.
     ///
     /// # Errors
-    /// [`Error::Config`], for the first point that cannot. [`Error::Data`], if no scene can be read. If others can, it is
+    /// [`Error::Config`], for all points that cannot. [`Error::Data`], if no scene can be read. If others can, it is
     /// said: its points fail, and no other is lost.
     pub fn check_points(&self, points: &[Point]) -> Result<()> {
-        let mut checked = BTreeSet::new();
-        let (mut readable, mut unreadable) = (false, BTreeMap::new());
+        let mut configs = Vec::new();
+        let mut known = BTreeSet::new();
         for point in points.iter().filter(|point| point.no_data.is_none()) {
             let mut config = point.config.clone();
             (config.seed, config.train.dead_start_share) = (0, 0.0);
-            if !checked.insert(config.hash()) {
-                continue;
+            if known.insert(config.hash()) {
+                configs.push((point, config));
             }
-            let start = self
-                .scene(config)
-                .and_then(|(config, scene)| Trainer::check(&config, &scene, DType::F32, &self.runtime));
-            match start {
-                Ok(()) => readable = true,
-                Err(error) if error.is_of_settings() => return Err(error.within(&point.label())),
+        }
+        if !configs.is_empty() {
+            let (all, scenes) = (points.len(), configs.iter().map(|(point, _)| &point.scene).collect::<BTreeSet<_>>());
+            let scenes = scenes.into_iter().map(String::as_str).collect::<Vec<_>>().join(", ");
+            self.events
+                .on(Event::Note(&format!("checking {} configurations of {all} points on {scenes}", configs.len())));
+        }
+        let (mut readable, mut unreadable, mut refused) = (false, BTreeMap::new(), Refused::default());
+        for (point, config) in configs {
+            let rows: Vec<String> = point.places.iter().map(|place| label(&place.row, &place.axes)).collect();
+            let rows: Vec<&str> = rows.iter().map(String::as_str).collect();
+            match refused.unless(self.check(config), &rows, &point.scene) {
+                Ok(_) => readable = true,
                 Err(error @ Error::Data(_)) => _ = unreadable.entry(point.scene.clone()).or_insert(error),
                 Err(_) => {}
             }
         }
+        refused.check()?;
         for (scene, error) in unreadable {
             if !readable {
                 return Err(error);
@@ -142,6 +157,13 @@ impl<'a> Trainings<'a> {
             self.events.on(Event::Note(&format!("scene {scene} cannot be read, and its points will fail: {error}")));
         }
         Ok(())
+    }
+
+    /// Checks that a point can start. Colours are none of the checks, so that images are not corrupted for them.
+    fn check(&self, config: Config) -> Result<()> {
+        let moved = config.data.corruption.kind == CorruptionKind::Poses;
+        let (config, scene) = if moved { self.scene(config) } else { self.clean_scene(config) }?;
+        Trainer::check(&config, &scene, DType::F32, &self.runtime)
     }
 
     /// Returns a trainer at step 0, for measurements.

@@ -19,7 +19,7 @@ use crate::runtime::Runtime;
 use crate::settings::parse_assignment;
 use crate::sweep::{
     AXIS, Change, Collector, Definition, Estimate, Overrides, Point, PublishedCosts, Results, SETTING, StepCosts,
-    SweepFolder, SweepOutputs, Trainings, begin, check_name, check_results_place, expand,
+    SweepFolder, SweepOutputs, Trainings, begin, check_name, check_results_place, plan,
 };
 
 use super::LpipsWeights;
@@ -273,7 +273,8 @@ fn begin_folder(
     check_results_place(&results, &location.name()?, &folder)?;
     let costs = PublishedCosts::beside(&results, measure)?;
     let check = |points: &[Point]| trainings.check_points(points);
-    let points = begin(&folder, definition, location.data_root.as_deref(), extend, &costs, &check)?;
+    let begun = begin(&folder, definition, location.data_root.as_deref(), extend, &costs, &check);
+    let points = begun.map_err(elsewhere)?;
     costs.note().iter().for_each(|note| console.say(note));
     link_by_name(&folder, &points);
     Ok((folder, points))
@@ -291,8 +292,7 @@ fn planned_points(
         Some(points) if folder.compare(definition)? == Change::None => Ok(points),
         _ => {
             let costs = PublishedCosts::beside(&location.results()?, measure)?;
-            let points = expand(definition, data_root, &costs)?;
-            trainings.check_points(&points)?;
+            let points = plan(definition, data_root, &costs, &|points| trainings.check_points(points))?;
             costs.note().iter().for_each(|note| console.say(note));
             Ok(points)
         }
@@ -477,10 +477,20 @@ fn collect(
 ) -> Result<Table> {
     check_results_place(results, name, folder)?;
     link_by_name(folder, points);
-    let results = Results::take(results)?;
+    let results = Results::take(results).map_err(elsewhere)?;
     let outputs = &SweepOutputs::of_folder(folder, definition, points)?;
     let How { force, with_timing } = how;
-    Collector { outputs, definition, points, name, force, with_timing }.write(&results)
+    Collector { outputs, definition, points, name, force, with_timing }.write(&results).map_err(elsewhere)
+}
+
+/// Adds to the error of a folder that cannot be written, such as somebody else's, how to name another.
+fn elsewhere(error: Error) -> Error {
+    match error {
+        Error::Output(text) if text.starts_with("cannot write ") => {
+            Error::Output(format!("{text}; name another folder with --out"))
+        }
+        other => other,
+    }
 }
 
 #[cfg(test)]

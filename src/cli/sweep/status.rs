@@ -13,7 +13,7 @@ use crate::cli::progress::{print_shown, print_to_reader};
 use crate::metrics::PSNR;
 use crate::report::{Record, Status};
 use crate::sweep::slurm::{Queue, Slurm};
-use crate::sweep::{Pace, Point, SweepFolder, SweepOutputs};
+use crate::sweep::{Pace, Point, SweepFolder, SweepOutputs, Worker};
 
 use super::opened::Opened;
 use super::{check_done, duration, one_of_each, states_of};
@@ -35,6 +35,9 @@ pub struct StatusArguments {
     /// Show the points again every N seconds until all have ended
     #[arg(long, value_name = "SECONDS", value_parser = clap::value_parser!(u16).range(1..))]
     watch: Option<u16>,
+    /// List each point of a large sweep, not only those that run or failed
+    #[arg(long)]
+    all: bool,
     #[command(flatten)]
     answer: Answer,
 }
@@ -88,7 +91,7 @@ impl StatusArguments {
         let terminal = console::Term::stdout();
         let mut on_screen = 0;
         loop {
-            let (mut lines, left) = states(&folder, &points)?;
+            let (mut lines, left) = states(&folder, &points, self.all)?;
             if self.watch.is_some() {
                 lines.insert(0, utc_now());
             }
@@ -131,10 +134,12 @@ impl StatusArguments {
             self.answer.give_silently(&status)?;
             return check_done(&opened.states()?);
         }
-        for point in &points {
+        let listed = points.iter().filter(|point| is_listed(point.status, points.len(), self.all));
+        for point in listed {
             let what = point.psnr.map_or(point.reason.clone(), |psnr| format!("PSNR {psnr:.2} dB"));
             print_shown(&format!("{:8} {} {}  {what}", point.status, point.id, point.label))?;
         }
+        unlisted(points.len(), self.all).into_iter().try_for_each(|line| print_shown(&line))?;
         let counts = counts.iter().filter(|(_, count)| **count != 0);
         let counts: Vec<String> = counts.map(|(status, count)| format!("{count} {status}")).collect();
         print_shown(&format!("{}: results, {}", opened.folder.path().display(), counts.join(", ")))?;
@@ -211,8 +216,22 @@ fn statuses(folder: &SweepFolder, points: &[Point]) -> Result<serde_json::Value>
     }))
 }
 
+/// Most points that are listed one by one.
+const MOST_LISTED: usize = 100;
+
+/// Returns whether a point of this status has a line among those of `points` points.
+fn is_listed(status: &str, points: usize, all: bool) -> bool {
+    all || points <= MOST_LISTED || [Status::Running, Status::Failed].iter().any(|listed| listed.name() == status)
+}
+
+/// Returns the line that stands for points without one.
+fn unlisted(points: usize, all: bool) -> Option<String> {
+    let text = format!("of {points} points, those that run or failed are listed; --all lists each");
+    (!all && points > MOST_LISTED).then_some(text)
+}
+
 /// Returns the points' states as lines, and how many have not ended.
-fn states(folder: &SweepFolder, points: &[Point]) -> Result<(Vec<String>, usize)> {
+fn states(folder: &SweepFolder, points: &[Point], all: bool) -> Result<(Vec<String>, usize)> {
     let (mut lines, mut running, mut trained) = (Vec::new(), 0, HashMap::new());
     let mut counts: BTreeMap<&str, usize> = BTreeMap::new();
     let slurm = Slurm::of(folder);
@@ -242,11 +261,17 @@ fn states(folder: &SweepFolder, points: &[Point]) -> Result<(Vec<String>, usize)
         adrift += usize::from(state.status == Status::Waiting && task.is_none());
         let what =
             [Some(what).filter(|what| !what.is_empty()), task].into_iter().flatten().collect::<Vec<_>>().join("; ");
-        lines.push(format!("{:8} {} {}  {what}", state.status.name(), point.id, point.label()));
+        if is_listed(state.status.name(), points.len(), all) {
+            lines.push(format!("{:8} {} {}  {what}", state.status.name(), point.id, point.label()));
+        }
     }
+    lines.extend(unlisted(points.len(), all));
     lines.extend(by_row(folder, points)?);
-    let counts: Vec<String> = counts.iter().map(|(status, count)| format!("{count} {status}")).collect();
     lines.extend(of_queue(&slurm, &queue, adrift)?);
+    if running == 0 && counts.contains_key(Status::Waiting.name()) {
+        lines.extend(Worker::last_words(folder)?);
+    }
+    let counts: Vec<String> = counts.iter().map(|(status, count)| format!("{count} {status}")).collect();
     let open = |point: &&Point| point.no_data.is_none() && !folder.point(&point.id).ended();
     let left: Vec<&Point> = points.iter().filter(open).collect();
     let pace = Pace::of(folder, &points.iter().collect::<Vec<&Point>>());

@@ -41,21 +41,15 @@ impl PlanesLearner {
         Ok(PlanesLearner { config: config.clone(), variables: network.variables(), network, stage })
     }
 
-    /// Creates the learner of a new run, and checks that its steps have inputs.
+    /// Checks that a new run's steps have inputs.
     ///
     /// # Errors
     /// Those of [`PlanesLearner::new`]; if memory is too small for the planes of images, or windows hold too few of the
     /// planes.
-    pub fn start(config: &Resolved, scene: &Scene, network: MpiNetwork) -> Result<PlanesLearner> {
-        let learner = PlanesLearner::new(config, scene, network)?;
-        learner.stage.check_memory(config.llff.inputs)?;
-        learner.draw(0)?;
-        Ok(learner)
-    }
-
-    /// Returns the inputs of the step after `step` finished ones.
-    fn draw(&self, step: u64) -> Result<Work> {
-        Work::draw(&self.config.llff, self.config.seed, step, &eyes(&self.stage.views), &self.stage.depths)
+    pub fn check(config: &Resolved, scene: &Scene) -> Result<()> {
+        let stage = Stage::new(config, scene)?;
+        stage.check_memory(config.llff.inputs)?;
+        draw(config, &stage, 0).map(drop)
     }
 
     /// Returns the network that is trained.
@@ -105,6 +99,11 @@ impl PlanesLearner {
     }
 }
 
+/// Returns the inputs of the step after `step` finished ones.
+fn draw(config: &Resolved, stage: &Stage, step: u64) -> Result<Work> {
+    Work::draw(&config.llff, config.seed, step, &eyes(&stage.views), &stage.depths)
+}
+
 impl Learner for PlanesLearner {
     fn columns(&self) -> LogColumns {
         LogColumns { photometric: vec![LOSS.into()], further: Vec::new() }
@@ -118,7 +117,7 @@ impl Learner for PlanesLearner {
     }
 
     fn step(&mut self, step: u64, _log: bool, stop_check: &StopCheck) -> Result<StepResult> {
-        let work = self.draw(step)?;
+        let work = draw(&self.config, &self.stage, step)?;
         let blended = self.blended(&self.network.weights(true), &work, stop_check)?;
         let target = self.target(&work)?;
         let difference = (&blended.rgb - &target)?;

@@ -101,6 +101,15 @@ impl Scene {
         (self.near, self.far)
     }
 
+    /// Returns the number of pixels that are trained on: those of the training views outside their masks, corrupted or not.
+    pub fn training_pixels(&self) -> usize {
+        let counted = |view: &View| match &view.mask {
+            Some(mask) => mask.iter().filter(|counts| **counts).count(),
+            None => view.camera.width * view.camera.height,
+        };
+        self.train.iter().map(counted).sum()
+    }
+
     /// Returns what settings that depend on the scene follow from.
     pub fn extent(&self) -> Extent {
         let sides = self.train.iter().chain(&self.test).map(|view| view.camera.width.max(view.camera.height));
@@ -141,6 +150,12 @@ impl Scene {
         }
         short_hash(digest)
     }
+}
+
+/// Returns how often a training pixel was seen on average: steps times rays of a step, over the training pixels. Rays without
+/// photographs are none of these. `None` if there are no pixels.
+pub fn epochs(steps: u64, rays_per_step: usize, training_pixels: usize) -> Option<f64> {
+    (training_pixels > 0).then(|| steps as f64 * rays_per_step as f64 / training_pixels as f64)
 }
 
 /// The largest number in a scene, in magnitude. Training computes in f32, where products of three such numbers are

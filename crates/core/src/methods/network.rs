@@ -5,10 +5,11 @@ use std::sync::Arc;
 use candle_core::{DType, Device, Tensor, Var};
 
 use crate::base::Result;
-use crate::data::Scene;
+use crate::data::{RayParts, Scene};
 use crate::field::Density;
 use crate::settings::{Config, Resolved};
 
+use super::batches::Batches;
 use super::learner::Learner;
 use super::renderer::Renderer;
 
@@ -23,14 +24,6 @@ pub trait Network: Send + Sync {
     /// # Errors
     /// If settings do not suit the scene.
     fn learner(&self, config: &Resolved, scene: &Scene, dtype: DType, device: &Device) -> Result<Box<dyn Learner>>;
-
-    /// Returns the learner of a new run. A method checks here what only a run's start can tell.
-    ///
-    /// # Errors
-    /// If settings do not suit the scene.
-    fn start(&self, config: &Resolved, scene: &Scene, dtype: DType, device: &Device) -> Result<Box<dyn Learner>> {
-        self.learner(config, scene, dtype, device)
-    }
 
     /// Returns a renderer of `scene` with the current parameters.
     ///
@@ -52,6 +45,14 @@ pub trait Family: Sync {
 
     /// Returns names and shapes of all parameters, in their fixed order.
     fn parameter_names(&self, config: &Config) -> Vec<(String, Vec<usize>)>;
+
+    /// Checks a new run's settings against its scene. It makes no network.
+    ///
+    /// # Errors
+    /// If settings do not suit the scene.
+    fn check(&self, config: &Resolved, scene: &Scene) -> Result<()> {
+        Batches::new(config, scene, RayParts::default()).map(drop)
+    }
 
     /// Returns random initial parameters.
     ///

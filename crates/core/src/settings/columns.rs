@@ -201,6 +201,7 @@ pub const COLUMNS: &[Column] = &[
     column("samples_fine").in_caption().of(of_fields),
     column("rays").in_caption().of(of_rays),
     column("steps").in_caption(),
+    column("epochs"),
     column("learning_rate").in_caption(),
     column("coarse_weight").in_caption().of(without_hash_grid),
     column("seed").per_seed(),

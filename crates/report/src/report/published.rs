@@ -2,6 +2,7 @@
 
 use serde::Deserialize;
 
+use crate::data::epochs;
 use crate::metrics::{PSNR, SSIM};
 use crate::report::{PublishedKey, Record};
 
@@ -175,6 +176,11 @@ impl PublishedRow {
 }
 
 impl PublishedProtocol {
+    /// Returns how often a training pixel was seen: 158 times on fern, 32 times on the chair.
+    pub fn epochs(&self) -> Option<f64> {
+        epochs(self.steps?, self.rays?, self.width * self.height * self.views?.0)
+    }
+
     /// Returns everything that is known, for readers.
     pub fn text(&self) -> String {
         let code = if self.by_released_code { " in the released code" } else { "" };
@@ -242,6 +248,15 @@ mod tests {
         // The paper does not name the backbone.
         assert_eq!((row.metric("lpips_vgg"), row.metric("average_squeeze")), (None, None));
         assert_eq!(find("tab4", "clean", "NeRF", "chair"), None);
+    }
+
+    #[test]
+    fn the_paper_saw_its_pixels_often() {
+        let seen = |table, method, scene| find(table, "clean", method, scene).unwrap().protocol().epochs();
+        assert_eq!(seen("tab4", "Aug-NeRF", "fern").map(f64::round), Some(158.0));
+        assert_eq!(seen("tab2", "Aug-NeRF", "chair"), Some(32.0));
+        // The NeRF paper's steps and MipNeRF's rays are not stated.
+        assert_eq!((seen("tab4", "NeRF", "fern"), seen("tab1", "MipNeRF", "fern")), (None, None));
     }
 
     #[test]

@@ -4,7 +4,7 @@ use serde::ser::{Serialize, SerializeMap, Serializer};
 use serde_json::Value;
 
 use crate::augment::{Passes, Site};
-use crate::data::{Camera, RayGroup, Scene, View, seen_views};
+use crate::data::{Camera, RayGroup, Scene, View, epochs, seen_views};
 use crate::methods::step_over_radius;
 use crate::metrics::{Lpips, share};
 use crate::model::Model;
@@ -41,7 +41,7 @@ impl Protocol {
     /// Returns the protocol of a run at a checkpoint's state.
     pub fn new(config: &Resolved, scene: &Scene, state: &State) -> Protocol {
         let table = config.to_table();
-        let found = [of_settings(config), of_scene(config, scene), of_state(config, state)].concat();
+        let found = [of_settings(config), of_scene(config, scene), of_state(config, scene, state)].concat();
         let value = |name: &'static str| {
             let column = find(name).expect("a column");
             if !(column.applies)(config) {
@@ -206,7 +206,7 @@ fn masks(scene: &Scene) -> Option<String> {
 }
 
 /// Returns the columns of the run's progress and devices.
-fn of_state(config: &Resolved, state: &State) -> Found {
+fn of_state(config: &Resolved, scene: &Scene, state: &State) -> Found {
     let redraws = Model::parts(config).into_iter().zip(&state.redraws).map(|(role, draws)| format!("{role} {draws}"));
     let by_device = |of: fn(&str) -> &'static str| {
         let mut all: Vec<&str> = state.devices.iter().map(|device| of(device)).collect();
@@ -231,6 +231,7 @@ fn of_state(config: &Resolved, state: &State) -> Found {
     };
     vec![
         ("steps", state.step.into()),
+        ("epochs", epochs(state.step, config.rays_per_step(), scene.training_pixels()).into()),
         ("redraws", redraws.collect::<Vec<String>>().join(", ").into()),
         ("code_revision", state.revisions.join(" + ").into()),
         ("device", devices(state).into()),
@@ -402,13 +403,29 @@ mod tests {
         let small = [parse_assignment("data.width=8").unwrap()];
         let (config, scene) = load_scene(build(Some(Preset::Smoke), None, &small).unwrap(), &()).unwrap();
         let state = State { redraws: vec![0, 1], ..State::default() };
-        let found = [of_settings(&config), of_scene(&config, &scene), of_state(&config, &state)].concat();
+        let found = [of_settings(&config), of_scene(&config, &scene), of_state(&config, &scene, &state)].concat();
         for column in COLUMNS {
             let here = found.iter().filter(|(name, _)| *name == column.name).count();
             let measured = usize::from(["lpips_weights", "inactive_by"].contains(&column.name));
             assert_eq!(here + measured + usize::from(column.setting().is_some()), 1, "{}", column.name);
         }
         assert!(found.iter().all(|(name, _)| find(name).is_some()));
+    }
+
+    /// 40 views of 8 x 8 pixels, and half of each.
+    #[test]
+    fn a_pixel_is_seen_as_often_as_rays_cover_what_counts() {
+        let small = ["data.width=8", "train.rays=64"].map(|text| parse_assignment(text).unwrap());
+        let (config, mut scene) = load_scene(build(Some(Preset::Smoke), None, &small).unwrap(), &()).unwrap();
+        let seen = |scene: &Scene, step| {
+            Protocol::new(&config, scene, &State { step, ..State::default() }).get("epochs").as_f64()
+        };
+        assert_eq!([0, 10, 40].map(|step| seen(&scene, step)), [Some(0.0), Some(0.25), Some(1.0)]);
+        let half: std::sync::Arc<[bool]> = (0..64).map(|pixel| pixel % 2 == 0).collect();
+        scene.train.iter_mut().for_each(|view| view.mask = Some(half.clone()));
+        assert_eq!(seen(&scene, 40), Some(2.0));
+        scene.train.clear();
+        assert_eq!(seen(&scene, 40), None);
     }
 
     #[test]

@@ -143,13 +143,14 @@ impl Trainer {
         })
     }
 
-    /// Checks that a run can start, as [`Trainer::new`] does, but for the memory that is free and a dead start.
+    /// Checks that a run can start, as [`Trainer::new`] does, but for the memory that is free and a dead start. Settings and
+    /// scene suffice, so that it takes milliseconds.
     ///
     /// # Errors
     /// Those of [`Trainer::new`].
     pub fn check(config: &Resolved, scene: &Scene, dtype: DType, runtime: &Runtime) -> Result<()> {
         accelerator::check(config, runtime)?;
-        runtime.install(|| Model::start(config, scene, dtype, runtime).map(drop))
+        runtime.install(|| Model::check(config, scene, dtype, runtime))
     }
 
     /// Measures the seconds of the next step, without taking it: of a second try, after a first that fills caches, unless

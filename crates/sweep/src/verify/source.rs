@@ -58,6 +58,8 @@ pub fn check(_: &Verifier, sweep: &Collected, findings: &mut Findings) -> Result
 fn alike(archive: &Archive, mut given: Definition) -> Result<(Definition, Definition)> {
     let mut kept = archive.definition.clone();
     given.repeat_changes(&kept)?;
+    // No point hangs on it.
+    given.title.clone_from(&kept.title);
     for (path, value) in &archive.provenance.defaults_then {
         if given.set.get(path) == Some(value) {
             kept.set.entry(path.clone()).or_insert_with(|| value.clone());

@@ -18,7 +18,7 @@ fn network(config: &Config, dtype: DType) -> MpiNetwork {
 }
 
 fn learned(config: &Resolved, scene: &Scene, dtype: DType, step: u64) -> StepResult {
-    let mut learner = PlanesLearner::start(config, scene, network(config, dtype)).unwrap();
+    let mut learner = PlanesLearner::new(config, scene, network(config, dtype)).unwrap();
     learner.step(step, false, &|| Ok(())).unwrap()
 }
 
@@ -63,7 +63,7 @@ fn gradients_of_a_step_are_central_differences() {
         let scene = scene(8);
         let config = config(&scene, |config| config.llff.loss = loss);
         let network = network(&config, DType::F64);
-        let mut learner = PlanesLearner::start(&config, &scene, network.clone()).unwrap();
+        let mut learner = PlanesLearner::new(&config, &scene, network.clone()).unwrap();
         let gradients = learner.step(1, false, &|| Ok(())).unwrap().gradients.0;
         let variables = network.variables();
         assert!(gradients.iter().all(Option::is_some) && gradients.len() == variables.len());
@@ -108,7 +108,7 @@ fn the_view_that_is_left_out_is_no_input() {
     let plain = scene(32);
     let config = config(&plain, |_| {});
     let eyes: Vec<_> = {
-        let learner = PlanesLearner::start(&config, &plain, network(&config, DType::F32)).unwrap();
+        let learner = PlanesLearner::new(&config, &plain, network(&config, DType::F32)).unwrap();
         crate::planes::mpi::eyes(&learner.stage.views)
     };
     let depths = super::super::geometry::depths(1.0, 4.0, 8);
@@ -202,8 +202,7 @@ fn the_planes_of_far_views_are_not_predicted() {
 
 fn refused(scene: &Scene, change: impl FnOnce(&mut Config)) -> String {
     let config = config(scene, change);
-    let network = MpiNetwork::init(&config, DType::F32, &Device::Cpu).unwrap();
-    PlanesLearner::start(&config, scene, network).err().expect("it is refused").to_string()
+    PlanesLearner::check(&config, scene).unwrap_err().to_string()
 }
 
 #[test]

@@ -49,12 +49,7 @@ impl FieldLearner {
         dtype: DType,
         device: &Device,
     ) -> Result<FieldLearner> {
-        check_derivatives(config, device)?;
-        let masks = config.method.is_augmented() && config.perturb.entries == ChangedEntries::Clean;
-        if masks && !(is_host(device) && dtype == DType::F32) {
-            let message = "perturb.entries = \"clean\" needs --device cpu in single precision";
-            return Err(Error::Config(message.into()));
-        }
+        check_device(config, dtype, device)?;
         let tangents = config.method.is_augmented() && config.perturb.sites[Site::View].on();
         let terms = WeightedTerm::all(&config.regularizer);
         let mut learner = FieldLearner {
@@ -83,8 +78,14 @@ impl FieldLearner {
     }
 }
 
-/// Returns an error for terms on derivatives of hash grids on a device of candle that is no CPU.
-fn check_derivatives(config: &Resolved, device: &Device) -> Result<()> {
+/// Returns an error for terms on derivatives of hash grids on a device of candle that is no CPU, and for clean entries where
+/// they are not recorded.
+pub(super) fn check_device(config: &Resolved, dtype: DType, device: &Device) -> Result<()> {
+    let masks = config.method.is_augmented() && config.perturb.entries == ChangedEntries::Clean;
+    if masks && !(is_host(device) && dtype == DType::F32) {
+        let message = "perturb.entries = \"clean\" needs --device cpu in single precision";
+        return Err(Error::Config(message.into()));
+    }
     let read = config.regularizer.terms().find(|(term, _)| term.reads_points());
     match read {
         Some((term, _)) if config.field.encoding == Encoding::Hash && !is_host(device) => Err(Error::Config(format!(

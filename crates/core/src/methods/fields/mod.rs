@@ -23,6 +23,6 @@ pub use geometry::{AttackGeometry, step_over_radius};
 pub use learner::FieldLearner;
 pub use networks::Fields;
 pub use passes::parts;
-pub use regularized::{Balance, is_regularized};
+pub use regularized::{Balance, is_regularized, is_timed};
 pub use renderer::FieldRenderer;
 pub use report::{StepLosses, coarse_weight, log_columns, loss_weights};

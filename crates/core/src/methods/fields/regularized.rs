@@ -43,6 +43,19 @@ pub(super) fn lattice(config: &RegularizerConfig) -> Lattice {
     Lattice { domain: config.domain, side: config.lattice }
 }
 
+/// Returns whether a check of a run measures how long its terms in space take.
+pub fn is_timed(config: &RegularizerConfig) -> bool {
+    config.has_space_terms() && points_per_step(config) > SURELY_FINISHED
+}
+
+/// Returns the points of a step's terms in space.
+fn points_per_step(config: &RegularizerConfig) -> usize {
+    match config.points {
+        LatticePoints::Sampled => config.points_per_step,
+        LatticePoints::Full => lattice(config).cells(),
+    }
+}
+
 /// Returns whether terms in space count for the field of this role, one of `roles`.
 pub fn is_regularized(config: &RegularizerConfig, roles: &[&str], role: &str) -> bool {
     let evaluated = if roles.contains(&"fine") { "fine" } else { "coarse" };
@@ -122,11 +135,7 @@ impl FieldLearner {
     /// Returns an error for terms in space whose points would take this machine too long in `steps` steps.
     pub fn check_duration(&self, terms: &[WeightedTerm], config: &RegularizerConfig, steps: u64) -> Result<()> {
         let terms = in_space(terms);
-        let lattice = lattice(config);
-        let points = match config.points {
-            LatticePoints::Sampled => config.points_per_step,
-            LatticePoints::Full => lattice.cells(),
-        };
+        let (lattice, points) = (lattice(config), points_per_step(config));
         if points <= SURELY_FINISHED || terms.is_empty() {
             return Ok(());
         }

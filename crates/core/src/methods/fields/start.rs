@@ -3,14 +3,17 @@
 use candle_core::{DType, Device, Tensor};
 
 use crate::base::{Error, Result};
-use crate::data::Scene;
+use crate::data::{PointRays, RayParts, Scene};
+use crate::losses::WeightedTerm;
+use crate::methods::batches::Batches;
 use crate::render::positions_at;
 use crate::settings::{Contraction, DensityActivation, Encoding, FieldConfig, Resolved};
 use crate::space::Lattice;
 
-use super::learner::FieldLearner;
+use super::learner::{FieldLearner, check_device};
 use super::networks::Fields;
 use super::regularized;
+use super::unseen::unseen_cameras;
 
 /// Number of redraws of a dead start before the run fails.
 const MOST_REDRAWS: u64 = 100;
@@ -20,11 +23,12 @@ impl FieldLearner {
     /// [`Fields::roles`].
     ///
     /// # Errors
-    /// Those of [`FieldLearner::begin`]; every initialization of a field is dead.
+    /// Those of [`FieldLearner::check`]; every initialization of a field is dead.
     pub fn start(config: &Resolved, scene: &Scene, dtype: DType, device: &Device) -> Result<(FieldLearner, Vec<u64>)> {
+        FieldLearner::check(config, scene, dtype, device)?;
         let mut redraws = vec![0; Fields::roles(config).len()];
         let fields = Fields::init(config, &redraws, dtype, device)?.at_step(config, 0)?;
-        let mut learner = FieldLearner::begin(config, scene, fields, dtype, device)?;
+        let mut learner = FieldLearner::new(config, scene, fields, dtype, device)?;
         let first = learner.draw(0)?;
         let positions = positions_at(&learner.fields.coarse, &first.rays, &first.t_coarse)?.flatten(0, 1)?;
         loop {
@@ -49,22 +53,19 @@ impl FieldLearner {
         Ok((learner, redraws))
     }
 
-    /// Creates the learner of a new run of `fields`, which are random or from elsewhere.
+    /// Checks the settings of a new run against its scene and device. It makes no field, so that it takes milliseconds.
     ///
     /// # Errors
     /// Those of [`FieldLearner::new`]; no ray meets a box of the settings.
-    pub fn begin(
-        config: &Resolved,
-        scene: &Scene,
-        fields: Fields,
-        dtype: DType,
-        device: &Device,
-    ) -> Result<FieldLearner> {
+    pub fn check(config: &Resolved, scene: &Scene, dtype: DType, device: &Device) -> Result<()> {
         if config.regularizer.has_space_terms() {
             regularized::lattice(&config.regularizer).check_meets(scene, "regularizer.domain")?;
         }
         check_grid(config, scene)?;
-        FieldLearner::new(config, scene, fields, dtype, device)
+        check_device(config, dtype, device)?;
+        let batches = Batches::new(config, scene, RayParts::default())?;
+        let points = PointRays::of(scene, config.data.origin_of_pixels());
+        unseen_cameras(config, batches.cameras(), &points, &WeightedTerm::all(&config.regularizer)).map(drop)
     }
 
     /// Returns the fields whose fraction of positive densities at `positions` is below the configured one. Positions

@@ -4,11 +4,12 @@ use candle_core::Tensor;
 
 use crate::base::rng::{Random, Stream};
 use crate::base::{Error, Result};
-use crate::data::{RayGroup, UnseenCameras};
+use crate::data::{Camera, PointRays, RayGroup, UnseenCameras};
 use crate::field::Field;
 use crate::losses::{TermSource, WeightedTerm};
 use crate::methods::learner::StopCheck;
 use crate::render::{Pass, PassOutput, clean_pass, place, resample};
+use crate::settings::Resolved;
 
 use super::chunk::Chunk;
 use super::learner::FieldLearner;
@@ -19,34 +20,45 @@ use super::terms::{self, Counts, Rendered, StepLoss};
 /// Streams of random numbers of a step: one for each kind of groups.
 const GROUPS: u64 = 3;
 
-impl FieldLearner {
-    /// Makes the cameras of unseen rays if terms read such rays.
-    ///
-    /// # Errors
-    /// There are no such cameras, no points, or fewer rays than terms read at once.
-    pub(super) fn place_unseen_cameras(&mut self, terms: &[WeightedTerm]) -> Result<()> {
-        let of_cameras = |group: &RayGroup| *group != RayGroup::Point;
-        if self.unseen.is_none() && terms::unseen_groups(terms).any(|group| of_cameras(&group)) {
-            self.unseen = Some(UnseenCameras::of(self.batches.cameras(), self.config.unseen_poses)?);
+/// Returns the cameras of unseen rays if terms read such rays.
+///
+/// # Errors
+/// There are no such cameras, no points, or fewer rays than terms read at once.
+pub(super) fn unseen_cameras(
+    config: &Resolved,
+    cameras: &[Camera],
+    points: &PointRays,
+    terms: &[WeightedTerm],
+) -> Result<Option<UnseenCameras>> {
+    let of_cameras = |group: &RayGroup| *group != RayGroup::Point;
+    let is_read = terms::unseen_groups(terms).any(|group| of_cameras(&group));
+    let unseen = is_read.then(|| UnseenCameras::of(cameras, config.unseen_poses)).transpose()?;
+    terms::unseen_groups(terms).try_for_each(|group| {
+        if config.unseen_rays < group.rays() {
+            return Err(Error::Config(format!(
+                "a term of the loss reads {} unseen rays at once, and regularizer.unseen_rays is {}; raise it, or train.rays",
+                group.rays(),
+                config.unseen_rays
+            )));
         }
-        let cameras = self.unseen.as_ref();
-        terms::unseen_groups(terms).try_for_each(|group| {
-            if self.config.unseen_rays < group.rays() {
-                return Err(Error::Config(format!(
-                    "a term of the loss reads {} unseen rays at once, and regularizer.unseen_rays is {}; raise it, or train.rays",
-                    group.rays(),
-                    self.config.unseen_rays
-                )));
-            }
-            if group == RayGroup::Point && self.points.count() == 0 {
-                return Err(Error::Config(format!(
-                    "a term of the loss reads depth at points that the training views show, and {} has none; it needs a COLMAP \
-                     model with its points",
-                    self.config.data.dir
-                )));
-            }
-            cameras.filter(|_| of_cameras(&group)).map_or(Ok(()), |cameras| cameras.check(group))
-        })
+        if group == RayGroup::Point && points.count() == 0 {
+            return Err(Error::Config(format!(
+                "a term of the loss reads depth at points that the training views show, and {} has none; it needs a COLMAP \
+                 model with its points",
+                config.data.dir
+            )));
+        }
+        unseen.as_ref().filter(|_| of_cameras(&group)).map_or(Ok(()), |cameras| cameras.check(group))
+    })?;
+    Ok(unseen)
+}
+
+impl FieldLearner {
+    /// Makes the cameras of unseen rays if terms read such rays. See [`unseen_cameras`].
+    pub(super) fn place_unseen_cameras(&mut self, terms: &[WeightedTerm]) -> Result<()> {
+        let cameras = unseen_cameras(&self.config, self.batches.cameras(), &self.points, terms)?;
+        self.unseen = cameras.or(self.unseen.take());
+        Ok(())
     }
 
     /// Returns a step's rays without photographs' colours in groups, with the random numbers of their pass.

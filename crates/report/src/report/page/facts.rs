@@ -1,8 +1,10 @@
 //! The head of the page: what it shows, and what a reader must know before any number.
 
+use std::collections::BTreeSet;
+
 use crate::draw::numbers::rounded;
 use crate::report::tables::text::{SEE_ATTACK, warnings as warnings_of};
-use crate::report::tables::{Line, Table};
+use crate::report::tables::{Line, Table, epochs_note, epochs_of, is_brief};
 use crate::report::{Record, Status, distinct};
 
 /// Most scenes whose names are a fact.
@@ -16,23 +18,39 @@ pub fn facts(table: &Table, records: &[Record]) -> Vec<(&'static str, String)> {
     };
     let counts = Status::ALL.into_iter().map(|status| (status.name(), ids(status))).filter(|(_, count)| *count > 0);
     let counts: Vec<String> = counts.map(|(name, count)| format!("{count} {name}")).collect();
-    let seeds: Vec<String> =
-        distinct(records.iter().filter_map(|record| record.seed)).iter().map(u64::to_string).collect();
     let of_column = |name: &str| {
         let texts = records.iter().filter(|record| record.status == Status::Done).map(|record| record.protocol(name));
         distinct(texts.filter(|text| !text.is_empty())).join(", ")
     };
     let facts = [
         ("Points", counts.join(", ")),
-        ("Seeds", seeds.join(", ")),
+        ("Seeds", seeds_text(records.iter().filter_map(|record| record.seed).collect())),
         ("Scenes", scene_names(table)),
         ("Held-out views", of_column("views_evaluated")),
         ("Training steps", of_column("steps")),
+        ("Views of a training pixel", epochs_of(&table.lines.iter().collect::<Vec<&Line>>()).unwrap_or_default()),
         ("Device", of_column("device")),
         ("Revision", of_column("code_revision")),
         ("Protocol", of_column("protocol")),
     ];
     facts.into_iter().filter(|(_, text)| !text.is_empty()).collect()
+}
+
+/// Returns seeds as `--seeds` takes them: `0-99, 200`.
+fn seeds_text(seeds: BTreeSet<u64>) -> String {
+    let mut ranges: Vec<(u64, u64)> = Vec::new();
+    for seed in seeds {
+        match ranges.last_mut().filter(|(_, last)| last + 1 == seed) {
+            Some((_, last)) => *last = seed,
+            None => ranges.push((seed, seed)),
+        }
+    }
+    let text = |(first, last): &(u64, u64)| match last - first {
+        0 => first.to_string(),
+        1 => format!("{first}, {last}"),
+        _ => format!("{first}-{last}"),
+    };
+    ranges.iter().map(text).collect::<Vec<String>>().join(", ")
 }
 
 /// Names of few scenes, and the number of many, which head the tables.
@@ -46,7 +64,9 @@ pub fn warnings(table: &Table, records: &[Record]) -> Vec<String> {
     let scenes = table.scenes();
     let of_scene = |(scene, lines): &(&str, Vec<&Line>)| {
         let scene = scene.to_string();
-        warnings_of(lines).into_iter().map(move |warning| (scene.clone(), rounded(&warning)))
+        let brief = epochs_note(lines, NAMED).filter(|_| lines.iter().any(|line| is_brief(line)));
+        let brief = brief.map(|note| format!("less than one epoch: {note}"));
+        brief.into_iter().chain(warnings_of(lines)).map(move |warning| (scene.clone(), rounded(&warning)))
     };
     let mut warnings = by_scenes(scenes.iter().flat_map(of_scene).collect(), scenes.len());
     let done = records.iter().filter(|record| record.status == Status::Done);
@@ -97,6 +117,12 @@ fn scenes_text(own: &[&(String, String)], scenes: usize) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn many_seeds_are_ranges() {
+        let texts = [(0..100).collect(), [7, 3, 4].into(), [0, 1, 2, 9].into(), [].into()].map(seeds_text);
+        assert_eq!(texts, ["0-99", "3, 4, 7", "0-2, 9", ""]);
+    }
 
     #[test]
     fn a_warning_of_many_scenes_is_said_once_and_nothing_learned_first() {

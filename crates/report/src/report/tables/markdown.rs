@@ -1,7 +1,8 @@
 //! The table in GitHub's Markdown.
 
-use super::Table;
-use super::text::{Grid, general_notes, protocol_text, scene_notes};
+use super::text::{Grid, capitalized, general_notes, protocol_text, scene_notes};
+use super::{Table, epochs_note};
+use crate::draw::numbers::rounded;
 
 /// Returns title, then for each scene the shared protocol, the rows and their notes, then how to read them.
 pub fn table_markdown(table: &Table) -> String {
@@ -10,6 +11,7 @@ pub fn table_markdown(table: &Table) -> String {
     let mut text = format!("**{}** ({})\n", escape(&table.title), escape(&table.name));
     for (scene, lines) in table.scenes() {
         text += &format!("\n### {}\n\n", escape(scene));
+        text.extend(epochs_note(&lines, usize::MAX).map(|note| format!("{}\n\n", escape(&capitalized(&note)))));
         text += &format!("All rows: {}\n\n", escape(&protocol_text(&lines)));
         text += &row_text(&grid.head);
         text += &format!("|---|{}\n", "---:|".repeat(grid.head.len() - 1));
@@ -23,11 +25,11 @@ pub fn table_markdown(table: &Table) -> String {
 fn list_text(notes: &[String]) -> String {
     // A note may start with the characters of a heading, list or quotation, but is none.
     let block = |note: &str| if note.starts_with(['#', '+', '-', '>', '=']) { "\\" } else { "" };
-    notes.iter().map(|note| format!("- {}{}\n", block(note), escape(note))).collect()
+    notes.iter().map(|note| format!("- {}{}\n", block(note), escape(&rounded(note)))).collect()
 }
 
 fn row_text(cells: &[String]) -> String {
-    let cells: Vec<String> = cells.iter().map(|cell| escape(cell)).collect();
+    let cells: Vec<String> = cells.iter().map(|cell| escape(&rounded(cell))).collect();
     format!("| {} |\n", cells.join(" | "))
 }
 

@@ -8,6 +8,7 @@ mod attack;
 mod checks;
 mod comparison;
 mod delimited;
+mod epochs;
 mod heading;
 mod kinds;
 mod latex;
@@ -23,6 +24,7 @@ pub use checks::disagreements;
 pub(super) use comparison::comparisons_to_come;
 pub use comparison::{Comparison, Equivalence, Verdict};
 pub use delimited::{PointTiming, points_csv, table_csv, timing_csv};
+pub use epochs::{epochs_note, epochs_of, epochs_text, is_brief};
 pub use heading::{Heading, Judgement, is_better};
 pub use latex::table_latex;
 pub use markdown::escape;
@@ -130,6 +132,10 @@ pub struct Line {
     pub published_protocol: String,
     /// Known differences of the measured points from that.
     pub protocol_difference: String,
+    /// Lowest and highest over the seeds of how often a training pixel was seen; `None` if it is unknown.
+    pub epochs: Option<(f64, f64)>,
+    /// The same of the paper's own run.
+    pub published_epochs: Option<f64>,
     /// Protocol fields that are equal over the seeds.
     pub protocol: Vec<(String, String)>,
     /// Protocol fields that differ over the seeds, except those that every seed has of its own.
@@ -294,6 +300,12 @@ fn line(spec: &TableSpec, group: &Group, groups: &[Group]) -> Line {
         published_average: published.as_ref().map(|row| row.average).filter(|_| spec.has_any("average_")),
         published_protocol: published.as_ref().map(|row| row.protocol().text()).unwrap_or_default(),
         protocol_difference: differences.unwrap_or_default(),
+        epochs: group
+            .done()
+            .filter_map(Record::epochs)
+            .map(|own| (own, own))
+            .reduce(|all, own| (all.0.min(own.0), all.1.max(own.1))),
+        published_epochs: published.as_ref().and_then(|row| row.protocol().epochs()),
         protocol,
         differs,
         mixed: checks::mixed_fields(spec, group, groups),
@@ -332,6 +344,8 @@ fn quoted_line(spec: &TableSpec, row: &RowSpec, scene: &str) -> Option<Line> {
         published_average: Some(published.average).filter(|_| spec.has_any("average_")),
         published_protocol: published.protocol().text(),
         protocol_difference: String::new(),
+        epochs: None,
+        published_epochs: published.protocol().epochs(),
         protocol: Vec::new(),
         differs: Vec::new(),
         mixed: Vec::new(),

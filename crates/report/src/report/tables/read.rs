@@ -55,7 +55,7 @@ pub fn read_points(
             columns.push(("scene".into(), scene.into()));
             columns.extend(own.iter().map(|&column| (head[column].clone(), plain_cell(&row[column]).to_string())));
         }
-        records.push(Record {
+        let record = Record {
             id: id.into(),
             scene: scene.into(),
             row: name.into(),
@@ -68,7 +68,8 @@ pub fn read_points(
             metrics,
             protocol: columns,
             inactive_levels: inactive.split_whitespace().map(String::from).collect(),
-        });
+        };
+        records.push(record.with_epochs());
     }
     Ok(records)
 }

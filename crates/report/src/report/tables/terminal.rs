@@ -7,7 +7,7 @@ use super::text::{
     UNKNOWN_BACKBONE, difference_text, general_notes, marked_label, mean_text, protocol_text, published_text,
     scene_notes,
 };
-use super::{Cell, Line, Table};
+use super::{Cell, Line, Table, epochs_note};
 use crate::draw::numbers::rounded;
 
 /// Returns title, then a drawing for each scene with its notes. `width` is the terminal's, in characters; the terminal
@@ -16,12 +16,13 @@ pub fn table_terminal(table: &Table, width: u16) -> String {
     let mut text = format!("{} ({})\n", table.title, table.name);
     for (scene, lines) in table.scenes() {
         text += &format!("\n{scene}: {}\n", protocol_text(&lines));
+        text.extend(epochs_note(&lines, FEW).map(|note| format!("{note}\n")));
         let (drawing, left_out) = drawing(table, &lines, width);
         text += &format!("{drawing}\n");
         if !left_out.is_empty() {
             text += &format!("not shown in {width} characters: {}\n", left_out.join(", "));
         }
-        text.extend(scene_notes(&lines, usize::MAX).iter().map(|note| format!("{note}\n")));
+        text.extend(scene_notes(&lines, usize::MAX).iter().map(|note| format!("{}\n", rounded(note))));
     }
     text += "\n";
     text.extend(general_notes(table).iter().map(|note| format!("{note}\n")));
@@ -73,6 +74,8 @@ fn drawing<'t>(table: &'t Table, lines: &[&Line], width: u16) -> (Drawing, Vec<&
     (drawing, left_out)
 }
 
+/// Most rows that a line above the table names.
+const FEW: usize = 3;
 /// Characters of a column besides its text.
 const PADDING: u16 = 2;
 

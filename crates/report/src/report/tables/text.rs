@@ -64,6 +64,12 @@ pub fn marked_label(line: &Line) -> String {
     if marks.is_empty() { line.label.clone() } else { format!("{} {marks}", line.label) }
 }
 
+/// Returns a note as a sentence's start.
+pub(super) fn capitalized(note: &str) -> String {
+    let mut letters = note.chars();
+    letters.next().map_or_else(String::new, |first| first.to_uppercase().chain(letters).collect())
+}
+
 /// Returns the protocol columns that follow one of these rules.
 fn columns(rules: &[CaptionRule]) -> impl Iterator<Item = &'static str> {
     COLUMNS.iter().filter(|column| rules.contains(&column.caption)).map(|column| column.name)

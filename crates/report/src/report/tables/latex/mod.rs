@@ -9,7 +9,7 @@ use super::heading::{Heading, is_better};
 use super::text::{
     UNKNOWN_BACKBONE, further_notes, interval_of, marked_label, mean_text, protocol_text, published_text, scene_notes,
 };
-use super::{Cell, Comparison, Line, Table};
+use super::{Cell, Comparison, Line, Table, epochs_note};
 use crate::draw::numbers::rounded;
 use crate::report::statistics::p_text;
 use columns::{Column, Group, Part, parts, row_text};
@@ -151,10 +151,11 @@ fn block(part: &Part, lines: &[&Line], labels: &[String]) -> Block {
 fn notes(table: &Table) -> Vec<String> {
     let of_scene = |(scene, lines): (&str, Vec<_>)| {
         let protocol = format!("{scene}, all rows: {}", protocol_text(&lines));
-        std::iter::once(protocol).chain(scene_notes(&lines, usize::MAX))
+        let epochs = epochs_note(&lines, usize::MAX).map(|note| format!("{scene}: {note}"));
+        epochs.into_iter().chain([protocol]).chain(scene_notes(&lines, usize::MAX))
     };
     let mut notes = table.notes.clone();
-    notes.extend(table.scenes().into_iter().flat_map(of_scene));
+    notes.extend(table.scenes().into_iter().flat_map(of_scene).map(|note| rounded(&note)));
     if table.lines.iter().any(|line| line.baseline.is_some()) {
         notes.push(HOW_TO_READ.into());
     }
