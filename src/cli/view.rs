@@ -1,6 +1,6 @@
 //! `augnerf view`, and what `train --view` shows.
 
-use std::net::{IpAddr, Ipv4Addr};
+use std::net::{IpAddr, Ipv4Addr, SocketAddr, ToSocketAddrs};
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
@@ -12,7 +12,7 @@ use crate::base::{Error, Result};
 use crate::methods::Model;
 use crate::run::{Audience, Finished, Job, Setup};
 use crate::runtime::host_name;
-use crate::view::{Server, ServerOptions, ShownRun};
+use crate::view::{Server, ShownRun};
 
 use super::progress::{Console, print, report};
 use super::signals::catch_signals_of_server;
@@ -56,16 +56,29 @@ pub struct Place {
     /// Port of the page; 0 takes a free one [default: 7007, or a free one if that is taken]
     #[arg(long, value_name = "N")]
     port: Option<u16>,
-    /// Address of the interface; others than 127.0.0.1 let other computers in [default: 127.0.0.1]
-    #[arg(long, value_name = "ADDRESS")]
+    /// Address or name of the interface; others than 127.0.0.1 let other computers in [default: 127.0.0.1]
+    #[arg(long, value_name = "ADDRESS", value_parser = address)]
     host: Option<IpAddr>,
+}
+
+/// Reads an address, or a name of this computer such as localhost.
+fn address(text: &str) -> std::result::Result<IpAddr, String> {
+    let bare = text.strip_prefix('[').and_then(|text| text.strip_suffix(']')).unwrap_or(text);
+    if let Ok(address) = bare.parse() {
+        return Ok(address);
+    }
+    let found: Vec<IpAddr> = (text, 0).to_socket_addrs().into_iter().flatten().map(|address| address.ip()).collect();
+    let found = found.iter().find(|address| address.is_ipv4()).or(found.first()).copied();
+    found.ok_or_else(|| {
+        "no such address or name of this computer: 127.0.0.1 is this computer alone, 0.0.0.0 all of its networks".into()
+    })
 }
 
 impl Place {
     /// Opens the page of some runs.
     fn open(&self, runs: Vec<Arc<ShownRun>>) -> Result<Arc<Server>> {
         let host = self.host.unwrap_or(IpAddr::V4(Ipv4Addr::LOCALHOST));
-        let at = |port| Server::bind(runs.clone(), &ServerOptions { host, port });
+        let at = |port| Server::bind(runs.clone(), SocketAddr::new(host, port));
         let server = match self.port {
             Some(port) => at(port)?,
             None => match at(PORT) {
@@ -85,10 +98,10 @@ fn warn_of_others(server: &Server, console: &Console) {
              with which anyone can look. An ssh tunnel to 127.0.0.1 is safer",
         );
     }
-    if let Some(host) = server.every_interface() {
+    if server.is_everywhere() {
         let name = host_name();
         console.say(&format!(
-            "on another computer, replace {host} in the address by this computer's name ({name}) or IP address"
+            "on another computer, replace the address's host by this computer's name ({name}) or IP address"
         ));
     }
 }
@@ -97,14 +110,24 @@ impl ViewArguments {
     pub fn run(self) -> Result<()> {
         let runtime = self.compute.runtime_or("cpu")?;
         let console = Console::new(self.compute.quiet);
-        let stop = catch_signals_of_server()?;
-        let open =
-            |folder: &PathBuf| ShownRun::open(folder, self.sources.data.as_deref(), &runtime, &console).map(Arc::new);
+        let open = |folder: &PathBuf| {
+            console.say(&format!("opening {}", folder.display()));
+            ShownRun::open(folder, self.sources.data.as_deref(), &runtime, &console).map(Arc::new)
+        };
         let runs = self.runs.iter().map(open).collect::<Result<Vec<_>>>()?;
         let server = self.place.open(runs)?;
+        // Until now a signal ends the program at once: nothing is lost.
+        let stop = catch_signals_of_server()?;
         warn_of_others(&server, &console);
         print(&server.url())?;
         console.say("open this address in a browser; Ctrl-C ends the page");
+        let finder = server.clone();
+        // It ends with the program.
+        std::thread::spawn(move || {
+            if let Err(error) = finder.find_empty_space() {
+                report(&format!("no empty space is skipped: {error}"));
+            }
+        });
         server.serve(&stop)
     }
 }

@@ -1,7 +1,7 @@
 //! The page of runs: its server over HTTP, as a browser speaks to it.
 
 use std::io::{BufRead, BufReader, Read, Write};
-use std::net::{IpAddr, Ipv4Addr, TcpStream};
+use std::net::{Ipv4Addr, TcpStream};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::time::Duration;
@@ -12,9 +12,9 @@ use augnerf::methods::FieldRenderer;
 use augnerf::render::ray_parts;
 use augnerf::run::{RunDir, Viewer};
 use augnerf::runtime::Runtime;
-use augnerf::settings::{Axes, Encoding, Method};
+use augnerf::settings::{Axes, Config, Encoding, Method};
 use augnerf::train::Trainer;
-use augnerf::view::{Attack, PerturbedRenderer, Server, ServerOptions, ShownRun, SkippingRenderer};
+use augnerf::view::{Attack, PerturbedRenderer, Server, ShownRun, SkippingRenderer};
 use candle_core::DType;
 
 use crate::common::learning::Small;
@@ -23,8 +23,15 @@ use crate::common::{tiny_config, tiny_scene};
 
 /// A run of the soft ball after some steps.
 pub fn shown(label: &str, method: Method, steps: usize) -> Arc<ShownRun> {
+    shown_with(label, method, steps, |_| {})
+}
+
+fn shown_with(label: &str, method: Method, steps: usize, change: impl FnOnce(&mut Config)) -> Arc<ShownRun> {
     let (scene, runtime) = (tiny_scene(), Runtime::new("cpu", Some(2)).unwrap());
-    let config = tiny_config(method, |config| config.train.steps = steps.max(1) as u64);
+    let config = tiny_config(method, |config| {
+        config.train.steps = steps.max(1) as u64;
+        change(config);
+    });
     let mut trainer = Trainer::new(&config, &scene, DType::F32, &runtime).unwrap();
     for _ in 0..steps {
         trainer.step(false).unwrap();
@@ -103,8 +110,7 @@ pub fn get(url: &str) -> Reply {
 
 /// Does `work` with the page of some runs, at the address that it gets.
 pub fn served<T>(runs: Vec<Arc<ShownRun>>, work: impl FnOnce(&str, &Server) -> T) -> T {
-    let options = ServerOptions { host: IpAddr::V4(Ipv4Addr::LOCALHOST), port: 0 };
-    let server = Arc::new(Server::bind(runs, &options).unwrap());
+    let server = Arc::new(Server::bind(runs, (Ipv4Addr::LOCALHOST, 0).into()).unwrap());
     let stop = AtomicUsize::new(0);
     std::thread::scope(|scope| {
         scope.spawn(|| server.serve(&stop));
@@ -153,44 +159,91 @@ fn without_its_token_or_from_another_page_nothing_is_answered() {
         let state = format!("{url}state");
         assert_eq!(ask("GET", &state, "Origin: http://example.org\r\n", "").status, 403);
         assert!(!server.is_watched());
-        let own = format!("Origin: {place}\r\n");
-        assert_eq!(ask("GET", &state, &own, "").status, 200);
+        // A proxy may end TLS.
+        for own in [place.to_string(), place.replace("http:", "https:")] {
+            assert_eq!(ask("GET", &state, &format!("Origin: {own}\r\n"), "").status, 200, "{own}");
+        }
         assert!(server.is_watched() && !server.is_public());
     });
 }
 
-/// Sends the lines before a body that never comes, and returns the answer.
-pub fn claim(place: &str, length: &str) -> String {
+/// Opens a connection and sends some bytes.
+fn sent(place: &str, bytes: &[u8]) -> TcpStream {
     let mut stream = TcpStream::connect(place.strip_prefix("http://").unwrap()).unwrap();
     stream.set_read_timeout(Some(Duration::from_secs(60))).unwrap();
-    write!(stream, "POST / HTTP/1.1\r\n{length}\r\n\r\n").unwrap();
-    std::io::read_to_string(stream).unwrap()
+    stream.write_all(bytes).unwrap();
+    stream
 }
 
+/// Sends some bytes, and returns what is answered until the connection is closed.
+pub fn said(place: &str, bytes: &[u8]) -> String {
+    std::io::read_to_string(sent(place, bytes)).unwrap()
+}
+
+/// The address without the token.
+pub fn place_of(url: &str) -> &str {
+    url.trim_end_matches('/').rsplit_once('/').unwrap().0
+}
+
+/// What comes without the token is refused before its body, and what is no request is refused, each in words. With the token
+/// bodies have a limit.
 #[test]
-fn bodies_without_the_token_are_refused_and_their_connections_closed() {
+fn what_is_no_request_of_the_page_is_refused_and_its_connection_closed() {
     served(vec![shown("a", Method::Nerf, 0)], |url, server| {
-        let place = url.trim_end_matches('/').rsplit_once('/').unwrap().0;
+        let place = place_of(url);
         for body in ["x".to_string(), "x".repeat(5000)] {
             let reply = ask("POST", &format!("{place}/"), "", &body);
             assert!(reply.status == 403 && reply.words().contains("token"), "{}", reply.words());
         }
-        let lengths = ["Content-Length: 100000", "Content-Length: 4611686018427387904", "Content-Length: much"];
-        for length in lengths.into_iter().chain(["Transfer-Encoding: chunked"]) {
-            let answer = claim(place, length);
-            assert!(answer.starts_with("HTTP/1.1 413 ") && answer.contains("Connection: close"), "{length}: {answer}");
+        let token = url.rsplit('/').nth(1).unwrap();
+        let of_page = |lines: &str| format!("POST /{token}/path HTTP/1.1\r\n{lines}\r\n\r\n");
+        let stranger = |lines: &str| format!("POST / HTTP/1.1\r\n{lines}\r\n\r\n");
+        for (bytes, status, words) in [
+            (stranger("Content-Length: 60000"), 403, "token"),
+            (stranger("Content-Length: 4611686018427387904"), 403, "token"),
+            (stranger("Transfer-Encoding: chunked"), 403, "token"),
+            (stranger("Content-Length: much"), 400, "Content-Length"),
+            (of_page("Content-Length: 5000000"), 413, "too long"),
+            (of_page("Transfer-Encoding: chunked"), 413, "too long"),
+            (of_page("Content-Length: 1\r\nContent-Length: 2"), 400, "Content-Length"),
+            (of_page("no colon"), 400, "no request"),
+            (of_page(&"a: b\r\n".repeat(200)), 431, "too many"),
+            ("GET / HTTP/9.9\r\n\r\n".into(), 400, "no request"),
+            ("PRI * HTTP/2.0\r\n\r\nSM\r\n\r\n".into(), 400, "no request"),
+            ("\u{16}\u{3}\u{1}\u{2}\0\u{1}".into(), 400, "no request"),
+            ("GET /\0 HTTP/1.1\r\n\r\n".into(), 400, "no request"),
+            (format!("GET /{} HTTP/1.1\r\n\r\n", "a".repeat(70_000)), 431, "too long"),
+        ] {
+            let answer = said(place, bytes.as_bytes());
+            let start = &bytes[..bytes.len().min(60)];
+            assert!(answer.starts_with(&format!("HTTP/1.1 {status} ")) && answer.contains(words), "{start}: {answer}");
+            assert!(answer.contains("Connection: close"), "{start}: {answer}");
         }
-        // Who promises a body and sends none holds up nobody else.
-        let silent: Vec<TcpStream> = (0..20)
-            .map(|_| {
-                let mut stream = TcpStream::connect(place.strip_prefix("http://").unwrap()).unwrap();
-                stream.write_all(b"POST / HTTP/1.1\r\nContent-Length: 2000\r\n\r\n").unwrap();
-                stream
-            })
-            .collect();
         assert!(!server.is_watched());
         assert_eq!(get(url).status, 200);
-        drop(silent);
+    });
+}
+
+/// However strangers hold on to their connections: silent, within a head, or within a body.
+#[test]
+fn strangers_do_not_lock_the_owner_out() {
+    served(vec![shown("a", Method::Nerf, 0)], |url, _| {
+        let place = place_of(url);
+        let token = url.rsplit('/').nth(1).unwrap();
+        let mut own = BufReader::new(sent(place, format!("GET /{token}/state HTTP/1.1\r\n\r\n").as_bytes()));
+        let mut line = String::new();
+        own.read_line(&mut line).unwrap();
+        assert!(line.starts_with("HTTP/1.1 200 "), "{line}");
+        for bytes in ["", "GET / HTT", "POST /nothing HTTP/1.1\r\nContent-Length: 60000\r\n\r\nx"] {
+            let strangers: Vec<TcpStream> = (0..100).map(|_| sent(place, bytes.as_bytes())).collect();
+            assert_eq!(get(&format!("{url}state")).status, 200, "{bytes}");
+            drop(strangers);
+        }
+        // A connection that has shown the token stays.
+        own.get_mut().write_all(b"GET / HTTP/1.1\r\n\r\n").unwrap();
+        let mut rest = String::new();
+        own.read_to_string(&mut rest).unwrap();
+        assert!(rest.contains("HTTP/1.1 403 "), "{rest}");
     });
 }
 
@@ -264,6 +317,86 @@ fn the_newest_picture_of_a_page_wins() {
     served(vec![shown("a", Method::Nerf, 0)], |url, _| {
         let at = |page: &str, turn: u64| get(&format!("{url}picture?{VIEW}&page={page}&turn={turn}")).status;
         assert_eq!((at("x", 5), at("x", 4), at("y", 1), at("x", 5)), (200, 409, 200, 200));
+    });
+}
+
+/// Pixels of a picture that takes long.
+const LARGE: [u32; 2] = [4096, 1024];
+
+/// A picture without a reader is given up, whether it is being made or waits.
+#[test]
+fn a_closed_page_ends_its_pictures_and_holds_nobody_up() {
+    let run = shown("a", Method::Nerf, 0);
+    served(vec![run.clone()], |url, server| {
+        let before = run.runtime.work().multiply_adds;
+        assert_eq!(get(&format!("{url}picture?{VIEW}&page=x&turn=1")).status, 200);
+        let of_small = run.runtime.work().multiply_adds - before;
+        let token = url.rsplit('/').nth(1).unwrap();
+        let [width, height] = LARGE;
+        let pages: Vec<TcpStream> = ["a", "b"]
+            .map(|page| {
+                let query = format!("run=0&view=held-out:0&width={width}&height={height}&page={page}&turn=1");
+                sent(place_of(url), format!("GET /{token}/picture?{query} HTTP/1.1\r\n\r\n").as_bytes())
+            })
+            .into();
+        let until = |unfinished: usize| {
+            while server.unfinished() != unfinished {
+                std::thread::sleep(Duration::from_millis(1));
+            }
+        };
+        until(2);
+        // Who wants a small picture quickly, or a ray, does not wait for them.
+        assert_eq!(get(&format!("{url}picture?{VIEW}&page=c&turn=1&within=1000")).status, 200);
+        assert_eq!(get(&format!("{url}ray?{VIEW}&page=c-ray&turn=1&x=1&y=1")).status, 200);
+        assert_eq!(server.unfinished(), 2, "they were waited for");
+        drop(pages);
+        until(0);
+        let whole = of_small / 256 * u64::from(width * height);
+        let done = run.runtime.work().multiply_adds - before;
+        assert!(done < whole, "{done} multiply-adds for dead pages, of {whole} for one picture");
+        assert_eq!(get(&format!("{url}picture?{VIEW}&page=d&turn=1")).status, 200);
+    });
+}
+
+/// A model that takes longer has a smaller picture in the same time, and whoever waits gets the whole size.
+#[test]
+fn a_quick_picture_is_as_large_as_the_model_allows() {
+    let wide = shown_with("wide", Method::AugNerf, 0, |config| {
+        (config.field.width, config.field.depth) = (256, 8);
+    });
+    served(vec![shown("narrow", Method::AugNerf, 0), wide], |url, _| {
+        let mut turn = 0;
+        let mut size = |run: usize, further: &str| {
+            turn += 1;
+            let query = format!("run={run}&view=held-out:0&width=96&height=96&page=x&turn={turn}{further}");
+            let reply = get(&format!("{url}picture?{query}"));
+            assert_eq!(reply.status, 200, "{}", reply.words());
+            reply.size().0
+        };
+        let [narrow, wide] = [0, 1].map(|run| size(run, "&within=10"));
+        assert!((8..narrow).contains(&wide) && wide < 96, "{narrow} and {wide} pixels wide");
+        // A search takes many passes, also before there was one.
+        assert!(size(0, "&within=10&sites=xyz") < narrow.max(9));
+        assert_eq!([size(0, "&within=1e9"), size(1, ""), size(1, "&within=0")], [96, 96, 8]);
+    });
+}
+
+/// A page has pictures before its run's empty space is known.
+#[test]
+fn empty_space_is_found_while_the_page_answers() {
+    let run = shown_with("a", Method::Nerf, 400, |config| {
+        (config.sampling.coarse, config.sampling.fine) = (32, 32);
+    });
+    served(vec![run], |url, server| {
+        let occupied = || get(&format!("{url}state")).json()["runs"][0]["occupied"].clone();
+        let picture = |turn: u64| get(&format!("{url}picture?{VIEW}&page=x&turn={turn}"));
+        let before = picture(1);
+        assert!(occupied().is_null());
+        server.find_empty_space().unwrap();
+        let occupied = occupied().as_f64().expect("some space is empty");
+        assert!((0.0..0.9).contains(&occupied), "{occupied}");
+        let [before, after] = [before, picture(2)].map(|reply| image::load_from_memory(&reply.body).unwrap().to_rgb8());
+        assert!(before.as_raw().iter().zip(after.as_raw()).all(|(a, b)| a.abs_diff(*b) <= 4));
     });
 }
 
@@ -344,8 +477,13 @@ fn runs_of_two_scenes_have_no_page() {
     let mut other = tiny_scene();
     other.train.iter_mut().chain(&mut other.test).for_each(|view| view.camera.pose[0][3] += 1.0);
     let other = Arc::new(ShownRun::of_training("c".into(), a.config.clone(), other, a.runtime.clone()));
-    let options = ServerOptions { host: IpAddr::V4(Ipv4Addr::LOCALHOST), port: 0 };
-    assert!(Server::bind(vec![a, other], &options).err().unwrap().to_string().contains("different scenes"));
+    assert!(
+        Server::bind(vec![a, other], (Ipv4Addr::LOCALHOST, 0).into())
+            .err()
+            .unwrap()
+            .to_string()
+            .contains("different scenes")
+    );
 }
 
 /// On a hash grid and on networks: without empty space left out the pictures are the same, and with a little they hardly
@@ -366,7 +504,7 @@ fn pictures_without_empty_space_are_those_with_it() {
         let fields = model.fields().unwrap();
         let viewer = Viewer { model, config: &config, scene: &scene, runtime: &runtime };
         let full = FieldRenderer::new(fields, &config, &scene).unwrap();
-        let mut skipping = SkippingRenderer::new(fields, &config, &scene).unwrap().unwrap();
+        let mut skipping = SkippingRenderer::new(fields, &config, &scene, &runtime, &mut || Ok(())).unwrap().unwrap();
         let camera = scene.test[0].camera;
         let expected = viewer.render_with(&full, &camera).unwrap().image.pixels;
         let mut differences = Vec::new();
@@ -383,7 +521,7 @@ fn pictures_without_empty_space_are_those_with_it() {
     let mip = tiny_config(Method::MipNerf, |_| {});
     let trainer = Trainer::new(&mip, &scene, DType::F32, &runtime).unwrap();
     let fields = trainer.model().unwrap().fields().unwrap();
-    assert!(SkippingRenderer::new(fields, &mip, &scene).unwrap().is_none());
+    assert!(SkippingRenderer::new(fields, &mip, &scene, &runtime, &mut || Ok(())).unwrap().is_none());
     assert!(ray_parts(fields.evaluated()).footprint);
     assert!(PerturbedRenderer::new(fields, &mip, &scene).unwrap().ray_parts().footprint);
 }

@@ -37,15 +37,16 @@ impl Drop for Page {
 #[cfg(unix)]
 #[test]
 fn strangers_do_not_end_the_page() {
-    use crate::view::{ask, claim, get};
+    use crate::view::{ask, get, place_of, said};
     let (_dir, out) = Small { method: "nerf", settings: "" }.once();
     let view = "ulimit -n 40; exec \"$0\" view \"$1\" --port 0 --quiet --threads 1";
     let program = env!("CARGO_BIN_EXE_augnerf");
     let mut page = Page::start(Command::new("sh").args(["-c", view, program, out.to_str().unwrap()]));
-    let place = page.url.trim_end_matches('/').rsplit_once('/').unwrap().0.to_string();
+    let place = place_of(&page.url).to_string();
     for _ in 0..100 {
         assert_eq!(ask("POST", &format!("{place}/"), "", "x").status, 403);
-        assert!(claim(&place, "Content-Length: 99999999").starts_with("HTTP/1.1 413 "));
+        let claims = said(&place, b"POST / HTTP/1.1\r\nContent-Length: 99999999\r\n\r\n");
+        assert!(claims.starts_with("HTTP/1.1 403 "), "{claims}");
     }
     assert_eq!(get(&page.url).status, 200);
     let host = place.strip_prefix("http://").unwrap();
@@ -74,14 +75,40 @@ fn a_page_without_descriptors_ends_with_a_sentence() {
     assert_says(&said, &["error: 127.0.0.1:", "no connection to the page can be accepted any more", "os error 24"]);
 }
 
+/// What is printed can be opened here, and names are addresses, too.
 #[test]
-fn an_address_of_every_interface_says_what_other_computers_need() {
+fn the_address_of_an_interface_opens_on_this_computer() {
     let (_dir, out) = Small { method: "nerf", settings: "" }.once();
-    let mut page = Page::start(&mut augnerf(&["view", out.to_str().unwrap(), "--host", "0.0.0.0", "--port", "0"]));
-    assert!(page.url.starts_with("http://0.0.0.0:"), "{}", page.url);
-    page.child.kill().unwrap();
-    let said = std::io::read_to_string(page.child.stderr.take().unwrap()).unwrap();
-    assert_says(&said, &["warning: other computers can reach this page", "replace 0.0.0.0 in the address by"]);
+    let view = ["view", out.to_str().unwrap(), "--port", "0", "--host"];
+    let everywhere = ["warning: other computers can reach this page", "replace the address's host by"];
+    for (host, words) in [("0.0.0.0", &everywhere[..]), ("localhost", &["open this address"])] {
+        let mut page = Page::start(&mut augnerf(&[&view[..], &[host]].concat()));
+        assert!(page.url.starts_with("http://127.0.0.1:"), "{host}: {}", page.url);
+        assert_eq!(crate::view::get(&page.url).status, 200);
+        page.child.kill().unwrap();
+        let said = std::io::read_to_string(page.child.stderr.take().unwrap()).unwrap();
+        assert_says(&said, words);
+        assert_says(&said, &[&format!("opening {}", out.display())]);
+    }
+    let said = demand(&mut augnerf(&[&view[..], &["no such name"]].concat()), 2);
+    assert_says(&said, &["no such name", "127.0.0.1 is this computer alone"]);
+}
+
+/// It says at once what it does, and a signal ends it at once.
+#[cfg(unix)]
+#[test]
+fn a_page_that_is_not_ready_yet_ends_at_once() {
+    use std::os::unix::process::ExitStatusExt;
+    let (_dir, out) = Small { method: "nerf", settings: "field.width=256 field.depth=8" }.once();
+    let mut command = augnerf(&["view", out.to_str().unwrap(), "--port", "0", "--threads", "1"]);
+    let mut child = command.stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap();
+    let mut first = String::new();
+    let mut errors = BufReader::new(child.stderr.take().unwrap());
+    errors.read_line(&mut first).unwrap();
+    assert_says(&first, &["opening", out.to_str().unwrap()]);
+    assert!(Command::new("kill").args(["-INT", &child.id().to_string()]).status().unwrap().success());
+    assert_eq!(child.wait().unwrap().signal(), Some(2));
+    assert_eq!(std::io::read_to_string(child.stdout.take().unwrap()).unwrap(), "");
 }
 
 /// A page that cannot be opened leaves no run behind, and replaces none.

@@ -2,10 +2,11 @@
 "use strict";
 
 const $ = (id) => document.getElementById(id);
-// Pixels along the longer side of a picture, or fewer if the window is smaller.
-const MOVING = 96; // while the camera moves
-const SHARP = 400; // when it is still
-const PREVIEW = 128; // of a first picture of the worst case, whose search takes many passes
+// Pixels along the longer side of a sharp picture, or fewer if the window is smaller.
+const SHARP = 400;
+// Milliseconds that a picture may take. The program makes it as large as it can.
+const QUICK = 200; // while the camera moves
+const STEPS = [QUICK, 1500, null]; // when it is still: the last picture is sharp, however long it takes
 const STILL_AFTER = 180; // milliseconds without a move
 const ANSWER = 20000; // milliseconds within which the program says how its runs stand
 const PAGE = Math.random().toString(36).slice(2, 12);
@@ -13,8 +14,8 @@ const PAGE = Math.random().toString(36).slice(2, 12);
 let scene, runs = [];
 // The camera: place, axes (right, up, back), vertical field of view, and what it turns around.
 let camera = null;
-// The scene's own view that the camera has not left.
-let own = null;
+// The scene's own view that the camera has not left, and the last one that it was at.
+let own = null, lastView = "";
 let border = 0.5;
 const path = [];
 const shown = { left: null, right: null }; // the newest pictures, as ImageBitmap
@@ -83,17 +84,19 @@ function fly(right, up, back) {
 
 function jump(id) {
   own = scene.views.find((view) => view.id === id);
+  lastView = $("views").value = id;
   camera = cameraOf(own);
-  $("photograph").disabled = false;
   rayAt = null;
-  draw();
+  rows();
   changed(true);
 }
 
 let stillTimer = 0;
 function moved() {
   own = null;
+  $("views").value = "";
   rayAt = null;
+  rows();
   changed(false);
   clearTimeout(stillTimer);
   stillTimer = setTimeout(() => changed(true), STILL_AFTER);
@@ -114,20 +117,27 @@ function size(longer) {
   return [Math.max(8, Math.round(width)), Math.max(8, Math.round(width * like.height / like.width))];
 }
 
+let shownAs = ""; // what the newest pictures show
+
 function changed(still) {
   wanted = { still };
+  $("stage").classList.toggle("stale", asked(pictures(still)) !== shownAs);
   if (sharpening) sharpening.abort();
   if (!busy) next();
 }
+
+// What some pictures show, whatever their size.
+const asked = (list) => JSON.stringify([list, layer(), $("scale").value, pose(camera), camera.fov]);
 
 function sitesOn() {
   return [...document.querySelectorAll("#sites input:checked")].map((box) => box.value);
 }
 
-// The two pictures that the page shows: what is asked for, and how it is called. The right one may be missing.
-function pictures() {
+// The two pictures that the page shows: what is asked for, and how it is called. The right one may be missing. A search takes
+// many passes, so it waits until the camera is still.
+function pictures(still = true) {
   const beside = $("beside").value;
-  const attacked = sitesOn();
+  const attacked = still ? sitesOn() : [];
   const first = { run: 0, sites: [], label: runs[0].label };
   if ($("photograph").checked && own) return [first, { photograph: own.id, label: "photograph" }];
   if (beside.startsWith("run")) {
@@ -153,46 +163,25 @@ async function next() {
   const { still } = wanted;
   wanted = null;
   busy = true;
-  const list = pictures();
-  // A search takes many passes, so it waits until the camera is still.
-  const fast = !still;
+  const list = pictures(still), name = asked(list);
   sharpening = still ? new AbortController() : null;
-  const columns = size(still ? SHARP : MOVING);
   try {
     if (still) status("Rendering …");
+    const steps = !still ? [QUICK] : name === shownAs ? STEPS.slice(1) : STEPS;
     const started = performance.now();
-    let milliseconds = 0;
-    const found = [];
-    const ask = async (picture, slot, columns) => {
-      if (picture.photograph) return bitmap(`photograph?view=${encodeURIComponent(picture.photograph)}`);
-      const q = query(fast ? { ...picture, sites: [] } : picture, columns, slot);
-      q.set("layer", layer());
-      if (fast) q.set("moving", "1");
-      const reply = await get(`picture?${q}`, still ? { signal: sharpening.signal } : {});
-      milliseconds += Number(reply.headers.get("X-Milliseconds"));
-      return createImageBitmap(await reply.blob());
-    };
-    const show = () => {
-      [shown.left, shown.right] = [found[0], found[1] || null];
-      $("left-label").textContent = list.length > 1 ? list[0].label : "";
-      $("right-label").textContent = list.length > 1 ? list[1].label : "";
-      draw();
-    };
-    for (const [slot, picture] of list.entries()) {
-      if (still && picture.sites && picture.sites.length) {
-        found[slot] = await ask(picture, slot, size(PREVIEW));
-        if (wanted) throw new Superseded();
-        show();
-        status("Searching the worst case …");
+    for (const within of steps) {
+      const { found, milliseconds, done } = await make(list, within, still);
+      show(list, found, name);
+      const [columns, lines] = [found[0].width, found[0].height], [width, height] = size(SHARP);
+      if (done || !still) {
+        const waiting = !still && sitesOn().length ? " without the worst case, while you move" : "";
+        const after = Math.round(performance.now() - started);
+        status(`${columns} × ${lines} in ${Math.round(milliseconds)} ms, shown after ${after} ms${waiting}`);
+        break;
       }
-      found[slot] = await ask(picture, slot, columns);
-      // A newer wish wins: a moving camera needs no second sharp picture.
-      if (wanted && still) throw new Superseded();
+      const seconds = Math.ceil(milliseconds / 1000 * width * height / (columns * lines));
+      status(`${columns} × ${lines} so far. Rendering ${width} × ${height}: about ${seconds} s …`);
     }
-    show();
-    const waiting = fast && list.some((picture) => picture.sites && picture.sites.length) ? " without the worst case, while you move" : "";
-    const pictureSize = `${columns[0]} × ${columns[1]}`;
-    status(`${pictureSize} in ${Math.round(milliseconds)} ms, shown after ${Math.round(performance.now() - started)} ms${waiting}`);
   } catch (error) {
     if (!(error instanceof Superseded)) status(error.message, true);
   } finally {
@@ -202,6 +191,49 @@ async function next() {
     outdated = false;
     if (wanted) next();
   }
+}
+
+// Asks for the pictures of a list. `done` tells whether they are as large as they can be.
+async function make(list, within, still) {
+  const columns = size(SHARP), found = [];
+  let milliseconds = 0, done = true;
+  for (const [slot, picture] of list.entries()) {
+    if (picture.photograph) {
+      found[slot] = await bitmap(`photograph?view=${encodeURIComponent(picture.photograph)}`);
+      continue;
+    }
+    const q = query(picture, columns, slot);
+    q.set("layer", layer());
+    if (within) q.set("within", within / list.length);
+    if (!still) q.set("moving", "1");
+    const reply = await get(`picture?${q}`, still ? { signal: sharpening.signal } : {});
+    milliseconds += Number(reply.headers.get("X-Milliseconds"));
+    found[slot] = await createImageBitmap(await reply.blob());
+    done = done && found[slot].width === columns[0];
+    // A newer wish wins: a moving camera needs no second sharp picture.
+    if (wanted && still) throw new Superseded();
+  }
+  return { found, milliseconds, done };
+}
+
+function show(list, found, name) {
+  [shown.left, shown.right] = [found[0], found[1] || null];
+  shownAs = name;
+  $("stage").classList.remove("stale");
+  $("left-label").textContent = list.length > 1 ? list[0].label : "";
+  $("right-label").textContent = list.length > 1 ? list[1].label : "";
+  showDepths();
+  draw();
+}
+
+// The colours of depth with their numbers, under a picture of it.
+function showDepths() {
+  const { depths } = runs[0];
+  $("depths").hidden = layer() !== "depth" || !depths;
+  if ($("depths").hidden) return;
+  [$("near").textContent, $("far").textContent] = depths.map((depth) => depth.toPrecision(3));
+  $("unit").textContent = scene.ndc ? "NDC" : "depth in scene units";
+  $("colours").style.background = `linear-gradient(to right, ${scene.depth_colours.map((rgb) => `rgb(${rgb})`)})`;
 }
 
 class Superseded extends Error {}
@@ -228,20 +260,32 @@ function draw() {
   const { left, right } = shown;
   if (!left) return;
   const canvas = $("picture");
-  [canvas.width, canvas.height] = [Math.max(left.width, right ? right.width : 0), 0];
-  canvas.height = Math.round(canvas.width * left.height / left.width);
+  const [width, height] = size(SHARP);
+  canvas.width = Math.max(width, right ? right.width : 0);
+  canvas.height = Math.round(canvas.width * height / width);
   const c = canvas.getContext("2d", { willReadFrequently: true });
   const whole = [0, 0, canvas.width, canvas.height];
   const difference = right && $("as").value === "difference";
   $("slider").hidden = !right || difference;
+  $("psnr").textContent = "";
   if (difference) {
     c.drawImage(left, ...whole);
     const a = c.getImageData(...whole);
     c.drawImage(right, ...whole);
     const b = c.getImageData(...whole);
     const gain = Number($("gain").value) || 1;
-    for (let i = 0; i < a.data.length; i++) if (i % 4 !== 3) b.data[i] = Math.min(255, gain * Math.abs(a.data[i] - b.data[i]));
+    let squares = 0;
+    for (let i = 0; i < a.data.length; i += 4) {
+      const by = [0, 1, 2].map((channel) => Math.abs(a.data[i + channel] - b.data[i + channel]));
+      squares += dot(by, by);
+      b.data.fill(gain * (by[0] + by[1] + by[2]) / 3, i, i + 3);
+    }
     c.putImageData(b, 0, 0);
+    // Of pictures that were scaled it would say little.
+    if (layer() === "colour" && left.width === canvas.width && right.width === canvas.width) {
+      const psnr = -10 * Math.log10(squares / (3 * canvas.width * canvas.height) / 255 ** 2);
+      $("psnr").textContent = `PSNR between the two: ${squares ? psnr.toFixed(2) : "∞"} dB`;
+    }
     place();
     return;
   }
@@ -291,6 +335,7 @@ let rayAt = null; // fractions of the picture
 
 async function showRay() {
   if (!rayAt) return;
+  $("ray-note").textContent = "Waiting for the ray …";
   const columns = size(SHARP);
   const q = query({ run: 0, sites: sitesOn() }, columns, "ray");
   q.set("x", Math.min(columns[0] - 1, Math.floor(rayAt[0] * columns[0])));
@@ -304,13 +349,13 @@ async function showRay() {
 
 function drawRay({ clean, attacked }) {
   const canvas = $("ray"), ratio = devicePixelRatio || 1;
-  const [width, height] = [canvas.clientWidth || 320, 170];
+  const [width, height] = [canvas.clientWidth || 320, 190];
   [canvas.width, canvas.height] = [width * ratio, height * ratio];
   const c = canvas.getContext("2d");
   c.scale(ratio, ratio);
   const ink = getComputedStyle(document.body).color;
   const mark = getComputedStyle(document.body).getPropertyValue("--mark");
-  const [left, right, top, bottom] = [6, width - 6, 16, height - 34];
+  const [left, right, top, bottom] = [6, width - 6, 16, height - 48];
   const [near, far] = [clean.t[0], clean.t[clean.t.length - 1]];
   const x = (t) => left + (right - left) * (t - near) / (far - near || 1);
   const all = attacked ? [clean, attacked] : [clean];
@@ -347,6 +392,16 @@ function drawRay({ clean, attacked }) {
   [["density (log)", ink], ["weight", mark], ["transmittance", "#999"]].forEach(([text, colour], i) => {
     c.fillStyle = colour;
     c.fillText(text, left + i * 95, 11);
+  });
+  // Numbers of the axes: density at its greatest, weight and transmittance, and where along the ray.
+  c.fillStyle = ink;
+  c.fillText(most.toPrecision(3), left + 3, top + 11);
+  c.fillStyle = mark;
+  c.fillText("1", right - 9, top + 11);
+  c.fillStyle = ink;
+  [["left", near], ["center", (near + far) / 2], ["right", far]].forEach(([align, t]) => {
+    c.textAlign = align;
+    c.fillText(t.toPrecision(3), x(t), height - 5);
   });
   const colour = (rgb) => rgb.map((value) => Math.round(255 * value)).join(", ");
   const words = attacked ? `Solid: clean, RGB ${colour(clean.pixel)}. Dashed: worst case, RGB ${colour(attacked.pixel)}.` : `RGB ${colour(clean.pixel)}.`;
@@ -431,8 +486,8 @@ function listen() {
   for (const id of ["beside", "photograph", "scale"]) $(id).addEventListener("change", () => { rows(); changed(true); showRay(); });
   for (const id of ["as", "gain"]) $(id).addEventListener("change", () => { rows(); draw(); });
   $("scale").addEventListener("input", () => { $("scale-out").value = $("scale").value; });
-  $("views").addEventListener("change", () => jump($("views").value));
-  $("reset").addEventListener("click", () => jump($("views").value));
+  $("views").addEventListener("change", () => jump($("views").value || lastView));
+  $("reset").addEventListener("click", () => jump(lastView));
   $("save").addEventListener("click", save);
   $("record").addEventListener("click", () => {
     const p = pose(camera);
@@ -447,6 +502,9 @@ function listen() {
 function rows() {
   const two = pictures().length > 1;
   $("as-row").hidden = !two;
+  $("photograph").disabled = !own;
+  $("photograph-note").textContent = own ? "" : "(at a view)";
+  $("scale").disabled = !sitesOn().length;
   $("gain-row").hidden = !two || $("as").value !== "difference";
 }
 
@@ -527,9 +585,7 @@ function begin() {
   runs.slice(1).forEach((run, i) => option($("beside"), `run${i + 1}`, run.label));
   if (runs[0].sites.length) option($("beside"), "attack", "the worst case");
   if (runs.length > 1) $("beside").value = "run1";
-  rows();
   jump(scene.views[0].id);
-  $("views").value = scene.views[0].id;
 }
 
 async function start() {
@@ -538,6 +594,7 @@ async function start() {
   $("scene").textContent = scene.name;
   document.title = `${scene.name} – augnerf view`;
   scene.layers.forEach((name, i) => choice($("layers"), "radio", name, i === 0, () => changed(true)));
+  option($("views"), "", "(the camera has left it)");
   scene.views.forEach((view) => option($("views"), view.id, `${view.split} ${view.name}`));
   listen();
   await follow();

@@ -7,6 +7,7 @@ use crate::base::rng::{Random, Stream};
 use crate::data::{RayBuffer, Scene};
 use crate::field::Field;
 use crate::render::{points_at, ray_parts};
+use crate::runtime::Runtime;
 use crate::settings::{Config, Contraction, Encoding, FieldConfig, Spacing};
 
 /// Cells along an axis, for a hash grid and for networks, whose densities take longer.
@@ -14,7 +15,7 @@ const CELLS: [usize; 2] = [128, 64];
 /// Points in each cell at which density is computed.
 const POINTS: usize = 2;
 /// Cells whose densities are computed at once.
-const CHUNK: usize = 1 << 14;
+const CHUNK: usize = 1 << 12;
 
 /// A grid whose cells are empty or not.
 pub struct EmptySpace {
@@ -36,11 +37,17 @@ impl EmptySpace {
     /// Makes the grid of a field, over the box of its hash grid, which ends there, or over the box around all samples of the
     /// training views' outermost rays. Returns `None` for a
     /// field that reads Gaussians (MipNeRF), whose density depends on their size, for a contracted grid, whose space has no end,
-    /// and for samples that are not even in depth.
+    /// and for samples that are not even in depth. `pause` is called on the calling thread before each part of the work.
     ///
     /// # Errors
-    /// Those of candle.
-    pub fn of(field: &Field, config: &Config, scene: &Scene) -> Result<Option<EmptySpace>> {
+    /// Those of candle and of `pause`.
+    pub fn of(
+        field: &Field,
+        config: &Config,
+        scene: &Scene,
+        runtime: &Runtime,
+        pause: &mut dyn FnMut() -> Result<()>,
+    ) -> Result<Option<EmptySpace>> {
         let FieldConfig { encoding, hash, .. } = field.config();
         let contracts = *encoding == Encoding::Hash && hash.contraction != Some(Contraction::None);
         if *encoding == Encoding::Integrated || contracts || config.sampling.spacing != Spacing::Depth {
@@ -59,7 +66,7 @@ impl EmptySpace {
             std::array::from_fn(|axis| lower[axis] + (at[axis] as f32 + random.uniform() as f32) * size(axis))
         };
         let cells: Vec<usize> = (0..side * side * side).collect();
-        let parts = crate::runtime::over_parts(field.device(), &cells, CHUNK, |cells| {
+        let densities_of = |cells: &[usize]| {
             let mut random = Random::new(config.seed, Stream::View, cells[0] as u64);
             let points: Vec<f32> = cells
                 .iter()
@@ -75,8 +82,13 @@ impl EmptySpace {
                     .fold(0.0, |most: f32, &density| if density > most || density.is_nan() { density } else { most })
             };
             Ok(density.chunks(POINTS).map(most).collect::<Vec<f32>>())
-        })?;
-        let densities: Vec<f32> = parts.into_iter().flatten().collect();
+        };
+        let mut densities = Vec::with_capacity(cells.len());
+        for cells in cells.chunks(CHUNK * runtime.threads()) {
+            pause()?;
+            let parts = runtime.install(|| runtime.over_parts(cells, CHUNK, densities_of))?;
+            densities.extend(parts.into_iter().flatten());
+        }
         let scale = std::array::from_fn(|axis| 1.0 / size(axis));
         Ok(Some(EmptySpace {
             is_open: own.is_none(),

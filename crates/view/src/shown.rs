@@ -1,7 +1,9 @@
 //! A run on the page, with its newest weights.
 
+use std::collections::HashMap;
 use std::path::Path;
-use std::sync::{Arc, RwLock};
+use std::sync::{Arc, Mutex, OnceLock, PoisonError, RwLock};
+use std::time::{Duration, Instant};
 
 use candle_core::{Tensor, Var};
 
@@ -14,11 +16,19 @@ use crate::run::{OpenOptions, Trained, Viewer};
 use crate::runtime::Runtime;
 use crate::settings::Resolved;
 
-use super::perturbed::PerturbedRenderer;
+use super::perturbed::{Attack, PerturbedRenderer};
 use super::skipping::SkippingRenderer;
 
-/// Height of the picture by which the skipping renderer is compared with the full one, and the range of depth is found.
+/// Height of the picture by which the skipping renderer is compared with the full one.
 const CHECKED_ROWS: usize = 64;
+/// Height of the first picture, which nobody sees. It tells the range of depth, and how long a ray takes.
+const FIRST_ROWS: usize = 24;
+/// The most rays of a part. Who waits for a turn waits for some parts.
+pub const MOST_RAYS: usize = 64;
+/// How many times longer than the clean pass a search takes, before there was one.
+const SEARCH_OVER_CLEAN: f64 = 10.0;
+/// The least width and height of a picture that is made small to be quick.
+const LEAST_SIDE: f64 = 8.0;
 /// Where the skipping renderer may take space for empty: an interval of the coarse pass stops less than this fraction of the
 /// light. The first one is taken whose picture is the full renderer's.
 const LEAST_ALPHAS: [f64; 3] = [3e-2, 1e-2, 1e-3];
@@ -40,6 +50,8 @@ pub struct ShownRun {
     /// Steps of the whole training.
     pub steps: u64,
     current: RwLock<Option<Arc<Weights>>>,
+    /// Seconds of a ray, for the sites of each attack that was looked at; without sites for the clean pass.
+    costs: Mutex<HashMap<Vec<String>, f64>>,
 }
 
 /// A run's weights at one step, with what renders them.
@@ -49,13 +61,25 @@ pub struct Weights {
     /// The model.
     pub model: Model,
     /// Renders the clean pass.
-    pub renderer: Box<dyn Renderer>,
+    full: Box<dyn Renderer>,
+    /// The same without empty space, once that is found and something is gained.
+    skipping: OnceLock<SkippingRenderer>,
     /// Renders with the attack's deltas. `None` for methods without fields, and on other devices than the processor.
     pub perturbed: Option<PerturbedRenderer>,
-    /// The fraction of space that is not empty, if the renderer leaves empty space out.
-    pub occupied: Option<f64>,
     /// Nearest and farthest depth of the colour scale, in units of `t_vals`.
     pub depths: (f32, f32),
+}
+
+impl Weights {
+    /// Returns the fastest renderer of the clean pass.
+    pub fn renderer(&self) -> &dyn Renderer {
+        self.skipping.get().map_or(&*self.full, |skipping| skipping)
+    }
+
+    /// Returns the fraction of space that is not empty, if the renderer leaves empty space out.
+    pub fn occupied(&self) -> Option<f64> {
+        self.skipping.get().map(SkippingRenderer::occupied)
+    }
 }
 
 impl ShownRun {
@@ -71,28 +95,28 @@ impl ShownRun {
         let label =
             folder.file_name().map_or_else(|| folder.display().to_string(), |name| name.to_string_lossy().into_owned());
         let shown = ShownRun::of_training(label, config, scene, runtime);
-        shown.show(state.step, model, true)?;
+        shown.show(state.step, model)?;
         Ok(shown)
     }
 
     /// Creates a run whose weights come later, from a training in this process.
     pub fn of_training(label: String, config: Resolved, scene: Scene, runtime: Runtime) -> ShownRun {
         let steps = config.train.steps;
-        ShownRun { label, config, scene, runtime, steps, current: RwLock::new(None) }
+        ShownRun { label, config, scene, runtime, steps, current: RwLock::default(), costs: Mutex::default() }
     }
 
     /// Returns the newest weights, if there are some.
     pub fn weights(&self) -> Option<Arc<Weights>> {
-        self.current.read().unwrap_or_else(std::sync::PoisonError::into_inner).clone()
+        self.current.read().unwrap_or_else(PoisonError::into_inner).clone()
     }
 
-    /// Shows the weights after `step` steps. `skips` allows a renderer that leaves empty space out, which takes seconds to make.
+    /// Shows the weights after `step` steps.
     ///
     /// # Errors
     /// Weights are not numbers; those of candle.
-    pub fn show(&self, step: u64, model: Model, skips: bool) -> Result<()> {
-        let weights = self.runtime.install(|| self.prepare(step, model, skips))?;
-        *self.current.write().unwrap_or_else(std::sync::PoisonError::into_inner) = Some(Arc::new(weights));
+    pub fn show(&self, step: u64, model: Model) -> Result<()> {
+        let weights = self.prepare(step, model)?;
+        *self.current.write().unwrap_or_else(PoisonError::into_inner) = Some(Arc::new(weights));
         Ok(())
     }
 
@@ -104,55 +128,95 @@ impl ShownRun {
         let copied = |(_, var): (String, Var)| var.as_detached_tensor().copy();
         let values = model.variables().into_iter().map(copied).collect::<candle_core::Result<Vec<Tensor>>>()?;
         let copy = Model::from_parameters(&self.config, values)?.at_step(&self.config, step)?;
-        self.show(step, copy, false)
+        self.show(step, copy)
     }
 
-    fn prepare(&self, step: u64, model: Model, skips: bool) -> Result<Weights> {
+    fn prepare(&self, step: u64, model: Model) -> Result<Weights> {
         let ShownRun { config, scene, runtime, .. } = self;
         let viewer = Viewer { model: &model, config, scene, runtime };
         let full = viewer.renderer()?;
-        let like = self.first_camera().with_height(CHECKED_ROWS);
-        let rendered = viewer.render_with(&*full, &like)?;
+        let like = self.first_camera().with_height(FIRST_ROWS);
+        let started = Instant::now();
+        let rendered = viewer.render_unless(&*full, &like, MOST_RAYS, &mut || Ok(()))?;
+        self.note_cost(None, rendered.acc.len(), started.elapsed());
         let depths = depth_range(&rendered.depth, Some(&rendered.acc)).unwrap_or((scene.near as f32, scene.far as f32));
         let fields = model.fields().ok().filter(|_| runtime.is_cpu());
-        let perturbed = fields.map(|fields| PerturbedRenderer::new(fields, config, scene)).transpose()?;
-        let skipping =
-            fields.filter(|_| skips).map(|fields| SkippingRenderer::new(fields, config, scene)).transpose()?.flatten();
-        let skipping =
-            skipping.map(|skipping| faithful(skipping, &viewer, &like, &rendered.image.pixels)).transpose()?.flatten();
-        let (renderer, occupied): (Box<dyn Renderer>, _) = match skipping {
-            Some(skipping) => {
-                let occupied = skipping.occupied();
-                (Box::new(skipping), Some(occupied))
+        let perturbed =
+            runtime.install(|| fields.map(|fields| PerturbedRenderer::new(fields, config, scene)).transpose())?;
+        Ok(Weights { step, model, full, skipping: OnceLock::new(), perturbed, depths })
+    }
+
+    /// Returns the viewer of some of its weights.
+    pub fn viewer<'a>(&'a self, weights: &'a Weights) -> Viewer<'a> {
+        let ShownRun { config, scene, runtime, .. } = self;
+        Viewer { model: &weights.model, config, scene, runtime }
+    }
+
+    /// Finds where the newest weights have no density, which takes seconds. From then on pictures leave that out, unless one
+    /// would look different or little would be gained. `pause` is called between parts of the work, on the calling thread: it
+    /// may wait, or end the work with an error.
+    ///
+    /// # Errors
+    /// Those of `pause` and of candle.
+    pub fn find_empty_space(&self, pause: &mut dyn FnMut() -> Result<()>) -> Result<()> {
+        let ShownRun { config, scene, runtime, .. } = self;
+        let Some(weights) = self.weights().filter(|_| runtime.is_cpu()) else { return Ok(()) };
+        let Ok(fields) = weights.model.fields() else { return Ok(()) };
+        let Some(mut skipping) = SkippingRenderer::new(fields, config, scene, runtime, pause)? else { return Ok(()) };
+        let (viewer, like) = (self.viewer(&weights), self.first_camera().with_height(CHECKED_ROWS));
+        let mut render = |renderer: &dyn Renderer| viewer.render_unless(renderer, &like, MOST_RAYS, pause);
+        let mut full = None;
+        for least_alpha in LEAST_ALPHAS {
+            skipping.set_least_alpha(least_alpha);
+            if skipping.occupied() > MOST_OCCUPIED {
+                break;
             }
-            None => (full, None),
+            let full = match &full {
+                Some(full) => full,
+                None => full.insert(render(&*weights.full)?.image.pixels),
+            };
+            if alike(&render(&skipping)?.image.pixels, full) {
+                // Nobody else sets it.
+                let _ = weights.skipping.set(skipping);
+                break;
+            }
+        }
+        Ok(())
+    }
+
+    /// Notes how long so many rays took, the last time.
+    pub fn note_cost(&self, attack: Option<&Attack>, rays: usize, spent: Duration) {
+        let sites = attack.map(|attack| attack.sites.clone()).unwrap_or_default();
+        self.costs().insert(sites, spent.as_secs_f64() / rays as f64);
+    }
+
+    fn costs(&self) -> std::sync::MutexGuard<'_, HashMap<Vec<String>, f64>> {
+        self.costs.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Returns the camera for a picture that takes at most so many seconds by what pictures took before: with the same size, or
+    /// a smaller one.
+    pub fn camera_within(&self, camera: &Camera, seconds: f64, attack: Option<&Attack>) -> Camera {
+        let costs = self.costs();
+        let clean = || costs.get(&Vec::new()).copied().unwrap_or_default();
+        let cost = match attack {
+            Some(attack) => costs.get(&attack.sites).copied().unwrap_or_else(|| SEARCH_OVER_CLEAN * clean()),
+            None => clean(),
         };
-        Ok(Weights { step, model, renderer, perturbed, occupied, depths })
+        let (width, height) = (camera.width as f64, camera.height as f64);
+        let scale = (seconds / (cost * width * height)).sqrt();
+        if scale >= 1.0 {
+            return *camera;
+        }
+        // NaN, as for 0 seconds where nothing is known, gets the least.
+        let side = |side: f64| (scale * side).max(LEAST_SIDE).min(side).round() as usize;
+        camera.with_size(side(width), side(height))
     }
 
     /// Returns the camera of the first held-out view, or of the first training view.
     pub fn first_camera(&self) -> Camera {
         self.scene.test.first().or(self.scene.train.first()).expect("a scene has views").camera
     }
-}
-
-/// Returns the renderer with the most empty space whose picture from `like` is as the full renderer's, if there is one.
-fn faithful(
-    mut skipping: SkippingRenderer,
-    viewer: &Viewer,
-    like: &Camera,
-    full: &[f32],
-) -> Result<Option<SkippingRenderer>> {
-    for least_alpha in LEAST_ALPHAS {
-        skipping.set_least_alpha(least_alpha);
-        if skipping.occupied() > MOST_OCCUPIED {
-            return Ok(None);
-        }
-        if alike(&viewer.render_with(&skipping, like)?.image.pixels, full) {
-            return Ok(Some(skipping));
-        }
-    }
-    Ok(None)
 }
 
 /// Returns whether two pictures differ little enough for the page.

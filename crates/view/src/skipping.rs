@@ -9,6 +9,7 @@ use crate::methods::{Fields, RenderedRays, Renderer};
 use crate::render::sampling::{even_u, stratified};
 use crate::render::volume::{composite, intervals, weights_from_density};
 use crate::render::{columns, positions_at, ray_parts, resample, samples_of};
+use crate::runtime::Runtime;
 use crate::settings::{Config, SamplingConfig};
 
 use super::empty_space::EmptySpace;
@@ -26,15 +27,22 @@ pub struct SkippingRenderer {
 
 impl SkippingRenderer {
     /// Creates a renderer of fields with their current weights. Returns `None` for fields whose empty space is not known: see
-    /// [`EmptySpace::of`]. Nothing is left out before [`SkippingRenderer::set_least_alpha`].
+    /// [`EmptySpace::of`], which `pause` is of, too. Nothing is left out before [`SkippingRenderer::set_least_alpha`].
     ///
     /// # Errors
-    /// Those of candle.
-    pub fn new(fields: &Fields, config: &Config, scene: &Scene) -> Result<Option<SkippingRenderer>> {
+    /// Those of candle and of `pause`.
+    pub fn new(
+        fields: &Fields,
+        config: &Config,
+        scene: &Scene,
+        runtime: &Runtime,
+        pause: &mut dyn FnMut() -> Result<()>,
+    ) -> Result<Option<SkippingRenderer>> {
         let fields = fields.frozen()?;
-        let Some(coarse) = EmptySpace::of(&fields.coarse, config, scene)? else { return Ok(None) };
+        let mut space_of = |field: &Field| EmptySpace::of(field, config, scene, runtime, pause);
+        let Some(coarse) = space_of(&fields.coarse)? else { return Ok(None) };
         let fine = match fields.by_role().into_iter().find(|(role, _)| *role == "fine") {
-            Some((_, fine)) => EmptySpace::of(fine, config, scene)?,
+            Some((_, fine)) => space_of(fine)?,
             None => None,
         };
         let (sampling, bounds, background) = (config.sampling.clone(), scene.bounds(), scene.background);

@@ -189,8 +189,8 @@ impl Server<'_> {
 
     /// Renders an image and writes its files. Returns their names by output.
     fn render(&self, request: &Request) -> Result<Map<String, Value>> {
-        let stop_check = || self.check_signal();
-        let view = self.viewer.render_unless(&*self.renderer, &request.camera, &stop_check)?;
+        let mut stop_check = || self.check_signal();
+        let view = self.viewer.render_unless(&*self.renderer, &request.camera, usize::MAX, &mut stop_check)?;
         let write = |&(end, output): &(&str, Output)| {
             let file = format!("{}_{end}", request.name);
             self.write(output, &self.folder.join(&file), &view, &request.camera)?;

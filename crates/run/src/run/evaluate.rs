@@ -15,6 +15,9 @@ use crate::settings::Resolved;
 /// Chunks for each thread in an estimate of time.
 const CHUNKS_TIMED: usize = 4;
 
+/// Parts for each thread between two checks whether a view is still wanted.
+const PARTS_OF_A_SLICE: usize = 2;
+
 /// Name of an evaluation in [`Event::Started`]; what is evaluated follows.
 pub const EVALUATING: &str = "evaluating";
 
@@ -86,10 +89,13 @@ impl Viewer<'_> {
     /// # Errors
     /// The same.
     pub fn render_with(&self, renderer: &dyn Renderer, camera: &Camera) -> Result<RenderedView> {
-        self.render_every(renderer, 1, camera, &|| Ok(()))
+        let chunk = self.chunk(renderer, usize::MAX);
+        self.render_slices(renderer, 1, camera, [usize::MAX, chunk], &mut || Ok(()))
     }
 
-    /// Renders a view as [`Viewer::render_with`] does. `stop_check` may end it with an error before any part.
+    /// Renders a view as [`Viewer::render_with`] does, in slices of some parts for each thread, and parts of at most
+    /// `most_rays` unless the renderer has a number of its own. `stop_check` is called before each slice, on the calling
+    /// thread: it may wait, or end the view with an error.
     ///
     /// # Errors
     /// The same, and those of `stop_check`.
@@ -97,35 +103,52 @@ impl Viewer<'_> {
         &self,
         renderer: &dyn Renderer,
         camera: &Camera,
-        stop_check: &(dyn Fn() -> Result<()> + Sync),
+        most_rays: usize,
+        stop_check: &mut dyn FnMut() -> Result<()>,
     ) -> Result<RenderedView> {
-        self.render_every(renderer, 1, camera, stop_check)
+        let chunk = self.chunk(renderer, most_rays);
+        self.render_slices(renderer, 1, camera, [self.slice(chunk), chunk], stop_check)
     }
 
-    /// Renders every `stride`-th pixel across and down, from the first one on, as an image of these.
+    /// Renders every `stride`-th pixel across and down, from the first one on, as an image of these. `stop_check` is called
+    /// as in [`Viewer::render_unless`].
     pub(super) fn render_every(
         &self,
         renderer: &dyn Renderer,
         stride: usize,
         camera: &Camera,
-        stop_check: &(dyn Fn() -> Result<()> + Sync),
+        stop_check: &mut dyn FnMut() -> Result<()>,
     ) -> Result<RenderedView> {
-        self.runtime.install(|| self.render_here(renderer, stride, camera, stop_check))
+        let chunk = self.chunk(renderer, usize::MAX);
+        self.render_slices(renderer, stride, camera, [self.slice(chunk), chunk], stop_check)
     }
 
-    fn render_here(
+    /// Returns the number of pixels between two checks, for parts of `chunk` rays.
+    fn slice(&self, chunk: usize) -> usize {
+        PARTS_OF_A_SLICE * self.runtime.threads() * chunk
+    }
+
+    fn render_slices(
         &self,
         renderer: &dyn Renderer,
         stride: usize,
         camera: &Camera,
-        stop_check: &(dyn Fn() -> Result<()> + Sync),
+        [slice, chunk]: [usize; 2],
+        stop_check: &mut dyn FnMut() -> Result<()>,
     ) -> Result<RenderedView> {
         let places = |size: usize| (0..size as u32).step_by(stride);
         let (width, height) = (places(camera.width).len(), places(camera.height).len());
         let pixels: Vec<(&Camera, u32, u32)> =
             places(camera.height).flat_map(|y| places(camera.width).map(move |x| (camera, x, y))).collect();
-        self.prepare(renderer, camera)?;
-        let [rgb, depth, acc] = self.render_pixels(renderer, &pixels, stop_check)?;
+        stop_check()?;
+        self.runtime.install(|| self.prepare(renderer, camera))?;
+        let mut rendered: [Vec<f32>; 3] = Default::default();
+        for pixels in pixels.chunks(slice) {
+            stop_check()?;
+            let parts = self.runtime.install(|| self.render_pixels(renderer, pixels, chunk))?;
+            rendered.iter_mut().zip(parts).for_each(|(whole, parts)| whole.extend(parts));
+        }
+        let [rgb, depth, acc] = rendered;
         if let Some(bad) = rgb.iter().position(|value| !value.is_finite()) {
             return Err(Error::Diverged(format!(
                 "the rendered colour of pixel ({}, {}) is not a number, so the weights are broken; delete the \
@@ -149,26 +172,28 @@ impl Viewer<'_> {
             .to_tensors(DType::F32, self.runtime.device())
     }
 
-    /// Renders some pixels: colours, mean distances, accumulated weights.
+    /// Renders some pixels, `chunk` at once: colours, mean distances, accumulated weights.
     fn render_pixels(
         &self,
         renderer: &dyn Renderer,
         pixels: &[(&Camera, u32, u32)],
-        stop_check: &(dyn Fn() -> Result<()> + Sync),
+        chunk: usize,
     ) -> Result<[Vec<f32>; 3]> {
-        let Viewer { config, runtime, .. } = *self;
         let render = |part: &[(&Camera, u32, u32)]| -> Result<[Vec<f32>; 3]> {
-            stop_check()?;
             let out = renderer.render(&self.rays(renderer, part)?)?;
             let host = |tensor: &candle_core::Tensor| tensor.to_dtype(DType::F32)?.flatten_all()?.to_vec1::<f32>();
             Ok([host(&out.rgb)?, host(&(out.depth / &out.acc)?)?, host(&out.acc)?])
         };
         let mut rendered: [Vec<f32>; 3] = Default::default();
-        let chunk = renderer.chunk().unwrap_or(config.eval.chunk);
-        for part in runtime.over_parts(pixels, chunk, render)? {
+        for part in self.runtime.over_parts(pixels, chunk, render)? {
             rendered.iter_mut().zip(part).for_each(|(whole, part)| whole.extend(part));
         }
         Ok(rendered)
+    }
+
+    /// Returns the number of rays of a part.
+    fn chunk(&self, renderer: &dyn Renderer, most_rays: usize) -> usize {
+        renderer.chunk().unwrap_or(self.config.eval.chunk.min(most_rays))
     }
 
     /// Estimates the seconds for views of `cameras` by rendering some middle rows of the first, a few chunks for each
@@ -194,7 +219,7 @@ impl Viewer<'_> {
             let started = Instant::now();
             let some: Vec<(&Camera, u32, u32)> =
                 (top..top + rows).flat_map(|y| (0..first.width as u32).map(move |x| (*first, x, y as u32))).collect();
-            self.render_pixels(&*renderer, &some, &|| Ok(()))?;
+            self.render_pixels(&*renderer, &some, self.chunk(&*renderer, usize::MAX))?;
             let rendered = started.elapsed();
             Ok((prepared <= rendered).then(|| rendered.as_secs_f64() / timed as f64 * pixels as f64))
         })
@@ -240,7 +265,7 @@ impl Viewer<'_> {
         let (renderer, floor) = (self.renderer()?, self.floor());
         let of_view = |view: &View| -> Result<ViewMetrics> {
             stop_check()?;
-            let rendered = self.render_every(&*renderer, stride, &view.camera, &|| Ok(()))?;
+            let rendered = self.render_every(&*renderer, stride, &view.camera, &mut || Ok(()))?;
             let (truth, mask) = every(view, stride);
             let mask = mask.as_deref();
             let mut measured = measure_unmasked(&view.name, &rendered.image, &truth, mask, &[])?;

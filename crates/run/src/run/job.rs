@@ -438,7 +438,7 @@ impl Watcher<'_> {
         let renders = self.experiment.run.renders();
         let pictures = Pictures::new(&renders, scene, config.eval.pictures);
         let viewer = self.experiment.viewer(trainer)?;
-        match preview::draw(&viewer, &pictures, allowance, &|| self.experiment.check_signal(self.signal, step)) {
+        match preview::draw(&viewer, &pictures, allowance, &mut || self.experiment.check_signal(self.signal, step)) {
             Ok(true) if !std::mem::replace(&mut preview.has_drawn, true) => self.events.on(Event::Note(&format!(
                 "step {step}: a first picture is in {}, and is replaced as training goes on",
                 pictures.preview_path().display()

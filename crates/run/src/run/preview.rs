@@ -54,7 +54,7 @@ pub(super) fn draw(
     viewer: &Viewer,
     pictures: &Pictures,
     allowance: f64,
-    stop_check: &(dyn Fn() -> Result<()> + Sync),
+    stop_check: &mut dyn FnMut() -> Result<()>,
 ) -> Result<bool> {
     let Some(view) = viewer.scene.test.first() else { return Ok(false) };
     let started = Instant::now();
@@ -98,7 +98,7 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let pictures = Pictures::new(folder.path(), &scene, 1);
         let drawn = |allowance: f64| {
-            assert!(draw(&viewer, &pictures, allowance, &|| Ok(())).unwrap());
+            assert!(draw(&viewer, &pictures, allowance, &mut || Ok(())).unwrap());
             std::fs::read(pictures.preview_path()).unwrap()
         };
         let (fine, coarse) = (drawn(1e9), drawn(0.0));
