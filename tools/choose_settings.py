@@ -23,7 +23,7 @@ def main(paths, metric="psnr", baseline="NeRF"):
     scenes = {point["scene"] for point in points}
     values, order = defaultdict(dict), []
     for point in points:
-        setting = point["row"], point["axes"]
+        setting = point["row"], point.get("axes", "")
         if setting not in order:
             order.append(setting)
         if point["status"] == "done":

@@ -69,8 +69,8 @@ class Points:
             if line["status"] == "done":
                 continue
             # Other failures say nothing of a row: such a point is trained again.
-            if line["status"] != "failed" or not re.search(NOT_FINITE, line["reason"]):
-                stop(f"point {line['id']} is {line['status']} ({line['reason']}); tables are made once all points have ended")
+            if line["status"] != "failed" or not re.search(NOT_FINITE, line.get("reason", "")):
+                stop(f"point {line['id']} is {line['status']} ({line.get('reason', '')}); tables are made once all points have ended")
             lost_scenes |= {line["scene"]} if line["row"] == NERF else set()
             self.lost_rows[line["row"]].add(line["scene"])
         rows, scenes = dict.fromkeys(line["row"] for line in lines), sorted({line["scene"] for line in lines})

@@ -3,7 +3,7 @@
 use std::collections::HashMap;
 use std::path::Path;
 
-use crate::common::files::{json, newest, rows, text};
+use crate::common::files::{json, newest, points_of, rows, text};
 use crate::common::needs::scene;
 use crate::common::program::{self, printed, refuse, succeed};
 use augnerf::data::vector::{cross, dot, sub};
@@ -415,7 +415,7 @@ fn a_sweep_has_columns_of_geometry_and_says_what_they_need() {
     let some = sweep("some", "\"eval.mesh\" = { resolution = 16, threshold = 0.01, points = 2000 }");
     succeed(&plain(&some));
     for (name, there) in [("none", false), ("some", true)] {
-        let row = only_row(&text(&dir.path().join(name).join("results/points.csv")));
+        let row = points_of(&dir.path().join(name).join("results")).remove(0);
         let cell = |name: &str| &row[name];
         assert_eq!((!cell("chamfer").is_empty(), !cell("f_score").is_empty()), (there, there), "{name}");
         assert!(cell("depth_mae").parse::<f64>().unwrap() > 0.0 && !cell("normal_roughness").is_empty());

@@ -3,7 +3,7 @@
 use std::path::Path;
 use std::sync::{Mutex, MutexGuard, OnceLock, PoisonError};
 
-use crate::common::files::{json, rows, text};
+use crate::common::files::{json, points_of, rows, text};
 use crate::common::program::{printed, succeed};
 use crate::common::{parameters, tiny_config, trained};
 use augnerf::augment::{Passes, Site};
@@ -115,7 +115,7 @@ fn a_sweep_of_grids_ends_in_its_table() {
     std::fs::write(&file, definition).unwrap();
     let out = dir.path().join("out").display().to_string();
     succeed(&["sweep", "run", &file, "--out", &out, "--quiet"]);
-    let points = rows(&text(&Path::new(&out).join("results/points.csv")));
+    let points = points_of(&Path::new(&out).join("results"));
     assert_eq!(points.len(), 4, "two rows, two seeds");
     for point in points {
         assert!(

@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use crate::common::files::{assert_same_files, files, json, rows, text};
+use crate::common::files::{assert_same_files, files, json, points_of, rows, text};
 use crate::common::program::{self, augnerf};
 use crate::common::{assert_says, runtime, tiny_scene};
 use augnerf::base::Image;
@@ -134,7 +134,7 @@ impl Swept {
 
     /// The runs of a row, in the order of the seeds, with their PSNR.
     fn runs(&self, row: &str) -> Vec<(std::path::PathBuf, f64)> {
-        let points = rows(&text(&self.path().join("results/tiny/points.csv")));
+        let points = points_of(&self.path().join("results/tiny"));
         let own = points.into_iter().filter(|point| point["row"] == row);
         let folder = self.path().join("runs/tiny/points");
         own.map(|point| (folder.join(&point["id"]).join("run"), point["psnr"].parse().unwrap())).collect()

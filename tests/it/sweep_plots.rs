@@ -90,6 +90,7 @@ fn record(row: &str, axes: Vec<AxisValue>, seed: u64, psnr: Option<f64>) -> Reco
 /// A table and its points, without logs.
 fn collected<'a>(spec: &'a TableSpec, records: &'a [Record], table: &'a Table) -> Collected<'a> {
     Collected {
+        constants: None,
         spec,
         records,
         timing: &[],
@@ -338,7 +339,7 @@ fn shifts_of_the_attack() {
     let figure = shifts_figure(page(&spec), "fern", &all).unwrap().unwrap();
     keep("attack", &figure);
     let says = |svg: &str, word: &str| svg.contains(&format!(">\n{word}\n<"));
-    for word in ["t", "density", "Aug-NeRF", "10⁻⁵", "10⁻³", "10", "1/2: inactive below"] {
+    for word in ["t", "density", "Aug-NeRF", "10⁻⁵", "10⁻³", "10", "1/2: a seed below is inactive"] {
         assert!(says(&figure.svg, word), "{word}");
     }
     assert!(!figure.svg.contains("Shifts of 0"));

@@ -4,11 +4,15 @@ use std::collections::HashMap;
 
 use crate::common::files::rows;
 use augnerf::base::Error;
+use augnerf::metrics::METRICS;
 use augnerf::report::plots::{Style, Width, rows_figure};
+use augnerf::report::tables::text::warnings;
 use augnerf::report::tables::{
-    Line, Table, Verdict, points_csv, table_csv, table_latex, table_markdown, table_terminal,
+    Line, Table, Verdict, constants, file_field, points_csv, read_points, table_csv, table_latex, table_markdown,
+    table_terminal,
 };
 use augnerf::report::{AxisValue, PublishedKey, Record, RowSpec, Status, TableSpec};
+use augnerf::settings::columns::COLUMNS;
 
 fn row(name: &str, baseline: Option<&str>, method: &str) -> RowSpec {
     let key = PublishedKey { table: "tab4".into(), condition: "clean".into(), method: method.into() };
@@ -174,7 +178,7 @@ fn lines_say_what_is_missing_inactive_and_published() {
     assert_eq!((failed.status.as_str(), failed.reason.as_str()), ("done 2, failed 1", "collapsed | at step 7"));
     assert_eq!((failed.points, failed.ids.len(), failed.cells[0].n, failed.cells[0].mean), (3, 2, 2, Some(25.0)));
     let aug = find(&table, "fern", "Aug-NeRF");
-    assert_eq!(aug.inactive_levels, ["rgb", "density"]);
+    assert_eq!(aug.inactive_levels, [("rgb".to_string(), 2), ("density".to_string(), 1)]);
     assert_eq!((aug.cells[0].published, aug.cells[1].published), (Some(26.51), None));
     assert_eq!((aug.published_lpips, aug.published_average), (None, Some(0.054)));
     assert_eq!((aug.cells[1].n, aug.cells[1].mean), (0, None));
@@ -198,7 +202,7 @@ fn uncontrolled_settings_are_refused_or_marked() {
         (&["code_revision".into()][..], &["code_revision".into()][..])
     );
     assert!(find(&table, "fern", "NeRF").mixed.is_empty());
-    assert_eq!(rows(&table_csv(&table, &[]))[1]["mixed"], "code_revision");
+    assert_eq!(rows(&table_csv(&table, &[], None))[1]["mixed"], "code_revision");
     for text in [table_markdown(&table), table_terminal(&table, 80)] {
         assert!(text.contains("‡ NOT COMPARABLE"), "{text}");
     }
@@ -248,7 +252,7 @@ fn what_cannot_be_placed_is_refused() {
 #[test]
 fn points_csv_has_every_point() {
     let timing = [("fern-NeRF-0".to_string(), vec![("seconds_training".to_string(), Some(12.5))])];
-    let rows = rows(&points_csv(&records(), &timing));
+    let rows = rows(&points_csv(&records(), &timing, None));
     assert_eq!(rows.len(), records().len());
     let names = ["id", "psnr", "lpips_vgg", "average_vgg", "width", "seconds_training"];
     assert_eq!(cells(&rows[3], &names), ["fern-NeRF-0", "25", "0.25", "", "101", "12.5"]);
@@ -261,7 +265,7 @@ fn points_csv_has_every_point() {
 #[test]
 fn table_csv_has_every_line() {
     let timing = [0, 1].map(|seed| (format!("fern-NeRF-{seed}"), vec![("seconds".to_string(), Some(seed as f64))]));
-    let rows = rows(&table_csv(&table(), &timing));
+    let rows = rows(&table_csv(&table(), &timing, None));
     assert_eq!(rows.len(), 7);
     let names = [
         "row",
@@ -285,6 +289,156 @@ fn table_csv_has_every_line() {
     assert_eq!(low, table().lines[1].cells[0].comparison.unwrap().interval.unwrap().0);
 }
 
+/// Fields that all points share, and those that none has, are no columns; with the constants every field is read back.
+#[test]
+fn csvs_hold_what_varies_and_are_read_back_whole() {
+    let mut records = records();
+    for (record, number) in records.iter_mut().zip(10..).filter(|(record, _)| record.status == Status::Done) {
+        let is_attacked = record.row == "Aug-NeRF";
+        for (name, text) in [
+            ("data_hash", if record.scene == "fern" { "7797e1855047" } else { "123456789012" }),
+            ("lambda", if is_attacked { "0.1" } else { "" }),
+            ("attack_numbers", if is_attacked { "t 3/0.01/0.5, feature 1/0.5/2" } else { "" }),
+            ("masks", ""),
+            ("set.perturb.t.steps", if is_attacked { "3" } else { "" }),
+        ] {
+            record.protocol.push((name.into(), text.into()));
+        }
+        record.id = format!("{number}e456789012");
+    }
+    // A point in two lines.
+    records[9].id = records[3].id.clone();
+    let shared = constants(&records);
+    let text_of = |name: &str| shared.iter().find(|(known, _)| known == name).map(|(_, text)| text.as_str());
+    assert_eq!([text_of("code_revision"), text_of("steps"), text_of("masks")], [Some("abc"), Some("2000"), None]);
+    let csv = points_csv(&records, &[], Some(&shared));
+    let found = rows(&csv);
+    let head: Vec<&str> = csv.lines().next().unwrap().split(',').collect();
+    let first =
+        ["id", "scene", "row", "axes", "set.perturb.t.steps", "position", "positions", "seed", "status", "reason"];
+    assert_eq!(head[..10], first);
+    assert!(
+        !["code_revision", "average_vgg", "masks", "lambda", "attack_numbers", "perturb.t.steps"]
+            .iter()
+            .any(|n| head.contains(n))
+    );
+    let names =
+        ["id", "data_hash", "perturb_lambda", "perturb.t.epsilon", "perturb.feature.steps", "position", "positions"];
+    assert_eq!(cells(&found[0], &names), ["h10e456789012", "h7797e1855047", "0.1", "0.5", "1", "1", "1"]);
+    assert_eq!(cells(&found[3], &names), ["h13e456789012", "h7797e1855047", "", "", "", "1", "2"]);
+    assert_eq!(cells(&found[9], &names)[5..], ["2", "2"]);
+    let axes = |text: &str| records.iter().find(|r| r.label() == format!("{}, {text}", r.row)).map(|r| r.axes.clone());
+    let read = |csv: &str, shared| {
+        read_points(csv, shared, &[], |at| if at.axes.is_empty() { Some(vec![]) } else { axes(at.axes) }).unwrap()
+    };
+    // What an earlier version wrote has all columns, and is read alike.
+    for (csv, constants, is_early) in [(&csv, &shared, false), (&points_csv(&records, &[], None), &vec![], true)] {
+        let (again, early) = read(csv, constants);
+        assert_eq!((again.len(), early), (records.len(), is_early));
+        for (read, record) in again.iter().zip(&records) {
+            let place =
+                |r: &Record| (r.id.clone(), r.label(), r.seed, r.status, r.reason.clone(), r.inactive_levels.clone());
+            assert_eq!((place(read), read.metric("psnr").is_some()), (place(record), record.status == Status::Done));
+            for (name, text) in record.protocol.iter().filter(|(name, _)| name != "seed") {
+                assert_eq!(read.protocol(name), text, "{name}");
+            }
+        }
+        assert_eq!(points_csv(&again, &[], (!early).then_some(constants)), **csv);
+    }
+    let table = Table::new(&TableSpec { must_match: vec![], ..spec() }, &records, false).unwrap();
+    let lines = rows(&table_csv(&table, &[], Some(&shared)));
+    assert_eq!(cells(&lines[1], &["row", "set.perturb.t.steps", "psnr_mean"]), ["Aug-NeRF", "3", "25.5"]);
+    assert!(!["code_revision", "mixed", "average_vgg_mean", "width"].iter().any(|name| lines[1].contains_key(*name)));
+}
+
+/// `df.lambda` is an error in Python; R and SQL have words of their own.
+#[test]
+fn no_column_is_a_keyword() {
+    const PYTHON: &str = "False None True and as assert async await break class continue def del elif else except finally for \
+        from global if import in is lambda nonlocal not or pass raise return try while with yield match case type";
+    const R: &str = "if else repeat while function for next break TRUE FALSE NULL Inf NaN NA in";
+    const SQL: &str = "all and any array as asc between both by case cast check collate column constraint create cross current \
+        default delete desc distinct do drop else end except exists false fetch for foreign from full grant group having in \
+        inner insert intersect into is join lateral leading left like limit natural not null offset on only or order outer \
+        primary references returning right select set some table then to trailing true union unique update user using values \
+        when where window with";
+    let keywords: Vec<&str> = [PYTHON, R, SQL].iter().flat_map(|words| words.split_whitespace()).collect();
+    let fields = COLUMNS.iter().map(|column| file_field((column.name.into(), String::new())).0);
+    let metrics = METRICS.iter().map(|metric| metric.key.to_string());
+    let csvs = [points_csv(&records(), &[], Some(&vec![])), table_csv(&table(), &[], Some(&vec![]))];
+    let heads = csvs.iter().flat_map(|csv| csv.lines().next().unwrap().split(',')).map(String::from);
+    for name in fields.chain(metrics).chain(heads) {
+        assert!(!keywords.iter().any(|word| word.eq_ignore_ascii_case(&name)), "{name}");
+    }
+}
+
+/// What holds for few seeds is said of these, and heads no page.
+#[test]
+fn what_is_said_of_a_row_holds_for_most_of_its_seeds() {
+    let said = |lost: usize, inactive: usize| {
+        let records: Vec<Record> = (0..4)
+            .map(|seed| {
+                let mut record = point("fern", "NeRF", seed, 20.0);
+                let floor = if (seed as usize) < 4 - lost { 12.0 } else { 20.5 };
+                record.metrics.push(("floor_psnr".into(), Some(floor)));
+                record.protocol.push(("inactive_by".into(), "colour".into()));
+                record.inactive_levels = if (seed as usize) < inactive { vec!["t".into()] } else { vec![] };
+                record
+            })
+            .collect();
+        let spec = TableSpec { rows: vec![row("NeRF", None, "NeRF")], ..spec() };
+        let table = Table::new(&spec, &records, false).unwrap();
+        let lines: Vec<&Line> = table.lines.iter().collect();
+        let csv = rows(&table_csv(&table, &[], Some(&vec![])));
+        let inactive = csv[0].get("inactive_levels").cloned().unwrap_or_default();
+        (table_markdown(&table), warnings(&lines).join("\n"), inactive)
+    };
+    let by_colour = "sites that move the rendered colours by less than half an 8-bit step on average";
+    for (lost, inactive, mark, notes, heads, cell) in [
+        (0, 0, "NeRF", [""; 2], "", ""),
+        (
+            1,
+            2,
+            "NeRF",
+            ["- 1 of 4 seeds learned nothing: NeRF (seed 3)", "at most half of the seeds: NeRF (t with 2 of 4 seeds)"],
+            "",
+            "t:2/4",
+        ),
+        (
+            2,
+            3,
+            "NeRF †",
+            ["- 2 of 4 seeds learned nothing: NeRF (seed 2, seed 3)", "average: NeRF (t with 3 of 4 seeds)"],
+            "t in 1 row",
+            "t:3/4",
+        ),
+        (
+            3,
+            4,
+            "NeRF †=",
+            ["- \\= no better than one colour: NeRF (with 3 of 4 seeds)", "average: NeRF (t)"],
+            "NOTHING LEARNED: all rows: no better than one colour with 3 of 4 seeds",
+            "t",
+        ),
+        (
+            4,
+            0,
+            "NeRF =",
+            ["- \\= no better than one colour: NeRF", ""],
+            "NOTHING LEARNED: all rows: no better than one colour",
+            "",
+        ),
+    ] {
+        let (markdown, warnings, found) = said(lost, inactive);
+        assert!(markdown.contains(&format!("| {mark} | ")), "{markdown}");
+        assert!(notes.iter().all(|note| markdown.lines().any(|line| line.ends_with(note))), "{notes:?}: {markdown}");
+        assert_eq!(found, cell);
+        assert!(warnings.contains(heads) && warnings.contains("NOTHING LEARNED") == (lost > 2), "{warnings}");
+        assert_eq!(warnings.contains("seeds learned nothing: NeRF"), [1, 2].contains(&lost), "{warnings}");
+        assert_eq!(warnings.contains(by_colour), inactive > 2, "{warnings}");
+    }
+}
+
 /// Points of older programs were judged by the loss; those that logged shifts by the colour, which is what is said of them.
 #[test]
 fn inactive_sites_are_worded_by_what_was_judged() {
@@ -295,7 +449,10 @@ fn inactive_sites_are_worded_by_what_was_judged() {
     let table = Table::new(&spec(), &records, false).unwrap();
     let by_colour = "sites that move the rendered colours by less than half an 8-bit step on average: Aug-NeRF";
     let text = table_markdown(&table);
-    assert!(text.contains(&format!("- † {by_colour} (rgb, density)")) && !text.contains("on the loss"), "{text}");
+    assert!(
+        text.contains(&format!("- † {by_colour} (rgb with 2 of 3 seeds)")) && !text.contains("on the loss"),
+        "{text}"
+    );
     assert!(text.contains("| Aug-NeRF † |"), "one mark");
     let figure = rows_figure(page(&spec()), &table, &records, "fern", "psnr").unwrap().unwrap().svg;
     assert!(figure.contains("8-bit") && !figure.contains("effect"), "{figure}");
@@ -351,7 +508,8 @@ fn markdown_tells_everything_beside_the_numbers() {
         "- baseline: NeRF",
         "| output & only \\* | 25.00 (1) | +0.12, no interval |  |  |  |",
         "- \\* not in the paper: output & only",
-        "- † sites without effect on the loss: Aug-NeRF (rgb, density)",
+        "- † sites without effect on the loss: Aug-NeRF (rgb with 2 of 3 seeds)",
+        "- sites that are inactive with at most half of the seeds: Aug-NeRF (density with 1 of 3 seeds)",
         "- § points without numbers: + TV Reg., features steps = 3 (done 2, failed 1: collapsed \\| at step 7)",
         "- in the paper, NeRF: quoted from the NeRF paper, 1008x752, width 256, 8 layers, 64 + 128 samples, 4096 rays \
          a step, 17 views trained on and 3 evaluated; here 101x76 instead of 1008x752",
@@ -444,7 +602,7 @@ fn methods_that_are_not_run_carry_the_paper_s_numbers_alone() {
     assert_eq!((line.cells[0].mean, line.cells[0].n, line.cells[0].published), (None, 0, Some(21.37)));
     // The paper has no such row for the other scene.
     assert_eq!(table.lines.iter().filter(|line| line.quoted).count(), 1);
-    let rows = rows(&table_csv(&table, &[]));
+    let rows = rows(&table_csv(&table, &[], None));
     assert_eq!(cells(&rows[0], &["row", "source", "psnr_mean", "psnr_published"]), ["SRN", "published", "", "21.37"]);
     assert_eq!(cells(&rows[1], &["source"]), ["run"]);
     let markdown = table_markdown(&table);
@@ -487,7 +645,7 @@ fn words_are_the_same_in_every_format_and_follow_holm() {
         assert!(comparison.p.unwrap() < 0.05 && comparison.p_holm.unwrap() > 0.05);
         assert_eq!(comparison.verdict(), None);
     }
-    let csv = rows(&table_csv(&table, &[]));
+    let csv = rows(&table_csv(&table, &[], None));
     let verdicts: Vec<&str> = csv.iter().map(|row| row["psnr_verdict"].as_str()).collect();
     assert_eq!(verdicts, ["", "higher", "", ""]);
     assert!(!csv[0].contains_key("psnr_equivalent"), "no equivalence without a margin");
@@ -514,7 +672,7 @@ fn words_are_the_same_in_every_format_and_follow_holm() {
     spec.equivalence = vec![("psnr".into(), 0.6)];
     records.retain(|record| record.row != "+ TV Reg.");
     let table = Table::new(&spec, &records, false).unwrap();
-    let csv = rows(&table_csv(&table, &[]));
+    let csv = rows(&table_csv(&table, &[], None));
     let names = ["psnr_margin", "psnr_verdict", "psnr_equivalent"];
     assert_eq!(cells(&csv[0], &names), ["", "", ""]);
     assert_eq!(cells(&csv[1], &names), ["0.6", "higher", "true"]);
@@ -566,7 +724,7 @@ fn odd_names_stay_names_in_every_format() {
         latex.contains("\n\\providecommand{\\augnerfletter}") && latex.contains("$\\lambda$ \\augnerfletter{4E2D}")
     );
     assert!(!table_latex(&self::table()).contains("augnerfletter"));
-    assert_eq!(rows(&points_csv(&records, &[]))[0]["reason"], "'@SUM(A1)");
+    assert_eq!(rows(&points_csv(&records, &[], None))[0]["reason"], "'@SUM(A1)");
 }
 
 /// Not only what captions tell: two rows whose fields differ in nothing but octaves, or rates, are not alike.

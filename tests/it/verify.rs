@@ -3,7 +3,7 @@
 use std::path::{Path, PathBuf};
 
 use crate::common::assert_says;
-use crate::common::files::{assert_same_files, rows, text};
+use crate::common::files::{assert_same_files, points_of, rows, text};
 use crate::common::program::{self, augnerf};
 use augnerf::run::DepthErrors;
 use sha2::{Digest, Sha256};
@@ -535,7 +535,7 @@ fn assert_attack(dir: &Path, folder: &Path) {
     let place = |column: &str| line[column].as_str();
     assert_eq!(["scene", "source", "row", "axes", "n"].map(place), ["builtin", "run", "Aug-NeRF", "", "2"]);
     assert_eq!(line.len(), 5 + 6 * 12);
-    let points = rows(&text(&folder.join("points.csv")));
+    let points = points_of(folder);
     let logs = points.iter().filter(|point| point["row"] == "Aug-NeRF");
     let logs = logs.map(|point| rows(&text(&dir.join("runs/tiny/points").join(&point["id"]).join("run/scalars.csv"))));
     let logs: Vec<Vec<f64>> =
@@ -592,7 +592,7 @@ row = [{ name = "NeRF" }, { name = "equal", set = { "field.depth" = 3 }, budget 
     assert_says(&verify(dir.path(), &["--update"], 0), &["written anew"]);
     // Pictures of surfaces cannot be made again: they are held to their hash.
     assert_says(&said, &["surfaces_builtin.svg: it is as it was committed"]);
-    let points = rows(&text(&folder.join("points.csv")));
+    let points = points_of(&folder);
     assert!(points.iter().all(|row| row["mesh"].ends_with("not compared") && row["chamfer"].is_empty()), "{points:?}");
     assert_found(dir.path(), &folder.join("surfaces_builtin.svg"), "NeRF", "NerF", &["SHA-256"]);
     assert_attack(dir.path(), &folder);

@@ -40,6 +40,8 @@ pub struct Best {
     pub split: String,
     /// With at least one seed, PSNR is no higher than that of the best single colour of the training views.
     pub no_better_than_one_colour: bool,
+    /// With how many seeds.
+    pub seeds_of_one_colour: usize,
     /// These are validation views, not the views of reported results.
     pub on_validation: bool,
 }
@@ -105,7 +107,8 @@ pub fn best(
             unfinished: lines.iter().filter(missing).map(|line| line.label.clone()).collect(),
             on_validation: splits.iter().all(is_validation),
             split: splits.join(", "),
-            no_better_than_one_colour: line.no_better_than_one_colour > 0,
+            no_better_than_one_colour: !line.no_better_than_one_colour.is_empty(),
+            seeds_of_one_colour: line.no_better_than_one_colour.len(),
         })
     };
     let found: Vec<Best> = table.scenes().into_iter().filter_map(of_scene).collect();

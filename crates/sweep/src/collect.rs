@@ -153,6 +153,7 @@ impl Collector<'_> {
             None => provenance.write(&results.path)?,
         }
         self.outputs.archive(self.definition, self.points, &results.path)?;
+        provenance.set_constants(self.outputs);
         provenance.missing.retain(|missing| self.outputs.records.iter().any(|record| missing.names(record)));
         let spec = self.spec();
         let table = self.inputs(&spec).write(results, &mut files);
@@ -218,6 +219,7 @@ impl TableInputs<'_> {
             records: &records,
             timing: &self.outputs.timing,
             with_timing: self.with_timing,
+            constants: self.outputs.constants(),
             table: None,
             curves: &[],
             attacks: &[],

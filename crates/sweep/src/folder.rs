@@ -233,13 +233,15 @@ impl SweepFolder {
                         _ => String::new(),
                     },
                     metrics: state.result.metrics.clone(),
-                    protocol: match state.status {
-                        Status::Done => [state.result.protocol.clone(), varied.columns(point, &place.axes)].concat(),
-                        _ => state.result.protocol.clone(),
+                    protocol: match (state.status, &state.result.protocol) {
+                        (Status::Done, own) => {
+                            [own.clone(), varied.columns(point, &place.axes, Some(own.as_slice()))].concat()
+                        }
+                        (_, own) => own.clone(),
                     },
                     inactive_levels: state.result.inactive_levels.clone(),
                 };
-                records.push(record.with_epochs());
+                records.push(record.with_epochs().ordered());
             }
         }
         let names: Vec<String> = definition.scenes.iter().map(|scene| scene_name(scene)).collect();

@@ -76,7 +76,6 @@ pub use scored::Scored;
 pub use shipped::{SHIPPED, TEMPLATE, template, write_new};
 pub use step_seconds::PublishedCosts;
 pub use training::{Brief, Cost, Trainings};
-pub use varied::{AXIS, SETTING};
 pub use view::{Origin, Selection, Source, View, split_names};
-pub use words::check_name;
+pub use words::{check_name, check_text};
 pub use worker::Worker;

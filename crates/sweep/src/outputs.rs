@@ -7,11 +7,11 @@ use std::path::{Path, PathBuf};
 
 use flate2::{Compression, GzBuilder, read::GzDecoder};
 
-use crate::base::csv::{column_names, csv_text, plain_cell};
+use crate::base::csv::{column_names, csv_text, hash_cell, plain_cell, plain_hash};
 use crate::base::files::{json_bytes, read_json, write_atomic};
 use crate::base::input::{TABLE_BYTES, read_bytes};
 use crate::base::{Error, Image, Result};
-use crate::report::tables::PointTiming;
+use crate::report::tables::{Constants, PointTiming, constants};
 use crate::report::{Record, Status};
 use crate::run::{DepthErrors, RunDir, read_picture};
 use crate::runtime::Timing;
@@ -47,6 +47,8 @@ pub struct SweepOutputs {
     pub step_seconds: Option<Vec<u8>>,
     /// Scored images of other programs that are in the table.
     pub scored: Vec<Scored>,
+    /// They were read from results of an earlier version, whose tables have other columns.
+    pub is_early: bool,
 }
 
 /// A run's `scalars.csv`.
@@ -103,6 +105,11 @@ impl SweepOutputs {
         self.records.iter().cloned().chain(self.scored.iter().map(Scored::record)).collect()
     }
 
+    /// Returns the protocol fields that all points share and that are no columns of their tables; `None` if all fields are.
+    pub fn constants(&self) -> Option<Constants> {
+        (!self.is_early).then(|| constants(&self.records))
+    }
+
     /// Writes all inputs of tables and figures into their folder: the definition, the points with their
     /// configurations, the step times and the logs.
     pub fn archive(&self, definition: &Definition, points: &[Point], results: &Path) -> Result<()> {
@@ -134,7 +141,7 @@ impl SweepOutputs {
             let places: Vec<Option<usize>> = head.iter().map(|name| scalars.place(name)).collect();
             scalars.rows.iter().map(move |row| {
                 let cell = |place: &Option<usize>| place.map_or(String::new(), |place| row[place].clone());
-                std::iter::once(id.clone()).chain(places[1..].iter().map(cell)).collect()
+                std::iter::once(hash_cell(id)).chain(places[1..].iter().map(cell)).collect()
             })
         });
         let text = csv_text(std::iter::once(head.iter().map(ToString::to_string).collect()).chain(rows));
@@ -203,7 +210,7 @@ pub fn read_scalars(results: &Path) -> Result<BTreeMap<String, Scalars>> {
     let mut by_point: BTreeMap<String, Scalars> = BTreeMap::new();
     for mut row in all.rows {
         let empty = || Scalars { head: all.head[1..].to_vec(), rows: Vec::new() };
-        by_point.entry(row.remove(0)).or_insert_with(empty).rows.push(row);
+        by_point.entry(plain_hash(&row.remove(0)).to_string()).or_insert_with(empty).rows.push(row);
     }
     for (id, scalars) in &by_point {
         scalars.check_rising().map_err(|e| damaged(&path, &format!("point {id}: {e}")))?;

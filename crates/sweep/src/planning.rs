@@ -32,6 +32,7 @@ pub fn begin(
     let tried = apply_budgets(&planned, &Unmeasured)?;
     // A wrong definition must leave no folder.
     if folder.compare(definition)? == Change::New {
+        definition.check_texts()?;
         check(&tried)?;
     }
     let _lock = folder.lock()?;
@@ -45,7 +46,10 @@ pub fn begin(
                 return Ok(points);
             }
             Err(refusal) if !extend => return Err(refusal),
-            Err(_) => check(&tried)?,
+            Err(_) => {
+                definition.check_texts()?;
+                check(&tried)?;
+            }
         },
         _ => {}
     }
@@ -74,6 +78,7 @@ pub fn plan(
     costs: &dyn StepCosts,
     check: &dyn Fn(&[Point]) -> Result<()>,
 ) -> Result<Vec<Point>> {
+    definition.check_texts()?;
     let planned = lay_out(definition, data_root)?;
     check(&apply_budgets(&planned, &Unmeasured)?)?;
     apply_budgets(&planned, costs)

@@ -5,14 +5,16 @@ use std::path::Path;
 
 use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
-use toml::Table;
+use toml::{Table, Value};
 
 use crate::base::files::write_atomic;
 use crate::base::input::{TEXT_BYTES, read_text};
 use crate::base::{Error, Result};
 use crate::report::{Record, Status};
 
+use super::outputs::SweepOutputs;
 use super::words::check_name;
+use crate::report::tables::Constants;
 
 /// The file's name.
 pub const PROVENANCE: &str = "provenance.toml";
@@ -43,6 +45,9 @@ pub struct Provenance {
     /// What is not kept or not checked, with the reason.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub missing: Vec<Missing>,
+    /// Protocol fields that all points share. `points.csv` and `table.csv` have no column of them.
+    #[serde(default, skip_serializing_if = "Table::is_empty")]
+    pub constants: Table,
 }
 
 /// Files of an earlier commit.
@@ -96,6 +101,16 @@ impl Provenance {
         Provenance { name: name.into(), code_revision: revisions.join(", "), ..Provenance::default() }
     }
 
+    /// Sets what all points share.
+    pub fn set_constants(&mut self, outputs: &SweepOutputs) {
+        self.constants = toml_of(&outputs.constants().unwrap_or_default());
+    }
+
+    /// Returns what all points share as text.
+    pub fn constants(&self) -> Constants {
+        self.constants.iter().map(|(name, value)| (name.clone(), text(value))).collect()
+    }
+
     /// Reads the provenance of a results folder, or returns `None` if it has none.
     pub fn read(results: &Path) -> Result<Option<Provenance>> {
         let path = results.join(PROVENANCE);
@@ -125,6 +140,25 @@ impl Provenance {
     pub fn write(&self, results: &Path) -> Result<()> {
         let text = toml::to_string(self).expect("plain data");
         write_atomic(&results.join(PROVENANCE), text.as_bytes())
+    }
+}
+
+/// Returns constants as TOML, numbers as numbers.
+pub(super) fn toml_of(constants: &Constants) -> Table {
+    let value = |cell: &str| {
+        let numbers = [cell.parse().ok().map(Value::Integer), cell.parse().ok().map(Value::Float)];
+        let number = numbers.into_iter().flatten().find(|number| text(number) == cell);
+        number.unwrap_or_else(|| cell.into())
+    };
+    constants.iter().map(|(name, cell)| (name.clone(), value(cell))).collect()
+}
+
+/// Returns a constant as the text of a cell.
+fn text(value: &Value) -> String {
+    match value {
+        Value::String(text) => text.clone(),
+        Value::Float(number) => number.to_string(),
+        other => other.to_string(),
     }
 }
 

@@ -19,7 +19,7 @@ use crate::settings::short_hash;
 
 use super::definition::{Definition, scene_name};
 use super::folder::SweepFolder;
-use super::words::check_name;
+use super::words::{check_name, check_text};
 
 /// All sets of a sweep, next to its tables.
 pub const SCORED: &str = "scored.json";
@@ -136,7 +136,9 @@ impl SweepFolder {
     /// protocol of the images differs from that of the sweep's points.
     pub fn add_scored(&self, scored: &Scored, spec: &TableSpec, points: &[Record]) -> Result<PathBuf> {
         let definition = self.definition()?;
-        scored.check(&definition).map_err(Error::Config)?;
+        check_text("the scored row's name", &scored.row)
+            .and_then(|()| scored.check(&definition))
+            .map_err(Error::Config)?;
         let same_row = |other: &&Scored| (&other.row, &other.scene) == (&scored.row, &scored.scene);
         let known = self.scored(&definition)?;
         if known.iter().filter(same_row).any(|other| other.seed.is_some() != scored.seed.is_some()) {

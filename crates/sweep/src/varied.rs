@@ -5,16 +5,16 @@ use std::collections::HashMap;
 use toml::{Table, Value};
 
 use crate::report::AxisValue;
+use crate::report::tables::attack_numbers;
+use crate::settings::columns::{AXIS, COLUMNS, SETTING};
 use crate::settings::registry::{Effect, REGISTRY};
-use crate::settings::value_at;
+use crate::settings::{Config, value_at};
 
 use super::definition::Definition;
 use super::points::Point;
 
-/// Prefix of the columns of axes.
-pub const AXIS: &str = "axis.";
-/// Prefix of the columns of settings.
-pub const SETTING: &str = "set.";
+/// Ends of the settings of a site's PGD numbers.
+const NUMBERS: [&str; 3] = [".steps", ".step_size", ".epsilon"];
 
 /// The settings in which the points of a sweep differ, but for the scene, the seed and what these bring with them.
 ///
@@ -51,17 +51,27 @@ impl Varied {
         Varied(paths.filter(differs).map(parts).collect())
     }
 
-    /// Returns a point's columns: `axis.weight`, `set.regularizer.weight`.
-    pub fn columns(&self, point: &Point, axes: &[AxisValue]) -> Vec<(String, String)> {
+    /// Returns a point's columns: `axis.weight`, `set.regularizer.weight`. With the `protocol` of its run, settings have the
+    /// values that the run used, and none where the run does not read them. Otherwise they are those of the configuration,
+    /// empty for defaults.
+    pub fn columns(
+        &self,
+        point: &Point,
+        axes: &[AxisValue],
+        protocol: Option<&[(String, String)]>,
+    ) -> Vec<(String, String)> {
         let axis = |AxisValue { axis, panel, value }: &AxisValue| {
             let space = if panel.is_empty() { "" } else { " " };
-            (format!("{AXIS}{panel}{space}{axis}"), value.clone())
+            (format!("{AXIS}{panel}{space}{axis}").replace(char::is_whitespace, "_"), value.clone())
         };
         let table = point.config.to_table();
         let setting = |(path, parts): &(&str, usize)| -> Vec<(String, String)> {
             let value = value_at(&table, path);
             match parts {
-                0 | 1 => vec![(format!("{SETTING}{path}"), value.map_or(String::new(), text))],
+                0 | 1 => {
+                    let used = protocol.and_then(|protocol| used(path, &point.config, protocol));
+                    vec![(format!("{SETTING}{path}"), used.unwrap_or_else(|| value.map_or(String::new(), text)))]
+                }
                 parts => (0..*parts)
                     .map(|part| {
                         let value = value.and_then(Value::as_array).and_then(|values| values.get(part));
@@ -72,6 +82,21 @@ impl Varied {
         };
         axes.iter().map(axis).chain(self.0.iter().flat_map(setting)).collect()
     }
+}
+
+/// Returns the value of a setting that a run used, empty if it does not read it, or `None` if that of the configuration is it.
+fn used(path: &str, config: &Config, protocol: &[(String, String)]) -> Option<String> {
+    let of = |name: &str| protocol.iter().find(|(known, _)| known == name).map(|(_, text)| text.as_str());
+    let is_number = path.starts_with("perturb.") && NUMBERS.iter().any(|number| path.ends_with(number));
+    if let Some(numbers) = of("attack_numbers").filter(|_| is_number) {
+        let own = attack_numbers(numbers).into_iter().find(|(name, _)| name == path);
+        return Some(own.map_or(String::new(), |(_, number)| number));
+    }
+    let setting = REGISTRY.settings.iter().find(|setting| setting.path == path)?;
+    let own = setting.rule.column.and_then(of).map(String::from);
+    let mut columns = COLUMNS.iter().filter(|column| column.follows(setting)).peekable();
+    let is_read = columns.peek().is_none() || columns.any(|column| (column.applies)(config));
+    own.or_else(|| (!is_read).then(String::new))
 }
 
 /// A value as a cell: numbers and words as they are; a list of one as its only value, an empty list as nothing.

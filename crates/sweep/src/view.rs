@@ -20,7 +20,7 @@ use super::definition::{Definition, Row};
 use super::folder::{DEFINITION, SweepFolder};
 use super::outputs::SweepOutputs;
 use super::points::Point;
-use super::provenance::sha256;
+use super::provenance::{sha256, toml_of};
 use super::scored::with_scored;
 use super::words::quoted;
 
@@ -91,7 +91,7 @@ pub struct Origin {
 
 impl Origin {
     pub(super) fn of(source: &Source) -> Origin {
-        let points = points_csv(&source.outputs.records, &[]);
+        let points = points_csv(&source.outputs.records, &[], source.outputs.constants().as_ref());
         Origin { name: source.name.clone(), points_sha256: sha256(points.as_bytes()), label: None }
     }
 }
@@ -107,7 +107,7 @@ impl View {
         let mut view = View {
             first: first.definition.clone(),
             spec: TableSpec { name: name.into(), ..table_of(first) },
-            outputs: first.outputs.clone(),
+            outputs: SweepOutputs { is_early: false, ..first.outputs.clone() },
             points: first.points.to_vec(),
             selection: selection.clone(),
             sweeps: sources.iter().map(Origin::of).collect(),
@@ -383,8 +383,10 @@ impl View {
             #[serde(flatten)]
             selection: &'a Selection,
             sweep: &'a [Origin],
+            constants: toml::Table,
         }
-        toml::to_string(&File { selection: &self.selection, sweep: &self.sweeps }).expect("plain data")
+        let constants = toml_of(&self.outputs.constants().unwrap_or_default());
+        toml::to_string(&File { selection: &self.selection, sweep: &self.sweeps, constants }).expect("plain data")
     }
 }
 

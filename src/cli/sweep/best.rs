@@ -69,7 +69,10 @@ fn text(best: &Best) -> String {
         lines.push(format!("  skipped, with unfinished points: {}", best.unfinished.join(", ")));
     }
     if best.no_better_than_one_colour {
-        lines.push("  no better than one colour with at least one seed: PSNR is no higher than floor_psnr".into());
+        let (of_one, all) = (best.seeds_of_one_colour, best.seeds.len());
+        lines.push(format!(
+            "  no better than one colour with {of_one} of {all} seeds: PSNR is no higher than floor_psnr"
+        ));
     }
     lines.push(match best.on_validation {
         true => format!(

@@ -7,19 +7,19 @@ use std::path::{Path, PathBuf};
 use std::str::FromStr;
 
 use clap::{Args, Subcommand};
-use serde_json::json;
+use serde_json::{Map, Value, json};
 
-use crate::base::csv::plain_cell;
 use crate::base::{Error, Result};
 use crate::metrics::{Lpips, Metric, Needs, Scope};
-use crate::report::tables::{Table, table_csv};
+use crate::report::tables::{Table, table_columns};
 use crate::report::{Record, Status};
 use crate::run::load_lpips;
 use crate::runtime::Runtime;
+use crate::settings::columns::{AXIS, SETTING};
 use crate::settings::parse_assignment;
 use crate::sweep::{
-    AXIS, Change, Collector, Definition, Estimate, Overrides, Point, PublishedCosts, Results, SETTING, StepCosts,
-    SweepFolder, SweepOutputs, Trainings, begin, check_name, check_results_place, plan,
+    Change, Collector, Definition, Estimate, Overrides, Point, PublishedCosts, Results, StepCosts, SweepFolder,
+    SweepOutputs, Trainings, begin, check_name, check_results_place, plan,
 };
 
 use super::LpipsWeights;
@@ -223,26 +223,22 @@ impl MaxDeaths {
     }
 }
 
-/// Returns a table as JSON: its folder, and the rows of `table.csv`. Counts and metrics are numbers, empty cells are null.
-pub(super) fn table_json(table: &Table, results: &Path) -> serde_json::Value {
-    let text = table_csv(table, &[]);
-    let mut reader = csv::Reader::from_reader(text.as_bytes());
-    let names = reader.headers().expect("a table has a head").clone();
-    // A hash of digits is no number.
-    let of_metric = |name: &str| {
-        table.metrics.iter().any(|metric| name.strip_prefix(metric).is_some_and(|rest| rest.starts_with('_')))
+/// Returns a table as JSON: its folder, and the rows of `table.csv` with all columns. Counts and metrics are numbers,
+/// empty cells are null.
+pub(super) fn table_json(table: &Table, results: &Path) -> Value {
+    let columns = table_columns(table, &[]);
+    let cell = |name: &str, cell: &Value| match cell {
+        Value::String(text) if text.is_empty() => Value::Null,
+        // A swept value is text, which may be a number. A hash of digits is none.
+        Value::String(text) if name.starts_with(AXIS) || name.starts_with(SETTING) => {
+            text.parse().map_or_else(|_| cell.clone(), Value::Number)
+        }
+        other => other.clone(),
     };
-    let is_varied = |name: &str| name.starts_with(AXIS) || name.starts_with(SETTING);
-    let numeric = |name: &str| ["points", "done"].contains(&name) || of_metric(name) || is_varied(name);
-    let cell = |name: &str, text: &str| match text.parse::<serde_json::Number>() {
-        _ if text.is_empty() => serde_json::Value::Null,
-        Ok(number) if numeric(name) => number.into(),
-        _ => plain_cell(text).into(),
+    let row = |line: usize| -> Map<String, Value> {
+        columns.iter().map(|(name, cells)| (name.clone(), cell(name, &cells[line]))).collect()
     };
-    let object = |row: csv::StringRecord| -> serde_json::Map<String, serde_json::Value> {
-        names.iter().zip(&row).map(|(name, text)| (name.to_string(), cell(name, text))).collect()
-    };
-    let rows: Vec<_> = reader.records().map(|row| object(row.expect("rows are as long as the head"))).collect();
+    let rows: Vec<_> = (0..table.lines.len()).map(row).collect();
     json!({ "name": table.name, "title": table.title, "results": results.display().to_string(), "rows": rows })
 }
 

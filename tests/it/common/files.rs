@@ -3,6 +3,8 @@
 use std::collections::HashMap;
 use std::path::{Path, PathBuf};
 
+use augnerf::base::csv::plain_hash;
+
 /// A file's text.
 #[track_caller]
 pub fn text(path: &Path) -> String {
@@ -18,6 +20,38 @@ pub fn json(path: &Path) -> serde_json::Value {
 /// The rows of a CSV text: each its cells by column.
 pub fn rows(csv: &str) -> Vec<HashMap<String, String>> {
     csv::Reader::from_reader(csv.as_bytes()).deserialize().map(|row| row.unwrap()).collect()
+}
+
+/// A line of `points.csv` with what all lines share.
+#[derive(Clone, Debug, PartialEq)]
+pub struct PointCells(HashMap<String, String>);
+
+impl std::ops::Index<&str> for PointCells {
+    type Output = String;
+
+    /// Cells that no line has are no columns.
+    fn index(&self, column: &str) -> &String {
+        static EMPTY: String = String::new();
+        self.0.get(column).unwrap_or(&EMPTY)
+    }
+}
+
+/// The points of a results folder, each with all of its protocol, hashes without their letter.
+#[track_caller]
+pub fn points_of(results: &Path) -> Vec<PointCells> {
+    let provenance: toml::Table = text(&results.join("provenance.toml")).parse().unwrap();
+    let constants = provenance.get("constants").and_then(toml::Value::as_table).cloned().unwrap_or_default();
+    let shared = constants.into_iter().map(|(name, value)| match value {
+        toml::Value::String(text) => (name, text),
+        other => (name, other.to_string()),
+    });
+    let shared: Vec<(String, String)> = shared.collect();
+    let whole = |row: HashMap<String, String>| {
+        let is_done = row["status"] == "done";
+        let all = row.into_iter().chain(shared.iter().filter(|_| is_done).cloned());
+        PointCells(all.map(|(name, cell)| (name, plain_hash(&cell).to_string())).collect())
+    };
+    rows(&text(&results.join("points.csv"))).into_iter().map(whole).collect()
 }
 
 /// The file or folder that a folder holds alone or, by name, last.

@@ -38,6 +38,26 @@ pub fn plain_cell(cell: &str) -> &str {
     cell.strip_prefix(TEXT).filter(|_| begins_like_formula).unwrap_or(cell)
 }
 
+/// Letter before a hash in a cell. Without it, other programs read `7797e1855047` as a number.
+const HASH: char = 'h';
+/// Least digits of a hash.
+const HASH_DIGITS: usize = 7;
+
+/// Returns a hash with a letter in front; another text stays. [`plain_hash`] removes the letter.
+pub fn hash_cell(text: &str) -> String {
+    if is_hash(text) { format!("{HASH}{text}") } else { text.into() }
+}
+
+/// Returns the text that was given to [`hash_cell`].
+pub fn plain_hash(cell: &str) -> &str {
+    cell.strip_prefix(HASH).filter(|hash| is_hash(hash)).unwrap_or(cell)
+}
+
+/// Returns whether a text begins with a hash. It may have an end, such as `-dirty`.
+fn is_hash(text: &str) -> bool {
+    text.bytes().take_while(|byte| matches!(byte, b'0'..=b'9' | b'a'..=b'f')).count() >= HASH_DIGITS
+}
+
 /// Longest column name that is read: ten times the longest of this program.
 const MOST_NAME: usize = 400;
 
@@ -90,6 +110,14 @@ mod tests {
         let row = |a: &str, b: Option<f64>| vec![("a,b".to_string(), a.to_string()), ("c".into(), csv_number(b))];
         assert_eq!(csv_of_named([row("x\"y", Some(0.1)), row("", None)]), "\"a,b\",c\n\"x\"\"y\",0.1\n,\n");
         assert_eq!(csv_of_named([]), "");
+    }
+
+    #[test]
+    fn no_hash_is_a_number() {
+        for text in ["7797e1855047", "123456789012-dirty", "0123456", "abc", "unknown", "", "fern-NeRF-0", "hex"] {
+            let cell = hash_cell(text);
+            assert!(cell.parse::<f64>().is_err() && plain_hash(&cell) == text && plain_hash(text) == text, "{cell}");
+        }
     }
 
     #[test]

@@ -306,6 +306,17 @@ impl InactiveBy {
     }
 }
 
+/// Prefix of the columns that hold the values of axes.
+pub const AXIS: &str = "axis.";
+/// Prefix of the columns that hold the settings that points differ in.
+pub const SETTING: &str = "set.";
+
+/// Returns the place of a field in a point's protocol: in the order of [`COLUMNS`], then unknown ones, then swept ones.
+pub fn field_order(name: &str) -> usize {
+    let is_swept = name.starts_with(AXIS) || name.starts_with(SETTING);
+    COLUMNS.iter().position(|column| column.name == name).unwrap_or(COLUMNS.len() + usize::from(is_swept))
+}
+
 /// Returns the column of that name.
 pub fn find(name: &str) -> Option<&'static Column> {
     COLUMNS.iter().find(|column| column.name == name)

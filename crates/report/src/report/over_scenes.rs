@@ -25,7 +25,7 @@ pub struct OverScenes {
     /// As [`RowOverScenes::to_best`], of the baseline.
     pub baseline_to_best: Option<(f64, f64)>,
     /// As [`RowOverScenes::no_better_than_one_colour`], of the baseline.
-    pub baseline_of_one_colour: Vec<Option<usize>>,
+    pub baseline_of_one_colour: Vec<Option<(usize, usize)>>,
 }
 
 /// One row's differences to the baseline.
@@ -46,7 +46,7 @@ pub struct RowOverScenes {
     /// Ends of the 95 % prediction interval of the same mean on one more scene.
     pub prediction: Option<(f64, f64)>,
     /// How many of each scene's seeds are no better than one colour; `None` where that was not measured.
-    pub no_better_than_one_colour: Vec<Option<usize>>,
+    pub no_better_than_one_colour: Vec<Option<(usize, usize)>>,
     /// Standard deviations between scenes and, in them, between seeds.
     pub components: Option<Components>,
     /// Ends of the interval of the row's mean minus the best other row's, in the better direction, the baseline among them
@@ -219,7 +219,7 @@ impl OverScenes {
                     let number = |number: Option<f64>| csv_number(number);
                     let mut cells = vec![scene.clone(), row.row.clone(), self.baseline.clone(), self.metric.clone()];
                     cells.extend([seeds.len().to_string(), number(mean(seeds)), number(standard_deviation(seeds))]);
-                    cells.push(of_one_colour.map_or(String::new(), |count| count.to_string()));
+                    cells.push(of_one_colour.map_or(String::new(), |(count, _)| count.to_string()));
                     cells
                 },
             )
@@ -244,7 +244,7 @@ impl OverScenes {
         text.extend(self.rows.iter().map(|row| self.details_text(row)));
         text += &format!("| {} |  |  |  |  | {} |\n", escape(&self.baseline), self.ends_text(self.baseline_to_best));
         text += &self.scenes_text();
-        text.extend(self.one_colour_note());
+        text += &self.one_colour_notes();
         text.extend(HOW_TO_READ.iter().map(|note| format!("- {note}\n")));
         if let Some(margin) = self.margin {
             text += &format!(
@@ -291,20 +291,24 @@ impl OverScenes {
         )
     }
 
-    /// Returns where which rows are no better than one colour.
-    fn one_colour_note(&self) -> Option<String> {
-        let rows = self.rows.iter().map(|row| (&row.row, &row.no_better_than_one_colour));
-        let rows = rows.chain([(&self.baseline, &self.baseline_of_one_colour)]);
-        let of_row = |(row, counts): (&String, &Vec<Option<usize>>)| {
-            let of_scene = |(scene, count): (&String, &Option<usize>)| {
-                let count = count.filter(|count| *count > 0)?;
-                Some(format!("{} with {count} seed{}", escape(scene), if count == 1 { "" } else { "s" }))
+    /// Returns where which rows are no better than one colour: with most seeds first.
+    fn one_colour_notes(&self) -> String {
+        let note = |start: &str, most: bool| {
+            let rows = self.rows.iter().map(|row| (&row.row, &row.no_better_than_one_colour));
+            let rows = rows.chain([(&self.baseline, &self.baseline_of_one_colour)]);
+            let of_row = |(row, counts): (&String, &Vec<Option<(usize, usize)>>)| {
+                let of_scene = |(scene, count): (&String, &Option<(usize, usize)>)| {
+                    let (count, seeds) = count.filter(|(count, seeds)| *count > 0 && (2 * count > *seeds) == most)?;
+                    Some(format!("{} with {count} of {seeds} seeds", escape(scene)))
+                };
+                let scenes: Vec<String> = self.scenes.iter().zip(counts).filter_map(of_scene).collect();
+                (!scenes.is_empty()).then(|| format!("{} on {}", escape(row), scenes.join(", ")))
             };
-            let scenes: Vec<String> = self.scenes.iter().zip(counts).filter_map(of_scene).collect();
-            (!scenes.is_empty()).then(|| format!("{} on {}", escape(row), scenes.join(", ")))
+            let rows: Vec<String> = rows.filter_map(of_row).collect();
+            if rows.is_empty() { String::new() } else { format!("- {start}: {}\n", rows.join("; ")) }
         };
-        let rows: Vec<String> = rows.filter_map(of_row).collect();
-        (!rows.is_empty()).then(|| format!("- NO BETTER THAN ONE COLOUR on held-out views: {}\n", rows.join("; ")))
+        note("NO BETTER THAN ONE COLOUR on held-out views", true)
+            + &note("no better than one colour with at most half of the seeds", false)
     }
 
     /// Returns the differences, a line for each scene.
@@ -402,12 +406,17 @@ fn is_at(record: &Record, (row, axes): (&str, &[AxisValue])) -> bool {
     record.row == row && record.axes == axes
 }
 
-/// Returns how many of a row's trainings on each scene are no better than one colour; `None` where that was measured of none.
-fn of_one_colour(scenes: &[String], records: &[Record], is_of_row: impl Fn(&Record) -> bool) -> Vec<Option<usize>> {
+/// Returns how many of a row's trainings on each scene are no better than one colour, and how many there are; `None` where that was measured of none.
+fn of_one_colour(
+    scenes: &[String],
+    records: &[Record],
+    is_of_row: impl Fn(&Record) -> bool,
+) -> Vec<Option<(usize, usize)>> {
     let of = |scene: &String| {
         let own = records.iter().filter(|record| record.scene == *scene && is_of_row(record));
         let measured: Vec<bool> = own.filter_map(Record::is_no_better_than_one_colour).collect();
-        (!measured.is_empty()).then(|| measured.iter().filter(|of_one_colour| **of_one_colour).count())
+        let count = measured.iter().filter(|of_one_colour| **of_one_colour).count();
+        (!measured.is_empty()).then_some((count, measured.len()))
     };
     scenes.iter().map(of).collect()
 }
@@ -466,8 +475,9 @@ mod tests {
             record.metrics.push(("floor_psnr".into(), Some(if lost { 40.0 } else { 5.0 })));
         }
         let found = over(&records);
-        assert_eq!(found.rows[0].no_better_than_one_colour, [Some(0), Some(1), Some(0), Some(0)]);
-        let note = "- NO BETTER THAN ONE COLOUR on held-out views: TV on b with 1 seed; NeRF on b with 2 seeds\n";
+        assert_eq!(found.rows[0].no_better_than_one_colour, [Some((0, 2)), Some((1, 2)), Some((0, 2)), Some((0, 2))]);
+        let note = "- NO BETTER THAN ONE COLOUR on held-out views: NeRF on b with 2 of 2 seeds\n- no better than one colour with \
+                    at most half of the seeds: TV on b with 1 of 2 seeds\n";
         assert!(found.markdown().contains(note), "{}", found.markdown());
         assert!(found.scenes_csv().lines().any(|line| line.starts_with("b,TV,") && line.ends_with(",1")));
         let unmeasured = over(&self::records());

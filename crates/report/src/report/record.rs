@@ -4,6 +4,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::data::epochs;
 use crate::metrics::{FLOOR_PSNR, PSNR};
+use crate::settings::columns::field_order;
 
 /// The column that says how often a training pixel was seen.
 const EPOCHS: &str = "epochs";
@@ -138,6 +139,12 @@ impl Record {
             self.protocol.retain(|(name, _)| name != EPOCHS);
             self.protocol.push((EPOCHS.into(), epochs.to_string()));
         }
+        self
+    }
+
+    /// Returns the record with its protocol in one order, whichever program measured it.
+    pub fn ordered(mut self) -> Record {
+        self.protocol.sort_by_key(|(name, _)| field_order(name));
         self
     }
 

@@ -11,6 +11,7 @@ use crate::base::files::{write_atomic, write_json};
 use crate::base::{Error, Result};
 use crate::methods::SiteSummary;
 use crate::metrics::{CHAMFER, F_SCORE, MeanMetrics, Scope, ViewMetrics, no_better_than_one_colour};
+use crate::report::tables::file_field;
 use crate::space::Chamfer;
 
 /// Steps before which a picture of one colour says nothing.
@@ -94,7 +95,7 @@ impl Report {
             seen.map(|(metric, value)| (metric.key.into(), cell(&value.into()))).collect();
         let rows = self.views.iter().map(|view| {
             let mut row = columns(view);
-            row.extend(columns(&self.protocol));
+            row.extend(columns(&self.protocol).into_iter().map(file_field));
             row.push(("inactive_levels".into(), inactive.join(" ")));
             row.extend(seen.iter().cloned());
             row

@@ -14,6 +14,7 @@ use crate::data::Scene;
 use crate::field::Density;
 use crate::losses::{Smoothness, estimate_seconds, measure, measure_density};
 use crate::model::Model;
+use crate::report::tables::file_field;
 use crate::runtime::Runtime;
 use crate::settings::{Capability, Config};
 use crate::space::{Lattice, Quadrature, chunk_count};
@@ -80,7 +81,7 @@ impl SmoothnessReport {
     pub fn write(&self, path: &Path) -> Result<()> {
         let rows = self.fields.iter().map(|field| {
             let mut row = columns(field);
-            row.extend(columns(&self.protocol));
+            row.extend(columns(&self.protocol).into_iter().map(file_field));
             row
         });
         write_atomic(path, csv_of_named(rows).as_bytes())

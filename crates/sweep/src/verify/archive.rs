@@ -52,7 +52,7 @@ impl Archive {
             timing.iter().flat_map(|(_, clocks)| clocks.iter().map(|(name, _)| name.clone())).collect();
         let of_points = text("points.csv")?.ok_or_else(|| absent("points.csv"))?;
         // A scene names files: one that is not the point's would name others.
-        let records = read_points(&of_points, &clocks, |found| {
+        let read = read_points(&of_points, &provenance.constants(), &clocks, |found| {
             let point = points.iter().find(|point| point.id == found.id && point.scene == found.scene)?;
             let at = |axes: &[_]| label("", axes).trim_start_matches(", ").to_string();
             point
@@ -61,7 +61,7 @@ impl Archive {
                 .find(|place| place.row == found.row && at(&place.axes) == found.axes)
                 .map(|place| place.axes.clone())
         });
-        let records = records.map_err(|e| in_file("points.csv", e))?;
+        let (records, is_early) = read.map_err(|e| in_file("points.csv", e))?;
         let head = of_points.lines().next().unwrap_or_default();
         let with_timing = head.split(',').any(|column| clocks.iter().any(|clock| clock == column));
         let outputs = SweepOutputs {
@@ -70,6 +70,7 @@ impl Archive {
             scalars: read_scalars(path)?,
             step_seconds: optional(&folder.step_seconds())?,
             scored: read_scored(path, &definition)?,
+            is_early,
             ..SweepOutputs::default()
         };
         Ok(Archive { path: path.to_path_buf(), definition, points, outputs, provenance, with_timing })

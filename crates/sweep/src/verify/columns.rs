@@ -28,7 +28,8 @@ pub fn check(_: &Verifier, sweep: &Collected, findings: &mut Findings) -> Result
         let Some(point) = archive.points.iter().find(|point| point.id == record.id) else { continue };
         let Decided { columns, unknown } = decided(point, record)?;
         let columns = columns.into_iter().map(|(name, text)| (name.to_string(), text));
-        let columns = columns.chain(varied.columns(point, &record.axes));
+        let used = (!archive.outputs.is_early).then_some(record.protocol.as_slice());
+        let columns = columns.chain(varied.columns(point, &record.axes, used));
         for name in unknown {
             if !open.contains(&name) {
                 open.push(name);
@@ -36,7 +37,8 @@ pub fn check(_: &Verifier, sweep: &Collected, findings: &mut Findings) -> Result
         }
         for (name, expected) in columns {
             // Columns that are younger than the points are not in their file.
-            let Some((_, found)) = record.protocol.iter().find(|(known, _)| *known == name) else { continue };
+            let found = record.protocol.iter().find(|(known, _)| known.replace(' ', "_") == name);
+            let Some((_, found)) = found else { continue };
             if found.is_empty() && !one_revision {
                 continue;
             }

@@ -12,7 +12,7 @@ use crate::base::{Error, Result};
 use crate::collect::{PAGE, TIMING};
 use crate::folder::{DEFINITION, PLAN, STEP_SECONDS};
 use crate::outputs::{SCALARS, optional};
-use crate::provenance::{Archived, PROVENANCE, sha256};
+use crate::provenance::{Archived, PROVENANCE, sha256, toml_of};
 use crate::report::exporters::{Content, EXPORTERS, OF_LOGS};
 use crate::report::tables::Table;
 use crate::scored::SCORED;
@@ -83,6 +83,9 @@ pub fn check(verifier: &Verifier, sweep: &Collected, findings: &mut Findings) ->
     }
     not_kept(&compared.absent, archived, &archive.path, findings);
     pins(sweep, findings)?;
+    if archive.provenance.constants != toml_of(&archive.outputs.constants().unwrap_or_default()) {
+        findings.wrong(format!("{PROVENANCE}: [constants] are not the fields that all points share, without a column"));
+    }
     if verifier.update {
         repin(archive, &held)?;
     }

@@ -41,7 +41,10 @@ impl Row {
 impl Cells {
     /// Of a sweep: its tables as its points make them, whatever stands in the folder.
     pub fn of_sweep(sweep: &Collected) -> Result<Cells> {
-        Cells::of_tables(&sweep.archive.path, |name| sweep.text(name))
+        let mut cells = Cells::of_tables(&sweep.archive.path, |name| sweep.text(name))?;
+        let constants = sweep.archive.outputs.constants().unwrap_or_default();
+        cells.rows.iter_mut().chain(&mut cells.points).for_each(|row| row.cells.extend(constants.iter().cloned()));
+        Ok(cells)
     }
 
     /// Of tables by their names.

@@ -12,6 +12,7 @@ use crate::base::{Error, Result};
 use crate::metrics::{DEPTH_LEFT_OUT, MSE, PSNR_OF_MEAN};
 use crate::of_runs::foreign;
 use crate::outputs::optional;
+use crate::report::tables::plain_field;
 use crate::run::{DepthErrors, RunDir};
 
 /// Run folders below a folder, by name.
@@ -175,7 +176,8 @@ fn csv_lines(path: &Path) -> Result<Option<Vec<Line>>> {
         Ok(head
             .iter()
             .zip(&row)
-            .map(|(name, cell)| (name.to_string(), Value::String(plain_cell(cell).into())))
+            .map(|(name, cell)| plain_field((name.to_string(), plain_cell(cell).to_string())))
+            .map(|(name, cell)| (name, Value::String(cell)))
             .collect())
     };
     reader.records().map(line).collect::<Result<_>>().map(Some)

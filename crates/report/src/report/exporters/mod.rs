@@ -4,7 +4,7 @@ use crate::base::{Error, Result};
 pub use crate::draw::canvas::Content;
 
 use super::plots::{Curve, Shifts, Surface};
-use super::tables::{AttackLine, PointTiming, Table};
+use super::tables::{AttackLine, Constants, PointTiming, Table};
 use super::{Record, TableSpec};
 
 mod figures;
@@ -20,6 +20,8 @@ pub struct Collected<'a> {
     pub timing: &'a [PointTiming],
     /// Add clock times to the tables, which are then no longer reproducible.
     pub with_timing: bool,
+    /// The protocol fields that all points share, which are no columns; `None` for columns as earlier versions wrote them.
+    pub constants: Option<Constants>,
     /// The table, or `None` until its rows are known to be comparable.
     pub table: Option<&'a Table>,
     /// Training curves by scene.

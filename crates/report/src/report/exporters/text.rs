@@ -1,7 +1,7 @@
 //! Text files: points, clock times and effect of the attack as CSV, the table as CSV, Markdown and LaTeX.
 
 use crate::base::Result;
-use crate::report::tables::{attack_csv, points_csv, table_csv, table_latex, table_markdown, timing_csv};
+use crate::report::tables::{Constants, attack_csv, points_csv, table_csv, table_latex, table_markdown, timing_csv};
 
 use super::{Collected, Content, Exporter, File};
 
@@ -17,7 +17,9 @@ pub struct TextFile {
 pub static POINTS_CSV: TextFile = TextFile {
     name: "points.csv",
     needs_table: false,
-    text: |collected| Ok(Some(points_csv(&collected.records_of(false), collected.joined_timing()))),
+    text: |collected| {
+        Ok(Some(points_csv(&collected.records_of(false), collected.joined_timing(), collected.constants.as_ref())))
+    },
 };
 
 /// One line for each set of images of another program.
@@ -26,7 +28,9 @@ pub static SCORED_CSV: TextFile = TextFile {
     needs_table: false,
     text: |collected| {
         let scored = collected.records_of(true);
-        Ok((!scored.is_empty()).then(|| points_csv(&scored, &[])))
+        // Images of another program do not share what points share.
+        let none = Constants::new();
+        Ok((!scored.is_empty()).then(|| points_csv(&scored, &[], collected.constants.as_ref().map(|_| &none))))
     },
 };
 
@@ -34,14 +38,14 @@ pub static SCORED_CSV: TextFile = TextFile {
 pub static TIMING_CSV: TextFile = TextFile {
     name: "timing.csv",
     needs_table: false,
-    text: |collected| Ok(Some(timing_csv(collected.records, collected.timing))),
+    text: |collected| Ok(Some(timing_csv(collected.records, collected.timing, collected.constants.as_ref()))),
 };
 
 /// One line a row, with all digits.
 pub static TABLE_CSV: TextFile = TextFile {
     name: "table.csv",
     needs_table: true,
-    text: |collected| Ok(Some(table_csv(collected.table()?, collected.joined_timing()))),
+    text: |collected| Ok(Some(table_csv(collected.table()?, collected.joined_timing(), collected.constants.as_ref()))),
 };
 
 /// One line for each attacked row: effect of the attack at each site.

@@ -9,6 +9,8 @@ pub struct SiteRow<'a> {
     pub site: &'static str,
     pub numbers: Vec<(String, String)>,
     pub inactive: bool,
+    /// With most seeds, and with how many if not with all.
+    pub judged: String,
 }
 
 pub fn site_rows<'a>(lines: &'a [AttackLine]) -> Vec<SiteRow<'a>> {
@@ -26,7 +28,12 @@ pub fn site_rows<'a>(lines: &'a [AttackLine]) -> Vec<SiteRow<'a>> {
         scene: &attack.line.scene,
         site: site.site,
         numbers: site.whole.iter().enumerate().map(number).collect(),
-        inactive: site.inactive,
+        inactive: attack.line.is_most(site.inactive),
+        judged: match (site.inactive, attack.line.ids.len()) {
+            (0, _) => "active".into(),
+            (inactive, seeds) if inactive == seeds => "inactive".into(),
+            (inactive, seeds) => format!("inactive with {inactive} of {seeds} seeds"),
+        },
     };
     lines.iter().flat_map(|attack| attack.sites.iter().map(move |site| of_site(attack, site))).collect()
 }

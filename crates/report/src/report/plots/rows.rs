@@ -99,7 +99,8 @@ fn seeds(line: &Line, records: &[Record], metric: &str) -> Vec<f64> {
 }
 
 fn label(line: &Line) -> String {
-    if line.inactive_levels.is_empty() { line.label.clone() } else { format!("{} †", line.label) }
+    let is_marked = InactiveBy::ALL.into_iter().any(|by| line.inactive_sites(by).is_some());
+    if is_marked { format!("{} †", line.label) } else { line.label.clone() }
 }
 
 fn draw_mean(drawing: &mut Canvas, scale: &Scale, y: f64, (line, cell): (&Line, &Cell), seeds: &[f64], own: Stroke) {

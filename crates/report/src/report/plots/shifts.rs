@@ -12,7 +12,7 @@ const ACROSS: (usize, usize) = (3, 2);
 const HEIGHT: (f64, f64) = (160.0, 130.0);
 const LEFT: f64 = 50.0;
 const GAP: f64 = 36.0;
-const INACTIVE: &str = "1/2: inactive below";
+const INACTIVE: &str = "1/2: a seed below is inactive";
 
 /// How far one row's deltas move the rendered colours, in 8-bit steps.
 #[derive(Clone, Debug, PartialEq)]
@@ -112,6 +112,6 @@ fn caption(has_zeros: bool, longer: &[&str]) -> String {
     let longer = if longer.is_empty() { String::new() } else { format!(" Cut off: {}.", longer.join("; ")) };
     format!(
         "{SPREAD_NOTE} Shift: how far the deltas of this site alone move the colours of the step's rays, mean over rays and \
-         channels. A site whose mean over its last ten logs is below 1/2 counts as inactive.{zeros}{longer}"
+         channels. A site is inactive with a seed if its mean over that seed's last ten logs is below 1/2.{zeros}{longer}"
     )
 }

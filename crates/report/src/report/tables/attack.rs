@@ -35,8 +35,8 @@ pub struct AttackSite {
     pub first: SiteMeans,
     /// Means over the last quarter of them, at least one.
     pub last: SiteMeans,
-    /// It was inactive with at least one seed.
-    pub inactive: bool,
+    /// The number of the line's seeds with which it was inactive.
+    pub inactive: usize,
 }
 
 impl<'a> AttackLine<'a> {
@@ -62,7 +62,7 @@ impl AttackSite {
             })
         };
         let whole = means(|log| log);
-        let inactive = line.inactive_levels.iter().any(|level| level == site);
+        let inactive = line.inactive_levels.iter().find(|(level, _)| level == site).map_or(0, |(_, seeds)| *seeds);
         whole.iter().any(Option::is_some).then(|| AttackSite {
             site,
             whole,
@@ -156,7 +156,7 @@ mod tests {
         assert_eq!(xyz.whole, [None, None, Some(0.625), Some((5.0 + 11.0) / 2.0)]);
         assert_eq!(xyz.first, [None, None, Some(0.5), Some((2.0 + 11.0) / 2.0)]);
         assert_eq!(xyz.last, [None, None, Some(0.75), Some((8.0 + 11.0) / 2.0)]);
-        assert_eq!((xyz.site, xyz.inactive, attack.sites[1].inactive), ("xyz", true, false));
+        assert_eq!((xyz.site, xyz.inactive, attack.sites[1].inactive), ("xyz", 2, 0));
     }
 
     #[test]

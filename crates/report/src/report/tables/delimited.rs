@@ -1,7 +1,11 @@
 //! CSV: one line a point, and one line a row. A missing number is an empty cell.
 
+use std::collections::HashMap;
+
+use serde_json::Value;
+
+use super::sheet::{Column, Constants, compact, constants_of, csv_of};
 use super::{Cell, Line, Table, axes_text, distinct, protocol_names};
-use crate::base::csv::{csv_number, csv_text};
 use crate::report::statistics::mean;
 use crate::report::{Record, Status};
 use crate::settings::columns::is_per_seed;
@@ -9,91 +13,146 @@ use crate::settings::columns::is_per_seed;
 /// Clock times of a point: its folder's name, and name and value of each.
 pub type PointTiming = (String, Vec<(String, Option<f64>)>);
 
-pub(super) const POINT_COLUMNS: [&str; 8] =
-    ["id", "scene", "row", "axes", "seed", "status", "reason", "inactive_levels"];
+/// The column that tells lines of one point apart. Files of earlier versions lack it.
+pub const POSITION: &str = "position";
 /// Columns that identify a line of the table.
 pub(super) const PLACE_COLUMNS: [&str; 4] = ["scene", "source", "row", "axes"];
-const LINE_COLUMNS: [&str; 9] =
-    ["baseline", "ours", "points", "done", "status", "reason", "inactive_levels", "differs", "mixed"];
-const CELL_COLUMNS: [&str; 11] =
-    ["n", "mean", "std", "pairs", "difference", "low", "high", "p", "p_holm", "verdict", "published"];
-/// Columns of metrics with a margin.
-const EQUIVALENCE_COLUMNS: [&str; 4] = ["margin", "p_equivalence", "p_equivalence_holm", "equivalent"];
-/// Numbers of a backbone that the paper does not name.
-const PUBLISHED_COLUMNS: [&str; 4] =
-    ["published_lpips", "published_average", "published_protocol", "protocol_difference"];
 
-/// Returns one line a point: identity, metrics, protocol and, if given, clock times.
-pub fn points_csv(records: &[Record], timing: &[PointTiming]) -> String {
-    let metrics = distinct(records.iter().flat_map(|record| record.metrics.iter().map(|(name, _)| name.as_str())));
-    // The seed already has its column.
-    let protocol = distinct(records.iter().flat_map(protocol_names).filter(|name| *name != "seed"));
-    let clocks = clock_names(timing);
-    let rows = records.iter().map(|record| {
-        let mut row = point_cells(record);
-        // Numbers of an earlier attempt are not the point's.
-        let measured = |metric| Some(record).filter(|r| r.status == Status::Done).and_then(|r| r.metric(metric));
-        row.extend(metrics.iter().map(|metric| csv_number(measured(metric))));
-        row.extend(protocol.iter().map(|name| record.protocol(name).to_string()));
-        row.extend(clocks.iter().map(|name| csv_number(clock(timing, &record.id, name))));
-        row
-    });
-    let head = POINT_COLUMNS.iter().chain(&metrics).chain(&protocol).chain(&clocks);
-    csv_text(std::iter::once(head.map(ToString::to_string).collect()).chain(rows))
+/// Returns the protocol fields that all measured points share; none of them is a column of [`points_csv`] and [`table_csv`].
+pub fn constants(records: &[Record]) -> Constants {
+    let done: Vec<&Record> = records.iter().filter(|record| record.status == Status::Done).collect();
+    constants_of(protocol_columns(&done))
 }
 
-fn point_cells(record: &Record) -> Vec<String> {
-    vec![
-        record.id.clone(),
-        record.scene.clone(),
-        record.row.clone(),
-        axes_text(record),
-        record.seed.map_or(String::new(), |seed| seed.to_string()),
-        record.status.name().into(),
-        record.reason.clone(),
-        record.inactive_levels.join(" "),
-    ]
+/// Returns one line a point: identity, metrics, protocol and, if given, clock times. Without `constants`, all columns are
+/// as earlier versions wrote them.
+pub fn points_csv(records: &[Record], timing: &[PointTiming], constants: Option<&Constants>) -> String {
+    let all: Vec<&Record> = records.iter().collect();
+    let text = |name: &str, of: fn(&Record) -> Value| column(name, records.iter().map(of));
+    let mut columns = vec![
+        text("id", |record| record.id.as_str().into()),
+        text("scene", |record| record.scene.as_str().into()),
+        text("row", |record| record.row.as_str().into()),
+        text("axes", |record| axes_text(record).into()),
+    ];
+    columns.extend(constants.iter().flat_map(|_| positions(records)));
+    columns.extend([
+        text("seed", |record| record.seed.into()),
+        text("status", |record| record.status.name().into()),
+        text("reason", |record| record.reason.as_str().into()),
+        text("inactive_levels", |record| record.inactive_levels.join(" ").into()),
+    ]);
+    for metric in distinct(records.iter().flat_map(|record| record.metrics.iter().map(|(name, _)| name.as_str()))) {
+        // Numbers of an earlier attempt are not the point's.
+        let measured = |record: &Record| record.metric(metric).filter(|_| record.status == Status::Done);
+        columns.push(column(metric, records.iter().map(|record| measured(record).into())));
+    }
+    columns.extend(protocol_columns(&all));
+    for name in clock_names(timing) {
+        columns.push(column(name, records.iter().map(|record| clock(timing, &record.id, name).into())));
+    }
+    written(columns, constants)
+}
+
+fn column(name: &str, cells: impl Iterator<Item = Value>) -> Column {
+    (name.into(), cells.collect())
+}
+
+fn written(columns: Vec<Column>, constants: Option<&Constants>) -> String {
+    csv_of(&match constants {
+        Some(constants) => compact(columns, constants),
+        None => columns,
+    })
+}
+
+/// Returns which of its point's lines each line is, from 1, and how many the point has.
+fn positions(records: &[Record]) -> [Column; 2] {
+    let mut counts: HashMap<&str, usize> = HashMap::new();
+    let mut places: Vec<Value> = Vec::new();
+    for record in records {
+        let count = counts.entry(&record.id).or_default();
+        *count += 1;
+        places.push((*count).into());
+    }
+    let all = records.iter().map(|record| counts[record.id.as_str()].into());
+    [(POSITION.into(), places), column("positions", all)]
+}
+
+/// Returns a column for each protocol field, without the scene and the seed, which have theirs.
+fn protocol_columns(records: &[&Record]) -> Vec<Column> {
+    let names = distinct(records.iter().flat_map(|record| protocol_names(record)).filter(|name| *name != "seed"));
+    let of = |name: &str| column(name, records.iter().map(|record| record.protocol(name).into()));
+    names.into_iter().map(of).collect()
 }
 
 /// Returns one line for each measured point: its folder's name, identity and clock times. A point in several rows has
 /// one line.
-pub fn timing_csv(records: &[Record], timing: &[PointTiming]) -> String {
-    let head = ["id", "point"].into_iter().chain(clock_names(timing)).map(String::from).collect();
-    let rows = timing.iter().map(|(id, clocks)| {
-        let record = records.iter().find(|record| record.id == *id);
-        let point = record.map_or(String::new(), Record::point_label);
-        let clocks = clocks.iter().map(|(_, value)| csv_number(*value));
-        [id.clone(), point].into_iter().chain(clocks).collect()
-    });
-    csv_text(std::iter::once(head).chain(rows))
+pub fn timing_csv(records: &[Record], timing: &[PointTiming], constants: Option<&Constants>) -> String {
+    let label = |id: &str| records.iter().find(|record| record.id == id).map(Record::point_label).unwrap_or_default();
+    let mut columns = vec![
+        column("id", timing.iter().map(|(id, _)| id.as_str().into())),
+        column("point", timing.iter().map(|(id, _)| label(id).into())),
+    ];
+    for name in clock_names(timing) {
+        columns.push(column(name, timing.iter().map(|(id, _)| clock(timing, id, name).into())));
+    }
+    written(columns, constants)
 }
 
 /// Returns one line a row: counts, each metric with its comparison, the published numbers, the protocol that its seeds
-/// share and, if given, its mean clock times.
-pub fn table_csv(table: &Table, timing: &[PointTiming]) -> String {
-    let names = table.lines.iter().flat_map(|line| line.protocol.iter().map(|(name, _)| name.as_str()));
-    let differing = table.lines.iter().flat_map(|line| line.differs.iter().map(String::as_str));
-    let protocol = distinct(names.chain(differing).filter(|name| !is_per_seed(name)));
-    let clocks = clock_names(timing);
-    let tested: Vec<bool> = (0..table.metrics.len()).map(|metric| is_tested(table, metric)).collect();
-    let rows = table.lines.iter().map(|line| {
-        let mut row = place_cells(line).to_vec();
-        row.extend(line_cells(line));
-        row.extend(line.cells.iter().zip(&tested).flat_map(|(cell, tested)| cell_cells(cell, *tested)));
-        row.extend([csv_number(line.published_lpips), csv_number(line.published_average)]);
-        row.extend([line.published_protocol.clone(), line.protocol_difference.clone()]);
-        row.extend(protocol.iter().map(|name| line.protocol(name).to_string()));
-        row.extend(clocks.iter().map(|name| csv_number(mean_clock(timing, &line.ids, name))));
-        row
-    });
-    let mut head: Vec<String> = PLACE_COLUMNS.iter().chain(&LINE_COLUMNS).map(ToString::to_string).collect();
-    for (metric, tested) in table.metrics.iter().zip(&tested) {
-        let equivalence: &[&str] = if *tested { &EQUIVALENCE_COLUMNS } else { &[] };
-        head.extend(CELL_COLUMNS.iter().chain(equivalence).map(|column| format!("{metric}_{column}")));
+/// share and, if given, its mean clock times. Without `constants`, all columns are as earlier versions wrote them.
+pub fn table_csv(table: &Table, timing: &[PointTiming], constants: Option<&Constants>) -> String {
+    written(table_columns(table, timing), constants)
+}
+
+/// Returns all columns of [`table_csv`]. Counts and metrics are numbers.
+pub fn table_columns(table: &Table, timing: &[PointTiming]) -> Vec<Column> {
+    let lines = || table.lines.iter();
+    let text = |name: &str, of: fn(&Line) -> Value| column(name, table.lines.iter().map(of));
+    let mut columns: Vec<Column> = Vec::new();
+    for (index, name) in PLACE_COLUMNS.into_iter().enumerate() {
+        columns.push(column(name, lines().map(|line| place_cells(line)[index].as_str().into())));
     }
-    head.extend(PUBLISHED_COLUMNS.iter().chain(&protocol).map(ToString::to_string));
-    head.extend(clocks.iter().map(|name| format!("{name}_mean")));
-    csv_text(std::iter::once(head).chain(rows))
+    columns.extend([
+        text("baseline", |line| line.baseline.as_deref().unwrap_or_default().into()),
+        text("ours", |line| line.ours.to_string().into()),
+        text("points", |line| line.points.into()),
+        text("done", |line| line.ids.len().into()),
+        text("status", |line| line.status.as_str().into()),
+        text("reason", |line| line.reason.as_str().into()),
+        text("inactive_levels", |line| inactive_text(line).into()),
+        text("differs", |line| line.differs.join(" ").into()),
+        text("mixed", |line| line.mixed.join(" ").into()),
+    ]);
+    for (index, metric) in table.metrics.iter().enumerate() {
+        let cells: Vec<&Cell> = lines().map(|line| &line.cells[index]).collect();
+        columns.extend(cell_columns(metric, &cells));
+    }
+    columns.extend([
+        text("published_lpips", |line| line.published_lpips.into()),
+        text("published_average", |line| line.published_average.into()),
+        text("published_protocol", |line| line.published_protocol.as_str().into()),
+        text("protocol_difference", |line| line.protocol_difference.as_str().into()),
+    ]);
+    let names = lines().flat_map(|line| line.protocol.iter().map(|(name, _)| name.as_str()));
+    let differing = lines().flat_map(|line| line.differs.iter().map(String::as_str));
+    for name in distinct(names.chain(differing).filter(|name| !is_per_seed(name))) {
+        columns.push(column(name, lines().map(|line| line.protocol(name).into())));
+    }
+    for name in clock_names(timing) {
+        let means = lines().map(|line| mean_clock(timing, &line.ids, name).into());
+        columns.push(column(&format!("{name}_mean"), means));
+    }
+    columns
+}
+
+/// Returns the inactive sites: `rgb density:2/3` if the second is so with 2 of 3 seeds.
+fn inactive_text(line: &Line) -> String {
+    let text = |(site, seeds): &(String, usize)| match line.ids.len() {
+        all if all == *seeds => site.clone(),
+        all => format!("{site}:{seeds}/{all}"),
+    };
+    line.inactive_levels.iter().map(text).collect::<Vec<String>>().join(" ")
 }
 
 pub(super) fn place_cells(line: &Line) -> [String; PLACE_COLUMNS.len()] {
@@ -105,53 +164,34 @@ pub(super) fn place_cells(line: &Line) -> [String; PLACE_COLUMNS.len()] {
     [line.scene.clone(), source.into(), line.row.clone(), line.axes.clone()]
 }
 
-fn line_cells(line: &Line) -> [String; LINE_COLUMNS.len()] {
-    [
-        line.baseline.clone().unwrap_or_default(),
-        line.ours.to_string(),
-        line.points.to_string(),
-        line.ids.len().to_string(),
-        line.status.clone(),
-        line.reason.clone(),
-        line.inactive_levels.join(" "),
-        line.differs.join(" "),
-        line.mixed.join(" "),
-    ]
-}
-
-/// Returns whether equivalence is tested for a metric.
-fn is_tested(table: &Table, metric: usize) -> bool {
-    let mut comparisons = table.lines.iter().filter_map(|line| line.cells[metric].comparison);
-    comparisons.any(|comparison| comparison.equivalence.is_some())
-}
-
-fn cell_cells(cell: &Cell, tested: bool) -> Vec<String> {
-    let comparison = cell.comparison.as_ref();
-    let interval = comparison.and_then(|comparison| comparison.interval);
-    let mut cells = vec![
-        cell.n.to_string(),
-        csv_number(cell.mean),
-        csv_number(cell.deviation),
-        comparison.map_or(String::new(), |comparison| comparison.pairs.to_string()),
-        csv_number(comparison.map(|comparison| comparison.difference)),
-        csv_number(interval.map(|(low, _)| low)),
-        csv_number(interval.map(|(_, high)| high)),
-        csv_number(comparison.and_then(|comparison| comparison.p)),
-        csv_number(comparison.and_then(|comparison| comparison.p_holm)),
-        comparison.and_then(|comparison| comparison.verdict()).map_or("", |verdict| verdict.name()).into(),
-        csv_number(cell.published),
+/// Returns the columns of a metric: of all lines, and those of the test of equivalence if it was made.
+fn cell_columns(metric: &str, cells: &[&Cell]) -> Vec<Column> {
+    type Of = fn(&Cell) -> Value;
+    let own: [(&str, Of); 11] = [
+        ("n", |cell| cell.n.into()),
+        ("mean", |cell| cell.mean.into()),
+        ("std", |cell| cell.deviation.into()),
+        ("pairs", |cell| cell.comparison.map(|comparison| comparison.pairs).into()),
+        ("difference", |cell| cell.comparison.map(|comparison| comparison.difference).into()),
+        ("low", |cell| cell.comparison.and_then(|comparison| comparison.interval).map(|(low, _)| low).into()),
+        ("high", |cell| cell.comparison.and_then(|comparison| comparison.interval).map(|(_, high)| high).into()),
+        ("p", |cell| cell.comparison.and_then(|comparison| comparison.p).into()),
+        ("p_holm", |cell| cell.comparison.and_then(|comparison| comparison.p_holm).into()),
+        ("verdict", |cell| cell.comparison.and_then(|c| c.verdict()).map(|verdict| verdict.name()).into()),
+        ("published", |cell| cell.published.into()),
     ];
-    if tested {
-        let equivalence = comparison.and_then(|comparison| comparison.equivalence);
-        let known = equivalence.filter(|equivalence| equivalence.p_holm.is_some());
-        cells.extend([
-            csv_number(equivalence.map(|equivalence| equivalence.margin)),
-            csv_number(equivalence.and_then(|equivalence| equivalence.p)),
-            csv_number(equivalence.and_then(|equivalence| equivalence.p_holm)),
-            known.map_or(String::new(), |equivalence| equivalence.holds().to_string()),
-        ]);
-    }
-    cells
+    let equivalence: [(&str, Of); 4] = [
+        ("margin", |cell| cell.equivalence().map(|equivalence| equivalence.margin).into()),
+        ("p_equivalence", |cell| cell.equivalence().and_then(|equivalence| equivalence.p).into()),
+        ("p_equivalence_holm", |cell| cell.equivalence().and_then(|equivalence| equivalence.p_holm).into()),
+        ("equivalent", |cell| {
+            let known = cell.equivalence().filter(|equivalence| equivalence.p_holm.is_some());
+            known.map(|equivalence| equivalence.holds().to_string()).into()
+        }),
+    ];
+    let is_tested = cells.iter().any(|cell| cell.equivalence().is_some());
+    let all = own.into_iter().chain(equivalence.into_iter().filter(|_| is_tested));
+    all.map(|(name, of)| column(&format!("{metric}_{name}"), cells.iter().map(|cell| of(cell)))).collect()
 }
 
 fn clock_names(timing: &[PointTiming]) -> Vec<&str> {

@@ -14,6 +14,7 @@ mod kinds;
 mod latex;
 mod markdown;
 mod read;
+mod sheet;
 mod terminal;
 pub mod text;
 mod together;
@@ -23,13 +24,14 @@ pub use attack::{AttackLine, AttackSite, SiteMeans, attack_csv};
 pub use checks::disagreements;
 pub(super) use comparison::comparisons_to_come;
 pub use comparison::{Comparison, Equivalence, Verdict};
-pub use delimited::{PointTiming, points_csv, table_csv, timing_csv};
+pub use delimited::{PointTiming, constants, points_csv, table_columns, table_csv, timing_csv};
 pub use epochs::{epochs_note, epochs_of, epochs_text, is_brief};
 pub use heading::{Heading, Judgement, is_better};
 pub use latex::table_latex;
 pub use markdown::escape;
 pub use markdown::table_markdown;
 pub use read::{PlaceText, read_points, read_timing};
+pub use sheet::{Column, Constants, attack_numbers, file_field, plain_field};
 pub use terminal::table_terminal;
 
 use crate::base::Result;
@@ -116,12 +118,12 @@ pub struct Line {
     pub status: String,
     /// Why the first point without numbers has none; empty otherwise.
     pub reason: String,
-    /// Sites that were inactive with at least one seed.
-    pub inactive_levels: Vec<String>,
+    /// Sites that were inactive, each with the number of seeds with which it was.
+    pub inactive_levels: Vec<(String, usize)>,
     /// PSNR of the best single colour of the training views, the mean over the seeds that have it.
     pub floor_psnr: Option<f64>,
-    /// How many seeds have a PSNR that is no higher than theirs.
-    pub no_better_than_one_colour: usize,
+    /// The seeds with a PSNR that is no higher than theirs: `seed 3`.
+    pub no_better_than_one_colour: Vec<String>,
     /// One cell for each of the table's metrics.
     pub cells: Vec<Cell>,
     /// The paper's LPIPS, of an unnamed backbone, or `None` if the table has no LPIPS.
@@ -201,16 +203,41 @@ impl Table {
     }
 }
 
+impl Cell {
+    /// Returns the test of equivalence with the baseline, if it was made.
+    fn equivalence(&self) -> Option<Equivalence> {
+        self.comparison?.equivalence
+    }
+}
+
 impl Line {
     /// Returns whether it lacks a point of the definition.
     pub fn unfinished(&self) -> bool {
         self.ids.len() < self.points
     }
 
-    /// Returns its inactive sites, `rgb, density`, if judged by that measure, or `None` if there are none.
+    /// Returns whether so many seeds are more than half of them. Of fewer, nothing is said of the row without their number.
+    pub fn is_most(&self, seeds: usize) -> bool {
+        2 * seeds > self.ids.len()
+    }
+
+    /// Returns the sites that are inactive with most seeds, `rgb, density with 2 of 3 seeds`, if judged by that measure, or
+    /// `None` if there are none.
     pub fn inactive_sites(&self, by: InactiveBy) -> Option<String> {
-        let judged = !self.inactive_levels.is_empty() && InactiveBy::of_name(self.protocol(INACTIVE_BY)) == by;
-        judged.then(|| self.inactive_levels.join(", "))
+        self.inactive(true).filter(|_| InactiveBy::of_name(self.protocol(INACTIVE_BY)) == by)
+    }
+
+    /// Returns the sites that are inactive with most seeds, or those that are with fewer.
+    fn inactive(&self, most: bool) -> Option<String> {
+        let own = self.inactive_levels.iter().filter(|(_, seeds)| self.is_most(*seeds) == most);
+        let sites: Vec<String> = own.map(|(site, seeds)| format!("{site}{}", self.with_seeds(*seeds))).collect();
+        (!sites.is_empty()).then(|| sites.join(", "))
+    }
+
+    /// Returns ` with 2 of 3 seeds`; empty for all.
+    fn with_seeds(&self, seeds: usize) -> String {
+        let all = self.ids.len();
+        if seeds == all { String::new() } else { format!(" with {seeds} of {all} seeds") }
     }
 
     /// Returns the text of a protocol field; empty if it is missing or differs between the seeds.
@@ -289,12 +316,13 @@ fn line(spec: &TableSpec, group: &Group, groups: &[Group]) -> Line {
         points: group.points.len(),
         status: status_text(&group.points),
         reason: group.points.iter().map(|point| &point.reason).find(|r| !r.is_empty()).cloned().unwrap_or_default(),
-        inactive_levels: distinct(group.done().flat_map(|point| point.inactive_levels.iter().cloned())),
+        inactive_levels: inactive_levels(group),
         floor_psnr: mean(&floors),
         no_better_than_one_colour: group
             .done()
             .filter(|point| point.is_no_better_than_one_colour() == Some(true))
-            .count(),
+            .map(Record::seed_text)
+            .collect(),
         cells: spec.metrics.iter().map(|metric| cell(spec, metric, group, baseline, published.as_ref())).collect(),
         published_lpips: published.as_ref().map(|row| row.lpips).filter(|_| spec.has_any("lpips_")),
         published_average: published.as_ref().map(|row| row.average).filter(|_| spec.has_any("average_")),
@@ -310,6 +338,13 @@ fn line(spec: &TableSpec, group: &Group, groups: &[Group]) -> Line {
         differs,
         mixed: checks::mixed_fields(spec, group, groups),
     }
+}
+
+/// Returns the sites that were inactive, and with how many seeds.
+fn inactive_levels(group: &Group) -> Vec<(String, usize)> {
+    let sites = distinct(group.done().flat_map(|point| point.inactive_levels.iter()));
+    let seeds = |site: &String| group.done().filter(|point| point.inactive_levels.contains(site)).count();
+    sites.into_iter().map(|site| (site.clone(), seeds(site))).collect()
 }
 
 /// Returns a line for a method that is not run here, or `None` if the paper has no number for the scene.
@@ -338,7 +373,7 @@ fn quoted_line(spec: &TableSpec, row: &RowSpec, scene: &str) -> Option<Line> {
         reason: String::new(),
         inactive_levels: Vec::new(),
         floor_psnr: None,
-        no_better_than_one_colour: 0,
+        no_better_than_one_colour: Vec::new(),
         cells: spec.metrics.iter().map(cell).collect(),
         published_lpips: Some(published.lpips).filter(|_| spec.has_any("lpips_")),
         published_average: Some(published.average).filter(|_| spec.has_any("average_")),

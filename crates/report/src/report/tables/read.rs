@@ -1,11 +1,15 @@
 //! Reads `points.csv`.
 
-use super::delimited::POINT_COLUMNS;
-use crate::base::csv::{column_names, plain_cell};
+use super::delimited::POSITION;
+use super::sheet::{Constants, fields_of};
+use crate::base::csv::{column_names, plain_cell, plain_hash};
+use crate::metrics::Metric;
 use crate::report::{AxisValue, Record, Status};
 
-/// The first column of the protocol; metrics come before it.
-const FIRST_OF_PROTOCOL: &str = "protocol";
+/// Columns that every line fills, in files of every version.
+const NEEDED: [&str; 5] = ["id", "scene", "row", "seed", "status"];
+/// The other columns that are no field of the protocol. A file lacks those that would be empty.
+const OTHERS: [&str; 5] = ["axes", POSITION, "positions", "reason", "inactive_levels"];
 
 /// The position of a point in the table, as text in `points.csv`.
 #[derive(Clone, Copy, Debug)]
@@ -20,26 +24,29 @@ pub struct PlaceText<'a> {
     pub axes: &'a str,
 }
 
-/// Returns the records of a `points.csv`. `axes` returns the axis values for a position, or `None` if it does not
-/// exist. `clocks` are columns that are neither metrics nor protocol.
+/// Returns the records of a `points.csv`, and whether an earlier version wrote it. `constants` are the fields that all measured
+/// points share and that are no columns. `axes` returns the axis values for a position, or `None` if it does not exist.
+/// `clocks` are columns that are neither metrics nor protocol.
 pub fn read_points(
     text: &str,
+    constants: &Constants,
     clocks: &[String],
     axes: impl Fn(PlaceText) -> Option<Vec<AxisValue>>,
-) -> Result<Vec<Record>, String> {
+) -> Result<(Vec<Record>, bool), String> {
     let mut reader = csv::Reader::from_reader(text.as_bytes());
     let head = column_names(&mut reader)?;
-    if head.len() < POINT_COLUMNS.len() || head.iter().zip(POINT_COLUMNS).any(|(found, column)| found != column) {
-        return Err(format!("its first columns are not {}", POINT_COLUMNS.join(", ")));
+    if let Some(lacking) = NEEDED.iter().find(|name| !head.iter().any(|column| column == *name)) {
+        return Err(format!("it has no column '{lacking}'; it needs {}", NEEDED.join(", ")));
     }
-    let protocol = head.iter().position(|name| name == FIRST_OF_PROTOCOL).unwrap_or(head.len());
-    let own: Vec<usize> = (protocol..head.len()).filter(|&column| !clocks.contains(&head[column])).collect();
+    let is_early = !head.iter().any(|name| name == POSITION);
+    let is_own = |name: &str| NEEDED.contains(&name) || OTHERS.contains(&name) || clocks.iter().any(|own| own == name);
+    let (metrics, fields): (Vec<usize>, Vec<usize>) =
+        (0..head.len()).filter(|&i| !is_own(&head[i])).partition(|&i| Metric::find(&head[i]).is_some());
     let mut records = Vec::new();
     for (index, row) in reader.records().enumerate() {
         let row = row.map_err(|e| e.to_string())?;
         let line = index + 2;
-        let [id, scene, name, axes_text, seed, status, reason, inactive] = std::array::from_fn(|i| plain_cell(&row[i]));
-        let known = Status::ALL.into_iter().find(|known| known.name() == status);
+        let cell = |name: &str| head.iter().position(|column| column == name).map_or("", |i| plain_cell(&row[i]));
         let number = |column: usize| match &row[column] {
             "" => Ok(None),
             cell => match finite(cell) {
@@ -47,31 +54,36 @@ pub fn read_points(
                 None => Err(format!("line {line}, column {}: '{cell}' is not a finite number", head[column])),
             },
         };
-        let metric = |column: usize| Ok((head[column].clone(), number(column)?));
-        let metrics = (POINT_COLUMNS.len()..protocol).map(metric).collect::<Result<_, String>>()?;
-        let status = known.ok_or_else(|| format!("line {line}: unknown status '{status}'"))?;
-        let mut columns: Vec<(String, String)> = Vec::new();
+        let metric = |&column: &usize| Ok((head[column].clone(), number(column)?));
+        let (id, scene, name) = (plain_hash(cell("id")), cell("scene"), cell("row"));
+        let (seed, status) = (cell("seed"), cell("status"));
+        let status = Status::ALL.into_iter().find(|known| known.name() == status);
+        let status = status.ok_or_else(|| format!("line {line}: unknown status '{}'", cell("status")))?;
+        let mut protocol: Vec<(String, String)> = Vec::new();
         if status == Status::Done {
-            columns.push(("scene".into(), scene.into()));
-            columns.extend(own.iter().map(|&column| (head[column].clone(), plain_cell(&row[column]).to_string())));
+            let own = fields.iter().map(|&i| (head[i].clone(), plain_cell(&row[i]).to_string()));
+            protocol.push(("scene".into(), scene.into()));
+            protocol.extend(if is_early { own.collect() } else { fields_of(own.chain(constants.clone()).collect()) });
         }
         let record = Record {
             id: id.into(),
             scene: scene.into(),
             row: name.into(),
-            axes: axes(PlaceText { id, scene, row: name, axes: axes_text }).ok_or_else(|| {
-                format!("line {line}: point {id} has no position in row '{name}' of scene '{scene}' at '{axes_text}'")
+            axes: axes(PlaceText { id, scene, row: name, axes: cell("axes") }).ok_or_else(|| {
+                let at = cell("axes");
+                format!("line {line}: point {id} has no position in row '{name}' of scene '{scene}' at '{at}'")
             })?,
             seed: Some(seed.parse().map_err(|_| format!("line {line}: seed '{seed}' is not an integer from 0 up"))?),
             status,
-            reason: reason.into(),
-            metrics,
-            protocol: columns,
-            inactive_levels: inactive.split_whitespace().map(String::from).collect(),
+            reason: cell("reason").into(),
+            metrics: metrics.iter().map(metric).collect::<Result<_, String>>()?,
+            protocol,
+            inactive_levels: cell("inactive_levels").split_whitespace().map(String::from).collect(),
         };
-        records.push(record.with_epochs());
+        let record = record.with_epochs();
+        records.push(if is_early { record } else { record.ordered() });
     }
-    Ok(records)
+    Ok((records, is_early))
 }
 
 /// Returns the clock times in a `timing.csv`, by point.
@@ -90,7 +102,7 @@ pub fn read_timing(text: &str) -> Result<Vec<super::PointTiming>, String> {
             }
             Ok((head[column].clone(), value))
         };
-        Ok((row[0].to_string(), (2..row.len()).map(clock).collect::<Result<_, String>>()?))
+        Ok((plain_hash(&row[0]).to_string(), (2..row.len()).map(clock).collect::<Result<_, String>>()?))
     });
     rows.collect()
 }

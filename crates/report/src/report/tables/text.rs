@@ -23,32 +23,47 @@ const SCORED: &str = "not trained here: pictures that another program rendered, 
 /// Metrics that each row measures over its own pixels.
 static OWN_PIXELS: [&Metric; 4] = [&DEPTH_MAE, &DEPTH_RMSE, &DEPTH_ROUGHNESS, &NORMAL_ROUGHNESS];
 
-/// A mark after a row's name: symbol, meaning, and the details for a line that has it.
-type Mark = (char, &'static str, fn(&Line) -> Option<String>);
+/// A mark after a row's name: symbol, meaning, and the details for a line that has it. What holds for few seeds has no symbol.
+type Mark = (&'static str, &'static str, fn(&Line) -> Option<String>);
 
-const MARKS: [Mark; 9] = [
-    ('#', "not run here: the paper's numbers alone", |line| line.quoted.then(String::new)),
-    ('‖', SCORED, |line| line.scored.then(|| line.ids.join(", "))),
-    ('*', "not in the paper", |line| line.ours.then(String::new)),
-    ('†', InactiveBy::Loss.meaning(), |line| line.inactive_sites(InactiveBy::Loss)),
-    ('†', InactiveBy::Colour.meaning(), |line| line.inactive_sites(InactiveBy::Colour)),
-    ('‡', "NOT COMPARABLE, built by force: differs from the scene's first row in", |line| joined(&line.mixed)),
-    ('§', "points without numbers", |line| line.unfinished().then(|| status_and_reason(line))),
-    ('=', "no better than one colour", seeds_of_one_colour),
-    ('¶', "settings that differ between seeds", |line| joined(&line.differs)),
+const MARKS: [Mark; 10] = [
+    ("#", "not run here: the paper's numbers alone", |line| line.quoted.then(String::new)),
+    ("‖", SCORED, |line| line.scored.then(|| line.ids.join(", "))),
+    ("*", "not in the paper", |line| line.ours.then(String::new)),
+    ("†", InactiveBy::Loss.meaning(), |line| line.inactive_sites(InactiveBy::Loss)),
+    ("†", InactiveBy::Colour.meaning(), |line| line.inactive_sites(InactiveBy::Colour)),
+    ("‡", "NOT COMPARABLE, built by force: differs from the scene's first row in", |line| joined(&line.mixed)),
+    ("§", "points without numbers", |line| line.unfinished().then(|| status_and_reason(line))),
+    ("=", "no better than one colour", most_of_one_colour),
+    ("", "sites that are inactive with at most half of the seeds", |line| line.inactive(false)),
+    ("¶", "settings that differ between seeds", |line| joined(&line.differs)),
 ];
 
 pub(super) fn joined(names: &[String]) -> Option<String> {
     (!names.is_empty()).then(|| names.join(", "))
 }
 
-/// Returns how many of a line's seeds are no better than one colour: nothing to add if all of them are.
-pub(super) fn seeds_of_one_colour(line: &Line) -> Option<String> {
-    match (line.no_better_than_one_colour, line.ids.len()) {
-        (0, _) => None,
-        (of_one_colour, seeds) if of_one_colour == seeds => Some(String::new()),
-        (of_one_colour, seeds) => Some(format!("{of_one_colour} of {seeds} seeds")),
-    }
+/// Returns with how many of its seeds a line is no better than one colour, if these are most: nothing to add for all.
+pub(super) fn most_of_one_colour(line: &Line) -> Option<String> {
+    let seeds = line.no_better_than_one_colour.len();
+    line.is_most(seeds).then(|| line.with_seeds(seeds).trim_start().to_string())
+}
+
+/// Returns which seeds learned nothing, for lines of which most did: `1 of 100 seeds learned nothing: NeRF (seed 37)`.
+pub(super) fn few_of_one_colour(lines: &[&Line], most: usize) -> Vec<String> {
+    let count = |line: &Line| {
+        let seeds = line.no_better_than_one_colour.len();
+        let is_few = seeds > 0 && !line.is_most(seeds);
+        is_few.then(|| format!("{seeds} of {} seeds learned nothing", line.ids.len()))
+    };
+    let text = |said: String| {
+        let own = lines.iter().filter(|line| count(line).as_ref() == Some(&said));
+        let rows: Vec<String> =
+            own.map(|line| format!("{} ({})", line.label, line.no_better_than_one_colour.join(", "))).collect();
+        let rows = if rows.len() > most { format!("{} rows", rows.len()) } else { rows.join(", ") };
+        format!("{said}: {rows}")
+    };
+    distinct(lines.iter().filter_map(|line| count(line))).into_iter().map(text).collect()
 }
 
 pub(super) fn status_and_reason(line: &Line) -> String {
@@ -60,7 +75,7 @@ pub(super) fn status_and_reason(line: &Line) -> String {
 
 /// Returns the line's label with its marks.
 pub fn marked_label(line: &Line) -> String {
-    let marks: String = MARKS.iter().filter(|(_, _, of)| of(line).is_some()).map(|(symbol, _, _)| symbol).collect();
+    let marks: String = MARKS.iter().filter(|(_, _, of)| of(line).is_some()).map(|(symbol, _, _)| *symbol).collect();
     if marks.is_empty() { line.label.clone() } else { format!("{} {marks}", line.label) }
 }
 
@@ -176,6 +191,7 @@ pub fn scene_notes(lines: &[&Line], most: usize) -> Vec<String> {
     notes.extend(varied_notes(lines, most));
     notes.extend(kind_notes(lines));
     notes.extend(MARKS.iter().filter_map(|mark| mark_note(mark, lines, most)));
+    notes.extend(few_of_one_colour(lines, most));
     notes.extend(unmeasured_notes(lines));
     notes.extend(published_notes(lines, most));
     notes
@@ -281,7 +297,7 @@ fn mark_note((symbol, meaning, of): &Mark, lines: &[&Line], most: usize) -> Opti
         what => format!("{labels} ({what})"),
     });
     let marked: Vec<String> = marked.collect();
-    (!marked.is_empty()).then(|| format!("{symbol} {meaning}: {}", marked.join("; ")))
+    (!marked.is_empty()).then(|| format!("{symbol} {meaning}: {}", marked.join("; ")).trim_start().to_string())
 }
 
 /// Returns why a column is empty, for metrics that no line of the scene has.

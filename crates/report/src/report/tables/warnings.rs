@@ -1,7 +1,7 @@
 //! What a reader must know before the numbers of a table.
 
 use super::Line;
-use super::text::{joined, seeds_of_one_colour, status_and_reason, unmeasured_notes};
+use super::text::{few_of_one_colour, joined, most_of_one_colour, status_and_reason, unmeasured_notes};
 use crate::report::distinct;
 use crate::settings::columns::{INACTIVE_BY, InactiveBy};
 
@@ -9,7 +9,8 @@ use crate::settings::columns::{INACTIVE_BY, InactiveBy};
 pub const SEE_ATTACK: &str = " (see Attack)";
 
 /// Returns what a reader must know before the numbers, in one line for each fact: lines that are not comparable,
-/// unfinished, without effect of the attack or different between seeds, and metrics without numbers.
+/// unfinished, without effect of the attack or different between seeds, and metrics without numbers. What heads a page holds
+/// for most seeds of a row.
 pub fn warnings(lines: &[&Line]) -> Vec<String> {
     let measured = lines.iter().filter(|line| !line.ids.is_empty()).count();
     let grouped = |start: &str, of: &dyn Fn(&Line) -> Option<String>| -> Option<String> {
@@ -23,27 +24,29 @@ pub fn warnings(lines: &[&Line]) -> Vec<String> {
     let marked = [
         grouped("NOT COMPARABLE, built by force; differ from the scene's first row", &|line| joined(&line.mixed)),
         grouped("NOTHING LEARNED", &|line| {
-            let seeds = seeds_of_one_colour(line)?;
-            Some(format!("no better than one colour{}{seeds}", if seeds.is_empty() { "" } else { " with " }))
+            Some(format!("no better than one colour {}", most_of_one_colour(line)?).trim_end().to_string())
         }),
         grouped("points without numbers", &|line| line.unfinished().then(|| status_and_reason(line))),
     ];
     let by_site = InactiveBy::ALL.into_iter().filter_map(|by| inactive_warning(lines, by));
     let differing = grouped("settings differ between seeds", &|line| joined(&line.differs));
-    marked.into_iter().flatten().chain(by_site).chain(differing).chain(unmeasured_notes(lines)).collect()
+    let few = few_of_one_colour(lines, NAMED);
+    marked.into_iter().flatten().chain(by_site).chain(differing).chain(few).chain(unmeasured_notes(lines)).collect()
 }
 
 /// Returns in how many rows each site was inactive: `view in all 26 rows, t in 25`.
 fn inactive_warning(lines: &[&Line], by: InactiveBy) -> Option<String> {
     let own: Vec<&&Line> = lines.iter().filter(|line| line.inactive_sites(by).is_some()).collect();
     let attacked = lines.iter().filter(|line| !line.protocol(INACTIVE_BY).is_empty()).count();
-    let sites = distinct(own.iter().flat_map(|line| line.inactive_levels.iter().map(String::as_str)));
-    let mut counts: Vec<(&str, usize)> = sites
-        .into_iter()
-        .map(|site| (site, own.iter().filter(|line| line.inactive_levels.iter().any(|own| own == site)).count()))
-        .collect();
+    let sites = |line: &Line| -> Vec<String> {
+        let of_most = line.inactive_levels.iter().filter(|(_, seeds)| line.is_most(*seeds));
+        of_most.map(|(site, _)| site.clone()).collect()
+    };
+    let all: Vec<String> = own.iter().flat_map(|line| sites(line)).collect();
+    let count = |site: &String| all.iter().filter(|own| *own == site).count();
+    let mut counts: Vec<(&String, usize)> = distinct(all.iter()).into_iter().map(|site| (site, count(site))).collect();
     counts.sort_by_key(|(_, count)| std::cmp::Reverse(*count));
-    let text = |(index, (site, count)): (usize, &(&str, usize))| {
+    let text = |(index, (site, count)): (usize, &(&String, usize))| {
         let all = if *count == attacked && attacked > 1 { "all " } else { "" };
         let rows = if index == 0 { if *count == 1 { " row" } else { " rows" } } else { "" };
         format!("{site} in {all}{count}{rows}")
