@@ -237,6 +237,7 @@ impl MeshArguments {
         let (folder, files) = pictures_folder(self.out.as_deref(), trained.run.mesh())?;
         let report = trained.draw_mesh_into(files, options, console)?;
         console.say(&describe(&report));
+        offset_words(&report).iter().for_each(|words| console.say(words));
         report.coverage.iter().for_each(|coverage| console.say(&covers(coverage)));
         let picture = options.picture.as_ref().map(|picture| picture.file.display().to_string());
         let (run, named) = (self.run.display().to_string(), folder.display().to_string());
@@ -315,6 +316,17 @@ fn describe(report: &MeshReport) -> String {
         report.components_dropped,
         report.density.largest
     )
+}
+
+/// Says what is to be added to positions, if anything is.
+fn offset_words(MeshReport { offset: [x, y, z], .. }: &MeshReport) -> Option<String> {
+    let is_there = [x, y, z].into_iter().any(|v| *v != 0.0);
+    is_there.then(|| {
+        format!(
+            "positions in the files are less an offset of {x}, {y}, {z} (in mesh.json, too), since most programs keep 7 digits: \
+             add it for the capture's own"
+        )
+    })
 }
 
 /// Says what the surface shows, and how it shows more.

@@ -16,9 +16,10 @@ pub struct Surface<'a> {
 }
 
 impl Surface<'_> {
-    /// Writes x, y, z (and nx, ny, nz) as floats, and red, green, blue as bytes.
+    /// Writes x, y, z (and nx, ny, nz) as floats, and red, green, blue as bytes. Each line of `comment` is one in the file.
     pub fn write_ply(&self, comment: &str, out: &mut impl Write) -> Result<()> {
-        writeln!(out, "ply\nformat binary_little_endian 1.0\ncomment {comment}")?;
+        writeln!(out, "ply\nformat binary_little_endian 1.0")?;
+        comment.lines().try_for_each(|line| writeln!(out, "comment {line}"))?;
         writeln!(out, "element vertex {}", self.vertices.len())?;
         writeln!(out, "property float x\nproperty float y\nproperty float z")?;
         if !self.normals.is_empty() {

@@ -69,7 +69,7 @@ fn sample_where(mesh: &Mesh, count: usize, seed: u64, keep: impl Fn(usize, Vec3)
         let [a, b, c] = mesh.corners(mesh.triangles[triangle]);
         let point = add(scale(a, 1.0 - u), add(scale(b, u * (1.0 - v)), scale(c, u * v)));
         if keep(triangle, point) {
-            points.push(point);
+            points.push(add(point, mesh.origin));
         }
     }
     let share = points.len() as f64 / count as f64;

@@ -9,17 +9,18 @@ use serde_ply::{DeserializeError, ElementDef, PlyReader};
 use crate::base::input::open_regular;
 use crate::base::{Error, Result};
 use crate::data::ply;
+use crate::data::vector::add;
 
-use super::Mesh;
+use super::mesh::{Mesh, with_origin};
 
 /// Longest line of an OBJ file: a polygon of a million corners.
 const MOST_LINE: u64 = 1 << 24;
 
 #[derive(Deserialize)]
 struct PlyVertex {
-    x: f32,
-    y: f32,
-    z: f32,
+    x: f64,
+    y: f64,
+    z: f64,
 }
 
 #[derive(Deserialize)]
@@ -32,15 +33,31 @@ struct PlyFace {
 #[derive(Deserialize)]
 struct PlyOther {}
 
-/// Writes binary little-endian PLY, with normals and colours if the mesh has them.
-pub fn write_ply(mesh: &Mesh, comment: &str, out: &mut impl Write) -> std::io::Result<()> {
-    let Mesh { vertices, normals, colours, triangles } = mesh;
-    ply::Surface { vertices, normals, colours, triangles }.write_ply(comment, out)
+/// The word of the comment with a mesh's origin, which other programs do not add.
+const OFFSET: &str = "offset";
+
+/// Returns a file's comment: `comment`, and a line with the origin if the mesh has one.
+fn with_offset(comment: &str, mesh: &Mesh) -> String {
+    let [x, y, z] = mesh.origin;
+    if mesh.origin == [0.0; 3] { comment.into() } else { format!("{comment}\n{OFFSET} {x} {y} {z}") }
 }
 
-/// Writes OBJ. Colours follow the positions, as most programs read them.
+/// Returns the origin in a comment, if it is such a line.
+fn offset_of(comment: &str) -> Option<[f64; 3]> {
+    let numbers = comment.trim().strip_prefix(OFFSET)?.split_whitespace().map(|word| word.parse().ok());
+    numbers.collect::<Option<Vec<f64>>>()?.try_into().ok()
+}
+
+/// Writes binary little-endian PLY, with normals and colours if the mesh has them. Positions are less the origin, which a
+/// comment tells: few programs keep doubles.
+pub fn write_ply(mesh: &Mesh, comment: &str, out: &mut impl Write) -> std::io::Result<()> {
+    let Mesh { vertices, normals, colours, triangles, .. } = mesh;
+    ply::Surface { vertices, normals, colours, triangles }.write_ply(&with_offset(comment, mesh), out)
+}
+
+/// Writes OBJ. Colours follow the positions, as most programs read them. Positions are less the origin, as in [`write_ply`].
 pub fn write_obj(mesh: &Mesh, comment: &str, out: &mut impl Write) -> std::io::Result<()> {
-    writeln!(out, "# {comment}")?;
+    with_offset(comment, mesh).lines().try_for_each(|line| writeln!(out, "# {line}"))?;
     for (index, [x, y, z]) in mesh.vertices.iter().enumerate() {
         match mesh.colours.get(index).map(|rgb| rgb.map(|v| f32::from(v) / 255.0)) {
             Some([r, g, b]) => writeln!(out, "v {x} {y} {z} {r} {g} {b}")?,
@@ -58,7 +75,7 @@ pub fn write_obj(mesh: &Mesh, comment: &str, out: &mut impl Write) -> std::io::R
 }
 
 /// Reads positions and faces of a `.ply` (ascii or binary) or `.obj` file. Polygons are cut into triangles from their
-/// first corner. A mesh without faces or area, or with a coordinate that is NaN, is an error.
+/// first corner. Positions far from 0 are less an [origin](Mesh::origin), which files of this program name. A mesh without faces or area, or with a coordinate that is NaN, is an error.
 ///
 /// ```
 /// # use augnerf_core as augnerf;
@@ -100,9 +117,9 @@ pub fn read_mesh(path: &Path) -> Result<Mesh> {
 }
 
 fn read_ply(file: &mut BufReader<std::fs::File>) -> std::result::Result<Mesh, String> {
-    let (vertices, faces) = ply_elements(file)
+    let (offset, vertices, faces) = ply_elements(file)
         .map_err(|e| format!("cannot be read as PLY: {}; vertices need x, y, z, faces a list vertex_indices", e.0))?;
-    let vertices: Vec<[f32; 3]> = vertices.iter().map(|v| [v.x, v.y, v.z]).collect();
+    let vertices: Vec<[f64; 3]> = vertices.iter().map(|v| [v.x, v.y, v.z]).collect();
     let mut triangles = Vec::with_capacity(faces.len());
     for (number, face) in faces.iter().enumerate() {
         let indices: Option<Vec<u32>> = face.vertex_indices.iter().map(|&i| u32::try_from(i).ok()).collect();
@@ -113,16 +130,24 @@ fn read_ply(file: &mut BufReader<std::fs::File>) -> std::result::Result<Mesh, St
         })?;
         triangles.extend(fan(&indices));
     }
-    Ok(Mesh { vertices, triangles, ..Mesh::default() })
+    Ok(placed(&vertices, triangles, offset))
 }
 
-fn ply_elements(
-    file: &mut BufReader<std::fs::File>,
-) -> std::result::Result<(Vec<PlyVertex>, Vec<PlyFace>), DeserializeError> {
+/// Returns the mesh of a file's positions and offset.
+fn placed(positions: &[[f64; 3]], triangles: Vec<[u32; 3]>, offset: Option<[f64; 3]>) -> Mesh {
+    let (vertices, origin) = with_origin(positions);
+    Mesh { vertices, origin: add(origin, offset.unwrap_or_default()), triangles, ..Mesh::default() }
+}
+
+/// Offset, vertices and faces.
+type PlyContent = (Option<[f64; 3]>, Vec<PlyVertex>, Vec<PlyFace>);
+
+fn ply_elements(file: &mut BufReader<std::fs::File>) -> std::result::Result<PlyContent, DeserializeError> {
     let bytes = file.get_ref().metadata()?.len();
     let (mut vertices, mut faces) = (Vec::new(), Vec::new());
     // The reader needs an end of line after the last number of a text file.
     let mut reader = PlyReader::from_reader(file.chain(&b"\n"[..]))?;
+    let offset = reader.header().comments.iter().find_map(|comment| offset_of(comment));
     while let Some(element) = reader.current_element() {
         check_rows(element, bytes)?;
         match element.name.as_str() {
@@ -131,7 +156,7 @@ fn ply_elements(
             _ => drop(reader.next_element::<Vec<PlyOther>>()?),
         }
     }
-    Ok((vertices, faces))
+    Ok((offset, vertices, faces))
 }
 
 /// Every row has at least one byte per property. Rows without properties take none, and would be counted without end.
@@ -147,7 +172,7 @@ fn check_rows(element: &ElementDef, bytes: u64) -> std::io::Result<()> {
 /// Reads `v` and `f`, which describe the complete shape. Readers of the full format reject files for other content,
 /// such as half-given colours or texture coordinates, and read polylines as faces.
 fn read_obj(file: &mut BufReader<std::fs::File>) -> std::result::Result<Mesh, String> {
-    let mut mesh = Mesh::default();
+    let (mut vertices, mut triangles, mut offset) = (Vec::new(), Vec::new(), None);
     let mut bytes = Vec::new();
     for number in 0.. {
         bytes.clear();
@@ -159,28 +184,29 @@ fn read_obj(file: &mut BufReader<std::fs::File>) -> std::result::Result<Mesh, St
             return Err(format!("cannot be read as OBJ: line {} has more than {MOST_LINE} bytes", number + 1));
         }
         let line = String::from_utf8_lossy(&bytes);
+        offset = offset.or(line.strip_prefix('#').and_then(offset_of));
         let mut words = line.split('#').next().unwrap_or_default().split_whitespace();
         let fail = |what: String| format!("cannot be read as OBJ: line {}, `{}`: {what}", number + 1, line.trim());
         match words.next() {
             Some("v") => {
-                let place: Vec<f32> = words.map_while(|word| word.parse().ok()).take(3).collect();
+                let place: Vec<f64> = words.map_while(|word| word.parse().ok()).take(3).collect();
                 let place = place.try_into().map_err(|_| fail("a vertex has three numbers".into()))?;
-                mesh.vertices.push(place);
+                vertices.push(place);
             }
             Some("f") => {
-                let count = mesh.vertices.len();
+                let count = vertices.len();
                 let corners: Option<Vec<u32>> = words.map(|word| obj_index(word, count)).collect();
                 let corners = corners.filter(|corners| corners.len() >= 3).ok_or_else(|| {
                     fail(format!(
                         "a face must name three or more of the {count} vertices before it, from 1 or back from -1"
                     ))
                 })?;
-                mesh.triangles.extend(fan(&corners));
+                triangles.extend(fan(&corners));
             }
             _ => {}
         }
     }
-    Ok(mesh)
+    Ok(placed(&vertices, triangles, offset))
 }
 
 /// Returns the vertex, from 0, that the first number of `1/2/3` names among `count`.
@@ -205,6 +231,7 @@ mod tests {
             normals: vec![[0.0, 0.0, 1.0]; 4],
             colours: vec![[1, 2, 255]; 4],
             triangles: vec![[0, 1, 2], [0, 2, 3]],
+            origin: [0.0; 3],
         }
     }
 
@@ -228,6 +255,35 @@ mod tests {
             assert_eq!(read("a.ply", &ply).unwrap(), bare(square()));
             assert_eq!(read("a.OBJ", &obj).unwrap(), bare(square()));
         }
+    }
+
+    /// In single precision, coordinates of 5,000,000 have steps of 0.5.
+    #[test]
+    fn meshes_far_from_0_keep_their_shape() {
+        let far = |point: [f32; 3]| {
+            [500_000.0, 5_000_000.0, 12.0].map(|v: f64| v).into_iter().zip(point).map(|(a, b)| a + f64::from(b))
+        };
+        let points: Vec<[f64; 3]> = square()
+            .vertices
+            .iter()
+            .map(|v| far(v.map(|v| 0.37 * v)).collect::<Vec<_>>().try_into().unwrap())
+            .collect();
+        let (vertices, origin) = with_origin(&points);
+        assert_eq!(origin, [500_000.0, 5_000_000.0, 0.0]);
+        let mesh = Mesh { vertices, origin, ..bare(square()) };
+        let (mut ply, mut obj) = (Vec::new(), Vec::new());
+        write_ply(&mesh, "a test", &mut ply).unwrap();
+        write_obj(&mesh, "a test", &mut obj).unwrap();
+        // Another program's, with all digits.
+        let lines = points.iter().map(|[x, y, z]| format!("v {x} {y} {z}\n")).collect::<String>();
+        for (name, bytes) in [("a.ply", ply), ("a.obj", obj), ("b.obj", (lines + "f 1 2 3\nf 1 3 4\n").into_bytes())] {
+            let back = read(name, &bytes).unwrap();
+            assert_eq!(back.origin, origin, "{name}");
+            assert!((back.area() - 0.37 * 0.37).abs() < 1e-6, "{name}: {}", back.area());
+            let place = |i: usize| add(back.vertex(i as u32), back.origin);
+            assert!((0..4).all(|i| (0..3).all(|axis| (place(i)[axis] - points[i][axis]).abs() < 1e-5)), "{name}");
+        }
+        assert_eq!(with_origin(&[[9.0, -3.0, 0.0], [10.0, 0.0, 0.0]]).1, [0.0; 3]);
     }
 
     #[test]

@@ -21,5 +21,5 @@ pub use files::{read_mesh, write_obj, write_ply};
 pub use lattice::{Lattice, Quadrature};
 pub use level::{DensityRange, Drawing, LevelSet, level_set};
 pub use marching::Marcher;
-pub use mesh::{Component, Mesh};
+pub use mesh::{Component, Mesh, with_origin};
 pub use shading::{Paint, around, resized, shade};

@@ -156,6 +156,8 @@ pub struct MeshReport {
     pub box_units: &'static str,
     /// Units of the mesh, its area and its volume.
     pub units: MeshUnits,
+    /// What is to be added to the files' positions: not 0 for a mesh in capture units far from 0.
+    pub offset: [f64; 3],
     /// From the capture's units to the scene's: x_scene = scale R x_capture + t, and `matrix` is `[scale R | t]`.
     pub world_to_scene: WorldMatrix,
     /// The variance along each axis of the Gaussians of a MipNeRF field, in these units squared. Empty for a field
@@ -275,6 +277,7 @@ impl MeshReport {
             domain: drawing.lattice.domain,
             box_units: if scene.ndc.is_some() { "NDC" } else { "scene units" },
             units: options.units,
+            offset: mesh.origin,
             world_to_scene: WorldMatrix::of(&scene.space.world),
             variance: config.field.encoding.queries_gaussians().then(|| drawing.lattice.cell_variance()),
             cap: drawing.cap,
@@ -298,7 +301,8 @@ impl MeshReport {
 /// Converts a mesh of the scene to the units of its capture.
 fn in_capture(mesh: &mut Mesh, world: &WorldToScene) {
     let single = |point: [f64; 3]| point.map(|v| v as f32);
-    mesh.vertices.iter_mut().for_each(|vertex| *vertex = single(world.to_capture(vertex.map(f64::from))));
+    let places: Vec<[f64; 3]> = mesh.vertices.iter().map(|vertex| world.to_capture(vertex.map(f64::from))).collect();
+    (mesh.vertices, mesh.origin) = space::with_origin(&places);
     mesh.normals.iter_mut().for_each(|normal| *normal = single(world.direction_to_capture(normal.map(f64::from))));
 }
 
