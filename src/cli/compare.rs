@@ -10,7 +10,7 @@ use crate::base::{Error, Result};
 use crate::compare::{Comparison, RunView, Window, check_box, check_fade, labels, name_steps};
 use crate::draw::SVG_ALONE;
 use crate::report::label;
-use crate::run::{RunDir, Trained, Viewer};
+use crate::run::{OpenOptions, RunDir, Trained, Viewer};
 use crate::runtime::Runtime;
 use crate::sweep::{Point, SweepFolder, split_names};
 use crate::train::checkpoint;
@@ -187,10 +187,10 @@ impl Runs {
             checkpoint::latest(&run.checkpoints())?;
         }
         for NamedRun { path, label, row } in runs {
-            let trained = Trained::open(path, self.data.as_deref(), runtime, console)?;
+            let trained = Trained::open_at(path, OpenOptions::CAMERAS, self.data.as_deref(), runtime, console)?;
             let (viewer, state) = (trained.viewer(), &trained.state);
             let mut shown = RunView::new(label.clone(), &viewer, state, &self.view)?;
-            shown.row = *row;
+            (shown.row, shown.protocol) = (*row, trained.protocol());
             gathered.first().map_or(Ok(()), |(first, _)| shown.check_alike(first))?;
             console.say(&format!("{}: view {} at step {}", shown.label, shown.view.name, state.step));
             let made = make(&viewer, &shown)?;
@@ -273,10 +273,21 @@ fn parse_zoom(text: &str) -> Result<Window> {
     Ok(Window { x, y, width, height })
 }
 
+/// Endings of files, which name no folder.
+const OF_FILES: [&str; 8] = ["ply", "obj", "png", "svg", "gif", "mp4", "json", "npy"];
+
 /// Returns the output folder and a writer whose images appear in it all at once. Images of an earlier rendering are
 /// removed; a folder with other files is an error.
 pub fn pictures_folder(out: Option<&Path>, default: PathBuf) -> Result<(PathBuf, AtomicDir)> {
     if let Some(out) = out {
+        let ending = out.extension().map(|ending| ending.to_string_lossy().to_ascii_lowercase());
+        if ending.is_some_and(|ending| OF_FILES.contains(&&*ending)) && !out.is_dir() {
+            return Err(Error::Config(format!(
+                "--out {}: several files are written, into a folder; name a folder, such as {}",
+                out.display(),
+                out.with_extension("").display()
+            )));
+        }
         return Ok((out.to_path_buf(), AtomicDir::vacant(out)?));
     }
     let parent = default.parent().unwrap_or(Path::new("."));

@@ -8,11 +8,10 @@ use serde_json::json;
 
 use crate::base::files::{AtomicDir, write_named};
 use crate::base::{Error, Result};
-use crate::data::Scene;
-use crate::data::View;
 use crate::data::corruption::corrupt;
 use crate::data::formats::builtin::export;
-use crate::run::{load_scene, scene_picture, split_name, write_corrupted};
+use crate::data::{Photos, Scene, View, images};
+use crate::run::{load_scene, load_scene_with, scene_picture, split_name, write_corrupted};
 use crate::settings::{Resolved, build};
 
 use super::UnusedWeights;
@@ -44,6 +43,9 @@ pub struct CheckArguments {
     /// Draw cameras, points, ray ends and the box into a PNG or SVG
     #[arg(long, value_name = "FILE.png")]
     picture: Option<PathBuf>,
+    /// Decode all photos, not only their headers, and print the hash of their pixels
+    #[arg(long)]
+    pixels: bool,
     /// Print errors and results only
     #[arg(long, short)]
     quiet: bool,
@@ -190,15 +192,33 @@ impl CheckArguments {
         // Last, as in training.
         assignments.extend(set);
         let config = build(None, None, &assignments)?;
-        let (config, scene) = load_scene(config, &console)?;
+        let photos = if self.pixels { Photos::Read } else { Photos::Later };
+        let (config, scene) = load_scene_with(config, photos, &console)?;
+        let sizes = scene.train.iter().chain(&scene.test).map(|view| (view.camera.width, view.camera.height));
+        images::check_memory_of(&sizes.collect::<Vec<_>>())?;
         say_without_effect(named.into_iter(), |setting| config.without_effect(setting), &console);
         let split = split_name(&config, scene.lacks_split);
-        let said: Vec<(String, String)> =
-            scene.describe().into_iter().chain([("split".to_string(), split.clone())]).collect();
+        let said: Vec<(String, String)> = scene
+            .describe()
+            .into_iter()
+            .chain([("split", &*split), ("pixels", pixels_words(&scene))].map(owned))
+            .collect();
         self.picture.as_ref().map_or(Ok(()), |file| draw(&config, &scene, file))?;
         self.answer.give(&CheckedScene::new(&config, &scene, split, &said), || {
             said.iter().try_for_each(|(label, value)| print_shown(&format!("{label:>16}  {value}")))
         })
+    }
+}
+
+fn owned((label, value): (&str, &str)) -> (String, String) {
+    (label.into(), value.into())
+}
+
+/// Returns how much of the photos was read.
+fn pixels_words(scene: &Scene) -> &'static str {
+    match scene.is_read() {
+        true => "all read",
+        false => "headers are read, and pixels only where alpha tells the background (--pixels reads all)",
     }
 }
 
@@ -216,7 +236,8 @@ struct CheckedScene<'a> {
     far: f64,
     ndc: bool,
     split: String,
-    data_hash: String,
+    /// Of all pixels, if they are read.
+    data_hash: Option<String>,
     /// The printed lines, label and value.
     said: serde_json::Map<String, serde_json::Value>,
 }
@@ -237,7 +258,7 @@ impl<'a> CheckedScene<'a> {
             far: scene.far,
             ndc: scene.ndc.is_some(),
             split,
-            data_hash: scene.hash(),
+            data_hash: scene.is_read().then(|| scene.hash()),
             said: said.iter().map(|(label, value)| (label.clone(), value.clone().into())).collect(),
         }
     }

@@ -9,7 +9,7 @@ use serde_json::json;
 use crate::base::csv::csv_text;
 use crate::base::{Error, Result};
 use crate::run::{
-    BalancedWeight, FieldSmoothness, RunDir, SMOOTHNESS_SIDE, Trained, balance, check_measurable, columns,
+    BalancedWeight, FieldSmoothness, OpenOptions, RunDir, SMOOTHNESS_SIDE, Trained, balance, check_measurable, columns,
     smoothness_box,
 };
 use crate::runtime::Runtime;
@@ -67,7 +67,7 @@ impl MeasureArguments {
     fn measure(&self, domain: Option<[[f64; 3]; 2]>, runtime: &Runtime, console: &Console) -> Result<()> {
         let (mut header, mut measured) = (true, Vec::new());
         for run in &self.runs {
-            let trained = Trained::open(run, self.data.as_deref(), runtime, console)?;
+            let trained = Trained::open_at(run, OpenOptions::CAMERAS, self.data.as_deref(), runtime, console)?;
             let domain = domain.unwrap_or_else(|| smoothness_box(&trained.scene));
             let lattice = Lattice { domain, side: self.lattice };
             lattice.check_meets(&trained.scene, "--bbox")?;

@@ -9,8 +9,8 @@ use crate::base::{Error, Result};
 use crate::data::Camera;
 use crate::draw::write_png8;
 use crate::run::{
-    Coverage, MeshFormat, MeshOptions, MeshPicture, MeshReport, MeshUnits, Trained, Viewpoint, builtin_surface,
-    columns, mesh_picture, named_mesh, reference_mesh,
+    Coverage, MeshFormat, MeshOptions, MeshPicture, MeshReport, MeshUnits, OpenOptions, Trained, Viewpoint,
+    builtin_surface, columns, mesh_picture, named_mesh, reference_mesh,
 };
 use crate::runtime::Runtime;
 use crate::settings::MESH_SIDES;
@@ -230,7 +230,7 @@ impl MeshArguments {
     }
 
     fn draw(&self, options: &MeshOptions, runtime: &Runtime, console: &Console) -> Result<()> {
-        let trained = Trained::open(&self.run, self.data.as_deref(), runtime, console)?;
+        let trained = Trained::open_at(&self.run, OpenOptions::CAMERAS, self.data.as_deref(), runtime, console)?;
         if let Some(domain) = options.domain {
             Lattice { domain, side: options.resolution }.check_meets(&trained.scene, "--bbox")?;
         }

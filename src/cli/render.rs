@@ -10,7 +10,7 @@ use crate::base::{Error, Event, Listener, Result};
 use crate::data::cameras::{self, Dataparser, MOST_PIXELS};
 use crate::data::{Camera, View};
 use crate::draw::without_mp4;
-use crate::run::{PathPictures, Pictures, Trained, Viewer};
+use crate::run::{OpenOptions, PathPictures, Pictures, Trained, Viewer};
 use crate::runtime::{Runtime, free_memory_mib};
 
 use super::answer::Answer;
@@ -124,7 +124,8 @@ impl RenderArguments {
     fn render(&self, size: Option<(usize, usize)>, runtime: &Runtime, console: &Console) -> Result<()> {
         let served = self.out.as_deref().filter(|_| self.serve);
         served.map_or(Ok(()), AtomicDir::check_vacant)?;
-        let trained = Trained::open(&self.run, self.sources.data.as_deref(), runtime, console)?;
+        let data = self.sources.data.as_deref();
+        let trained = Trained::open_at(&self.run, OpenOptions::CAMERAS, data, runtime, console)?;
         if let Some(folder) = served {
             return serve::serve(trained, folder);
         }
@@ -225,7 +226,7 @@ fn views(viewer: Viewer, folder: &Path, console: &Console) -> Result<()> {
     for (index, view) in views.iter().enumerate() {
         let rendered = viewer.render_with(&*renderer, &view.camera)?;
         console.on(Event::Advanced);
-        pictures.write(index, view, &rendered)?;
+        pictures.write(index, &view.read()?, &rendered)?;
     }
     pictures.finish()
 }

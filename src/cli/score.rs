@@ -9,8 +9,8 @@ use serde_json::{Map, Value, json};
 use crate::base::csv::csv_text;
 use crate::base::files::write_named;
 use crate::base::{Error, Result, version};
-use crate::data::Scene;
 use crate::data::images::is_image;
+use crate::data::{Photos, Scene};
 use crate::metrics::{METRICS, Metric, PSNR, Scope, no_better_than_one_colour};
 use crate::run::{
     Matching, Picture, RunDir, Score, Truth, both_pictures, load_lpips, load_scene, load_scene_of, pictures, score,
@@ -173,7 +173,7 @@ impl ScoreArguments {
         let config = match (&self.truth, &self.data, into) {
             (Some(truth), ..) if RunDir::holds_run(truth) => {
                 let run = RunDir::open(truth)?;
-                return load_scene_of(&run, run.read_config()?, console).map(Some);
+                return load_scene_of(&run, run.read_config()?, Photos::Read, console).map(Some);
             }
             (Some(_), ..) => return Ok(None),
             (None, Some(data), _) => self.config(data, console)?,

@@ -8,7 +8,7 @@ use clap::Args;
 use tempfile::NamedTempFile;
 
 use crate::base::{Error, Result};
-use crate::data::seen_views;
+use crate::data::{Photos, seen_views};
 use crate::metrics::{Backbone, FLOOR_PSNR, LPIPS, PSNR, SSIM};
 use crate::run::{
     Estimate, Existing, Finished, Job, RunDir, Setup, check_replaceable, load_lpips, load_scene, load_scene_of,
@@ -224,7 +224,7 @@ impl ResumeArguments {
         }
         config.eval.lpips_weights = self.sources.weights.or(&config);
         let lpips = load_lpips(&config.eval.lpips_weights, runtime.device())?;
-        let (config, scene) = load_scene_of(&run, config, console)?;
+        let (config, scene) = load_scene_of(&run, config, Photos::Read, console)?;
         let setup = Setup { config, scene: &scene, lpips: &lpips, runtime: runtime.clone() };
         let views = Views::of(&setup);
         let page = self.live.open(&setup, &self.run)?;

@@ -19,7 +19,13 @@ use tempfile::TempDir;
 
 /// What was said.
 #[derive(Default)]
-struct Notes(Mutex<Vec<String>>);
+pub struct Notes(Mutex<Vec<String>>);
+
+impl Notes {
+    pub fn text(self) -> String {
+        self.0.into_inner().unwrap().join("\n")
+    }
+}
 
 impl Listener for Notes {
     fn on(&self, event: Event<'_>) {
@@ -36,7 +42,7 @@ pub struct Folder {
 }
 
 /// A photograph whose colours tell its number, column and row.
-fn photograph(number: usize, width: u32, height: u32) -> RgbImage {
+pub fn photograph(number: usize, width: u32, height: u32) -> RgbImage {
     RgbImage::from_fn(width, height, |x, y| Rgb([(20 * number) as u8, (x * 10) as u8, (y * 12) as u8]))
 }
 
@@ -78,9 +84,34 @@ impl Folder {
         fs::remove_file(self.path().join(format!("images/{number}.png"))).unwrap();
     }
 
+    pub fn into_dir(self) -> TempDir {
+        self.dir
+    }
+
+    /// Names the photographs anew.
+    pub fn name_files(&mut self, name: impl Fn(usize) -> String) {
+        let frames = self.document["frames"].as_array_mut().unwrap();
+        frames.iter_mut().enumerate().for_each(|(i, frame)| frame["file_path"] = name(i).into());
+    }
+
+    /// Moves all cameras.
+    pub fn moved(mut self, shift: [f64; 3]) -> Folder {
+        for frame in self.document["frames"].as_array_mut().unwrap() {
+            for (row, shift) in shift.into_iter().enumerate() {
+                let place = &mut frame["transform_matrix"][row][3];
+                *place = (place.as_f64().unwrap() + shift).into();
+            }
+        }
+        self
+    }
+
+    pub fn write(&self) {
+        fs::write(self.path().join("transforms.json"), self.document.to_string()).unwrap();
+    }
+
     /// Writes the document and loads the scene as the program does; what is said comes back, too.
     fn read(&self, change: impl FnOnce(&mut DataConfig)) -> (Result<Scene>, Vec<String>) {
-        fs::write(self.path().join("transforms.json"), self.document.to_string()).unwrap();
+        self.write();
         read(self.path(), change)
     }
 
@@ -463,7 +494,7 @@ fn webp_is_read_with_and_without_its_ending() {
 }
 
 /// A JPEG with an EXIF orientation.
-fn turned_jpeg(picture: RgbImage, orientation: u8) -> Vec<u8> {
+pub fn turned_jpeg(picture: RgbImage, orientation: u8) -> Vec<u8> {
     let mut plain = std::io::Cursor::new(Vec::new());
     DynamicImage::from(picture).write_to(&mut plain, ImageFormat::Jpeg).unwrap();
     let plain = plain.into_inner();
@@ -492,7 +523,7 @@ fn exif_orientation_is_named_and_applied_only_where_the_file_says_so() {
     let scene = scene.unwrap();
     let View { camera, image, .. } = view(&scene, "3");
     assert_eq!((camera.width, camera.height, camera.centre), (12, 16, [6.0, 8.0]));
-    assert!(!notes.concat().contains("EXIF"), "{notes:?}");
+    assert_says(&notes.concat(), &["1 photographs", "EXIF", "is applied", "images/3.jpg"]);
     let green = |x: usize, y: usize| image.pixels[(y * 12 + x) * 3 + 1] * 255.0;
     assert!(green(6, 1) < 25.0 && green(6, 14) > 125.0, "{} {}", green(6, 1), green(6, 14));
 }

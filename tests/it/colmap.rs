@@ -24,17 +24,17 @@ pub struct Photograph {
     quaternion: [f64; 4],
     shift: Vec3,
     camera: u32,
-    name: String,
+    pub name: String,
 }
 
 /// Number, model's number and name, columns, rows, parameters.
-type Lens = (u32, i32, &'static str, [u64; 2], Vec<f64>);
+pub type Lens = (u32, i32, &'static str, [u64; 2], Vec<f64>);
 
 /// A model to write.
 #[derive(Default)]
 pub struct Model {
-    cameras: Vec<Lens>,
-    photographs: Vec<Photograph>,
+    pub cameras: Vec<Lens>,
+    pub photographs: Vec<Photograph>,
     /// Places, and photographs that see them.
     points: Vec<(Vec3, Vec<u32>)>,
 }
@@ -530,7 +530,7 @@ fn a_colmap_folder_is_checked_drawn_trained_and_meshed() {
 }
 
 /// A threshold that has a level set: what the refusal of one that has none names.
-fn threshold(mesh: &[&str]) -> String {
+pub fn threshold(mesh: &[&str]) -> String {
     let command: Vec<&str> = mesh.iter().copied().chain(["--threshold", "1e9"]).collect();
     let message = String::from_utf8(crate::common::program::run(&command).stderr).unwrap();
     let (_, rest) = message.split_once("a threshold of ").unwrap_or_else(|| panic!("{message}"));
@@ -539,12 +539,17 @@ fn threshold(mesh: &[&str]) -> String {
 
 /// `poses_bounds.npy` of twelve cameras on an arc of so many degrees around (0, 0, -3).
 pub fn arc(dir: &Path, degrees: f64) {
+    arc_of(dir, degrees, [16.0, 12.0]);
+}
+
+/// The same for photographs of so many columns and rows.
+pub fn arc_of(dir: &Path, degrees: f64, [columns, rows]: [f64; 2]) {
     let row = |view: usize| {
         let angle = (degrees * (view as f64 / 11.0 - 0.5)).to_radians();
         let (sin, cos) = angle.sin_cos();
         let (x, z) = (3.0 * sin, 3.0 * cos - 3.0);
         // Columns down, right, back, origin, (height, width, focal).
-        [0.0, cos, sin, x, 12.0, -1.0, 0.0, 0.0, 0.0, 16.0, 0.0, -sin, cos, z, 14.0, 1.0, 60.0]
+        [0.0, cos, sin, x, rows, -1.0, 0.0, 0.0, 0.0, columns, 0.0, -sin, cos, z, 14.0, 1.0, 60.0]
     };
     let values: Vec<f64> = (0..12).flat_map(row).collect();
     fs::write(dir.join("poses_bounds.npy"), crate::fuzz::formats::npy((12, 17), &values)).unwrap();

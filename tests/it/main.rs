@@ -38,6 +38,7 @@ mod own_sites;
 mod page;
 mod paths;
 mod perturbations;
+mod photos;
 mod pictures;
 mod plain;
 mod planes;

@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 
 use augnerf::data::npy::read_array;
 use augnerf::data::pose::Pose;
-use augnerf::data::{Scene, View};
+use augnerf::data::{Photos, Scene, View};
 use augnerf::run::{RunDir, load_scene, load_scene_of, settings_to_go_on};
 use augnerf::settings::{Axes, Config, DataKind, Extent, PixelOrigin, Resolved, Split, scene_name};
 use serde_json::{Value, json};
@@ -41,7 +41,7 @@ fn begun(config: &Config) -> (TempDir, RunDir) {
 }
 
 fn again(run: &RunDir) -> (Resolved, Scene) {
-    load_scene_of(run, run.read_config().unwrap(), &()).unwrap()
+    load_scene_of(run, run.read_config().unwrap(), Photos::Read, &()).unwrap()
 }
 
 fn train(data: &Path, out: &Path, further: &[&str]) {

@@ -113,7 +113,7 @@ pub fn scene() -> Scene {
     };
     let pixels = (0..64 * 64 * 3).map(|i| (i * 7919 % 256) as f32 / 255.0).collect();
     let image = Image { width: 64, height: 64, channels: 3, pixels };
-    let view = View { name: "noise".into(), camera, image: image.into(), depth: None, mask: None };
+    let view = View::new("noise", camera, image);
     // A second view from the side, between which and the first there are unseen ones.
     let mut beside = View { name: "noise beside".into(), ..view.clone() };
     beside.camera.pose = [[0.8, 0.0, 0.6, 2.4], [0.0, 1.0, 0.0, 0.0], [-0.6, 0.0, 0.8, 3.2]];
@@ -142,7 +142,7 @@ fn scene_of(method: Method) -> Scene {
             camera.pose[0][3] = 0.2 * index as f64;
             let pixels = (0..128 * 128 * 3).map(|i| ((i + index) * 7919 % 256) as f32 / 255.0).collect();
             let image = Image { width: 128, height: 128, channels: 3, pixels };
-            View { name: format!("noise {index}"), camera, image: image.into(), depth: None, mask: None }
+            View::new(format!("noise {index}"), camera, image)
         };
         scene.train = (0..8).map(view).collect();
     }

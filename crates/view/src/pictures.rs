@@ -110,7 +110,7 @@ impl Pictures {
 
     /// Returns the photograph of a view.
     pub fn photograph(&self, runs: &[Arc<ShownRun>], arguments: &Arguments) -> Answer {
-        png(&arguments.view(&runs[0].scene)?.ok_or_else(|| "view is missing".to_string())?.image)
+        png(&arguments.view(&runs[0].scene)?.ok_or_else(|| "view is missing".to_string())?.read()?.image)
     }
 
     /// Returns the samples along the ray of a pixel.
@@ -186,6 +186,7 @@ fn png(image: &Image) -> Answer {
 
 /// Returns what a photograph shows at pixels of a picture of its camera in another size, `[pixels, 3]`.
 fn photographed(view: &View, camera: &Camera, pixels: &[(u32, u32)]) -> Result<Tensor> {
+    let view = view.read()?;
     let Image { width, height, channels, pixels: values } = &*view.image;
     // `with_size` keeps the vertical field of view, around the middle of the columns.
     let scale = *height as f64 / camera.height as f64;

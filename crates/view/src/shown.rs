@@ -89,7 +89,7 @@ impl ShownRun {
     /// # Errors
     /// Those of [`Trained::open_at`]; weights are not numbers.
     pub fn open(folder: &Path, data: Option<&Path>, runtime: &Runtime, events: &dyn Listener) -> Result<ShownRun> {
-        let options = OpenOptions { beside_training: true, ..OpenOptions::default() };
+        let options = OpenOptions { beside_training: true, ..OpenOptions::CAMERAS };
         let Trained { config, scene, state, model, runtime, .. } =
             Trained::open_at(folder, options, data, runtime, events)?;
         let label =

@@ -33,7 +33,7 @@ pub fn tiny_scene() -> Scene {
             [1.0 - 0.2 * inside, 1.0 - 0.7 * inside, 1.0 - inside].map(|v| v as f32)
         });
         let image = Image { width: 16, height: 16, channels: 3, pixels: pixels.collect() };
-        View { name: format!("view{index}"), camera, image: image.into(), depth: None, mask: None }
+        View::new(format!("view{index}"), camera, image)
     };
     // Where the ball's front may be.
     let points = (0..5).map(|i| [0.1 * i as f32 - 0.2, 0.0, 0.8]).collect();

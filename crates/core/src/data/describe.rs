@@ -93,7 +93,7 @@ impl Scene {
 impl Scene {
     /// Returns what is known of the held-out views' depth.
     fn depth_words(&self) -> &'static str {
-        match (self.test.iter().any(|view| view.depth.is_some()), self.has_exact_depth()) {
+        match (self.test.iter().any(View::has_depth), self.has_exact_depth()) {
             (true, true) => "yes",
             (true, false) => "no (depth maps in steps of 8 bits)",
             (false, _) => "no",

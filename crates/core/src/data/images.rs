@@ -1,7 +1,4 @@
 //! Image files: their sizes, parallel decoding, and resampling to the working resolution.
-//!
-//! Pixels are read as stored. An EXIF orientation is not applied, and COLMAP does not apply it either. It is applied
-//! only if a capture's file says that its poses are those of turned photos ([`crate::data::formats::transforms`]).
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs::File;
@@ -23,6 +20,8 @@ use crate::settings::DataConfig;
 const MOST_BYTES: u64 = 1 << 30;
 /// Largest size of a decoded WebP image in bytes. Its decoder needs more than twice as much temporarily.
 const MOST_WEBP: u64 = 384 << 20;
+
+const MIB: f64 = (1 << 20) as f64;
 
 /// Most bytes of a decoded pixel: four channels of 16 bits.
 const MOST_PIXEL_BYTES: u64 = 8;
@@ -266,32 +265,41 @@ pub(super) fn factor_of(name: &str) -> Option<usize> {
     }
 }
 
-/// Returns width, height and EXIF orientation.
-pub(super) fn header(path: &Path) -> Result<((usize, usize), Orientation)> {
-    let mut decoder = limited(open(path)?, 0).into_decoder().map_err(|e| undecodable(path, &e))?;
-    let size = sound(path, decoder.dimensions())?;
-    // Damaged EXIF data does not make an image damaged.
-    Ok((size, decoder.orientation().unwrap_or(Orientation::NoTransforms)))
+/// What a photo's header says.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Header {
+    /// Width and height, of the turned photo if it is turned.
+    pub(super) size: (usize, usize),
+    /// The EXIF orientation.
+    pub(super) exif: Orientation,
+    /// Whether pixels are turned by it.
+    pub(super) turned: bool,
+    /// Whether there is an alpha channel.
+    pub(super) has_alpha: bool,
 }
 
-/// Notes which photos viewers show turned, since pixels are read as stored.
-pub(super) fn note_turned(scene: &Path, paths: &[PathBuf], events: &dyn Listener) -> Result<()> {
-    let mut turned: Vec<String> = Vec::new();
-    for path in paths {
-        if header(path)?.1 != Orientation::NoTransforms {
-            turned.push(path.file_name().unwrap_or_default().to_string_lossy().into_owned());
-        }
+impl Header {
+    /// Reads a file's header.
+    pub(super) fn read(path: &Path) -> Result<Header> {
+        let mut decoder = limited(open(path)?, 0).into_decoder().map_err(|e| undecodable(path, &e))?;
+        let (size, has_alpha) = (sound(path, decoder.dimensions())?, decoder.color_type().has_alpha());
+        // Damaged EXIF data does not make an image damaged.
+        let exif = decoder.orientation().unwrap_or(Orientation::NoTransforms);
+        Ok(Header { size, exif, turned: false, has_alpha })
     }
-    if !turned.is_empty() {
-        events.on(Event::Note(&format!(
-            "{}: {} photographs have an EXIF orientation, which is not applied (pixels are taken as they are stored, as COLMAP takes \
-             them): {}",
-            scene.display(),
-            turned.len(),
-            turned.join(", ")
-        )));
+
+    /// Returns the header of the photo turned by its EXIF orientation, if only that fits its camera.
+    pub(super) fn turned_to_fit(self, fits: impl Fn((usize, usize)) -> bool) -> Header {
+        use Orientation::{Rotate90, Rotate90FlipH, Rotate270, Rotate270FlipH};
+        let swaps = matches!(self.exif, Rotate90 | Rotate90FlipH | Rotate270 | Rotate270FlipH);
+        let size = (self.size.1, self.size.0);
+        if swaps && !fits(self.size) && fits(size) { Header { size, turned: true, ..self } } else { self }
     }
-    Ok(())
+
+    /// Returns the turn from the stored pixels to the photo.
+    pub(super) fn turn(&self) -> Orientation {
+        if self.turned { self.exif } else { Orientation::NoTransforms }
+    }
 }
 
 fn open(path: &Path) -> Result<ImageReader<BufReader<File>>> {
@@ -328,27 +336,25 @@ fn sound(path: &Path, (width, height): (u32, u32)) -> Result<(usize, usize)> {
     Ok((width as usize, height as usize))
 }
 
-/// Returns the common size of all files.
-pub fn common_size(paths: &[PathBuf]) -> Result<(usize, usize)> {
-    let Some(first) = paths.first() else {
+/// Reads the headers of all files, which must have one size once turned to fit.
+pub(super) fn headers_of_one_size(paths: &[PathBuf], fits: impl Fn((usize, usize)) -> bool) -> Result<Vec<Header>> {
+    let headers: Vec<Header> =
+        paths.iter().map(|path| Ok(Header::read(path)?.turned_to_fit(&fits))).collect::<Result<_>>()?;
+    let Some(first) = headers.first().map(|header| header.size) else {
         return Err(Error::Data("no image files to read".into()));
     };
-    let expected = size(first)?;
-    for path in paths {
-        let found = size(path)?;
-        if found != expected {
-            return Err(Error::Data(format!(
-                "{} is {}x{} pixels but {} is {}x{}: all images of a scene must have one size",
-                first.display(),
-                expected.0,
-                expected.1,
-                path.display(),
-                found.0,
-                found.1
-            )));
-        }
-    }
-    Ok(expected)
+    let other = headers.iter().zip(paths).find(|(header, _)| header.size != first);
+    other.map_or(Ok(headers.clone()), |(Header { size, .. }, path)| {
+        Err(Error::Data(format!(
+            "{} is {}x{} pixels but {} is {}x{}: all images of a scene must have one size",
+            paths[0].display(),
+            first.0,
+            first.1,
+            path.display(),
+            size.0,
+            size.1
+        )))
+    })
 }
 
 /// Decodes one PNG, JPEG or WebP file of 8 or 16 bits.
@@ -402,16 +408,11 @@ pub fn read(path: &Path, to: (usize, usize)) -> Result<Image> {
     Ok(averaged(&decode(path)?, to))
 }
 
-/// Returns an error for more images of a size than the free memory can hold.
-pub(super) fn check_memory(count: usize, size: (usize, usize)) -> Result<()> {
-    check_memory_of(&vec![size; count])
-}
-
-/// The same for images of different sizes.
-pub(super) fn check_memory_of(sizes: &[(usize, usize)]) -> Result<()> {
+/// Returns an error for more images, each of width and height, than the free memory can hold.
+pub fn check_memory_of(sizes: &[(usize, usize)]) -> Result<()> {
     let Some(free) = free_memory_mib() else { return Ok(()) };
     let bytes = |&(width, height): &(usize, usize)| width as f64 * height as f64 * (3 * size_of::<f32>()) as f64;
-    let needed = sizes.iter().map(bytes).sum::<f64>() / f64::from(1 << 20);
+    let needed = sizes.iter().map(bytes).sum::<f64>() / MIB;
     if needed <= free {
         return Ok(());
     }
@@ -425,54 +426,49 @@ pub(super) fn check_memory_of(sizes: &[(usize, usize)]) -> Result<()> {
     )))
 }
 
-/// Returns how many images may be decoded at once, so that temporary memory stays bounded.
-fn at_once(paths: &[PathBuf]) -> Result<usize> {
-    /// Samples of up to 16 bits with alpha.
-    const PIXEL_BYTES: usize = 8;
-    const BYTES: usize = 1 << 31;
-    let mut largest = 1;
-    for path in paths {
-        let (width, height) = size(path)?;
-        largest = largest.max(width.saturating_mul(height));
+/// Returns how many of these files, each with the bytes that reading it takes, may be read at once.
+///
+/// # Errors
+/// Not even one.
+fn at_once(files: &[(&Path, f64)]) -> Result<usize> {
+    /// So that temporary memory stays bounded.
+    const MOST_MIB: f64 = 2048.0;
+    let Some((path, largest)) = files.iter().max_by(|a, b| a.1.total_cmp(&b.1)) else { return Ok(1) };
+    let (free, needed) = (free_memory_mib(), largest / MIB);
+    if let Some(free) = free.filter(|free| needed > *free) {
+        return Err(Error::Data(format!(
+            "{} takes up to {needed:.0} MiB of memory to read, and {free:.0} MiB are free; raise the memory limit, or make the photos \
+             smaller first",
+            path.display()
+        )));
     }
-    Ok((BYTES / PIXEL_BYTES / largest).max(1))
+    // The allocator needs room, too, and what is read stays.
+    let room = free.map_or(MOST_MIB, |free| (free / 2.0).min(MOST_MIB));
+    Ok(((room / needed) as usize).max(1))
 }
 
-/// Runs `read` over all files in parallel. Of several failures it reports that of the first file, whichever came first
-/// in time.
+/// Runs `read` over all files, each with the bytes that reading it takes, in parallel. Of several failures it reports that of
+/// the first file, whichever came first in time.
 pub(super) fn each<T: Send>(
-    paths: &[PathBuf],
+    files: &[(&Path, f64)],
     label: &str,
     events: &dyn Listener,
-    read: impl Fn(usize, &Path) -> Result<T> + Sync,
+    read: impl Fn(usize) -> Result<T> + Sync,
 ) -> Result<Vec<T>> {
-    events.on(Event::Started { what: label, parts: paths.len() as u64 });
-    let work = |(i, path): (usize, &PathBuf)| {
-        let result = read(i, path);
+    events.on(Event::Started { what: label, parts: files.len() as u64 });
+    let work = |i: usize| {
+        let result = read(i);
         events.on(Event::Advanced);
         result
     };
-    let numbered: Vec<(usize, &PathBuf)> = paths.iter().enumerate().collect();
-    let mut results: Vec<Result<T>> = Vec::with_capacity(paths.len());
-    for some in numbered.chunks(at_once(paths)?) {
-        results.par_extend(some.par_iter().copied().map(work));
+    let mut results: Vec<Result<T>> = Vec::with_capacity(files.len());
+    while results.len() < files.len() {
+        let (first, rest) = (results.len(), &files[results.len()..]);
+        let last = first + at_once(rest)?.min(rest.len());
+        results.par_extend((first..last).into_par_iter().map(work));
     }
     events.on(Event::Finished);
     results.into_iter().collect()
-}
-
-/// Reads all files at `to` onto `background`. The flag says whether anything was transparent.
-pub(super) fn read_all(
-    paths: &[PathBuf],
-    to: (usize, usize),
-    background: [f32; 3],
-    label: &str,
-    events: &dyn Listener,
-) -> Result<(Vec<Image>, bool)> {
-    check_memory(paths.len(), to)?;
-    let read = |_, path: &Path| Ok(resample::composite(read(path, to)?, background));
-    let (images, clear): (Vec<Image>, Vec<bool>) = each(paths, label, events, read)?.into_iter().unzip();
-    Ok((images, clear.contains(&true)))
 }
 
 /// Describes the folder of the files, their size, and their working size.

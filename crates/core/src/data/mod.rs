@@ -7,6 +7,7 @@ pub mod depth;
 mod describe;
 mod detect;
 pub mod formats;
+mod frame;
 pub mod images;
 mod json;
 mod load_notes;
@@ -32,6 +33,7 @@ pub use camera::{Camera, Ndc};
 pub use corruption::Corrupted;
 pub use detect::detect;
 pub use formats::{Capture, FORMATS, Format, ReferenceDepth};
+pub use frame::{Photos, Unread};
 pub use lookalikes::scene_of_file;
 pub use points::PointRays;
 pub use rays::{Footprint, RayBuffer, RayParts, Rays, tangents};
@@ -64,6 +66,8 @@ pub struct View {
     pub depth: Option<Vec<f32>>,
     /// Which pixels count, row-major. Others are neither trained on nor measured. `None` if all count.
     pub mask: Option<Arc<[bool]>>,
+    /// Where image, depth and mask come from ([`View::read`]) if they are not read: the image then has no pixels.
+    pub unread: Option<Arc<Unread>>,
 }
 
 /// A loaded scene, ready for training: every pose final, every image at the working resolution.
@@ -126,7 +130,12 @@ impl Scene {
         self.format().is_some_and(|format| format.depth == ReferenceDepth::Exact)
     }
 
-    /// Returns a 12-digit hash of all views: the data of training and metrics.
+    /// Returns whether all photos are read.
+    pub fn is_read(&self) -> bool {
+        self.train.iter().chain(&self.test).all(|view| view.unread.is_none())
+    }
+
+    /// Returns a 12-digit hash of all views: the data of training and metrics. The scene must be [read](Scene::is_read).
     pub fn hash(&self) -> String {
         let mut digest = Sha256::new();
         digest.update(self.near.to_le_bytes());
@@ -193,11 +202,17 @@ pub fn may_have_box(config: &DataConfig) -> bool {
 /// Loads the scene that `config` names. Its kind must be settled ([`detect`]) and `downscale` filled. `seed` is for the
 /// corruption of training views.
 pub fn load(config: &DataConfig, seed: u64, events: &dyn Listener) -> Result<Scene> {
+    load_with(config, seed, Photos::Read, events)
+}
+
+/// Does the same, and reads as much of the photos as is asked for. Corruptions read all.
+pub fn load_with(config: &DataConfig, seed: u64, photos: Photos, events: &dyn Listener) -> Result<Scene> {
     let Some(format) = Format::of(config.kind) else {
         return Err(Error::Config("data.kind = \"auto\" has to be settled before the scene is loaded".into()));
     };
     let load_notes = LoadNotes::new(events);
-    let mut scene = (format.read)(config, &load_notes)?;
+    let photos = if config.corruption.is_on() { Photos::Read } else { photos };
+    let mut scene = (format.read)(config, photos, &load_notes)?;
     load_notes.words(&config.dir).into_iter().for_each(|words| scene.space.note("noted", words));
     if config.rescale {
         rescale::rescale(&mut scene, may_have_box(config))?;

@@ -2,6 +2,7 @@
 
 use super::pose::{self, Pose, Vec3};
 use super::{Camera, Rig, Scene, View};
+use crate::metrics::are_one_colour;
 use crate::settings::DataKind;
 
 /// Fewest training views of which nothing is said.
@@ -28,13 +29,24 @@ pub(super) fn of(scene: &Scene) -> Vec<String> {
     let place = one_place(scene, &views);
     // Of cameras in one place the rest follows.
     let same = if place.is_some() { None } else { same_pose(&views).or_else(|| look_away(scene, &views)) };
-    [few(scene), place, same].into_iter().chain(lens).flatten().collect()
+    [few(scene), place, same, one_colour(scene)].into_iter().chain(lens).flatten().collect()
 }
 
 fn few(scene: &Scene) -> Option<String> {
     let count = scene.train.len();
     let views = if count == 1 { "view trains" } else { "views train" };
     (count < FEW_VIEWS).then(|| format!("only {count} {views}: a field needs at least {FEW_VIEWS} to find depth"))
+}
+
+/// Views that show nothing. Any picture of their colour is perfect.
+fn one_colour(scene: &Scene) -> Option<String> {
+    let is_flat = |views: &[View]| scene.is_read() && !views.is_empty() && are_one_colour(views);
+    let (what, views) =
+        [("held-out", &scene.test), ("training", &scene.train)].into_iter().find(|(_, views)| is_flat(views))?;
+    Some(format!(
+        "all {} {what} views are of one and the same colour: they show nothing, and metrics mean nothing",
+        views.len()
+    ))
 }
 
 /// Most cameras without parallax, as of a tripod.

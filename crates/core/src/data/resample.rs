@@ -79,20 +79,21 @@ pub fn composite(image: Image, background: [f32; 3]) -> (Image, bool) {
     (Image { channels: 3, pixels, ..image }, clear)
 }
 
-/// Returns the bilinear value of every channel at continuous coordinates (the centre of pixel (0, 0) is (0.5, 0.5)).
+/// Writes the bilinear value of every channel at continuous coordinates (the centre of pixel (0, 0) is (0.5, 0.5)).
 /// Coordinates outside take the nearest edge.
-pub fn bilinear(image: &Image, x: f64, y: f64, out: &mut Vec<f32>) {
+pub fn bilinear(image: &Image, x: f64, y: f64, out: &mut [f32]) {
     let cell = |at: f64, size: usize| {
         let at = (at - 0.5).clamp(0.0, (size - 1) as f64);
-        let low = at.floor() as usize;
+        let low = at as usize;
         (low, (low + 1).min(size - 1), (at - low as f64) as f32)
     };
     let ((x0, x1, fx), (y0, y1, fy)) = (cell(x, image.width), cell(y, image.height));
-    for c in 0..image.channels {
-        let at = |x: usize, y: usize| image.pixels[(y * image.width + x) * image.channels + c];
-        let top = at(x0, y0) * (1.0 - fx) + at(x1, y0) * fx;
-        let bottom = at(x0, y1) * (1.0 - fx) + at(x1, y1) * fx;
-        out.push(top * (1.0 - fy) + bottom * fy);
+    let channels = out.len();
+    let texel = |x: usize, y: usize| &image.pixels[(y * image.width + x) * channels..][..channels];
+    let (tops, bottoms) = (texel(x0, y0).iter().zip(texel(x1, y0)), texel(x0, y1).iter().zip(texel(x1, y1)));
+    for (((a, b), (c, d)), out) in tops.zip(bottoms).zip(out.iter_mut()) {
+        let (top, bottom) = (a * (1.0 - fx) + b * fx, c * (1.0 - fx) + d * fx);
+        *out = top * (1.0 - fy) + bottom * fy;
     }
 }
 
@@ -138,9 +139,9 @@ mod tests {
 
     #[test]
     fn bilinear_is_exact_on_a_ramp() {
-        let mut out = Vec::new();
-        bilinear(&ramp(4, 4), 1.75, 2.25, &mut out);
-        bilinear(&ramp(4, 4), -9.0, 9.0, &mut out);
+        let mut out = [0.0; 2];
+        bilinear(&ramp(4, 4), 1.75, 2.25, &mut out[..1]);
+        bilinear(&ramp(4, 4), -9.0, 9.0, &mut out[1..]);
         assert_eq!(out, [1.25 + 17.5, 30.0]);
     }
 }

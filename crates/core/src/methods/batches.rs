@@ -219,7 +219,7 @@ mod tests {
             // Every pixel's colour names it.
             let pixels = (0..48).flat_map(|p| [index as f32, (p % 8) as f32, (p / 8) as f32]).collect();
             let image = Image { width: 8, height: 6, channels: 3, pixels };
-            View { name: index.to_string(), camera, image: image.into(), depth: None, mask: None }
+            View::new(index.to_string(), camera, image)
         };
         Scene {
             name: "test".into(),

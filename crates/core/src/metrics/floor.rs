@@ -76,16 +76,21 @@ fn counting<'a>(image: &'a Image, mask: Option<&'a [bool]>) -> impl Iterator<Ite
     texels.filter(move |(pixel, _)| mask.is_none_or(|mask| mask[*pixel])).map(|(_, texel)| texel)
 }
 
-/// The largest difference of a channel between two pixels that count.
-fn spread(image: &Image, mask: Option<&[bool]>) -> f32 {
-    let mut ranges = vec![[f32::INFINITY, f32::NEG_INFINITY]; image.channels];
-    for texel in counting(image, mask) {
+/// The largest difference of a channel between two pixels that count, of all images.
+fn spread<'a>(images: impl IntoIterator<Item = (&'a Image, Option<&'a [bool]>)>) -> f32 {
+    let mut ranges = [[f32::INFINITY, f32::NEG_INFINITY]; RGB];
+    for texel in images.into_iter().flat_map(|(image, mask)| counting(image, mask)) {
         ranges
             .iter_mut()
             .zip(texel)
             .for_each(|([low, high], value)| (*low, *high) = (low.min(*value), high.max(*value)));
     }
     ranges.iter().map(|[low, high]| high - low).fold(0.0, f32::max)
+}
+
+/// Returns whether all pixels of all views that count are of one colour.
+pub fn are_one_colour(views: &[View]) -> bool {
+    spread(views.iter().map(|view| (&*view.image, view.mask.as_deref()))) <= MANY_COLOURS
 }
 
 /// Whether all rendered pictures are of one colour each, while photos are not: then nothing was learned.
@@ -98,8 +103,8 @@ pub struct OneColour {
 impl OneColour {
     /// Adds a rendered view and its photo.
     pub fn add(&mut self, rendered: &Image, photo: &Image, mask: Option<&[bool]>) {
-        self.rendered_differs |= spread(rendered, mask) > ONE_COLOUR;
-        self.photo_differs |= spread(photo, mask) > MANY_COLOURS;
+        self.rendered_differs |= spread([(rendered, mask)]) > ONE_COLOUR;
+        self.photo_differs |= spread([(photo, mask)]) > MANY_COLOURS;
     }
 
     /// Returns the answer for the views so far.

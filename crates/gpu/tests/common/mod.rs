@@ -27,7 +27,7 @@ pub fn scene() -> Scene {
         let pixel = |i: usize, c: usize| 0.5 + 0.4 * (0.3 * i as f32 + c as f32 + index as f32).sin();
         let pixels = (0..256).flat_map(|i| [pixel(i, 0), pixel(i, 1), pixel(i, 2)]).collect();
         let image = Image { width: 16, height: 16, channels: 3, pixels };
-        View { name: format!("view {index}"), camera, image: image.into(), depth: None, mask: None }
+        View::new(format!("view {index}"), camera, image)
     };
     Scene {
         name: "waves".into(),

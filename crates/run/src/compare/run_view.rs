@@ -57,7 +57,7 @@ impl RunView {
             names_steps: false,
             row: None,
             protocol: Protocol::new(config, scene, state),
-            view: scene.test[index].clone(),
+            view: scene.test[index].read()?,
             index,
             ndc: scene.ndc,
             bounds: scene.bounds(),

@@ -7,7 +7,7 @@ use candle_core::Device;
 use crate::base::{Error, Event, Listener, Result};
 use crate::data::formats::llff::settle_orbit;
 use crate::data::formats::transforms;
-use crate::data::{self, Scene};
+use crate::data::{self, Photos, Scene};
 use crate::metrics::{Backbone, Lpips};
 use crate::settings::{Config, DataKind, Located, NO_REFERENCE, Resolved, Spacing, Split, scene_name};
 
@@ -76,9 +76,17 @@ fn find(mut config: Config) -> Result<Config> {
 /// # Ok::<(), augnerf::base::Error>(())
 /// ```
 pub fn load_scene(config: Config, events: &dyn Listener) -> Result<(Resolved, Scene)> {
+    load_scene_with(config, Photos::Read, events)
+}
+
+/// Does the same, and reads as much of the photos as is asked for.
+///
+/// # Errors
+/// Those of [`load_scene`].
+pub fn load_scene_with(config: Config, photos: Photos, events: &dyn Listener) -> Result<(Resolved, Scene)> {
     let (located, orbit) = locate(config)?;
     orbit.iter().for_each(|words| events.on(Event::Note(words)));
-    let scene = load(&located, events)?;
+    let scene = load(&located, photos, events)?;
     Ok((located.resolve(scene.extent()), scene))
 }
 
@@ -87,12 +95,12 @@ pub fn load_scene(config: Config, events: &dyn Listener) -> Result<(Resolved, Sc
 ///
 /// # Errors
 /// Those of [`load_scene`]; the scene has changed since ([`Error::Data`]).
-pub fn load_scene_of(run: &RunDir, config: Config, events: &dyn Listener) -> Result<(Resolved, Scene)> {
+pub fn load_scene_of(run: &RunDir, config: Config, photos: Photos, events: &dyn Listener) -> Result<(Resolved, Scene)> {
     let (begun, seen) = (run.read_config()?.data, RecordedScene::of(run)?);
     let config = find(config)?;
     let kind = config.data.kind;
     let located = config.locate(kind)?;
-    let mut scene = load(&located, events)?;
+    let mut scene = load(&located, photos, events)?;
     seen.restore_bounds(&mut scene, &located.data);
     seen.check(&scene, &located.data, begun.eval_split == located.data.eval_split)?;
     Ok((located.resolve(scene.extent()), scene))
@@ -117,8 +125,8 @@ pub fn settings_to_go_on(run: &RunDir) -> Result<Config> {
 }
 
 /// Loads a located scene.
-fn load(located: &Located, events: &dyn Listener) -> Result<Scene> {
-    let mut scene = data::load(&located.data, located.seed, events)?;
+fn load(located: &Located, photos: Photos, events: &dyn Listener) -> Result<Scene> {
+    let mut scene = data::load_with(&located.data, located.seed, photos, events)?;
     scene.name.clone_from(&located.data.name);
     check_spacing(located, &scene)?;
     Ok(scene)

@@ -24,6 +24,9 @@ use super::surface;
 /// Version of the evaluation protocol; numbers of different versions are not comparable.
 pub const PROTOCOL: u32 = 1;
 
+/// The columns that need the photos' pixels. They are empty for a scene that is not read.
+pub(super) const OF_PIXELS: [&str; 2] = ["data_hash", "masks"];
+
 /// Provenance of a number: everything that two numbers must share to be compared. Has a value for each of [`COLUMNS`],
 /// in their order.
 #[derive(Clone, Debug, PartialEq)]
@@ -161,6 +164,7 @@ pub(super) fn background(scene: &Scene) -> &'static str {
 /// Returns the columns of the loaded scene.
 fn of_scene(config: &Resolved, scene: &Scene) -> Found {
     let corrupted = scene.corrupted.as_ref();
+    let data_hash = corrupted.map_or_else(|| scene.is_read().then(|| scene.hash()), |it| Some(it.clean_hash.clone()));
     vec![
         ("dataset", scene.kind.into()),
         ("split", split_name(config, scene.lacks_split).into()),
@@ -171,7 +175,7 @@ fn of_scene(config: &Resolved, scene: &Scene) -> Found {
         ("views_trained", scene.train.len().into()),
         ("views_evaluated", scene.test.len().into()),
         ("views_seen", seen_views(scene, config).len().into()),
-        ("data_hash", corrupted.map_or_else(|| scene.hash(), |corrupted| corrupted.clean_hash.clone()).into()),
+        ("data_hash", data_hash.into()),
         ("corruption", corrupted.map(|corrupted| corrupted.what.clone()).into()),
         ("corruption_hash", corrupted.map(|_| scene.hash()).into()),
         ("mesh", surface::describe(config, scene).into()),

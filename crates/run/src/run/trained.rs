@@ -3,9 +3,12 @@
 use std::path::Path;
 
 use candle_core::DType;
+use serde::Deserialize;
+use serde_json::{Map, Value};
 
+use crate::base::files::read_json;
 use crate::base::{Error, Listener, Result};
-use crate::data::{Scene, View};
+use crate::data::{Photos, Scene, View};
 use crate::draw::write_png8;
 use crate::methods::SiteSummary;
 use crate::metrics::{Lpips, OneColour};
@@ -14,6 +17,7 @@ use crate::runtime::Runtime;
 use crate::settings::{Config, EvalSplit, Resolved};
 use crate::train::checkpoint::{self, State};
 
+use super::protocol::OF_PIXELS;
 use super::{DepthErrors, Protocol, RenderedView, Report, RunDir, Viewer, load_scene_of, surface_reference};
 
 /// Views that a run is measured on.
@@ -38,6 +42,14 @@ pub struct OpenOptions {
     /// Opens the run without its lock, so that a training may go on. A checkpoint that is replaced meanwhile gives way to its
     /// successor.
     pub beside_training: bool,
+    /// How much of the photos is read. If the run has no evaluation, or for other views, all are: its protocol names them.
+    pub photos: Photos,
+}
+
+impl OpenOptions {
+    /// For what needs cameras, and few photos if any.
+    pub const CAMERAS: OpenOptions =
+        OpenOptions { step: None, split: None, beside_training: false, photos: Photos::Later };
 }
 
 /// The newest checkpoint of a run, with its scene, ready to render and measure.
@@ -82,6 +94,18 @@ pub struct Trained {
     pub runtime: Runtime,
     /// The views in place of the run's own.
     split: Option<Split>,
+    /// The protocol of the run's evaluation.
+    recorded: Option<Map<String, Value>>,
+}
+
+/// Returns the protocol of a run's evaluation, if it has one.
+fn recorded(run: &RunDir) -> Option<Map<String, Value>> {
+    #[derive(Deserialize)]
+    struct Metrics {
+        protocol: Map<String, Value>,
+    }
+    let [metrics, _] = RunDir::metrics_in(run.path());
+    read_json(&metrics, "").ok().flatten().map(|Metrics { protocol }| protocol)
 }
 
 /// Loads a checkpoint's counters and model.
@@ -137,11 +161,15 @@ impl Trained {
             // The training views are measured once.
             Some(Split::Train) => config.eval.train_views = Some(0),
         }
-        let (config, mut scene) = runtime.install(|| load_scene_of(&run, config, events))?;
+        let recorded = recorded(&run);
+        let is_told = options.beside_training || recorded.is_some() && options.split.is_none();
+        let photos = if is_told { options.photos } else { Photos::Read };
+        let (config, mut scene) = runtime.install(|| load_scene_of(&run, config, photos, events))?;
         if options.split == Some(Split::Train) {
             scene.test = scene.train.clone();
         }
-        Ok(Trained { run, config, scene, state, model, runtime: runtime.clone(), split: options.split })
+        let (runtime, split) = (runtime.clone(), options.split);
+        Ok(Trained { run, config, scene, state, model, runtime, split, recorded })
     }
 
     /// Returns a viewer that renders views.
@@ -152,7 +180,13 @@ impl Trained {
 
     /// Returns the provenance of its numbers.
     pub fn protocol(&self) -> Protocol {
-        named(self.split, Protocol::new(&self.config, &self.scene, &self.state))
+        let mut protocol = named(self.split, Protocol::new(&self.config, &self.scene, &self.state));
+        if let (false, Some(recorded)) = (self.scene.is_read(), &self.recorded) {
+            OF_PIXELS
+                .iter()
+                .for_each(|column| protocol.set(column, recorded.get(*column).cloned().unwrap_or_default()));
+        }
+        protocol
     }
 
     /// Measures every held-out view, some training views, and the surface if configured. Writes `metrics.json` and

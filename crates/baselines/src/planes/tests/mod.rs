@@ -49,7 +49,7 @@ fn scene(side: usize) -> Scene {
         let place = [[0.0, 0.0], [0.2, 0.05], [-0.15, 0.1], [0.05, -0.2], [0.1, 0.1]][index];
         let eye = eye(place, side, side, 1.2 * side as f64);
         let image = Arc::new(picture(&eye, 2.0));
-        View { name: format!("view{index}"), camera: eye.camera, image, depth: None, mask: None }
+        View::new(format!("view{index}"), eye.camera, image)
     };
     Scene {
         name: "wall".into(),

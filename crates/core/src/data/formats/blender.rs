@@ -4,15 +4,14 @@
 use std::f64::consts::PI;
 use std::path::{Path, PathBuf};
 
-use rayon::prelude::*;
-
 use crate::base::{Error, Event, Listener, Result};
-use crate::data::formats::transforms::frames::{self, Frame, Listed};
+use crate::data::formats::transforms::frames::{self, Listed};
 use crate::data::formats::transforms::{notes, transforms_file};
+use crate::data::frame::{self, Frame, Reading};
 use crate::data::images;
 use crate::data::json::{self, Object};
 use crate::data::pose::{self, Pose};
-use crate::data::{Camera, Rig, Scene, SceneSpace, View, background, depth, name_of, path};
+use crate::data::{Camera, Photos, Rig, Scene, SceneSpace, View, background, depth, name_of, path};
 use crate::settings::{DataConfig, DataKind, EvalSplit};
 
 /// Start and end of a ray, as for all of NeRF's synthetic scenes.
@@ -27,7 +26,7 @@ const OF_SUBJECT: f64 = 0.5;
 const OFF_SPHERE: f64 = 0.15;
 
 /// Reads a Blender scene. The evaluation views are those of `config.eval_split`.
-pub fn load(config: &DataConfig, events: &dyn Listener) -> Result<Scene> {
+pub fn load(config: &DataConfig, photos: Photos, events: &dyn Listener) -> Result<Scene> {
     let eval = match config.eval_split {
         EvalSplit::Test => "test",
         EvalSplit::Val => "val",
@@ -44,10 +43,11 @@ pub fn load(config: &DataConfig, events: &dyn Listener) -> Result<Scene> {
     let (mut train, train_names) = frames::found(train);
     let (mut test, test_names) = frames::found(listed.into_iter().step_by(config.test_skip.max(1)).collect());
     frames::find_masks(train.iter_mut().chain(&mut test), config, events)?;
+    test.iter_mut().for_each(|frame| frame.depth = depth::file_of(&frame.path).map(|map| (map, BOUNDS)));
     let both: Vec<&Frame> = train.iter().chain(&test).collect();
     let sizes = frames::working_sizes(&both, config)?;
     let cameras: Vec<Camera> = both.iter().zip(sizes).map(|(frame, size)| frame.camera(size, in_turn)).collect();
-    frames::note_shared(&both[..train.len()], &both[train.len()..], events);
+    frames::note_shared(&config.dir, &both[..train.len()], &both[train.len()..], events);
     check_bounds(config, &cameras, events);
     let mut space = SceneSpace::default();
     notes(&mut space, &both, &cameras, &[]);
@@ -55,10 +55,11 @@ pub fn load(config: &DataConfig, events: &dyn Listener) -> Result<Scene> {
     space.note("bounds from", format!("the format: {near} to {far}, as for all of NeRF's synthetic scenes"));
     let (of_train, of_test) = cameras.split_at(train.len());
     let background = background(config);
-    let (train_views, _) = frames::views(&train, &train_names, of_train, background, "reading train images", events)?;
-    let label = format!("reading {eval} images");
-    let (mut test_views, _) = frames::views(&test, &test_names, of_test, background, &label, events)?;
-    read_depths(&mut test_views, &test)?;
+    let read = |frames: &[Frame], names: &[String], cameras: &[Camera], split: &str| -> Result<Vec<View>> {
+        let (scene, label) = (Path::new(&config.dir), format!("reading {split} images"));
+        let how = Reading { scene, background: (background, true), photos, label: &label, events };
+        Ok(frame::views(frames, names, cameras, how)?.0)
+    };
     Ok(Scene {
         name: name_of(config),
         kind: DataKind::Blender.name(),
@@ -69,8 +70,8 @@ pub fn load(config: &DataConfig, events: &dyn Listener) -> Result<Scene> {
         corrupted: None,
         lacks_split,
         space,
-        train: train_views,
-        test: test_views,
+        train: read(&train, &train_names, of_train, "train")?,
+        test: read(&test, &test_names, of_test, eval)?,
         near: BOUNDS[0],
         far: BOUNDS[1],
         ndc: None,
@@ -167,19 +168,6 @@ fn hold_out(train: Vec<Listed>, config: &DataConfig, split: &str, events: &dyn L
         if place.is_multiple_of(every) { held_out.push(listed) } else { kept.push(listed) }
     }
     (kept, held_out)
-}
-
-/// Fills in the depth of views with a depth map next to their image. A masked view has none.
-fn read_depths(views: &mut [View], frames: &[Frame]) -> Result<()> {
-    views.par_iter_mut().zip(frames).filter(|(_, frame)| frame.is_flat()).try_for_each(|(view, frame)| {
-        if let Some(map) = depth::file_of(&frame.path) {
-            view.depth = depth::read(&map, &view.camera, BOUNDS)?;
-        }
-        if let (Some(depth), Some(mask)) = (&mut view.depth, &view.mask) {
-            depth.iter_mut().zip(mask.iter()).filter(|(_, counts)| !**counts).for_each(|(depth, _)| *depth = f32::NAN);
-        }
-        Ok(())
-    })
 }
 
 /// Test views are then every `data.holdout`-th training view, and validation views would be the same ones.

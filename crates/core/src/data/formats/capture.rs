@@ -26,13 +26,7 @@ pub struct Capture {
 impl Capture {
     /// Creates views without reference depth from names, cameras and images in one order.
     pub fn views(names: Vec<String>, cameras: Vec<Camera>, images: Vec<Image>) -> Vec<View> {
-        let view = |((name, camera), image): ((String, Camera), Image)| View {
-            name,
-            camera,
-            image: image.into(),
-            depth: None,
-            mask: None,
-        };
+        let view = |((name, camera), image): ((String, Camera), Image)| View::new(name, camera, image);
         names.into_iter().zip(cameras).zip(images).map(view).collect()
     }
 

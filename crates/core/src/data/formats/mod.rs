@@ -13,7 +13,7 @@ pub mod transforms;
 use std::path::Path;
 
 use crate::base::{Listener, Result};
-use crate::data::Scene;
+use crate::data::{Photos, Scene};
 use crate::settings::{DataConfig, DataKind, Preset};
 
 pub use capture::Capture;
@@ -37,8 +37,8 @@ pub struct Format {
     pub marker: Option<&'static str>,
     /// Returns whether a folder is such a scene.
     pub detect: fn(&Path) -> bool,
-    /// Reads the scene. `downscale` is filled.
-    pub read: fn(&DataConfig, &dyn Listener) -> Result<Scene>,
+    /// Reads the scene, and as much of its photos as is asked for. `downscale` is filled.
+    pub read: fn(&DataConfig, Photos, &dyn Listener) -> Result<Scene>,
     /// The default preset.
     pub preset: Preset,
     /// The reference depth that views may have.
@@ -89,7 +89,7 @@ pub static FORMATS: [Format; 6] = [
         kind: DataKind::BuiltinBlender,
         marker: None,
         detect: |_| false,
-        read: |config, _| builtin::load_blender(config),
+        read: |config, _, _| builtin::load_blender(config),
         preset: Preset::Fast,
         depth: ReferenceDepth::Exact,
         has_mesh: true,
@@ -98,7 +98,7 @@ pub static FORMATS: [Format; 6] = [
         kind: DataKind::BuiltinForward,
         marker: None,
         detect: |_| false,
-        read: |config, _| builtin::load_forward(config),
+        read: |config, _, _| builtin::load_forward(config),
         preset: Preset::Fast,
         depth: ReferenceDepth::Exact,
         has_mesh: false,

@@ -11,7 +11,7 @@ use super::{Format, METADATA};
 use crate::base::files::write_named;
 use crate::base::{Error, Listener, Result};
 use crate::revision::version;
-use crate::run::{RunDir, Trained};
+use crate::run::{OpenOptions, RunDir, Trained};
 use crate::runtime::Runtime;
 use crate::settings::{Config, word};
 use crate::train::Moments;
@@ -39,7 +39,7 @@ pub fn export(run: &Path, file: &Path, data: Option<&Path>, runtime: &Runtime, e
         )));
     }
     if format == Format::Safetensors {
-        return safetensors(&Trained::open(run, data, runtime, events)?, file);
+        return safetensors(&Trained::open_at(run, OpenOptions::CAMERAS, data, runtime, events)?, file);
     }
     let run = RunDir::take_to_read(run)?;
     let config = run.read_config()?;

@@ -128,13 +128,7 @@ fn depth_range(views: &[View]) -> (f64, f64) {
 
 fn view(stage: &Stage, name: &str, camera: &Camera, config: &DataConfig, background: [f32; 3]) -> View {
     let picture = stage.render(camera, config.origin_of_pixels());
-    View {
-        name: name.into(),
-        camera: *camera,
-        image: composite(picture.image, background).0.into(),
-        depth: Some(picture.depth),
-        mask: None,
-    }
+    View { depth: Some(picture.depth), ..View::new(name, *camera, composite(picture.image, background).0) }
 }
 
 #[cfg(test)]

@@ -15,14 +15,15 @@ mod text;
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 
-use crate::base::{Error, Event, Image, Listener, Result};
+use crate::base::{Error, Event, Listener, Result};
 use crate::data::formats::Capture;
-use crate::data::formats::transforms::BOUNDS;
-use crate::data::formats::transforms::distortion::{self, Distortion, Intrinsics};
-use crate::data::images::{self, Size};
-use crate::data::mask::{MaskFile, Masked, Masks};
+use crate::data::formats::transforms::distortion::Intrinsics;
+use crate::data::formats::transforms::{BOUNDS, by_ratio};
+use crate::data::frame::{self, Frame, Reading};
+use crate::data::images::{self, Header, Size};
+use crate::data::mask::Masks;
 use crate::data::pose::Pose;
-use crate::data::{Camera, Scene, SceneSpace, WorldToScene, background, name_of, path, resample};
+use crate::data::{Camera, Photos, Scene, SceneSpace, WorldToScene, background, name_of, path};
 use crate::settings::{DataConfig, DataKind};
 use folder::Source;
 use model::{Lens, Model, Photograph};
@@ -49,22 +50,9 @@ fn shown(name: &str) -> String {
     name.chars().take(100).collect()
 }
 
-/// A photo that exists, before it is read.
-struct Frame {
-    path: PathBuf,
-    pose: Pose,
-    /// Intrinsics of the stored image.
-    lens: Intrinsics,
-    distortion: Distortion,
-    /// The camera without distortion, at the stored size.
-    pinhole: Intrinsics,
-    stored: (usize, usize),
-    mask: Option<MaskFile>,
-}
-
 /// Reads a COLMAP scene. Views are sorted by name, and every `config.holdout`-th is held out. The scene's space and the
 /// views' roles depend on all images of the model, including missing ones.
-pub fn load(config: &DataConfig, events: &dyn Listener) -> Result<Scene> {
+pub fn load(config: &DataConfig, photos: Photos, events: &dyn Listener) -> Result<Scene> {
     let dir = Path::new(&config.dir);
     let model = read::model(dir, &config.colmap_model, events)?;
     let source = folder::find(dir, &model.photographs, Size::of(config))?;
@@ -89,24 +77,23 @@ pub fn load(config: &DataConfig, events: &dyn Listener) -> Result<Scene> {
     let masks = Masks::of(config, frames.iter().map(|frame| &*frame.path), events)?;
     frames.iter_mut().zip(masks.files).for_each(|(frame, mask)| frame.mask = mask);
     let targets = targets(config, &source, &frames)?;
-    let cameras: Vec<Camera> = frames.iter().zip(&targets).map(|(frame, &target)| frame.camera(target)).collect();
+    let cameras: Vec<Camera> =
+        frames.iter().zip(targets).map(|(frame, target)| frame.camera(target, by_ratio)).collect();
     let (mut space, (near, far)) = bounds::of(&model, &cameras, world, BOUNDS);
     let sightings = model.sightings().into_iter().zip(&there).filter(|(_, there)| **there).map(|(points, _)| points);
     space.sightings = names.iter().cloned().zip(sightings).collect();
-    space.note("images", folder_words(&frames, targets[0]));
-    notes(&mut space, &model, &frames, &missing, &source);
     let first = cameras[0];
-    let (images, clear) = read_images(dir, &frames, &targets, background(config), events)?;
-    let mut views = Capture::views(names, cameras, images);
-    for (view, frame) in views.iter_mut().zip(&frames) {
-        view.mask = frame.read_mask((view.camera.width, view.camera.height))?.map(Into::into);
-    }
+    frame::note_images(&mut space, &frames.iter().collect::<Vec<_>>(), (first.width, first.height));
+    notes(&mut space, &model, &frames, &missing, &source);
+    let background = background(config);
+    let how = Reading { scene: dir, background: (background, false), photos, label: "reading images", events };
+    let (views, clear) = frame::views(&frames, &names, &cameras, how)?;
     let capture = Capture {
         views,
         near,
         far,
         ndc: None,
-        background: clear.then(|| background(config)),
+        background: clear.then_some(background),
         path: path.into_iter().map(|pose| Camera { pose, ..first }).collect(),
         space,
     };
@@ -152,10 +139,14 @@ fn frames(dir: &Path, model: &Model, source: &Source, poses: &[Pose]) -> Result<
 }
 
 fn frame(lens: &Lens, photograph: &Photograph, path: PathBuf, dir: &Path) -> Result<Frame> {
-    let stored = images::size(&path)?;
-    let size = [stored.0 as f64, stored.1 as f64];
-    let scale = [size[0] / lens.size[0], size[1] / lens.size[1]];
-    if (lens.size[1] * scale[0] - size[1]).abs() > 1.0 + SIZE_TOLERANCE * size[1] {
+    let fits = |(width, height): (usize, usize)| {
+        let [width, height] = [width as f64, height as f64];
+        (lens.size[1] * width / lens.size[0] - height).abs() <= 1.0 + SIZE_TOLERANCE * height
+    };
+    let header = Header::read(&path)?.turned_to_fit(fits);
+    let stored = header.size;
+    let scale = [stored.0 as f64 / lens.size[0], stored.1 as f64 / lens.size[1]];
+    if !fits(stored) {
         return Err(Error::Data(format!(
             "{} is {}x{} pixels, but camera {} of the COLMAP model is for {}x{}: it was cropped or turned, so the camera is not \
              its own",
@@ -169,44 +160,22 @@ fn frame(lens: &Lens, photograph: &Photograph, path: PathBuf, dir: &Path) -> Res
     }
     let scaled = |values: [f64; 2]| [values[0] * scale[0], values[1] * scale[1]];
     let intrinsics = Intrinsics { focal: scaled(lens.intrinsics.focal), centre: scaled(lens.intrinsics.centre) };
-    let Some(pinhole) = distortion::pinhole(intrinsics, &lens.distortion, stored) else {
-        return Err(Error::Data(format!(
+    Frame::new(path, header, intrinsics, lens.distortion).ok_or_else(|| {
+        Error::Data(format!(
             "{}: the lens distortion of camera {} ({}, {:?}) cannot be undone over the whole image: its coefficients are too \
              large; undistort the images first with COLMAP's image_undistorter",
             dir.display(),
             photograph.camera,
             lens.model,
             lens.distortion
-        )));
-    };
-    let Photograph { pose, .. } = *photograph;
-    Ok(Frame { path, pose, lens: intrinsics, distortion: lens.distortion, pinhole, stored, mask: None })
-}
-
-impl Frame {
-    /// Returns which pixels count at the working resolution, if the photo has a mask.
-    fn read_mask(&self, size: (usize, usize)) -> Result<Option<Vec<bool>>> {
-        let Some(mask) = &self.mask else { return Ok(None) };
-        let rectified = |mask: Image| match self.distortion.is_none() {
-            true => mask,
-            false => distortion::rectify(&mask, self.lens, &self.distortion, self.pinhole),
-        };
-        mask.read(&Masked { path: &self.path, size: self.stored }, rectified, size).map(Some)
-    }
-
-    /// Returns the pinhole camera at the working resolution.
-    fn camera(&self, target: (usize, usize)) -> Camera {
-        let scale = [target.0 as f64 / self.stored.0 as f64, target.1 as f64 / self.stored.1 as f64];
-        let scaled = |values: [f64; 2]| [values[0] * scale[0], values[1] * scale[1]];
-        let Intrinsics { focal, centre } = self.pinhole;
-        Camera { width: target.0, height: target.1, focal: scaled(focal), centre: scaled(centre), pose: self.pose }
-    }
+        ))
+    })
 }
 
 /// Returns the working resolutions. For a factor, the rest after the folder's factor is applied, to the nearest pixel,
 /// as the smaller folders are made. For a width, one scale applies to all.
 fn targets(config: &DataConfig, source: &Source, frames: &[Frame]) -> Result<Vec<(usize, usize)>> {
-    let stored: Vec<(usize, usize)> = frames.iter().map(|frame| frame.stored).collect();
+    let stored: Vec<(usize, usize)> = frames.iter().map(Frame::size).collect();
     match Size::of(config) {
         Size::Factor(factor) => {
             let rest = (factor / source.factor).max(1) as f64;
@@ -215,39 +184,6 @@ fn targets(config: &DataConfig, source: &Source, frames: &[Frame]) -> Result<Vec
         }
         width => images::working_sizes(width, &stored, &frames[0].path),
     }
-}
-
-/// Describes the folder and the size of its first image.
-fn folder_words(frames: &[Frame], target: (usize, usize)) -> String {
-    let (paths, first) = ([frames[0].path.clone()], frames[0].stored);
-    let differ = frames.iter().any(|frame| frame.stored != first);
-    images::folder_words(&paths, first, target) + if differ { " (the first; sizes differ)" } else { "" }
-}
-
-/// Decodes all photos, removes their distortion at the stored size, then averages them down.
-fn read_images(
-    scene: &Path,
-    frames: &[Frame],
-    targets: &[(usize, usize)],
-    background: [f32; 3],
-    events: &dyn Listener,
-) -> Result<(Vec<Image>, bool)> {
-    images::check_memory_of(targets)?;
-    let paths: Vec<PathBuf> = frames.iter().map(|frame| frame.path.clone()).collect();
-    images::note_turned(scene, &paths, events)?;
-    let read = |i: usize, path: &Path| {
-        let (Frame { lens, distortion, pinhole, stored, .. }, target) = (&frames[i], targets[i]);
-        let image = if distortion.is_none() {
-            images::read(path, target)?
-        } else {
-            let flat = distortion::rectify(&images::read(path, *stored)?, *lens, distortion, *pinhole);
-            resample::shrink(&flat, target.0, target.1)
-        };
-        Ok(resample::composite(image, background))
-    };
-    let (images, clear): (Vec<Image>, Vec<bool>) =
-        images::each(&paths, "reading images", events, read)?.into_iter().unzip();
-    Ok((images, clear.contains(&true)))
 }
 
 /// Notes what was found and chosen, for people.
@@ -265,11 +201,7 @@ fn notes(space: &mut SceneSpace, model: &Model, frames: &[Frame], missing: &[Str
             model.photographs.len()
         ),
     );
-    let zoom = frames.iter().map(|frame| frame.pinhole.focal[0] / frame.lens.focal[0]).fold(1.0, f64::max);
-    let undone = frames.iter().filter(|frame| !frame.distortion.is_none()).count();
-    let words =
-        if undone == 0 { "none".into() } else { format!("undone in {undone} images, zoomed in by up to {zoom:.3}") };
-    space.note("distortion", words);
+    frame::note_distortion(space, &frames.iter().collect::<Vec<_>>());
     if !missing.is_empty() {
         space.note("missing images", missing.len().to_string());
     }

@@ -4,13 +4,15 @@ use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 
 use crate::base::{Error, Result};
-use crate::data::images::{self, Size};
+use crate::data::images::{self, Header, Size};
 
 /// The files to read, and their working size.
 pub(super) struct Source {
     /// Image files in the order of the poses.
     pub(super) paths: Vec<PathBuf>,
-    /// Width and height as stored.
+    /// Their headers.
+    pub(super) headers: Vec<Header>,
+    /// Width and height as stored, or turned.
     pub(super) stored: (usize, usize),
     /// Width and height to average them down to.
     pub(super) target: (usize, usize),
@@ -29,15 +31,33 @@ impl Source {
 /// whose factor divides it. For a width: the smallest folder that is at least as wide. A folder without an image per
 /// pose is not used if another has them.
 ///
-/// `listed` are the names of the photos that have poses, if they are known; endings do not count.
-pub(super) fn find(dir: &Path, size: Size, poses: usize, listed: Option<&BTreeSet<String>>) -> Result<Source> {
+/// `shape` are width and height for which the poses were made: photos that fit only if they are turned by their EXIF
+/// orientation are. `listed` are the names of the photos that have poses, if they are known; endings do not count.
+pub(super) fn find(
+    dir: &Path,
+    size: Size,
+    (poses, shape): (usize, [f64; 2]),
+    listed: Option<&BTreeSet<String>>,
+) -> Result<Source> {
+    let fits = |size: (usize, usize)| is_of_shape(size, shape);
     match size {
-        Size::Factor(factor) => by_factor(dir, factor, poses, listed),
-        Size::Width(width) => by_width(dir, width, poses, listed),
+        Size::Factor(factor) => by_factor(dir, factor, poses, fits, listed),
+        Size::Width(width) => by_width(dir, width, poses, fits, listed),
     }
 }
 
-fn by_factor(dir: &Path, factor: usize, poses: usize, listed: Option<&BTreeSet<String>>) -> Result<Source> {
+/// Returns whether an image of this width and height is a scaled one of a shape.
+pub(super) fn is_of_shape((columns, rows): (usize, usize), [width, height]: [f64; 2]) -> bool {
+    (columns as f64 * height / width - rows as f64).abs() <= 1.0
+}
+
+fn by_factor(
+    dir: &Path,
+    factor: usize,
+    poses: usize,
+    fits: impl Fn((usize, usize)) -> bool,
+    listed: Option<&BTreeSet<String>>,
+) -> Result<Source> {
     let mut found: Vec<(usize, Vec<PathBuf>)> = Vec::new();
     for name in photo_folders(dir, poses)? {
         let of = images::factor_of(&name).unwrap_or(1);
@@ -61,18 +81,25 @@ fn by_factor(dir: &Path, factor: usize, poses: usize, listed: Option<&BTreeSet<S
         )));
     }
     let (of, paths) = found.swap_remove(whole.unwrap_or(0));
-    let stored = images::common_size(&paths)?;
+    let headers = images::headers_of_one_size(&paths, fits)?;
+    let stored = headers[0].size;
     // To the nearest pixel, as ImageMagick made the published folders.
     let divide = |n: usize| ((n as f64 * of as f64 / factor as f64).round() as usize).max(1);
-    Ok(Source { paths, stored, target: (divide(stored.0), divide(stored.1)), passed })
+    Ok(Source { paths, headers, stored, target: (divide(stored.0), divide(stored.1)), passed })
 }
 
-fn by_width(dir: &Path, width: usize, poses: usize, listed: Option<&BTreeSet<String>>) -> Result<Source> {
+fn by_width(
+    dir: &Path,
+    width: usize,
+    poses: usize,
+    fits: impl Fn((usize, usize)) -> bool,
+    listed: Option<&BTreeSet<String>>,
+) -> Result<Source> {
     let mut found = Vec::new();
     for name in photo_folders(dir, poses)? {
         let paths = with_poses(images::list(&dir.join(name))?, poses, listed);
         let Some(first) = paths.first() else { continue };
-        let stored = images::size(first)?;
+        let stored = Header::read(first)?.turned_to_fit(&fits).size;
         if stored.0 >= width {
             found.push((paths.len() != poses, stored.0, paths));
         }
@@ -85,11 +112,12 @@ fn by_width(dir: &Path, width: usize, poses: usize, listed: Option<&BTreeSet<Str
             describe_folders(dir)?
         )));
     };
-    let stored = images::common_size(&paths)?;
+    let headers = images::headers_of_one_size(&paths, fits)?;
+    let stored = headers[0].size;
     let target = Size::Width(width).apply(stored, &paths[0])?;
     let smaller = found.iter().filter(|(lacking, ..)| *lacking).filter(|(_, other, _)| *other < columns);
     let passed = smaller.map(|(_, _, paths)| passed_over(paths, poses)).collect();
-    Ok(Source { paths, stored, target, passed })
+    Ok(Source { paths, headers, stored, target, passed })
 }
 
 /// Returns the photos that have poses, if a folder has more than these and all of them.

@@ -7,20 +7,22 @@ mod paths;
 mod poses;
 
 use std::collections::BTreeSet;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 pub use orbit::settle_orbit;
 pub use poses::Poses;
 
 use crate::base::input::{TEXT_BYTES, read_text};
 use crate::base::{Error, Event, Listener, Result};
+use crate::data::formats::transforms::distortion::{Distortion, Intrinsics};
 use crate::data::formats::{Capture, colmap};
-use crate::data::images::{self, Size};
-use crate::data::mask::{MaskFile, Masked, Masks};
+use crate::data::frame::{self, Frame, Reading};
+use crate::data::images::{self, Header, Size};
+use crate::data::mask::{MaskFile, Masks};
 use crate::data::pose::Pose;
-use crate::data::{Camera, Ndc, Rig, Scene, SceneSpace, background, name_of, path};
+use crate::data::{Camera, Ndc, Photos, Rig, Scene, SceneSpace, background, name_of, path};
 use crate::settings::{DataConfig, DataKind};
-use folder::Source;
+use folder::{Source, is_of_shape};
 
 /// The file that makes a folder an LLFF scene.
 pub const POSES_FILE: &str = "poses_bounds.npy";
@@ -32,7 +34,7 @@ const VIEWS_FILE: &str = "view_imgs.txt";
 const SIZE_TOLERANCE: f64 = 0.01;
 
 /// Reads an LLFF scene. Every `config.holdout`-th view is held out, starting with the first.
-pub fn load(config: &DataConfig, events: &dyn Listener) -> Result<Scene> {
+pub fn load(config: &DataConfig, photos: Photos, events: &dyn Listener) -> Result<Scene> {
     if config.spherify && config.ndc {
         return Err(Error::Config(
             "data.spherify and data.ndc exclude each other: NDC is for cameras that face forward; set data.ndc=false"
@@ -43,7 +45,8 @@ pub fn load(config: &DataConfig, events: &dyn Listener) -> Result<Scene> {
     let file = dir.join(POSES_FILE);
     let mut poses = Poses::read(&file)?;
     let listed = registered(dir, poses.poses.len(), events)?;
-    let source = folder::find(dir, Size::of(config), poses.poses.len(), listed.as_ref())?;
+    let source =
+        folder::find(dir, Size::of(config), (poses.poses.len(), [poses.width, poses.height]), listed.as_ref())?;
     check_count(&source, poses.poses.len(), &file)?;
     check_size(&source, &mut poses, config, &file, events)?;
     let name_file = |e: Error| Error::Data(format!("{}: {e}", file.display()));
@@ -54,22 +57,23 @@ pub fn load(config: &DataConfig, events: &dyn Listener) -> Result<Scene> {
     if config.ndc {
         check_facing(&cameras, &names, &file)?;
     }
-    images::note_turned(dir, &source.paths, events)?;
     let masks = Masks::of(config, source.paths.iter().map(|path| &**path), events)?;
-    let (images, clear) = images::read_all(&source.paths, source.target, background(config), "reading images", events)?;
-    let mut views = Capture::views(names, cameras.clone(), images);
-    for ((view, mask), path) in views.iter_mut().zip(&masks.files).zip(&source.paths) {
-        let photo = Masked { path, size: source.stored };
-        let read = |mask: &MaskFile| mask.read(&photo, |mask| mask, source.target);
-        view.mask = mask.as_ref().map(read).transpose()?.map(Into::into);
-    }
+    let lens = Intrinsics { focal: camera.focal, centre: camera.centre };
+    let frame = |((path, header), mask): ((&PathBuf, &Header), Option<MaskFile>)| {
+        let frame = Frame::new(path.clone(), *header, lens, Distortion::default()).expect("nothing to undo");
+        Frame { mask, ..frame }
+    };
+    let frames: Vec<Frame> = source.paths.iter().zip(&source.headers).zip(masks.files).map(frame).collect();
+    let background = background(config);
+    let how = Reading { scene: dir, background: (background, false), photos, label: "reading images", events };
+    let (views, clear) = frame::views(&frames, &names, &cameras, how)?;
     let ndc = Ndc { width: source.target.0 as f64, height: source.target.1 as f64, focal: camera.focal[0] };
     let capture = Capture {
         views,
         near: if config.ndc { 0.0 } else { 0.9 * poses.nearest() },
         far: if config.ndc { 1.0 } else { poses.farthest() },
         ndc: config.ndc.then_some(ndc),
-        background: clear.then(|| background(config)),
+        background: clear.then_some(background),
         path: path.into_iter().map(|pose| Camera { pose, ..camera }).collect(),
         space: space(&poses, &cameras, &source, config),
     };
@@ -171,8 +175,7 @@ fn check_size(
     if found.into_iter().zip(expected).all(close) {
         return Ok(());
     }
-    let stored = [source.stored.0 as f64, source.stored.1 as f64];
-    let same_shape = |[width, height]: [f64; 2]| (stored[0] * height / width - stored[1]).abs() <= 1.0;
+    let same_shape = |shape: [f64; 2]| is_of_shape(source.stored, shape);
     if same_shape([poses.width, poses.height]) {
         events.on(Event::Note(&format!(
             "{}: made for {}x{} images, and {} is {}x{}: the focal length is scaled with it",

@@ -131,17 +131,13 @@ pub fn pinhole(lens: Intrinsics, distortion: &Distortion, size: (usize, usize)) 
 
 /// Resamples a photo onto the `pinhole` camera, bilinearly.
 pub fn rectify(image: &Image, lens: Intrinsics, distortion: &Distortion, pinhole: Intrinsics) -> Image {
-    let mut pixels = Vec::with_capacity(image.pixels.len());
-    let row = |y: usize| {
-        let mut row = Vec::with_capacity(image.width * image.channels);
-        for x in 0..image.width {
+    let mut pixels = vec![0.0; image.pixels.len()];
+    pixels.par_chunks_mut(image.width * image.channels).enumerate().for_each(|(y, row)| {
+        for (x, texel) in row.chunks_exact_mut(image.channels).enumerate() {
             let [u, v] = source_of(pinhole, lens, distortion, [x as f64 + 0.5, y as f64 + 0.5]);
-            resample::bilinear(image, u, v, &mut row);
+            resample::bilinear(image, u, v, texel);
         }
-        row
-    };
-    let rows: Vec<Vec<f32>> = (0..image.height).into_par_iter().map(row).collect();
-    rows.iter().for_each(|row| pixels.extend_from_slice(row));
+    });
     Image { pixels, ..*image }
 }
 

@@ -3,40 +3,19 @@
 use std::collections::HashMap;
 use std::path::{Path, PathBuf};
 
-use image::metadata::Orientation;
-
-use super::distortion::{self, Intrinsics};
-use super::lens::Lens;
-use crate::base::{Event, Image, Listener, Result};
-use crate::data::images::{self, Size};
+use super::lens::{self, Lens};
+use crate::base::{Event, Listener, Result};
+use crate::data::frame::{Frame, named};
+use crate::data::images::{self, Header, Size};
 use crate::data::json::{Object, Picture};
-use crate::data::mask::{self, MaskFile, Masked, Masks};
+use crate::data::mask::{self, MaskFile, Masks};
 use crate::data::pose::Pose;
-use crate::data::{Camera, View, resample};
 use crate::settings::{Axes, DataConfig};
 
 /// The key of a frame's pose.
 const POSE: &str = "transform_matrix";
 /// Largest number of photos that an error names. Notes name all.
 const NAMES: usize = 20;
-
-/// A photo before it is read.
-pub struct Frame {
-    /// Its file.
-    pub path: PathBuf,
-    /// Its name in the file.
-    pub(super) written: String,
-    /// Camera to world.
-    pub pose: Pose,
-    /// Width and height of the photo for which the lens is given.
-    pub size: (usize, usize),
-    /// The turn from the stored pixels to that photo.
-    turn: Orientation,
-    lens: Lens,
-    /// The camera without distortion, at that size.
-    pinhole: Intrinsics,
-    mask: Option<MaskFile>,
-}
 
 /// A frame of a file, with or without its photo. The scene's space, and the names and roles of its views, depend on the
 /// complete list.
@@ -73,23 +52,11 @@ struct Entry<'a> {
 /// If more than half of the photos are missing, if one has two poses, or if a field is invalid.
 pub fn read(document: Object, axes: Axes, events: &dyn Listener) -> Result<Vec<Listed>> {
     let note = |what: &str| events.on(Event::Note(&document.error(what).to_string()));
-    let mut turned: Vec<String> = Vec::new();
-    let mut listed: Vec<Listed> = Vec::new();
-    for entry in distinct(entries(document, axes, &note)?, document, &note)? {
+    let listed = |entry: Entry| {
         let Picture { place, written, .. } = entry.picture.clone();
-        let (pose, found) = (entry.pose, Frame::find(entry, document)?);
-        turned.extend(found.iter().filter(|found| found.1).map(|_| written.clone()));
-        listed.push(Listed { place, written, pose, frame: found.map(|(frame, _)| frame) });
-    }
-    if !turned.is_empty() {
-        note(&format!(
-            "{} photographs have an EXIF orientation, which is not applied (pixels are taken as they are stored, as COLMAP takes \
-             them; with \"w\" and \"h\" of the turned photograph they would be turned): {}",
-            turned.len(),
-            turned.join(", ")
-        ));
-    }
-    Ok(listed)
+        Ok(Listed { place, written, pose: entry.pose, frame: find(entry, document)? })
+    };
+    distinct(entries(document, axes, &note)?, document, &note)?.into_iter().map(listed).collect()
 }
 
 /// Returns whether none of a document's photos is there.
@@ -200,89 +167,20 @@ fn distinct<'a>(entries: Vec<Entry<'a>>, document: Object, note: &dyn Fn(&str)) 
     Ok(kept)
 }
 
-impl Frame {
-    /// Returns the photo of an entry, if it exists. The flag says that it has an EXIF orientation that is not applied.
-    fn find(Entry { object, picture, pose }: Entry, document: Object) -> Result<Option<(Frame, bool)>> {
-        let Picture { path: Some(path), written, .. } = picture else { return Ok(None) };
-        let (stored, orientation) = images::header(&path)?;
-        let turned = (stored.1, stored.0);
-        let turns = orientation != Orientation::NoTransforms;
-        let applied = turns && swaps(orientation) && Lens::is_of(object, document, turned)? && stored != turned;
-        let (size, turn) = if applied { (turned, orientation) } else { (stored, Orientation::NoTransforms) };
-        let lens = Lens::read(object, document, size)?;
-        let Some(pinhole) = distortion::pinhole(lens.intrinsics, &lens.distortion, size) else {
-            return Err(object.error(&format!(
-                "the lens distortion (k1, k2, k3 = {:?}, p1, p2 = {:?}) cannot be undone over the whole image: \
-                 its coefficients are too large",
-                lens.distortion.radial, lens.distortion.tangential
-            )));
-        };
-        let mask = mask::file_of(object, document)?.map(MaskFile::of_black);
-        Ok(Some((Frame { path, written, pose, size, turn, lens, pinhole, mask }, turns && !applied)))
-    }
-
-    /// Returns whether distortion is removed.
-    pub(super) fn is_bent(&self) -> bool {
-        !self.lens.distortion.is_none()
-    }
-
-    /// Returns the zoom of removing it.
-    pub(super) fn zoom(&self) -> f64 {
-        self.pinhole.focal[0] / self.lens.intrinsics.focal[0]
-    }
-
-    /// Returns whether it has a mask.
-    pub(super) fn is_masked(&self) -> bool {
-        self.mask.is_some()
-    }
-
-    /// Returns whether the stored photo is the pinhole camera's.
-    pub fn is_flat(&self) -> bool {
-        self.lens.distortion.is_none() && self.turn == Orientation::NoTransforms
-    }
-
-    /// Returns the pinhole camera at the working resolution. `scaled(value, to, from)` converts a number of pixels.
-    pub fn camera(&self, (width, height): (usize, usize), scaled: fn(f64, f64, f64) -> f64) -> Camera {
-        let to = [width as f64, height as f64];
-        let from = [self.size.0 as f64, self.size.1 as f64];
-        let both = |values: [f64; 2]| std::array::from_fn(|i| scaled(values[i], to[i], from[i]));
-        let Intrinsics { focal, centre } = self.pinhole;
-        Camera { width, height, focal: both(focal), centre: both(centre), pose: self.pose }
-    }
-
-    /// Returns the photo at the working resolution, RGB or RGBA. Distortion is removed before averaging down.
-    fn image(&self, (width, height): (usize, usize)) -> Result<Image> {
-        let mut decoded = images::decode(&self.path)?;
-        decoded.apply_orientation(self.turn);
-        if self.lens.distortion.is_none() {
-            return Ok(images::averaged(&decoded, (width, height)));
-        }
-        let whole = self.rectified(images::averaged(&decoded, self.size));
-        Ok(resample::shrink(&whole, width, height))
-    }
-
-    /// Returns the pinhole camera's image from one of the photo's size.
-    pub(super) fn rectified(&self, image: Image) -> Image {
-        if self.lens.distortion.is_none() {
-            return image;
-        }
-        distortion::rectify(&image, self.lens.intrinsics, &self.lens.distortion, self.pinhole)
-    }
-
-    fn view(&self, name: String, camera: Camera, background: [f32; 3]) -> Result<(View, bool)> {
-        let size = (camera.width, camera.height);
-        let (image, clear) = resample::composite(self.image(size)?, background);
-        let photograph = Masked { path: &self.path, size: self.size };
-        let read = |mask: &MaskFile| mask.read(&photograph, |mask| self.rectified(mask), size);
-        let mask = self.mask.as_ref().map(read).transpose()?;
-        Ok((View { name, camera, image: image.into(), depth: None, mask: mask.map(Into::into) }, clear))
-    }
-}
-
-/// Returns whether the turn makes a portrait of a landscape.
-fn swaps(orientation: Orientation) -> bool {
-    use Orientation::{Rotate90, Rotate90FlipH, Rotate270, Rotate270FlipH};
-    matches!(orientation, Rotate90 | Rotate90FlipH | Rotate270 | Rotate270FlipH)
+/// Returns the photo of an entry, if it exists.
+fn find(Entry { object, picture, .. }: Entry, document: Object) -> Result<Option<Frame>> {
+    let Some(path) = picture.path else { return Ok(None) };
+    let stated = lens::stated(object, document)?;
+    let header = Header::read(&path)?.turned_to_fit(|size| stated.is_some_and(|stated| lens::is_scaled(stated, size)));
+    let Lens { intrinsics, distortion } = Lens::read(object, document, header.size)?;
+    let Some(frame) = Frame::new(path, header, intrinsics, distortion) else {
+        return Err(object.error(&format!(
+            "the lens distortion (k1, k2, k3 = {:?}, p1, p2 = {:?}) cannot be undone over the whole image: \
+             its coefficients are too large",
+            distortion.radial, distortion.tangential
+        )));
+    };
+    Ok(Some(Frame { mask: mask::file_of(object, document)?.map(MaskFile::of_black), ..frame }))
 }
 
 /// Returns the frames of a list whose photos exist, each with its pose and its name among all.
@@ -311,42 +209,21 @@ pub fn find_masks<'a>(
 
 /// Returns the working sizes of the frames' photos.
 pub fn working_sizes(frames: &[&Frame], config: &DataConfig) -> Result<Vec<(usize, usize)>> {
-    let sizes: Vec<(usize, usize)> = frames.iter().map(|frame| frame.size).collect();
+    let sizes: Vec<(usize, usize)> = frames.iter().map(|frame| frame.size()).collect();
     let first = frames.first().map_or(Path::new(""), |frame| &frame.path);
     images::working_sizes(Size::of(config), &sizes, first)
 }
 
-/// Returns the views of frames with these names, through their cameras, over `background`. The flag says whether
-/// anything was transparent.
-pub fn views(
-    frames: &[Frame],
-    names: &[String],
-    cameras: &[Camera],
-    background: [f32; 3],
-    label: &str,
-    events: &dyn Listener,
-) -> Result<(Vec<View>, bool)> {
-    let sizes: Vec<(usize, usize)> = cameras.iter().map(|camera| (camera.width, camera.height)).collect();
-    images::check_memory_of(&sizes)?;
-    let paths: Vec<PathBuf> = frames.iter().map(|frame| frame.path.clone()).collect();
-    let read = |i: usize, _: &Path| frames[i].view(names[i].clone(), cameras[i], background);
-    let (views, clear): (Vec<View>, Vec<bool>) = images::each(&paths, label, events, read)?.into_iter().unzip();
-    Ok((views, clear.contains(&true)))
-}
-
-/// Notes photos that are both trained on and evaluated.
-pub fn note_shared(train: &[&Frame], test: &[&Frame], events: &dyn Listener) {
-    let shared: Vec<&str> = test
-        .iter()
-        .filter(|frame| train.iter().any(|other| other.path == frame.path))
-        .map(|frame| frame.written.as_str())
-        .collect();
+/// Notes photos of a scene that are both trained on and evaluated.
+pub fn note_shared(scene: &str, train: &[&Frame], test: &[&Frame], events: &dyn Listener) {
+    let is_trained = |frame: &&&Frame| train.iter().any(|other| other.path == frame.path);
+    let shared: Vec<&Path> = test.iter().filter(is_trained).map(|frame| &*frame.path).collect();
     if !shared.is_empty() {
         let what = format!(
             "{} of {} photographs that are evaluated are trained on, too, so that metrics are not of unseen views: {}",
             shared.len(),
             test.len(),
-            shared.join(", ")
+            named(Path::new(scene), &shared)
         );
         events.on(Event::Note(&what));
     }

@@ -71,19 +71,18 @@ impl Keys<'_> {
 
 /// Returns whether an image of `size` is a scaled one of the `stated` size. A pixel in either direction is rounding;
 /// more is a crop or a turn.
-fn is_scaled(stated: [f64; 2], size: [f64; 2]) -> bool {
+pub(super) fn is_scaled(stated: [f64; 2], (width, height): (usize, usize)) -> bool {
+    let size = [width as f64, height as f64];
     (stated[1] * size[0] / stated[0] - size[1]).abs() <= 1.0 + 0.01 * size[1]
 }
 
-impl Lens {
-    /// Returns whether `w` and `h` are given, for images of this shape only and not for its turned one.
-    pub(super) fn is_of(frame: Object, document: Object, (width, height): (usize, usize)) -> Result<bool> {
-        let keys = Keys { frame, document };
-        let (Some(w), Some(h)) = (keys.positive("w")?, keys.positive("h")?) else { return Ok(false) };
-        let (width, height) = (width as f64, height as f64);
-        Ok(is_scaled([w, h], [width, height]) && !is_scaled([w, h], [height, width]))
-    }
+/// Returns `w` and `h`, if both are given.
+pub(super) fn stated(frame: Object, document: Object) -> Result<Option<[f64; 2]>> {
+    let keys = Keys { frame, document };
+    Ok(keys.positive("w")?.zip(keys.positive("h")?).map(Into::into))
+}
 
+impl Lens {
     /// Reads the lens of a frame whose image is `stored` (width, height). Intrinsics for images of another size (`w`,
     /// `h`) are scaled.
     pub(super) fn read(frame: Object, document: Object, stored: (usize, usize)) -> Result<Lens> {
@@ -93,7 +92,7 @@ impl Lens {
         let size = [stored.0 as f64, stored.1 as f64];
         let stated = keys.stated(size)?;
         let scale = [size[0] / stated[0], size[1] / stated[1]];
-        if !is_scaled(stated, size) {
+        if !is_scaled(stated, stored) {
             return Err(frame.error(&format!(
                 "the image is {}x{} pixels, but \"w\" and \"h\" say {}x{}: it was cropped or turned, \
                  so the intrinsics are not its own",

@@ -6,8 +6,7 @@
 //! ignored, and `data check` names them. `aabb_scale`, `scale` and `offset` place the scene in instant-ngp's unit cube;
 //! `applied_transform` and `ply_file_path` relate the poses to a point cloud.
 //!
-//! A photo's pixels are read as stored. They are turned only if `w` and `h` are those of a photo turned by its EXIF
-//! orientation.
+//! A photo's pixels are turned by its EXIF orientation only if `w` and `h` are those of the turned photo.
 
 pub mod distortion;
 pub(super) mod frames;
@@ -22,11 +21,12 @@ pub use split::{Role, is_named};
 
 use crate::base::{Error, Listener, Result};
 use crate::data::formats::Capture;
+use crate::data::frame::{self, Frame, Reading};
 use crate::data::images;
 use crate::data::pose::Pose;
-use crate::data::{Camera, Scene, SceneSpace, WorldToScene, background, name_of, path};
+use crate::data::{Camera, Photos, Scene, SceneSpace, WorldToScene, background, name_of, path};
 use crate::settings::{DataConfig, DataKind, EvalSplit, Split};
-use frames::{Frame, Listed};
+use frames::Listed;
 use split::{Listing, Roles};
 
 /// The file that identifies such a scene folder.
@@ -44,7 +44,7 @@ pub const BOUNDS: [f64; 2] = [0.05, 6.0];
 /// Reads such a scene, with frames sorted by file. The author's split is kept if there is one and `data.split` is not
 /// `every`. Otherwise every `config.holdout`-th view is held out. The scene's space and the views' roles depend on all
 /// listed photos, including missing ones.
-pub fn load(config: &DataConfig, events: &dyn Listener) -> Result<Scene> {
+pub fn load(config: &DataConfig, photos: Photos, events: &dyn Listener) -> Result<Scene> {
     let Listing { frames: all, named, ignored } = split::read(Path::new(&config.dir), config.axes, events)?;
     let by_author = by_author(config, named)?;
     let (mut listed, roles): (Vec<Listed>, Vec<Option<Role>>) = ordered(all, by_author, config)?.into_iter().unzip();
@@ -60,7 +60,9 @@ pub fn load(config: &DataConfig, events: &dyn Listener) -> Result<Scene> {
     images::note_unused(Path::new(&config.dir), used, "have no pose in transforms.json", events);
     let targets = frames::working_sizes(&frames.iter().collect::<Vec<_>>(), config)?;
     let cameras: Vec<Camera> = frames.iter().zip(targets).map(|(frame, size)| frame.camera(size, by_ratio)).collect();
-    let (views, clear) = frames::views(&frames, &names, &cameras, background(config), "reading images", events)?;
+    let (scene, background) = (Path::new(&config.dir), background(config));
+    let how = Reading { scene, background: (background, false), photos, label: "reading images", events };
+    let (views, clear) = frame::views(&frames, &names, &cameras, how)?;
     let first = cameras[0];
     let (mut space, (near, far)) = SceneSpace::of_cameras(&cameras, world, BOUNDS);
     notes(&mut space, &frames.iter().collect::<Vec<_>>(), &cameras, &ignored);
@@ -69,7 +71,7 @@ pub fn load(config: &DataConfig, events: &dyn Listener) -> Result<Scene> {
         near,
         far,
         ndc: None,
-        background: clear.then(|| background(config)),
+        background: clear.then_some(background),
         path: path.into_iter().map(|pose| Camera { pose, ..first }).collect(),
         space,
     };
@@ -90,7 +92,7 @@ pub fn load(config: &DataConfig, events: &dyn Listener) -> Result<Scene> {
         let chosen = chosen.iter().zip(&there).filter(|(_, there)| **there);
         frames.iter().zip(chosen).filter(|(_, (chosen, _))| **chosen).map(|(frame, _)| frame).collect()
     };
-    frames::note_shared(&found(&train), &found(&evaluated), events);
+    frames::note_shared(&config.dir, &found(&train), &found(&evaluated), events);
     Ok(capture.split_as(name, kind, config, &there, [&train, &evaluated]))
 }
 
@@ -150,25 +152,15 @@ fn ordered(mut all: Roles, by_author: bool, config: &DataConfig) -> Result<Roles
 }
 
 /// Rounded as since the first runs, because hashes of data depend on it.
-fn by_ratio(value: f64, to: f64, from: f64) -> f64 {
+pub(super) fn by_ratio(value: f64, to: f64, from: f64) -> f64 {
     value * (to / from)
 }
 
 /// Notes what was found and chosen, for people.
 pub(super) fn notes(space: &mut SceneSpace, frames: &[&Frame], cameras: &[Camera], ignored: &[String]) {
-    let paths: Vec<PathBuf> = frames.iter().map(|frame| frame.path.clone()).collect();
-    let sizes = |camera: &Camera| (camera.width, camera.height);
-    let mut words = images::folder_words(&paths, frames[0].size, sizes(&cameras[0]));
-    if frames.iter().any(|frame| frame.size != frames[0].size) {
-        words += " (the first; sizes differ)";
-    }
-    space.note("images", words);
-    let zoom = frames.iter().map(|frame| frame.zoom()).fold(1.0, f64::max);
-    let undone = frames.iter().filter(|frame| frame.is_bent()).count();
-    let words =
-        if undone == 0 { "none".into() } else { format!("undone in {undone} images, zoomed in by up to {zoom:.3}") };
-    space.note("distortion", words);
-    let masked = frames.iter().filter(|frame| frame.is_masked()).count();
+    frame::note_images(space, frames, (cameras[0].width, cameras[0].height));
+    frame::note_distortion(space, frames);
+    let masked = frames.iter().filter(|frame| frame.mask.is_some()).count();
     if masked > 0 {
         space.note("masks", format!("of {masked} images: black pixels are neither trained on nor measured"));
     }
