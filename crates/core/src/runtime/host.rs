@@ -71,16 +71,29 @@ impl Host {
 
 /// Returns the highest resident memory of this process so far, in MiB. `None` if the system does not tell.
 pub fn peak_memory_mib() -> Option<f64> {
-    let value = field_of("/proc/self/status", "VmHWM")?;
-    let kib: f64 = value.strip_suffix("kB")?.trim().parse().ok()?;
-    Some(kib / 1024.0)
+    Some(kib_of("/proc/self/status", "VmHWM")? / 1024.0)
 }
 
-/// Returns the memory that new work may take without swapping, in MiB. `None` if the system does not tell.
+/// Returns the memory that new work may take without swapping and within this process's limits, in MiB. `None` if the system
+/// does not tell.
 pub fn free_memory_mib() -> Option<f64> {
-    let value = field_of("/proc/meminfo", "MemAvailable")?;
-    let kib: f64 = value.strip_suffix("kB")?.trim().parse().ok()?;
-    Some(group_memory_mib().map_or(kib / 1024.0, |group| group.min(kib / 1024.0)))
+    let limits = ["Max address space", "Max data size"].into_iter().zip(["VmSize", "VmData"]);
+    let rooms = limits.map(|(limit, used)| limit_room_mib(limit, used)).chain([group_memory_mib()]);
+    Some(rooms.flatten().fold(kib_of("/proc/meminfo", "MemAvailable")? / 1024.0, f64::min))
+}
+
+/// Returns a field in kB.
+fn kib_of(file: &str, field: &str) -> Option<f64> {
+    field_of(file, field)?.strip_suffix("kB")?.trim().parse().ok()
+}
+
+/// Returns what is left of a limit of this process (`ulimit -v`, `ulimit -d`). `None` without a limit.
+fn limit_room_mib(limit: &str, used: &str) -> Option<f64> {
+    let limits = std::fs::read_to_string("/proc/self/limits").ok()?;
+    let bytes = limits.lines().find_map(|line| line.strip_prefix(limit))?.split_whitespace().next()?;
+    // Without one, it says "unlimited".
+    let most: f64 = bytes.parse().ok()?;
+    Some((most / 1024.0 - kib_of("/proc/self/status", used)?).max(0.0) / 1024.0)
 }
 
 /// Returns what is left of the limits of this process's control groups (containers have them). `None` without a limit.
