@@ -67,7 +67,7 @@ const CHECK_READS: &str = "data check, which reads section data and seed, and wi
 
 const EXPORT_EXAMPLES: &str = "Examples:
   augnerf data export-builtin scene              # then: augnerf train --data scene
-  augnerf data export-builtin scene --width 200  # wider views
+  augnerf data export-builtin scene --width 400  # wider views
   augnerf data export-builtin other --scene 17   # the objects of --data builtin:17";
 
 const CORRUPT_EXAMPLES: &str = "Examples:

@@ -56,7 +56,7 @@ pub struct ScoreArguments {
     /// Folder of ground-truth images, or a run folder [default: --data, or the scene of --into]
     #[arg(conflicts_with_all = ["data", "into"])]
     truth: Option<PathBuf>,
-    /// Scene folder with the held-out views, here or in AUGNERF_DATA, or builtin
+    /// Scene folder with the held-out views, here or in AUGNERF_DATA; builtin, or builtin:17 by number
     #[arg(long, value_name = "DIR", conflicts_with = "into")]
     data: Option<PathBuf>,
     /// A setting of section data, or seed: --set data.downscale=8

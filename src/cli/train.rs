@@ -38,7 +38,7 @@ pub(super) const LONG: f64 = 3600.0;
 pub const RESUME_EXAMPLES: &str = "Examples:
   augnerf resume runs/fern-nerf-*
   augnerf resume RUN --data ~/data/fern  # the scene has moved
-  augnerf resume RUN --device cuda       # on another device";
+  augnerf resume RUN --device gpu        # on another device";
 
 #[derive(Args)]
 pub struct TrainArguments {

@@ -6,11 +6,12 @@ use std::path::{Component, Path, PathBuf};
 use augnerf::base::Class;
 use augnerf::metrics::{Direction, METRICS};
 use augnerf::settings::columns::COLUMNS;
-use augnerf::settings::{Preset, build, parse_assignment};
-use augnerf::sweep::Definition;
+use augnerf::settings::{Method, Preset, Regularizer, build, parse_assignment};
+use augnerf::sweep::{Definition, Overrides, Point, expand};
 use clap::error::ErrorKind;
 
 use crate::common::files::ending;
+use crate::sweep_run::Costs;
 
 mod page;
 mod shell;
@@ -106,6 +107,22 @@ fn refused_settings(words: &[String]) -> Option<String> {
     built.err()
 }
 
+/// What a command shows that nobody wants: a flag with the value that it has anyway, and candle's slow device.
+fn bad_advice(words: &[String]) -> Option<String> {
+    let root = augnerf::cli::command();
+    let mut command = &root;
+    while let Some(inner) = words.iter().find_map(|word| command.find_subcommand(word)) {
+        command = inner;
+    }
+    let has = |flag: &clap::Arg, value: &str| flag.get_default_values().iter().any(|default| default == value);
+    let idle = |pair: &[String]| {
+        let named = |flag: &clap::Arg| flag.get_long().is_some_and(|long| pair[0] == format!("--{long}"));
+        command.get_arguments().any(|flag| named(flag) && has(flag, &pair[1]))
+    };
+    let idle = words.windows(2).find(|pair| idle(pair)).map(|pair| format!("{} is the default", pair.join(" ")));
+    idle.or_else(|| values(words, "--device").contains(&"cuda").then(|| "gpu is faster".into()))
+}
+
 /// Whether a dotted name is that of a setting or of a section.
 fn exists(name: &str) -> bool {
     let path: Vec<String> = name.split('.').map(String::from).collect();
@@ -145,7 +162,7 @@ fn every_command_in_the_help_is_one() {
     for (path, help) in helps() {
         for words in help_commands(&help) {
             found += 1;
-            let refused = refusal(&words, false).or_else(|| refused_settings(&words));
+            let refused = refusal(&words, false).or_else(|| refused_settings(&words)).or_else(|| bad_advice(&words));
             wrong.extend(refused.map(|why| format!("{path} --help: augnerf {}: {why}", words.join(" "))));
         }
     }
@@ -206,6 +223,103 @@ fn helps_are_short_and_group_many_flags() {
     assert!(wrong.is_empty(), "{}", wrong.join("\n"));
 }
 
+/// What the help shows, the pages tell; and a scene can be named by its number wherever scenes are named.
+#[test]
+fn every_flag_is_on_a_page() {
+    fn visit(command: &clap::Command, text: &str, wrong: &mut Vec<String>) {
+        for flag in flags(command) {
+            let long = flag.get_long().unwrap_or("help");
+            let ends = |rest: &str| !rest.starts_with(|c: char| c.is_ascii_alphanumeric() || c == '-');
+            let short = flag.get_short().is_some_and(|short| text.contains(&format!("`-{short}`")));
+            if !short && !text.split(&format!("--{long}")).skip(1).any(ends) {
+                wrong.push(format!("{} --{long} is on no page", command.get_name()));
+            }
+            let help = flag.get_help().map(ToString::to_string).unwrap_or_default();
+            if help.contains("builtin") && !help.contains("builtin:17") {
+                wrong.push(format!("{} --{long} does not name scenes by number", command.get_name()));
+            }
+        }
+        command.get_subcommands().for_each(|inner| visit(inner, text, wrong));
+    }
+    let read = |file: &PathBuf| std::fs::read_to_string(file).unwrap();
+    let text: String = ending(&root().join("docs"), ".md").iter().map(read).collect();
+    let mut wrong = Vec::new();
+    visit(&augnerf::cli::command(), &text, &mut wrong);
+    assert!(wrong.is_empty(), "{}", wrong.join("\n"));
+}
+
+/// A page that calls other runs by this program's own version tells nobody which they are.
+#[test]
+fn no_page_calls_other_programs_by_this_version() {
+    let wrong: Vec<String> = pages()
+        .iter()
+        .filter(|page| page.path != Path::new("CHANGELOG.md") && page.prose.contains(env!("CARGO_PKG_VERSION")))
+        .map(|page| page.path.display().to_string())
+        .collect();
+    assert!(wrong.is_empty(), "{wrong:?}");
+}
+
+/// Points of a command of a page, whose sweep file it names.
+fn points_of(words: &[String]) -> Vec<Point> {
+    let file = words.iter().find(|word| word.ends_with(".toml")).expect("it names a file");
+    let mut definition = Definition::read(&root().join(file)).unwrap();
+    let value = |flag| values(words, flag).first().map(|value| value.to_string());
+    definition
+        .apply(Overrides {
+            preset: value("--preset"),
+            scenes: value("--scenes").map(|scenes| vec![scenes]),
+            seeds: Some(vec![0]),
+            set: values(words, "--set").into_iter().map(|text| parse_assignment(text).unwrap()).collect(),
+        })
+        .unwrap();
+    expand(&definition, None, &Costs).unwrap()
+}
+
+/// Rows are named after resolutions, also in the small version of the table.
+#[test]
+fn the_reduced_table_a1_trains_at_the_resolutions_of_its_rows() {
+    let page = page("reproduce.md");
+    let small = |words: &Vec<String>| words.join(" ").contains("tabA1_capacity.toml --scenes builtin");
+    let shown: Vec<Vec<String>> = page.blocks_of("sh").flat_map(commands).filter(small).collect();
+    let points = points_of(&shown[0]);
+    assert!(points.len() > 10);
+    for point in points {
+        let named = if point.places[0].row.ends_with("1/2") { 2 } else { 1 };
+        assert_eq!(point.config.data.downscale, Some(named), "{}", point.label());
+    }
+}
+
+/// The rows that docs/gpu.md refuses, by method or regularizer, are those that docs/reproduce.md names beside each table.
+#[test]
+fn tables_of_the_paper_name_the_rows_that_a_gpu_refuses() {
+    let (gpu, page) = (page("gpu.md").prose, page("reproduce.md").prose);
+    let line = |start: &str| gpu.lines().find(|line| line.starts_with(start)).expect(start).to_string();
+    let (methods, terms) = (line("- **Methods:**"), line("- **Regularizers:** all but"));
+    let refused = |method: Method, terms_of: &[Regularizer]| {
+        methods.contains(&format!("`{}`", method.name()))
+            || terms_of.iter().any(|term| !terms.contains(&format!("`{}`", term.name())))
+    };
+    let mut tables = 0;
+    let is_full = |line: &&str| line.contains("`augnerf sweep run sweeps/paper/") && line.matches('|').count() == 7;
+    for row in page.lines().filter(is_full) {
+        let points = points_of(&commands(row.split('`').nth(1).expect("a command")).remove(0));
+        let mut rows: Vec<&str> = points
+            .iter()
+            .filter(|point| refused(point.config.method, &point.config.regularizer.kind))
+            .flat_map(|point| point.places.iter().map(|place| place.row.as_str()))
+            .map(|name| name.split(" (").next().expect("split gives one"))
+            .collect();
+        rows.sort();
+        rows.dedup();
+        let mut named: Vec<&str> = row.split('|').nth(6).expect("a cell").trim().split(", ").collect();
+        named.retain(|name| *name != "none");
+        named.sort();
+        assert_eq!(rows, named, "{row}");
+        tables += 1;
+    }
+    assert_eq!(tables, 7);
+}
+
 #[test]
 fn wrong_commands_and_settings_are_found_out() {
     let words = |text: &str| commands(text).remove(0);
@@ -217,6 +331,11 @@ fn wrong_commands_and_settings_are_found_out() {
         assert!(refused_settings(&words(&format!("augnerf train --set {wrong}"))).is_some(), "{wrong}");
     }
     assert!(refused_settings(&words("augnerf train --method aug-nerv")).is_some());
+    for (command, is_bad) in [("data export-builtin s --width 200", true), ("data export-builtin s --width 201", false)]
+    {
+        assert_eq!(bad_advice(&words(&format!("augnerf {command}"))).is_some(), is_bad, "{command}");
+    }
+    assert!(bad_advice(&words("augnerf resume RUN --device cuda")).is_some());
     assert!(exists("train.steps") && exists("eval.mesh.box") && !exists("train.stepz") && !exists("perturb.q.steps"));
     assert_eq!(setting_named("perturb.field = \"shared\""), Some("perturb.field"));
     assert_eq!((setting_named("perturb.SITE.steps"), setting_named("data_hash")), (None, None));

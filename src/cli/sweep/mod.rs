@@ -132,7 +132,7 @@ struct Changes {
     /// Preset [default: the file's]
     #[arg(long, value_name = "NAME")]
     preset: Option<String>,
-    /// Scenes: folders in the data root, builtin or builtin-forward [default: the file's]
+    /// Scenes: folders in the data root, builtin, builtin-forward, or one by number: builtin:17 [default: the file's]
     #[arg(long, value_delimiter = ',', value_name = "SCENE,...")]
     scenes: Option<Vec<String>>,
     /// Seeds and ranges of them: 0,1 or 0-9 [default: the file's]

@@ -19,7 +19,7 @@ use super::{Changes, Location, MaxDeaths, begin_folder, planned_points, say_how_
 pub const EXAMPLES: &str = "Examples:
   augnerf sweep submit sweeps/checks/smoke.toml --dry-run  # prints the scripts
   augnerf sweep submit sweeps/paper/tab1_llff.toml --time 12:00:00 --mem 8G --cpus 8
-  augnerf sweep submit FILE --partition gpu --gres gpu:1 --device cuda --sbatch=--account=lab
+  augnerf sweep submit FILE --partition gpu --gres gpu:1 --device gpu --sbatch=--account=lab
 
 Prints the number of the job array. All machines must see the sweep's folder. `augnerf sweep status` shows the queue, and \
 `augnerf sweep cancel` empties it.";
