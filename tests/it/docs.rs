@@ -3,6 +3,7 @@
 
 use std::path::{Component, Path, PathBuf};
 
+use augnerf::augment::{Epsilon, Site};
 use augnerf::base::Class;
 use augnerf::metrics::{Direction, METRICS};
 use augnerf::settings::columns::COLUMNS;
@@ -257,6 +258,22 @@ fn no_page_calls_other_programs_by_this_version() {
         .map(|page| page.path.display().to_string())
         .collect();
     assert!(wrong.is_empty(), "{wrong:?}");
+}
+
+/// Two radii of these presets are not the released code's defaults, and the page has the command with those.
+#[test]
+fn the_page_has_the_radii_that_the_released_presets_lack() {
+    let of_default = |words: &Vec<String>| values(words, "--set").len() == 2;
+    let page = page("paper.md");
+    let words = page.blocks_of("sh").flat_map(commands).find(of_default).expect("the command");
+    let set: Vec<_> = values(&words, "--set").into_iter().map(|text| parse_assignment(text).unwrap()).collect();
+    let [whole, default] = [&[][..], &set].map(|set| {
+        let sites = build(Some(Preset::ReleasedLlff), None, set).unwrap().perturb.sites;
+        [Site::T, Site::Xyz].map(|site| sites[site].epsilon)
+    });
+    // One pixel is the attack's own default.
+    assert_eq!(whole, [Some(Epsilon::Units(0.5)), None]);
+    assert_eq!(default, [Some(Epsilon::Units(0.5 * 1e-5)), Some(Epsilon::Units(1e-5))]);
 }
 
 /// Points of a command of a page, whose sweep file it names.
