@@ -34,7 +34,7 @@ pub fn named_mesh(name: &str, other: &str) -> Result<Reference> {
     )?;
     let scene = config.data;
     let has_mesh = Format::of(scene.kind).is_some_and(|format| format.has_mesh);
-    if builtin_surface(other).is_some_and(|seed| !has_mesh || seed != scene.scene_number()) {
+    if builtin_surface(other).is_some_and(|surface| !has_mesh || surface.seed != scene.scene_number()) {
         return Err(Error::Config(format!(
             "{name} is of {} ({}), and `{other}` is the surface of another scene",
             scene.name,

@@ -53,16 +53,15 @@ pub fn surface_threshold(config: &Config, scene: &Scene) -> f64 {
     std::f64::consts::LN_2 * samples as f64 / length
 }
 
-/// Returns the number of a built-in scene whose surface a name means: `builtin`, or `builtin:17`.
-pub fn builtin_surface(name: &str) -> Option<Option<u64>> {
-    let scene = BuiltinScene::named(name).filter(|scene| scene.kind == DataKind::BuiltinBlender);
-    scene.map(|scene| scene.seed)
+/// Returns the built-in scene whose surface a name means: `builtin`, or `builtin:17`.
+pub fn builtin_surface(name: &str) -> Option<BuiltinScene> {
+    BuiltinScene::named(name).filter(|scene| scene.kind == DataKind::BuiltinBlender)
 }
 
 /// Reads a reference mesh: `builtin`, `builtin:17`, or a file.
 pub fn reference_mesh(name: &str) -> Result<Reference> {
     match builtin_surface(name) {
-        Some(seed) => Ok(Reference::builtin(seed)),
+        Some(scene) => Ok(Reference::builtin(scene.seed)),
         None => read_mesh(Path::new(name)).map(Reference::Mesh),
     }
 }
@@ -75,10 +74,10 @@ pub fn surface_reference(config: &Config, scene: &Scene) -> Result<Option<Refere
         return Ok(None);
     }
     let named = builtin_surface(reference);
-    if let Some(seed) =
-        named.filter(|seed| scene.format().is_some_and(|format| format.has_mesh) && *seed != config.data.scene_number())
+    let is_another = |named: &BuiltinScene| named.seed != config.data.scene_number();
+    if let Some(named) = named.filter(|named| scene.format().is_some_and(|format| format.has_mesh) && is_another(named))
     {
-        let other = seed.map_or_else(|| BUILTIN.to_string(), |seed| format!("{BUILTIN}:{seed}"));
+        let other = named.seed.map_or_else(|| BUILTIN.to_string(), |seed| format!("{BUILTIN}:{seed}"));
         return Err(Error::Config(format!(
             "eval.mesh.reference = \"{other}\" is the surface of another scene than {}; leave it empty for the scene's own",
             scene.name
