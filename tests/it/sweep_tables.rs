@@ -417,7 +417,7 @@ fn what_is_said_of_a_row_holds_for_most_of_its_seeds() {
             4,
             "NeRF †=",
             ["- \\= no better than one colour: NeRF (with 3 of 4 seeds)", "average: NeRF (t)"],
-            "NOTHING LEARNED: all rows: no better than one colour with 3 of 4 seeds",
+            "NOTHING LEARNED: NeRF: no better than one colour with 3 of 4 seeds",
             "t",
         ),
         (
@@ -425,7 +425,7 @@ fn what_is_said_of_a_row_holds_for_most_of_its_seeds() {
             0,
             "NeRF =",
             ["- \\= no better than one colour: NeRF", ""],
-            "NOTHING LEARNED: all rows: no better than one colour",
+            "NOTHING LEARNED: NeRF: no better than one colour",
             "",
         ),
     ] {

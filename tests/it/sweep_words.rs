@@ -9,7 +9,7 @@ use std::time::Duration;
 use tempfile::TempDir;
 
 use crate::common::assert_says;
-use crate::common::files::entries;
+use crate::common::files::{entries, points_of};
 use crate::common::program::{augnerf, demand, wait_for};
 use augnerf::runtime::Runtime;
 use augnerf::sweep::{Definition, Point, Trainings, expand, plan_costs};
@@ -84,6 +84,76 @@ fn a_report_of_results_is_the_page_of_collect() {
     let said = run(dir.path(), &["report", "results/tiny", "--out", "small.html"], 0);
     assert_says(&said, &["no runs beside these results", "page: small.html"]);
     assert!(!fs::read_to_string(dir.path().join("small.html")).unwrap().contains("id=\"views\""));
+}
+
+/// Settings have the values that runs used, a point in several positions says so, and what all points share is in one place.
+#[test]
+fn points_say_what_was_used_and_what_they_share() {
+    let dir = workplace();
+    let (head, _) = TINY.split_once("row = ").unwrap();
+    let rows = r#"combine = "one-at-a-time"
+row = [{ name = "NeRF" }, { name = "Aug-NeRF", axes = true, set = { method = "aug-nerf" } }]
+axis = [{ name = "PGD steps", keys = ["perturb.t.steps"], values = [1, 3] }, { name = "layer", keys = ["perturb.injection_layer"], values = [1, 2] }]
+"#;
+    fs::write(dir.path().join("sweeps/tiny.toml"), format!("{head}{rows}")).unwrap();
+    run(dir.path(), &["sweep", "run", "sweeps/tiny.toml", "--quiet"], 0);
+    let results = dir.path().join("results/tiny");
+    let csv = fs::read_to_string(results.join("points.csv")).unwrap();
+    let head: Vec<&str> = csv.lines().next().unwrap().split(',').collect();
+    let first = ["id", "scene", "row", "axes", "axis.PGD_steps"];
+    assert_eq!((&head[..5], head.iter().any(|name| name.contains(' '))), (&first[..], false));
+    let points = points_of(&results);
+    let of = |row: &str, axes: &str| points.iter().find(|point| point["row"] == row && point["axes"] == axes).unwrap();
+    let names = ["set.perturb.t.steps", "set.perturb.injection_layer", "perturb.t.epsilon", "position", "positions"];
+    for (row, axes, cells) in [
+        ("NeRF", "PGD steps = 1", ["", "", "", "1", "4"]),
+        ("NeRF", "layer = 2", ["", "", "", "4", "4"]),
+        ("Aug-NeRF", "PGD steps = 1", ["1", "2", "0.5", "1", "1"]),
+        ("Aug-NeRF", "PGD steps = 3", ["3", "2", "0.5", "1", "1"]),
+        ("Aug-NeRF", "layer = 1", ["3", "1", "0.5", "1", "1"]),
+        ("Aug-NeRF", "layer = 2", ["3", "2", "0.5", "1", "1"]),
+    ] {
+        assert_eq!(names.map(|name| of(row, axes)[name].as_str()), cells, "{row} {axes}");
+    }
+    assert!(head.contains(&"set.method") && !head.contains(&"steps") && points[0]["steps"] == "2");
+    run(dir.path(), &["verify"], 0);
+    let provenance = results.join("provenance.toml");
+    let before = fs::read_to_string(&provenance).unwrap();
+    fs::write(&provenance, before.replace("steps = 2\n", "steps = 3\n")).unwrap();
+    assert_says(
+        &run(dir.path(), &["verify"], 10),
+        &["steps of NeRF, PGD steps = 1 · builtin · seed 0 is '3', its configuration says '2'"],
+    );
+    fs::write(&provenance, before.replace("[constants]\n", "[constants]\npsnr = 3\n")).unwrap();
+    assert_says(&run(dir.path(), &["verify"], 10), &["[constants] are not the fields that all points share"]);
+}
+
+/// pandas drops a row of this name; folders that have one stay readable.
+#[test]
+fn names_that_are_no_text_are_refused_and_read() {
+    let dir = workplace();
+    let file = dir.path().join("sweeps/tiny.toml");
+    fs::write(&file, TINY.replace("\"NeRF\"", "\"None\"")).unwrap();
+    for command in ["run", "plan", "begin"] {
+        let said = run(dir.path(), &["sweep", command, "sweeps/tiny.toml", "--quiet"], 2);
+        assert_says(
+            &said,
+            &["row's name 'None' is one that pandas and R read as a missing value", "such as 'row None'"],
+        );
+    }
+    assert!(!dir.path().join("runs").exists());
+    fs::write(&file, TINY).unwrap();
+    run(dir.path(), &["sweep", "run", "sweeps/tiny.toml", "--quiet"], 0);
+    for file in ["runs/tiny/sweep.toml", "runs/tiny/points.json", "sweeps/tiny.toml"] {
+        let file = dir.path().join(file);
+        fs::write(&file, fs::read_to_string(&file).unwrap().replace("\"NeRF\"", "\"None\"")).unwrap();
+    }
+    for command in
+        [&["sweep", "run", "sweeps/tiny.toml", "--quiet"][..], &["sweep", "collect", "runs/tiny"], &["verify"]]
+    {
+        run(dir.path(), command, 0);
+    }
+    assert!(points_of(&dir.path().join("results/tiny")).iter().any(|point| point["row"] == "None"));
 }
 
 /// Cells that tables do not show are held to the scene and to the configurations.
