@@ -26,7 +26,7 @@ pub fn shown(label: &str, method: Method, steps: usize) -> Arc<ShownRun> {
     shown_with(label, method, steps, |_| {})
 }
 
-fn shown_with(label: &str, method: Method, steps: usize, change: impl FnOnce(&mut Config)) -> Arc<ShownRun> {
+pub fn shown_with(label: &str, method: Method, steps: usize, change: impl FnOnce(&mut Config)) -> Arc<ShownRun> {
     let (scene, runtime) = (tiny_scene(), Runtime::new("cpu", Some(2)).unwrap());
     let config = tiny_config(method, |config| {
         config.train.steps = steps.max(1) as u64;

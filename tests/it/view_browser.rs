@@ -7,7 +7,7 @@ use std::time::Duration;
 use augnerf::settings::Method;
 use serde_json::{Value, json};
 
-use crate::view::{ask, served, shown};
+use crate::view::{ask, served, shown, shown_with};
 
 /// Tries of a condition, and the pause between two.
 const TRIES: usize = 300;
@@ -147,6 +147,8 @@ fn pointer_wheel_and_keys_move_the_camera_and_the_view_brings_it_back() {
         let (x, y) = browser.middle("picture");
         let turned = browser.sharp_after(|browser| browser.drag((x, y), (x + 120, y + 30)));
         assert_eq!(browser.value("own"), Value::Null, "the camera has left the view");
+        let left = "[document.getElementById('photograph').disabled, document.getElementById('views').value].join()";
+        assert_eq!(browser.value(left), "true,");
         let flown = browser.sharp_after(|browser| browser.key("w"));
         let back = browser.sharp_after(|browser| browser.key("s"));
         let wheel = json!([{ "type": "scroll", "x": x, "y": y, "deltaX": 0, "deltaY": 200 }]);
@@ -158,9 +160,19 @@ fn pointer_wheel_and_keys_move_the_camera_and_the_view_brings_it_back() {
         assert_eq!(turned, back, "one step ahead and one back");
         let reset = browser.sharp_after(|browser| drop(browser.value("document.getElementById('reset').click()")));
         assert_eq!(reset, first);
-        let depth =
-            browser.sharp_after(|browser| drop(browser.value("document.querySelectorAll('#layers input')[1].click()")));
+        assert_eq!(browser.value(left), "false,held-out:0");
+        // Until depth is there, what is shown is marked.
+        let depths = "document.getElementById('depths').hidden";
+        let marked = "document.getElementById('stage').classList.contains('stale')";
+        assert_eq!((browser.value(depths), browser.value(marked)), (true.into(), false.into()));
+        let depth = browser.sharp_after(|browser| {
+            let click = "(document.querySelectorAll('#layers input')[1].click(), MARKED)".replace("MARKED", marked);
+            assert_eq!(browser.value(&click), true);
+        });
         assert_ne!(depth, first);
+        assert_eq!((browser.value(depths), browser.value(marked)), (false.into(), false.into()));
+        let number = |id: &str| browser.value(&format!("Number(document.getElementById('{id}').textContent)")).as_f64();
+        assert!(number("near").unwrap() < number("far").unwrap());
         assert_eq!(browser.complaints(), [""; 0]);
     });
 }
@@ -185,6 +197,7 @@ fn two_runs_have_a_slider_and_a_difference() {
         browser.choose("as", "difference");
         assert_eq!(browser.value("document.getElementById('slider').hidden"), true);
         assert_ne!(browser.picture(), half);
+        browser.until("/^PSNR between the two: [0-9.]+ dB$/.test(document.getElementById('psnr').textContent)");
         assert_eq!(browser.complaints(), [""; 0]);
     });
 }
@@ -195,7 +208,10 @@ fn the_worst_case_stands_beside_the_clean_pass_and_a_ray_is_drawn() {
     served(vec![shown("one", Method::AugNerf, 10)], |url, _| {
         let browser = Browser::open(url, 1200, 800);
         let clean = browser.sharp();
+        let factor = "document.getElementById('scale').disabled";
+        assert_eq!(browser.value(factor), true, "there is nothing to scale");
         browser.sharp_after(|browser| drop(browser.value("document.querySelector('#sites input').click()")));
+        assert_eq!(browser.value(factor), false);
         let both = browser.sharp_after(|browser| browser.choose("beside", "attack"));
         assert_ne!(both, clean);
         let right = browser.value("document.getElementById('right-label').textContent");
@@ -230,7 +246,8 @@ fn on_a_phone_nothing_sticks_out_and_the_picture_comes_first() {
         assert_eq!(browser.value("innerWidth"), 390);
         assert_eq!(browser.value("document.documentElement.scrollWidth <= innerWidth"), true, "it scrolls sideways");
         let top = |id: &str| browser.value(&format!("document.getElementById('{id}').getBoundingClientRect().top"));
-        assert!(top("picture").as_f64() < top("layers").as_f64(), "controls come first");
+        let order = ["picture", "ray", "layers"].map(|id| top(id).as_f64().unwrap());
+        assert!(order.is_sorted(), "controls come between the picture and its ray, or first: {order:?}");
         let width = browser.value("frame().width").as_f64().unwrap();
         assert!(width > 300.0, "the picture is {width} wide");
     });
@@ -253,4 +270,31 @@ fn two_people_look_at_once_and_a_lost_program_is_said() {
     let before = browsers[0].picture();
     browsers[0].until("!document.getElementById('lost').hidden");
     assert_eq!(browsers[0].picture(), before, "the last picture stays");
+}
+
+#[test]
+#[ignore = "needs Chromium"]
+fn a_slow_model_is_seen_coarsely_first_and_its_reloaded_page_waits_for_nobody() {
+    let slow = shown_with("slow", Method::Nerf, 0, |config| {
+        (config.field.width, config.field.depth) = (256, 8);
+        (config.sampling.coarse, config.sampling.fine) = (64, 64);
+    });
+    served(vec![slow], |url, server| {
+        let browser = Browser::open(url, 900, 700);
+        for _ in 0..2 {
+            // The page says how large its picture is, and how long the sharp one takes.
+            browser.until("/^[0-9]+ × [0-9]+ so far. Rendering 400 × 400: about [0-9]+ s …$/.test(document.getElementById('status').textContent)");
+            let (x, y) = browser.middle("picture");
+            browser.value("(window.notes = [], new MutationObserver(() => notes.push(document.getElementById('ray-note').textContent)).observe(document.getElementById('ray-note'), { childList: true }))");
+            browser.drag((x, y), (x, y));
+            browser.until("document.getElementById('ray-note').textContent.startsWith('RGB')");
+            assert_eq!(browser.value("notes[0]"), "Waiting for the ray …");
+            assert_eq!(browser.value("busy"), true, "the ray came before the sharp picture");
+            browser.call("refresh", &json!({}));
+        }
+        drop(browser);
+        while server.unfinished() > 0 {
+            std::thread::sleep(PAUSE);
+        }
+    });
 }
