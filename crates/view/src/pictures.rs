@@ -127,7 +127,7 @@ impl Pictures {
             .perturbed
             .as_ref()
             .ok_or_else(|| "only fields on the processor have samples to show".to_string())?;
-        let view = arguments.view(&runs[0].scene)?;
+        let photo = arguments.view(&runs[0].scene)?.map(View::read).transpose()?;
         let attack = arguments.attack(&perturbed.sites())?;
         let check = self.wanted(arguments, has_gone)?;
         let mut work = Work::new(&self.queue, Rank::Quick, &check);
@@ -140,7 +140,7 @@ impl Pictures {
                 perturbed.ray_parts(),
             )
             .to_tensors(DType::F32, run.runtime.device())?;
-            let target = view.map(|view| photographed(view, &camera, &[(x, y)])).transpose()?;
+            let target = photo.as_ref().map(|photo| photographed(&photo.image, &camera, &[(x, y)])).transpose()?;
             let norm = f64::from(rays.direction_norm.flatten_all()?.to_vec1::<f32>()?[0]);
             RaySamples::of(&perturbed.pass(&rays, target.as_ref(), attack, 0)?, norm)
         };
@@ -185,9 +185,8 @@ fn png(image: &Image) -> Answer {
 }
 
 /// Returns what a photograph shows at pixels of a picture of its camera in another size, `[pixels, 3]`.
-fn photographed(view: &View, camera: &Camera, pixels: &[(u32, u32)]) -> Result<Tensor> {
-    let view = view.read()?;
-    let Image { width, height, channels, pixels: values } = &*view.image;
+fn photographed(photo: &Image, camera: &Camera, pixels: &[(u32, u32)]) -> Result<Tensor> {
+    let Image { width, height, channels, pixels: values } = photo;
     // `with_size` keeps the vertical field of view, around the middle of the columns.
     let scale = *height as f64 / camera.height as f64;
     let left = 0.5 * (*width as f64 - scale * camera.width as f64);
@@ -213,6 +212,8 @@ fn perturbed_view(
     stop_check: &mut dyn FnMut() -> Result<()>,
 ) -> Result<RenderedView> {
     let perturbed = weights.perturbed.as_ref().expect("it has sites");
+    // Read once: it may be a file.
+    let photo = view.map(View::read).transpose()?;
     let (width, height) = (camera.width, camera.height);
     let pixels: Vec<(u32, u32)> = (0..height as u32).flat_map(|y| (0..width as u32).map(move |x| (x, y))).collect();
     let parts: Vec<(u64, &[(u32, u32)])> = (0..).zip(pixels.chunks(SEARCHED_RAYS)).collect();
@@ -226,7 +227,7 @@ fn perturbed_view(
             perturbed.ray_parts(),
         )
         .to_tensors(DType::F32, run.runtime.device())?;
-        let target = view.map(|view| photographed(view, camera, pixels)).transpose()?;
+        let target = photo.as_ref().map(|photo| photographed(&photo.image, camera, pixels)).transpose()?;
         let out = perturbed.render(&rays, target.as_ref(), attack, part)?;
         let host = |tensor: &Tensor| tensor.flatten_all()?.to_vec1::<f32>();
         Ok([host(&out.rgb)?, host(&(out.depth / &out.acc)?)?, host(&out.acc)?])
