@@ -217,12 +217,12 @@ fn meshes_of_georeferenced_captures_keep_their_precision() {
         let obj = text(&out.join("mesh.obj"));
         let places: Vec<[f64; 3]> = numbers(&obj, "v ").into_iter().map(|[a, b, c]| [a + x, b + y, c + z]).collect();
         assert_eq!(places.len() as u64, report["vertices"].as_u64().unwrap());
-        (report, places, said, out)
+        (report, places, said, (out, folder))
     };
     let (near, at_0, said, _) = drawn("near", [0.0; 3]);
     assert!(near["offset"] == serde_json::json!([0.0, 0.0, 0.0]) && !said.contains("offset"), "{said}");
     let shift = [441_547.0, 5_121_946.0, -30.0];
-    let (far, there, said, out) = drawn("far", shift);
+    let (far, there, said, (out, _folder)) = drawn("far", shift);
     assert_says(&said, &["less an offset of 441", ", 5121", "mesh.json"]);
     // One field in scene units, and so one mesh, but for the rounding of the poses' mean.
     assert_eq!(at_0.len(), there.len());
