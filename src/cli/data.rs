@@ -1,13 +1,14 @@
 //! `augnerf data`.
 
 use std::path::{Path, PathBuf};
+use std::sync::{Mutex, PoisonError};
 
 use clap::{Args, Subcommand};
 use serde::Serialize;
 use serde_json::json;
 
 use crate::base::files::{AtomicDir, write_named};
-use crate::base::{Error, Result};
+use crate::base::{Error, Event, Listener, Result};
 use crate::data::corruption::corrupt;
 use crate::data::formats::builtin::export;
 use crate::data::{Photos, Scene, View, images};
@@ -193,7 +194,10 @@ impl CheckArguments {
         assignments.extend(set);
         let config = build(None, None, &assignments)?;
         let photos = if self.pixels { Photos::Read } else { Photos::Later };
-        let (config, scene) = load_scene_with(config, photos, &console)?;
+        let held = Held { events: &console, notes: Mutex::default() };
+        let loaded = load_scene_with(config, photos, &held);
+        held.say(loaded.as_ref().ok());
+        let (config, scene) = loaded?;
         let sizes = scene.train.iter().chain(&scene.test).map(|view| (view.camera.width, view.camera.height));
         images::check_memory_of(&sizes.collect::<Vec<_>>())?;
         say_without_effect(named.into_iter(), |setting| config.without_effect(setting), &console);
@@ -219,6 +223,35 @@ fn pixels_words(scene: &Scene) -> &'static str {
     match scene.is_read() {
         true => "all read",
         false => "headers are read, and pixels only where alpha tells the background (--pixels reads all)",
+    }
+}
+
+/// Holds notes back until it is known which of them the table has.
+struct Held<'a> {
+    events: &'a dyn Listener,
+    notes: Mutex<Vec<String>>,
+}
+
+impl Listener for Held<'_> {
+    fn on(&self, event: Event<'_>) {
+        match event {
+            Event::Note(words) => self.notes.lock().unwrap_or_else(PoisonError::into_inner).push(words.into()),
+            other => self.events.on(other),
+        }
+    }
+}
+
+impl Held<'_> {
+    /// Says what the scene does not say of itself; without a scene, all.
+    fn say(self, loaded: Option<&(Resolved, Scene)>) {
+        let (dir, rows) = loaded.map_or(("", Vec::new()), |(config, scene)| (&*config.data.dir, scene.describe()));
+        for note in self.notes.into_inner().unwrap_or_else(PoisonError::into_inner) {
+            let bare =
+                note.strip_prefix(dir.trim_end_matches('/')).unwrap_or(&note).trim_start_matches([':', '/', ' ']);
+            if !rows.iter().any(|(_, words)| words.contains(bare)) {
+                self.events.on(Event::Note(&note));
+            }
+        }
     }
 }
 
