@@ -245,7 +245,7 @@ fn blender_files() {
         ("0.7", "3.5", vec!["camera_angle_x", "3.5"]),
         ("0.7", "\"wide\"", vec!["camera_angle_x", "wide", "finite number"]),
         ("file_path", "path", vec!["frame 0", "\"file_path\" is missing"]),
-        ("./views/0", "./views/zero", vec!["3 of 4", "frame 0", "views/zero"]),
+        ("./views/0", "./views/zero", vec!["none of the 4 photos", "views/zero"]),
         ("transform_matrix", "matrix", vec!["frame 0", "\"transform_matrix\" is missing"]),
         ("[[1,0,0,0.0]", "[[1,0,0]", vec!["frame 0", "transform_matrix", "4x4"]),
         ("[[1,0,0,0.0]", "[[2,0,0,0.0]", vec!["frame 0", "rotation", "2.0000"]),
@@ -254,10 +254,10 @@ fn blender_files() {
         ("[{", "[3, {", vec!["frame 0", "a number"]),
     ] {
         let dir = transforms(&["train", "test"], ANGLE);
-        // A missing photograph is no error while half of them are there.
-        (1..3)
+        // A missing photo is no error while others are there.
+        (1..4)
             .filter(|_| to.ends_with("zero"))
-            .for_each(|i| edit(&dir.path().join(file), &format!("./views/{i}"), "./views/no"));
+            .for_each(|i| edit(&dir.path().join(file), &format!("./views/{i}"), &format!("./views/no{i}")));
         edit(&dir.path().join(file), from, to);
         refuses(config(dir.path()), &[vec![file], words].concat());
     }

@@ -44,6 +44,7 @@ mod plain;
 mod planes;
 mod reference;
 mod regularizers;
+mod repairs;
 mod run_scenes;
 mod runtime;
 mod score;

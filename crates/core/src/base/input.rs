@@ -4,7 +4,7 @@
 //! regular files are read, up to a size. A file that the user names may also be a pipe (`--config <(...)`).
 
 use std::fs::File;
-use std::io::{self, Read};
+use std::io::{self, Read, Seek};
 use std::path::Path;
 
 /// Largest size of settings and of sweep files in bytes: a hundred times a usual one.
@@ -16,10 +16,17 @@ pub const JSON_BYTES: u64 = 8 << 20;
 /// Largest size of a checkpoint's tensors in bytes.
 pub const TENSORS_BYTES: u64 = 16 << 30;
 
+/// Begin of the text that a clone without Git LFS has in the place of a large file.
+const LFS_POINTER: &[u8] = b"version https://git-lfs";
+/// Largest size of such a text in bytes.
+const MOST_POINTER: u64 = 1024;
+const BYTE_ORDER_MARK: char = '\u{feff}';
+
 /// Opens a regular file.
 ///
 /// # Errors
-/// Those of the system. If the path is not a regular file; it does not wait for pipes or devices.
+/// Those of the system. If the path is not a regular file; it does not wait for pipes or devices. If the file is a pointer
+/// of Git LFS.
 pub fn open_regular(path: &Path) -> io::Result<File> {
     let found = std::fs::metadata(path)?;
     if found.is_dir() {
@@ -28,7 +35,17 @@ pub fn open_regular(path: &Path) -> io::Result<File> {
     if !found.is_file() {
         return Err(io::Error::other("it is a device or a pipe, where a file is needed"));
     }
-    File::open(path)
+    let mut file = File::open(path)?;
+    if found.len() <= MOST_POINTER {
+        let mut begin = [0; LFS_POINTER.len()];
+        if file.read_exact(&mut begin).is_ok() && begin == LFS_POINTER {
+            return Err(io::Error::other(
+                "it is a Git LFS pointer, not the file: run `git lfs pull` in its repository",
+            ));
+        }
+        file.rewind()?;
+    }
+    Ok(file)
 }
 
 /// Reads a regular file of at most `most` bytes.
@@ -47,7 +64,7 @@ pub fn read_bytes(path: &Path, most: u64) -> io::Result<Vec<u8>> {
     read_into(file, most, bytes)
 }
 
-/// Reads text with [`read_bytes`].
+/// Reads text with [`read_bytes`]: UTF-8, or UTF-16 as programs on Windows write it. A byte order mark is left out.
 pub fn read_text(path: &Path, most: u64) -> io::Result<String> {
     text(read_bytes(path, most)?)
 }
@@ -73,7 +90,21 @@ fn too_large(most: u64) -> io::Error {
 }
 
 fn text(bytes: Vec<u8>) -> io::Result<String> {
-    String::from_utf8(bytes).map_err(|_| io::Error::other("it is not a text in UTF-8"))
+    // Without a mark, UTF-16 shows by the zero byte of its first letter.
+    let order: fn([u8; 2]) -> u16 = match bytes[..] {
+        [0xff, 0xfe, ..] | [1..=0xff, 0, ..] => u16::from_le_bytes,
+        [0xfe, 0xff, ..] | [0, 1..=0xff, ..] => u16::from_be_bytes,
+        _ => {
+            let mut text = String::from_utf8(bytes).map_err(|_| io::Error::other("it is not a text in UTF-8"))?;
+            if text.starts_with(BYTE_ORDER_MARK) {
+                text.remove(0);
+            }
+            return Ok(text);
+        }
+    };
+    let units: Vec<u16> = bytes.chunks(2).map(|pair| order([pair[0], pair.get(1).copied().unwrap_or(0)])).collect();
+    let text = String::from_utf16(&units).map_err(|_| io::Error::other("it is not a text in UTF-16"))?;
+    Ok(text.trim_start_matches(BYTE_ORDER_MARK).into())
 }
 
 #[cfg(test)]
@@ -91,6 +122,26 @@ mod tests {
         std::fs::write(&path, [0xff]).unwrap();
         assert!(read_named(&path, 10).unwrap_err().to_string().contains("UTF-8"));
         assert_eq!(read_bytes(&dir.path().join("b"), 10).unwrap_err().kind(), io::ErrorKind::NotFound);
+        std::fs::write(&path, b"version https://git-lfs.github.com/spec/v1\noid sha256:00\nsize 8\n").unwrap();
+        assert!(open_regular(&path).unwrap_err().to_string().contains("git lfs pull"));
+    }
+
+    #[test]
+    fn texts_of_windows_are_read() {
+        let utf16 = |order: fn(u16) -> [u8; 2], words: &str| words.encode_utf16().flat_map(order).collect::<Vec<u8>>();
+        let words = "{\"k\": \"Küche\"}";
+        let marked = format!("\u{feff}{words}");
+        for bytes in [
+            words.as_bytes().to_vec(),
+            marked.as_bytes().to_vec(),
+            utf16(u16::to_le_bytes, words),
+            utf16(u16::to_le_bytes, &marked),
+            utf16(u16::to_be_bytes, words),
+            utf16(u16::to_be_bytes, &marked),
+        ] {
+            assert_eq!(text(bytes).unwrap(), words);
+        }
+        assert!(text(vec![0xff, 0xfe, 0, 0xd8]).is_err() && text(vec![b'a', 0xff]).is_err());
     }
 
     #[cfg(unix)]

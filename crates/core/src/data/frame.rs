@@ -42,6 +42,8 @@ pub struct Frame {
     /// A depth map, with the bounds of its distances.
     pub(super) depth: Option<(PathBuf, [f64; 2])>,
     pub(super) header: Header,
+    /// How many times the original was larger, if a reduced photo stands for it.
+    pub(super) reduced: usize,
     pub(super) lens: Intrinsics,
     pub(super) distortion: Distortion,
     /// The camera without distortion, at the photo's size.
@@ -71,7 +73,17 @@ impl Frame {
     /// undone.
     pub(super) fn new(path: PathBuf, header: Header, lens: Intrinsics, distortion: Distortion) -> Option<Frame> {
         let pinhole = distortion::pinhole(lens, &distortion, header.size)?;
-        Some(Frame { path, pose: [[0.0; 4]; 3], mask: None, depth: None, header, lens, distortion, pinhole })
+        Some(Frame {
+            path,
+            pose: [[0.0; 4]; 3],
+            mask: None,
+            depth: None,
+            header,
+            reduced: 1,
+            lens,
+            distortion,
+            pinhole,
+        })
     }
 
     /// Returns width and height of the photo for which the lens is given.

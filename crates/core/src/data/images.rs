@@ -10,7 +10,7 @@ use image::{DynamicImage, ImageDecoder, ImageFormat, ImageReader, Limits};
 use rayon::prelude::*;
 use unicode_normalization::UnicodeNormalization;
 
-use super::resample;
+use super::{foreign, resample};
 use crate::base::input::{open_regular, read_bytes};
 use crate::base::{Error, Event, Image, Listener, Result};
 use crate::runtime::free_memory_mib;
@@ -141,10 +141,35 @@ pub(super) fn real(path: &Path) -> PathBuf {
     path.canonicalize().unwrap_or_else(|_| path.to_path_buf())
 }
 
+/// Notes photos that are not used because the same name with another ending is, and returns them.
+pub(super) fn note_twins<'a>(
+    scene: &Path,
+    used: impl Iterator<Item = &'a PathBuf>,
+    events: &dyn Listener,
+) -> BTreeSet<PathBuf> {
+    let used: BTreeSet<&PathBuf> = used.collect();
+    let stems: BTreeSet<PathBuf> = used.iter().map(|path| path.with_extension("")).collect();
+    let folders: BTreeSet<&Path> = used.iter().filter_map(|path| path.parent()).collect();
+    let there = folders.into_iter().flat_map(|folder| list(folder).unwrap_or_default());
+    let twins: BTreeSet<PathBuf> =
+        there.filter(|path| !used.contains(path) && stems.contains(&path.with_extension(""))).collect();
+    if let Some(first) = twins.first().and_then(|first| first.file_name()) {
+        events.on(Event::Note(&format!(
+            "{}: {} photos are there again with another ending and are not used, such as {}: if no ending is named, PNG is read before \
+             JPEG and WebP",
+            scene.display(),
+            twins.len(),
+            first.to_string_lossy()
+        )));
+    }
+    twins
+}
+
 /// Notes photos in the folders of the used ones, and below their folder in the scene, that are not used themselves. `why`
 /// ends "3 photos".
 pub(super) fn note_unused<'a>(scene: &Path, used: impl Iterator<Item = &'a PathBuf>, why: &str, events: &dyn Listener) {
     let used: Vec<&PathBuf> = used.collect();
+    let twins = note_twins(scene, used.iter().copied(), events);
     // The folder in the scene, such as `images`; the scene itself has others' folders.
     let top =
         |path: &&PathBuf| Some(path.parent()?.strip_prefix(scene).ok()?.components().next()?.as_os_str().to_owned());
@@ -165,7 +190,7 @@ pub(super) fn note_unused<'a>(scene: &Path, used: impl Iterator<Item = &'a PathB
         let within = folder.strip_prefix(scene).unwrap_or(folder);
         let is_other = |path: &&PathBuf| {
             let name = within.join(path.file_name().unwrap_or_default());
-            is_photo(&name.to_string_lossy().to_lowercase()) && !used.contains(&real(path))
+            is_photo(&name.to_string_lossy().to_lowercase()) && !twins.contains(*path) && !used.contains(&real(path))
         };
         let others: Vec<String> = there
             .iter()
@@ -192,45 +217,150 @@ pub(super) fn is_photo(path: &str) -> bool {
     !NO_PHOTOS.iter().any(|part| path.contains(part))
 }
 
-/// Returns the only one of the images `below` a folder that a name means: its path ends in the name or in the longest end of
-/// it, or it lies in the folder itself under the last part. A split's folder stays part of the name. Letter case and an
-/// image's ending do not count. Masks and maps of depth are no photos.
-pub(super) fn place_of<'a>(name: &str, below: &'a [PathBuf]) -> Option<&'a Path> {
-    let wanted = without_ending(name_key(Path::new(name.trim_start_matches('/'))));
-    let splits = ["train/", "test/", "val/"].into_iter().filter(|split| wanted.contains(split)).collect::<Vec<_>>();
-    let names_split = |end: &str| splits.iter().all(|split| end.contains(split));
-    let only = |fits: &dyn Fn(&str) -> bool| only(below, |path| is_photo(path) && fits(&without_ending(path.into())));
-    let ends =
-        |end: &str| only(&|path| path.strip_suffix(end).is_some_and(|front| front.is_empty() || front.ends_with('/')));
-    // The longest end first; its last part alone means a file in the folder itself.
-    let parts = wanted.match_indices('/').map(|(at, _)| &wanted[at + 1..]);
-    let shorter = parts.filter(|end| end.contains('/') && names_split(end));
-    let last = wanted.rsplit('/').next().filter(|last| names_split(last));
-    only(&|path| path == wanted)
-        .or_else(|| std::iter::once(&*wanted).chain(shorter).find_map(ends))
-        .or_else(|| only(&|path| Some(path) == last))
+/// The images below a folder, among which photos are found that are not where they are named.
+pub(super) struct Below {
+    /// Paths within the folder, with their names as they are compared, without an image's ending.
+    files: Vec<(PathBuf, String)>,
 }
 
-/// Returns the only one of the images `below` a folder that has a name, apart from its letter case, its Unicode form and an
-/// image's ending.
-pub(super) fn under_same_name<'a>(name: &str, below: &'a [PathBuf]) -> Option<&'a Path> {
-    let wanted = without_ending(name_key(Path::new(name)));
-    only(below, |path| without_ending(path.into()) == wanted)
+impl Below {
+    pub(super) fn of(paths: Vec<PathBuf>) -> Below {
+        let key = |path: PathBuf| (without_ending(name_key(&path)), path);
+        Below { files: paths.into_iter().map(key).map(|(key, path)| (path, key)).collect() }
+    }
+
+    /// Returns the only file whose name fits. Of a name with several endings it is the first of [`ENDINGS`].
+    fn only(&self, fits: impl Fn(&str) -> bool) -> Option<&Path> {
+        let mut fitting: Vec<&(PathBuf, String)> = self.files.iter().filter(|(_, key)| fits(key)).collect();
+        fitting.sort_by_key(|(path, _)| rank(path));
+        let (path, key) = fitting.first()?;
+        let is_twin = |(other, name): &&&(PathBuf, String)| name == key && rank(other) > rank(path);
+        (fitting.iter().skip(1).filter(is_twin).count() + 1 == fitting.len()).then_some(path)
+    }
+
+    /// Returns the file that has a name, apart from its letter case, its Unicode form and an image's ending.
+    pub(super) fn under_same_name(&self, name: &str) -> Option<&Path> {
+        let wanted = without_ending(name_key(Path::new(name)));
+        self.only(|key| key == wanted)
+    }
+
+    /// Returns the only file that a name means: its path ends in the name or in the longest end of it, or it lies in the
+    /// folder itself under the last part. A split's folder stays part of the name. Masks and maps of depth are no photos.
+    pub(super) fn by_end(&self, name: &str) -> Option<&Path> {
+        let wanted = without_ending(name_key(Path::new(name.trim_start_matches('/'))));
+        let splits = splits_in(&wanted);
+        let names_split = |end: &str| splits.iter().all(|split| end.contains(split));
+        let only = |fits: &dyn Fn(&str) -> bool| self.only(|key| is_photo(key) && fits(key));
+        let ends = |end: &str| {
+            only(&|key| key.strip_suffix(end).is_some_and(|front| front.is_empty() || front.ends_with('/')))
+        };
+        // The longest end first; its last part alone means a file in the folder itself.
+        let parts = wanted.match_indices('/').map(|(at, _)| &wanted[at + 1..]);
+        let shorter = parts.filter(|end| end.contains('/') && names_split(end));
+        let last = wanted.rsplit('/').next().filter(|last| names_split(last));
+        self.only(|key| key == wanted)
+            .or_else(|| std::iter::once(&*wanted).chain(shorter).find_map(ends))
+            .or_else(|| only(&|key| Some(key) == last))
+    }
+
+    /// Returns the only folder that has the most of these files by the last part of their names, at least half, with the file
+    /// of each name. Folders of originals come before those of reduced photos. Of these it is the one with the largest factor
+    /// that divides `downscale`, or else the one with the largest photos.
+    pub(super) fn renamed_folder(&self, names: &[&str], downscale: usize) -> Option<(&Path, Vec<Option<&Path>>)> {
+        let keys: Vec<String> = names.iter().map(|name| without_ending(name_key(Path::new(name)))).collect();
+        let mut folders: BTreeMap<&Path, BTreeMap<&str, &Path>> = BTreeMap::new();
+        for (path, key) in self.files.iter().filter(|(_, key)| is_photo(key)) {
+            let files = folders.entry(path.parent().unwrap_or(Path::new(""))).or_default();
+            let file = files.entry(last_part(key)).or_insert(path);
+            if rank(path) < rank(file) {
+                *file = path;
+            }
+        }
+        let fits = |folder: &Path, key: &str| {
+            let place = format!("{}/", name_key(folder));
+            splits_in(key).iter().all(|split| place.contains(split))
+        };
+        let found = |(folder, files): (&'_ Path, &BTreeMap<&str, &'_ Path>)| -> usize {
+            keys.iter().filter(|key| fits(folder, key) && files.contains_key(last_part(key))).count()
+        };
+        let most = folders.iter().map(|(folder, files)| found((folder, files))).max()?;
+        let mut best: Vec<&Path> = folders
+            .iter()
+            .filter(|(folder, files)| found((folder, files)) == most)
+            .map(|(folder, _)| *folder)
+            .collect();
+        // Photos reduced by the wanted factor, and nothing else, may be read as they are.
+        let order = |folder: &&Path| match factor_in(folder) {
+            1 => (0, 0),
+            factor if downscale.is_multiple_of(factor) => (1, usize::MAX - factor),
+            factor => (2, factor),
+        };
+        best.sort_by_key(order);
+        if 2 * most < names.len() || most == 0 || (best.len() > 1 && order(&best[0]) == order(&best[1])) {
+            return None;
+        }
+        let files = &folders[best[0]];
+        let file = |key: &String| files.get(last_part(key)).copied().filter(|_| fits(best[0], key));
+        Some((best[0], keys.iter().map(file).collect()))
+    }
+
+    /// Returns the file whose name is nearest to a name, if one is near.
+    pub(super) fn nearest(&self, name: &str) -> Option<&Path> {
+        let wanted = without_ending(name_key(Path::new(name)));
+        let likeness = |key: &str| strsim::normalized_damerau_levenshtein(last_part(key), last_part(&wanted));
+        let (path, key) = self.files.iter().max_by(|a, b| likeness(&a.1).total_cmp(&likeness(&b.1)))?;
+        (likeness(key) >= NEAR).then_some(path)
+    }
 }
 
-/// Returns the image `below` a folder whose name is nearest to a name, if one is near.
-pub(super) fn nearest<'a>(name: &str, below: &'a [PathBuf]) -> Option<&'a Path> {
-    let key = |path: &Path| name_key(Path::new(path.file_name().unwrap_or_default()));
-    let wanted = key(Path::new(name));
-    let likeness = |path: &Path| strsim::normalized_damerau_levenshtein(&key(path), &wanted);
-    let nearest = below.iter().max_by(|a, b| likeness(a).total_cmp(&likeness(b)))?;
-    (likeness(nearest) >= NEAR).then_some(nearest)
+/// Returns the folders of splits that a name has.
+fn splits_in(name: &str) -> Vec<&'static str> {
+    ["train/", "test/", "val/"].into_iter().filter(|split| name.contains(split)).collect()
 }
 
-/// Returns the only path whose [`name_key`] fits.
-fn only(below: &[PathBuf], fits: impl Fn(&str) -> bool) -> Option<&Path> {
-    let mut fitting = below.iter().filter(|path| fits(&name_key(path)));
-    fitting.next().filter(|_| fitting.next().is_none()).map(PathBuf::as_path)
+fn last_part(name: &str) -> &str {
+    name.rsplit('/').next().unwrap_or(name)
+}
+
+/// Returns the place of a file's ending in [`ENDINGS`], which decides between photos of one name.
+fn rank(path: &Path) -> usize {
+    let ending = path.extension().map(|ending| ending.to_string_lossy().to_ascii_lowercase());
+    ENDINGS.iter().position(|known| ending.as_deref() == Some(known)).unwrap_or(ENDINGS.len())
+}
+
+/// Returns the factor by which the photos of a folder are reduced, by its name or that of a folder above it.
+pub(super) fn factor_in(folder: &Path) -> usize {
+    let factors = folder.components().filter_map(|part| factor_of(&part.as_os_str().to_string_lossy()));
+    factors.max().unwrap_or(1)
+}
+
+/// Says that reduced photos are read because their originals are not there.
+pub(super) fn reduced_words(folder: &Path, factor: usize, size: Size) -> String {
+    let lost = match size {
+        Size::Factor(wanted) if !wanted.is_multiple_of(factor) => {
+            format!("; data.downscale = {wanted} cannot be had, and they are read as they are")
+        }
+        _ => String::new(),
+    };
+    format!(
+        "only {} is there, whose photos are {factor} times smaller than the originals, as data.downscale={factor} reads them{lost}",
+        folder.display()
+    )
+}
+
+/// Keeps one photo of each name where several endings are there: the first of [`ENDINGS`].
+pub(super) fn without_twins(paths: Vec<PathBuf>) -> Vec<PathBuf> {
+    let mut best: BTreeMap<PathBuf, usize> = BTreeMap::new();
+    for path in &paths {
+        let best = best.entry(path.with_extension("")).or_insert(usize::MAX);
+        *best = rank(path).min(*best);
+    }
+    paths.into_iter().filter(|path| best[&path.with_extension("")] == rank(path)).collect()
+}
+
+/// Returns a name from a file with slashes, without `./` in front.
+pub(super) fn slashes(name: &str) -> String {
+    name.replace('\\', "/").trim_start_matches("./").to_string()
 }
 
 /// Returns a path as names are compared: neither letter case nor the Unicode form (macOS takes letters and accents apart)
@@ -255,6 +385,17 @@ pub fn size(path: &Path) -> Result<(usize, usize)> {
 /// Returns whether the file's format may be lossy.
 pub(super) fn may_be_lossy(path: &Path) -> Result<bool> {
     Ok(matches!(open(path)?.format(), Some(ImageFormat::Jpeg | ImageFormat::WebP)))
+}
+
+/// Returns the folders `images` and `images_{factor}` of a scene, each with its factor, in the order of the factors.
+pub(super) fn folders(dir: &Path) -> Result<Vec<(usize, PathBuf)>> {
+    let entries = std::fs::read_dir(dir).map_err(|e| Error::unreadable(dir, &e))?;
+    let factor = |name: &std::ffi::OsStr| factor_of(&name.to_string_lossy());
+    let named = entries.flatten().filter(|entry| entry.path().is_dir());
+    let mut found: Vec<(usize, PathBuf)> =
+        named.filter_map(|entry| Some((factor(&entry.file_name())?, entry.path()))).collect();
+    found.sort();
+    Ok(found)
 }
 
 /// Returns the factor in the name of an image folder: `images`, `images_{factor}`.
@@ -378,6 +519,14 @@ fn jpeg_is_complete(bytes: &[u8]) -> bool {
 }
 
 fn undecodable(path: &Path, error: &dyn std::fmt::Display) -> Error {
+    let mut begin = [0; 16];
+    let read = open_regular(path).and_then(|mut file| std::io::Read::read(&mut file, &mut begin)).unwrap_or(0);
+    if let Some(kind) = foreign::kind_of(&begin[..read]) {
+        return Error::Data(format!(
+            "{} is {kind}, whatever its name: only PNG, JPEG and WebP are read; convert it, and do not just rename it",
+            path.display()
+        ));
+    }
     // Some decoders' messages end in a full stop or a line break.
     let error = error.to_string();
     let error = error.trim_end_matches(['.', '\n', ' ']);
@@ -492,13 +641,14 @@ fn common_folder(paths: &[PathBuf]) -> PathBuf {
 /// of that folder is in no name, because hashes of scenes depend on names.
 pub(super) fn names(paths: &[PathBuf]) -> Vec<String> {
     let plain = |name: &str| name.replace(|letter: char| letter.is_control(), "_");
+    let paths: Vec<PathBuf> = paths.iter().map(|path| slashes(&path.to_string_lossy()).into()).collect();
     let stem = |path: &PathBuf| path.file_stem().map(|s| plain(&s.to_string_lossy())).unwrap_or_default();
     let mut names: Vec<String> = paths.iter().map(stem).collect();
     let distinct = |names: &[String]| names.iter().collect::<std::collections::HashSet<_>>().len() == names.len();
     if !distinct(&names) {
-        let common = common_folder(paths);
+        let common = common_folder(&paths);
         let below = |path: &PathBuf| path.strip_prefix(&common).unwrap_or(path).with_extension("");
-        names = paths.iter().map(|path| plain(&below(path).to_string_lossy()).replace(['/', '\\'], "_")).collect();
+        names = paths.iter().map(|path| plain(&below(path).to_string_lossy()).replace('/', "_")).collect();
     }
     if !distinct(&names) {
         names.iter_mut().enumerate().for_each(|(i, name)| name.push_str(&format!("_{i}")));

@@ -1,19 +1,15 @@
 //! Fields of a JSON document, with messages that name the file and the key.
 
 use std::borrow::Cow;
-use std::cell::Cell;
 use std::f64::consts::PI;
-use std::fmt;
 use std::path::{Path, PathBuf};
 
-use serde::Deserializer;
-use serde::de::{self, DeserializeSeed, MapAccess, SeqAccess, Visitor};
 use serde_json::Value;
 
-use super::images::{ENDINGS, is_image};
+use super::images::{ENDINGS, is_image, slashes};
 use super::pose::{self, Pose};
-use super::{LARGEST, SMALLEST, brief};
-use crate::base::input::read_bytes;
+use super::{LARGEST, SMALLEST, brief, foreign};
+use crate::base::input::read_text;
 use crate::base::{Error, Result};
 use crate::settings::Axes;
 
@@ -24,8 +20,8 @@ const MOST_BYTES: u64 = 32 << 20;
 #[derive(Clone, Copy)]
 pub(super) struct Object<'a> {
     file: &'a Path,
-    /// `None` for the document, the number of a frame otherwise.
-    place: Option<usize>,
+    /// `None` for the document, otherwise the key of a list and the number in it.
+    place: Option<(&'a str, usize)>,
     value: &'a Value,
 }
 
@@ -33,28 +29,52 @@ pub(super) struct Object<'a> {
 /// millions, each of which takes memory.
 const MOST_VALUES: usize = 1 << 20;
 
-/// Reads a JSON file. A byte order mark is ignored. `NaN` and the like, as Python writes them, become strings: they
-/// matter only where a number is needed.
+/// Reads a JSON file. `NaN` and the like, as Python writes them, become strings: they matter only where a number is
+/// needed.
 pub(super) fn read(file: &Path) -> Result<Value> {
-    parse(file, &read_bytes(file, MOST_BYTES).map_err(|e| Error::unreadable(file, &e))?)
+    parse(file, read_text(file, MOST_BYTES).map_err(|e| Error::unreadable(file, &e))?.as_bytes())
 }
 
 /// Parses the text of a JSON file as [`read`] does.
 pub(super) fn parse(file: &Path, text: &[u8]) -> Result<Value> {
-    let text = quote_no_numbers(text.strip_prefix(BYTE_ORDER_MARK).unwrap_or(text));
-    let invalid = |e| Error::Data(format!("{} is not valid JSON: {e}", file.display()));
-    let mut reader = serde_json::Deserializer::from_slice(&text);
-    let value = Counted(&Cell::new(0)).deserialize(&mut reader).map_err(invalid)?;
-    reader.end().map_err(invalid)?;
-    Ok(value)
+    let invalid = |what: &dyn std::fmt::Display| Error::Data(format!("{} is not valid JSON: {what}", file.display()));
+    // Each value but the first follows one of these.
+    if text.iter().filter(|letter| b",:[".contains(letter)).count() > 2 * MOST_VALUES {
+        return Err(invalid(&format!("more than {MOST_VALUES} values, which no scene has")));
+    }
+    serde_json::from_slice(&quote_no_numbers(text)).map_err(|e| invalid(&e))
 }
 
-/// Returns whether a JSON file lists frames, as a scene's poses do.
+/// Returns the keys of the first frame of a JSON file that lists frames, and of the file itself.
+fn keys_of_frames(file: &Path) -> Option<(Vec<String>, Vec<String>)> {
+    let is_json = file.extension().is_some_and(|ending| ending.eq_ignore_ascii_case("json"));
+    let value = is_json.then(|| read(file).ok()).flatten()?;
+    let keys = |value: &Value| Some(value.as_object()?.keys().cloned().collect::<Vec<String>>());
+    Some((keys(value["frames"].get(0)?)?, keys(&value)?))
+}
+
+/// Returns whether a JSON file lists frames as a scene's poses do.
 pub(super) fn lists_frames(file: &Path) -> bool {
-    read(file).is_ok_and(|value| value["frames"].as_array().is_some_and(|frames| !frames.is_empty()))
+    keys_of_frames(file).is_some_and(|(of_frame, _)| of_frame.iter().any(|key| key == "file_path"))
 }
 
-const BYTE_ORDER_MARK: &[u8] = b"\xef\xbb\xbf";
+/// Says of a JSON file that lists frames under other keys what to rename.
+pub(super) fn other_frames(file: &Path) -> Option<String> {
+    let (of_frame, of_file) = keys_of_frames(file)?;
+    let there = || of_frame.iter().chain(&of_file).map(String::as_str);
+    let words: Vec<String> = ["file_path", "transform_matrix", foreign::FOCAL]
+        .iter()
+        .filter_map(|key| foreign::instead(key, there()))
+        .collect();
+    (!words.is_empty()).then(|| {
+        format!(
+            "{} lists frames under other keys than a transforms.json: {}; call the result transforms.json",
+            file.display(),
+            words.join("; ")
+        )
+    })
+}
+
 /// What Python's and JavaScript's writers write for numbers that are not finite.
 const NO_NUMBERS: [&[u8]; 3] = [b"-Infinity", b"Infinity", b"NaN"];
 
@@ -85,70 +105,6 @@ fn quote_no_numbers(text: &[u8]) -> Cow<'_, [u8]> {
     quoted.into()
 }
 
-/// Reads a value, and counts values up to a limit.
-#[derive(Clone, Copy)]
-struct Counted<'a>(&'a Cell<usize>);
-
-impl<'de> DeserializeSeed<'de> for Counted<'_> {
-    type Value = Value;
-
-    fn deserialize<D: Deserializer<'de>>(self, input: D) -> std::result::Result<Value, D::Error> {
-        self.0.set(self.0.get() + 1);
-        if self.0.get() > MOST_VALUES {
-            return Err(de::Error::custom(format!("more than {MOST_VALUES} values, which no scene has")));
-        }
-        input.deserialize_any(self)
-    }
-}
-
-impl<'de> Visitor<'de> for Counted<'_> {
-    type Value = Value;
-
-    fn expecting(&self, f: &mut fmt::Formatter) -> fmt::Result {
-        f.write_str("a JSON value")
-    }
-
-    fn visit_unit<E>(self) -> std::result::Result<Value, E> {
-        Ok(Value::Null)
-    }
-
-    fn visit_bool<E>(self, value: bool) -> std::result::Result<Value, E> {
-        Ok(value.into())
-    }
-
-    fn visit_u64<E>(self, value: u64) -> std::result::Result<Value, E> {
-        Ok(value.into())
-    }
-
-    fn visit_i64<E>(self, value: i64) -> std::result::Result<Value, E> {
-        Ok(value.into())
-    }
-
-    fn visit_f64<E>(self, value: f64) -> std::result::Result<Value, E> {
-        Ok(value.into())
-    }
-
-    fn visit_str<E>(self, value: &str) -> std::result::Result<Value, E> {
-        Ok(value.into())
-    }
-
-    fn visit_seq<A: SeqAccess<'de>>(self, mut list: A) -> std::result::Result<Value, A::Error> {
-        let mut values = Vec::new();
-        while let Some(value) = list.next_element_seed(self)? {
-            values.push(value);
-        }
-        Ok(Value::Array(values))
-    }
-
-    fn visit_map<A: MapAccess<'de>>(self, mut entries: A) -> std::result::Result<Value, A::Error> {
-        let mut map = serde_json::Map::new();
-        while let Some(key) = entries.next_key::<String>()? {
-            map.insert(key, entries.next_value_seed(self)?);
-        }
-        Ok(Value::Object(map))
-    }
-}
-
 impl<'a> Object<'a> {
     /// The document itself.
     pub(super) fn document(file: &'a Path, value: &'a Value) -> Result<Object<'a>> {
@@ -161,7 +117,11 @@ impl<'a> Object<'a> {
 
     /// Returns an error about this object.
     pub(super) fn error(&self, what: &str) -> Error {
-        let place = self.place.map(|i| format!("frame {i} (counted from 0): ")).unwrap_or_default();
+        let place = match self.place {
+            None => String::new(),
+            Some(("frames", i)) => format!("frame {i} (counted from 0): "),
+            Some((key, i)) => format!("\"{key}\" {i} (counted from 0): "),
+        };
         Error::Data(format!("{}: {place}{what}", self.file.display()))
     }
 
@@ -171,18 +131,23 @@ impl<'a> Object<'a> {
     }
 
     /// Returns the elements of a list of views, at least one.
-    pub(super) fn objects(&self, key: &str) -> Result<Vec<Object<'a>>> {
+    pub(super) fn objects(&self, key: &'a str) -> Result<Vec<Object<'a>>> {
         let frames = self.required(key)?;
         let list = frames.as_array().ok_or_else(|| self.wrong(key, frames, "an array"))?;
         if list.is_empty() {
             return Err(self.error(&format!("\"{key}\" is empty, but at least one view is needed")));
         }
         let frame = |(i, value)| {
-            let object = Object { file: self.file, place: Some(i), value };
+            let object = Object { file: self.file, place: Some((key, i)), value };
             let found = kind(value);
             value.is_object().then_some(object).ok_or_else(|| object.error(&format!("{found} instead of an object")))
         };
         list.iter().enumerate().map(frame).collect()
+    }
+
+    /// Returns whether a list is there whose first value is of a kind.
+    pub(super) fn begins_with(&self, key: &str, kind: fn(&Value) -> bool) -> bool {
+        self.value.get(key).and_then(|list| list.get(0)).is_some_and(kind)
     }
 
     /// Returns whether a list is there and empty.
@@ -244,17 +209,28 @@ impl<'a> Object<'a> {
         }
     }
 
-    /// Returns `transform_matrix`, camera to world, 4x4 or 3x4, in OpenGL's axes. `axes` are those of the file.
-    pub(super) fn pose(&self, axes: Axes) -> Result<Pose> {
-        let pose = self.pose_at("transform_matrix")?;
+    /// Returns `transform_matrix`, camera to world, 4x4 or 3x4, in OpenGL's axes, and the scale that was taken out of it.
+    /// `axes` are those of the file.
+    pub(super) fn pose(&self, axes: Axes) -> Result<(Pose, Option<Scaled>)> {
+        let (pose, scaled) = self.scaled_pose("transform_matrix")?;
         Ok(match axes {
-            Axes::Opengl => pose,
-            Axes::Opencv => pose::flipped(&pose),
+            Axes::Opengl => (pose, scaled),
+            Axes::Opencv => (pose::flipped(&pose), scaled),
         })
     }
 
     /// Returns a rigid pose under any key, 4x4 or 3x4.
     pub(super) fn pose_at(&self, key: &str) -> Result<Pose> {
+        match self.scaled_pose(key)? {
+            (pose, None) => Ok(pose),
+            (_, Some(Scaled { by, .. })) => {
+                Err(self.error(&format!("\"{key}\" must be a rigid pose, but it is scaled by {}", brief(by))))
+            }
+        }
+    }
+
+    /// Returns a pose under any key, 4x4 or 3x4, and the scale that was taken out of it.
+    fn scaled_pose(&self, key: &str) -> Result<(Pose, Option<Scaled>)> {
         let value = self.required(key)?;
         let needed = format!("a 4x4 matrix of finite numbers from -{LARGEST:e} to {LARGEST:e}");
         let wrong = || self.wrong(key, value, &needed);
@@ -267,28 +243,38 @@ impl<'a> Object<'a> {
             }
         }
         let last = rows.get(3).and_then(Value::as_array).map(|row| row.iter().map(Value::as_f64).collect::<Vec<_>>());
-        let is_last = |row: &Vec<Option<f64>>| {
-            let near = |(found, wanted): (&Option<f64>, f64)| found.is_some_and(|found| (found - wanted).abs() < 1e-6);
-            row.len() == 4 && row.iter().zip([0.0, 0.0, 0.0, 1.0]).all(near)
+        let whole = match last.as_deref() {
+            None => 1.0,
+            Some([Some(a), Some(b), Some(c), Some(whole)])
+                if [a, b, c].iter().all(|v| v.abs() < 1e-6 * whole.abs()) && whole.abs() > SMALLEST * SMALLEST =>
+            {
+                *whole
+            }
+            Some(_) => {
+                let is_transposed = pose.iter().all(|row| row[3].abs() < 1e-6);
+                let why = if is_transposed { ": the matrix is probably transposed" } else { "" };
+                return Err(
+                    self.error(&format!("the last row of \"{key}\" is {}, but it must be [0, 0, 0, 1]{why}", rows[3]))
+                );
+            }
         };
-        if last.as_ref().is_some_and(|row| !is_last(row)) {
-            return Err(self.error(&format!(
-                "the last row of \"{key}\" is {}, but it must be [0, 0, 0, 1]: the matrix is probably transposed",
-                rows[3]
-            )));
+        let is_whole = (whole - 1.0).abs() >= 1e-6;
+        if is_whole {
+            pose.iter_mut().flatten().for_each(|number| *number /= whole);
         }
+        let (pose, scale) = pose::unscaled(&pose);
         pose::check_rotation(&pose).map_err(|what| {
             self.error(&format!("the left 3x3 part of \"{key}\" must be a rotation, but it has {what}"))
         })?;
-        Ok(pose)
+        let by = if is_whole { whole } else { scale };
+        Ok((pose, (is_whole || scale != 1.0).then_some(Scaled { by, whole: is_whole })))
     }
 
     /// Returns the image file that `key` names; see [`Picture`].
     pub(super) fn picture(&self, key: &str) -> Result<Picture> {
         let value = self.required(key)?;
         let text = value.as_str().ok_or_else(|| self.wrong(key, value, "a text"))?;
-        let written = text.replace('\\', "/");
-        let written = written.trim_start_matches("./").to_string();
+        let written = slashes(text);
         let folder = self.file.parent().unwrap_or(Path::new(""));
         let named = folder.join(&written);
         if let Some(path) = image_at(&named) {
@@ -331,7 +317,12 @@ impl<'a> Object<'a> {
 
     /// Returns the value of a key that must be there.
     pub(super) fn required(&self, key: &str) -> Result<&'a Value> {
-        self.get(key).ok_or_else(|| self.error(&format!("the key \"{key}\" is missing")))
+        self.get(key).ok_or_else(|| self.error(&format!("the key \"{key}\" is missing{}", self.instead(key))))
+    }
+
+    /// Names the key that is there in the place of another, and what to do with it.
+    pub(super) fn instead(&self, key: &str) -> String {
+        foreign::instead(key, self.keys()).map(|words| format!("; {words}")).unwrap_or_default()
     }
 
     fn wrong(&self, key: &str, found: &Value, needed: &str) -> Error {
@@ -340,8 +331,18 @@ impl<'a> Object<'a> {
             shown.truncate(end);
             shown.push_str("...");
         }
-        self.error(&format!("\"{key}\" is {shown}, but it must be {needed}"))
+        let is_number = found.as_str().is_some_and(|text| text.trim().parse().is_ok_and(f64::is_finite));
+        let advice = if is_number { ": take away the quotation marks" } else { "" };
+        self.error(&format!("\"{key}\" is {shown}, but it must be {needed}{advice}"))
     }
+}
+
+/// The scale that was taken out of a matrix.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Scaled {
+    pub(super) by: f64,
+    /// All numbers had it, the last row's, too; otherwise the three axes.
+    pub(super) whole: bool,
 }
 
 /// An image that a file names, relative to itself, with or without an extension. For an absolute path that does not

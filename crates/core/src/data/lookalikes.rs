@@ -1,108 +1,25 @@
-//! What a folder or file looks like that is no scene, and how it becomes one.
+//! What a folder or file looks like that is no scene, and how it becomes one. What other programs write is in
+//! [`foreign`](super::foreign).
 
+use std::collections::BTreeSet;
 use std::ffi::OsStr;
 use std::path::{Path, PathBuf};
 
+use super::foreign::{ARCHIVES, LAYOUTS, UNREAD, VIDEOS};
 use super::formats::{FORMATS, Format};
-use super::images;
-use super::json;
+use super::{images, json};
+use crate::base::input::{TEXT_BYTES, read_text};
 use crate::base::{Error, Result};
 
 /// Files by which a folder is recognized as a scene.
 const MARKERS: [&str; 3] = ["poses_bounds.npy", "transforms_train.json", "transforms.json"];
 /// Largest number of letters by which a mistaken name differs from a right one.
 const TYPING_ERRORS: usize = 2;
-const VIDEOS: [&str; 7] = ["mp4", "mov", "avi", "mkv", "webm", "m4v", "insv"];
-/// Photos that are not read.
-const UNREAD: [&str; 8] = ["heic", "heif", "tif", "tiff", "dng", "cr2", "nef", "arw"];
-const ARCHIVES: [&str; 7] = ["zip", "tar", "gz", "tgz", "7z", "rar", "xz"];
-
-/// A layout of another program that is not read: entries that are all there, its name, and what to do. `SCENE` stands for
-/// a folder of your choice, `HERE` for the one that was found.
-struct Layout {
-    entries: &'static [&'static str],
-    name: &'static str,
-    advice: &'static str,
-}
-
-const LAYOUTS: [Layout; 14] = [
-    Layout {
-        entries: &["keyframes"],
-        name: "a raw capture of Polycam",
-        advice: "convert it with `ns-process-data polycam --data HERE --output-dir SCENE`, then check SCENE",
-    },
-    Layout {
-        entries: &["EXR_RGBD"],
-        name: "a raw capture of Record3D",
-        advice: "convert it with `ns-process-data record3d --data HERE --output-dir SCENE`, then check SCENE",
-    },
-    Layout {
-        entries: &["rgbd", "metadata"],
-        name: "a raw capture of Record3D",
-        advice: "export it there as `EXR + RGB sequence`, convert that with `ns-process-data record3d --data FOLDER --output-dir \
-                 SCENE`, then check SCENE",
-    },
-    Layout {
-        entries: &["cameras.npz"],
-        name: "a scene in the layout of DTU (IDR, NeuS)",
-        advice: "write its cameras into a transforms.json: decompose the first three rows of world_mat_N into intrinsics and pose; \
-                 .npz files are not read",
-    },
-    Layout {
-        entries: &["cameras_sphere.npz"],
-        name: "a scene in the layout of NeuS",
-        advice: "write its cameras into a transforms.json: decompose the first three rows of world_mat_N into intrinsics and pose; \
-                 .npz files are not read",
-    },
-    Layout {
-        entries: &["cams"],
-        name: "a scene in the layout of MVSNet",
-        advice: "write the extrinsics of cams/*_cam.txt (world to camera), inverted, into a transforms.json, and read that with \
-                 data.axes=opencv",
-    },
-    Layout {
-        entries: &["bundle.out"],
-        name: "a reconstruction of Bundler",
-        advice: "reconstruct the photos with COLMAP, or write its cameras into a transforms.json",
-    },
-    Layout {
-        entries: &["opensfm"],
-        name: "a project of OpenDroneMap",
-        advice: "convert it with `ns-process-data odm --data HERE --output-dir SCENE`, then check SCENE",
-    },
-    Layout {
-        entries: &["pose", "intrinsics.txt"],
-        name: "a scene in the layout of NSVF",
-        advice: "write its matrices (camera to world, OpenCV's axes) and its focal length into a transforms.json, and read that with \
-                 data.axes=opencv",
-    },
-    Layout {
-        entries: &["cameras.json", "point_cloud"],
-        name: "the output of 3D Gaussian splatting, not its scene",
-        advice: "name the folder that it was trained on (source_path in its cfg_args)",
-    },
-    Layout {
-        entries: &["cameras.json"],
-        name: "a list of cameras in a format that is not read (cameras.json)",
-        advice: "write the cameras into a transforms.json, or name the COLMAP folder that they are from",
-    },
-    Layout {
-        entries: &["cameras.xml"],
-        name: "an export of Metashape",
-        advice: "convert it with `ns-process-data metashape --data images --xml cameras.xml --output-dir SCENE`, then check SCENE",
-    },
-    Layout {
-        entries: &["cameras.sfm"],
-        name: "a project of Meshroom",
-        advice: "export its cameras for COLMAP or nerfstudio, and check that folder",
-    },
-    Layout {
-        entries: &["database.db"],
-        name: "a COLMAP project without a model",
-        advice: "run `colmap mapper --database_path HERE/database.db --image_path HERE/images --output_path HERE/sparse`, then check \
-                 HERE",
-    },
-];
+/// Most files and folders that are looked at, and how deep.
+const MOST_PATHS: usize = 100_000;
+const DEEPEST: usize = 4;
+/// Folders above one that may be the scene's.
+const ABOVE: usize = 3;
 
 /// Returns the folder of a scene's own file, such as `transforms.json`. `None` for other files.
 pub fn scene_of_file(file: &Path) -> Option<PathBuf> {
@@ -132,21 +49,19 @@ pub(super) fn check_folder(path: &Path) -> Result<()> {
 
 /// Returns the error for a folder that no format detects: what it looks like, and what to do.
 pub(super) fn unknown(dir: &Path) -> Error {
-    let entries = entries(dir);
+    let (entries, paths) = (entries(dir), paths(dir));
+    let holds = |endings: &[&str], kind: &str, advice: &dyn Fn(&Path) -> String| {
+        one_of(dir, &entries, endings).map(|file| format!("{} is {kind}; {}", file.display(), advice(&file)))
+    };
     let known = inside_a_scene(dir)
         .or_else(|| without_training_file(dir))
         .or_else(|| misnamed(dir, &entries))
-        .or_else(|| model_below(dir))
-        .or_else(|| layout(dir))
-        .or_else(|| photos(dir, &entries))
-        .or_else(|| {
-            one_of(dir, &entries, &VIDEOS).map(|video| format!("{} is a video; {}", video.display(), of_video(&video)))
-        })
-        .or_else(|| {
-            one_of(dir, &entries, &ARCHIVES).map(|archive| {
-                format!("{} is an archive; unpack it, and check the folder that it holds", archive.display())
-            })
-        });
+        .or_else(|| model_below(dir, &paths))
+        .or_else(|| layout(dir, &paths))
+        .or_else(|| entries.iter().find_map(|name| json::other_frames(&dir.join(name))))
+        .or_else(|| photos(dir, &entries, &paths))
+        .or_else(|| holds(&VIDEOS, "a video", &of_video))
+        .or_else(|| holds(&ARCHIVES, "an archive", &|_| "unpack it, and check the folder that it holds".into()));
     if let Some(words) = known {
         return Error::Data(words);
     }
@@ -170,10 +85,20 @@ fn entries(dir: &Path) -> Vec<String> {
     names
 }
 
-/// Most folders that are searched.
-const MOST_FOLDERS: usize = 10_000;
-/// Folders above one that may be the scene's.
-const ABOVE: usize = 3;
+/// Returns the files and folders below a folder, as paths within it with slashes, the less deep first.
+fn paths(dir: &Path) -> Vec<String> {
+    let mut found: Vec<String> = entries(dir);
+    let mut at = 0;
+    while at < found.len() && found.len() < MOST_PATHS {
+        let within = found[at].clone();
+        let folder = dir.join(&within);
+        if within.matches('/').count() + 1 < DEEPEST && folder.is_dir() && !folder.is_symlink() {
+            found.extend(entries(&folder).into_iter().map(|name| format!("{within}/{name}")));
+        }
+        at += 1;
+    }
+    found
+}
 
 /// A part of a scene, such as its `images` or `sparse`.
 fn inside_a_scene(dir: &Path) -> Option<String> {
@@ -195,31 +120,48 @@ fn without_training_file(dir: &Path) -> Option<String> {
     ))
 }
 
-/// A COLMAP model in another place than those that are read.
-fn model_below(dir: &Path) -> Option<String> {
-    let mut folders = vec![(dir.to_path_buf(), 0)];
-    for _ in 0..MOST_FOLDERS {
-        let (folder, depth) = folders.pop()?;
-        let is_there =
-            |ending: &str| ["cameras", "images"].iter().all(|name| folder.join(format!("{name}.{ending}")).is_file());
-        if is_there("bin") || is_there("txt") {
-            let scene = folder
-                .ancestors()
-                .skip(1)
-                .take(ABOVE)
-                .find(|above| *above != dir && Format::of_folder(above).is_some());
-            let advice = match scene {
-                Some(scene) => format!("name {}", scene.display()),
-                None => format!("move it to {}/sparse/0, and the photos to {}/images", dir.display(), dir.display()),
-            };
-            return Some(format!("{} is a COLMAP model, but not where one is looked for; {advice}", folder.display()));
-        }
-        if depth < ABOVE {
-            let below = std::fs::read_dir(&folder).into_iter().flatten().flatten().map(|entry| entry.path());
-            folders.extend(below.filter(|path| path.is_dir() && !path.is_symlink()).map(|path| (path, depth + 1)));
+/// A COLMAP model in another place than those that are read, or a part of one.
+fn model_below(dir: &Path, paths: &[String]) -> Option<String> {
+    let folder_of = |path: &String| {
+        let (folder, file) = path.rsplit_once('/').unwrap_or(("", path));
+        let (name, ending) = file.split_once('.')?;
+        (["cameras", "images"].contains(&name) && ["bin", "txt"].contains(&ending)).then(|| folder.to_string())
+    };
+    let folders: BTreeSet<String> = paths.iter().filter_map(folder_of).collect();
+    let (mut whole, mut part) = (None, None);
+    for folder in folders.iter().map(|folder| dir.join(folder)) {
+        let has = |name: &str, ending: &str| folder.join(format!("{name}.{ending}")).is_file();
+        let ending_of = |name: &str| ["bin", "txt"].into_iter().find(|ending| has(name, ending));
+        let is_whole = |ending: &&str| has("cameras", ending) && has("images", ending);
+        let is_model =
+            has("points3D", "bin") || has("points3D", "txt") || has("cameras", "bin") || has("images", "bin");
+        match (ending_of("cameras"), ending_of("images")) {
+            _ if ["bin", "txt"].iter().any(is_whole) => whole = whole.or(Some(folder)),
+            _ if !is_model => {}
+            (Some(cameras), Some(images)) => {
+                part = part.or(Some(format!(
+                    "{} has cameras.{cameras} and images.{images}, but both must end alike; convert the model with `colmap \
+                     model_converter`",
+                    folder.display()
+                )));
+            }
+            (cameras, images) => {
+                let (there, ending) = cameras.map_or(("images", images.unwrap_or("bin")), |ending| ("cameras", ending));
+                let lacks = if there == "cameras" { "images" } else { "cameras" };
+                part = part.or(Some(format!(
+                    "{} has {there}.{ending} of a COLMAP model but no {lacks}.{ending}: copy it from where the model was made",
+                    folder.display()
+                )));
+            }
         }
     }
-    None
+    let Some(folder) = whole else { return part };
+    let is_scene = |above: &&Path| *above != dir && Format::of_folder(above).is_some();
+    let advice = match folder.ancestors().skip(1).take(ABOVE).find(is_scene) {
+        Some(scene) => format!("name {}", scene.display()),
+        None => format!("move it to {}/sparse/0, and the photos to {}/images", dir.display(), dir.display()),
+    };
+    Some(format!("{} is a COLMAP model, but not where one is looked for; {advice}", folder.display()))
 }
 
 /// A file with nearly the name of a scene's own, or with the content of one.
@@ -230,22 +172,82 @@ fn misnamed(dir: &Path, entries: &[String]) -> Option<String> {
         MARKERS.into_iter().min_by_key(|marker| distance(marker)).filter(|marker| distance(marker) <= TYPING_ERRORS)
     };
     let (name, marker) = files().find_map(|name| Some((name, nearly(name)?))).or_else(|| {
-        let lists_frames = |name: &&String| name.ends_with(".json") && json::lists_frames(&dir.join(name));
+        let lists_frames = |name: &&String| json::lists_frames(&dir.join(name));
         files().find(lists_frames).map(|name| (name, MARKERS[2]))
     })?;
     Some(format!("{} is probably a scene's {marker}; rename it to {marker}", dir.join(name).display()))
 }
 
-/// A layout of another program.
-fn layout(dir: &Path) -> Option<String> {
-    let layout = LAYOUTS.iter().find(|layout| layout.entries.iter().all(|entry| dir.join(entry).exists()))?;
+/// A layout of another program of [`LAYOUTS`]: one of the ways to write each of its entries is there.
+fn layout(dir: &Path, paths: &[String]) -> Option<String> {
+    let one = |entry: &str| {
+        let (name, begin) = entry.split_once(':').unwrap_or((entry, ""));
+        let holds = |path: &str| begin.is_empty() || beginning(&dir.join(path)).to_lowercase().contains(begin);
+        paths.iter().find(|path| fits(name, &path.to_lowercase()) && holds(path))
+    };
+    let first_of = |entries: &str| -> Option<&String> {
+        let found: Option<Vec<&String>> = entries.split(' ').map(|entry| entry.split('|').find_map(one)).collect();
+        found?.first().copied()
+    };
+    let (file, (_, name, advice)) = LAYOUTS.iter().find_map(|layout| Some((first_of(layout.0)?, layout)))?;
+    let advice = match advice.starts_with("ns-process-data") {
+        true => format!("convert it with `{advice} --output-dir SCENE`, then check SCENE"),
+        false => advice.to_string(),
+    };
     let here = dir.display().to_string();
-    Some(format!("{here} looks like {}; {}", layout.name, layout.advice.replace("HERE", &here)))
+    let photos = if dir.join("images").is_dir() { format!("{here}/images") } else { here.clone() };
+    let advice = advice.replace("HERE", &here).replace("FILE", file).replace("PHOTOS", &photos);
+    Some(format!("{here} looks like {name}; {advice}"))
+}
+
+/// Returns whether a path is like a pattern, in which `*` stands for any letters but `/`.
+fn fits(pattern: &str, path: &str) -> bool {
+    let Some((begin, rest)) = pattern.split_once('*') else { return pattern == path };
+    let Some(path) = path.strip_prefix(begin) else { return false };
+    let end = path.find('/').unwrap_or(path.len());
+    (0..=end).filter(|at| path.is_char_boundary(*at)).any(|at| fits(rest, &path[at..]))
+}
+
+/// Returns the first lines of a text.
+fn beginning(file: &Path) -> String {
+    const LINES: usize = 8;
+    let text = read_text(file, TEXT_BYTES).unwrap_or_default();
+    text.lines().take(LINES).collect::<Vec<_>>().join("\n")
+}
+
+/// The endings of texts that may hold poses, and how many numbers a line then has: a matrix, or position and quaternion, with a
+/// time or a number in front.
+const POSE_TEXTS: [&str; 6] = ["txt", "csv", "log", "traj", "dat", "pose"];
+const POSE_NUMBERS: [usize; 6] = [7, 8, 12, 13, 16, 17];
+
+/// Returns a text that looks like poses of photos, if there is one.
+fn poses<'a>(dir: &Path, paths: &'a [String]) -> Option<&'a String> {
+    let looks = |path: &&String| {
+        let numbers = |line: &str| {
+            let words: Vec<&str> = line.split([' ', ',', '\t', ';']).filter(|word| !word.is_empty()).collect();
+            let count = words.iter().filter(|word| word.parse::<f64>().is_ok()).count();
+            (count + 1 >= words.len()).then_some(count)
+        };
+        let text = beginning(&dir.join(path));
+        let lines: Vec<Option<usize>> = text.lines().filter(|line| !line.starts_with('#')).map(numbers).collect();
+        let in_line = lines.iter().flatten().any(|count| POSE_NUMBERS.contains(count));
+        in_line || lines.windows(3).any(|three| three.iter().all(|count| *count == Some(4)))
+    };
+    paths.iter().filter(|path| has_ending(Path::new(path), &POSE_TEXTS)).take(ABOVE * ABOVE).find(looks)
 }
 
 /// Photos without cameras, in the folder or in one below.
-fn photos(dir: &Path, entries: &[String]) -> Option<String> {
+fn photos(dir: &Path, entries: &[String], paths: &[String]) -> Option<String> {
     let count = |folder: &Path| images::list(folder).map_or(0, |files| files.len());
+    let without_cameras = |photos: &Path, count: usize, scene: &Path| match poses(dir, paths) {
+        None => without_cameras(photos, count, scene),
+        Some(text) => format!(
+            "{}: {count} photos without cameras that are read, and {text}, which may hold their poses; write each photo's matrix \
+             (camera to world) as transform_matrix and the focal length in pixels as fl_x into a transforms.json, and read that with \
+             data.axes=opencv if y points down",
+            photos.display()
+        ),
+    };
     if let here @ 1.. = count(dir) {
         return Some(without_cameras(dir, here, Path::new("SCENE")));
     }
@@ -367,6 +369,45 @@ mod tests {
                 "move it to DIR/sparse/0, and the photos to DIR/images",
             ),
             (&[("cams/0_cam.txt", ""), ("images/a.png", "")], "the layout of MVSNet"),
+            (
+                &[("meta_data.json", "{\"frames\": [{\"rgb_path\": \"a\"}]}")],
+                "SDFStudio; write its frames into a transforms.json",
+            ),
+            (
+                &[("all.json", "{\"frames\": [{\"image_path\": \"a\", \"w2c\": []}], \"K\": []}")],
+                "DIR/all.json lists frames under other keys than a transforms.json: \"image_path\" is there: rename it",
+            ),
+            (
+                &[("color/0.jpg", ""), ("pose/0.txt", ""), ("intrinsic/color.txt", "")],
+                "ScanNet; write its matrices (camera",
+            ),
+            (&[("seq-01/frame-0.color.png", ""), ("seq-01/frame-0.pose.txt", "")], "7-Scenes; write its matrices"),
+            (&[("traj.txt", ""), ("results/frame0.jpg", "")], "Replica"),
+            (&[("rgb/0.png", ""), ("rgb.txt", ""), ("groundtruth.txt", "")], "TUM RGB-D; turn each line"),
+            (&[("train/rgb/0.png", ""), ("train/pose/0.txt", ""), ("train/intrinsics/0.txt", "")], "NeRF++"),
+            (
+                &[("images/0.jpg", ""), ("my cameras.csv", "#cameras 1\n#name,x,y,alt\n")],
+                "`ns-process-data realitycapture --data DIR/images --csv DIR/my cameras.csv --output-dir SCENE`",
+            ),
+            (&[("a.jpg", ""), ("scan.nvm", "NVM_V3")], "VisualSFM; write its cameras"),
+            (&[("scan.xml", "<?xml?>\n<document><chunk/></document>"), ("a.jpg", "")], "--xml DIR/scan.xml"),
+            (
+                &[("rgb/0.png", ""), ("cam/0.txt", "1 0 0 0\n0 1 0 0\n0 0 1 0\n")],
+                "and cam/0.txt, which may hold their poses",
+            ),
+            (&[("rgb/0.png", ""), ("path.log", "0.png 1 2 3 0 0 0 1\n")], "and path.log, which may hold their poses"),
+            (
+                &[("sparse/0/cameras.bin", ""), ("sparse/0/points3D.bin", ""), ("images/a.png", "")],
+                "DIR/sparse/0 has cameras.bin of a COLMAP model but no images.bin: copy it",
+            ),
+            (
+                &[("sparse/images.txt", ""), ("sparse/points3D.txt", "")],
+                "images.txt of a COLMAP model but no cameras.txt",
+            ),
+            (
+                &[("sparse/cameras.bin", ""), ("sparse/images.txt", "")],
+                "cameras.bin and images.txt, but both must end alike",
+            ),
             (&[("lego/transforms.json", ""), ("thumbs/a.png", "")], "scenes lie one level deeper: lego"),
         ] {
             let said = said(entries);

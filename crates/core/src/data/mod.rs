@@ -6,6 +6,7 @@ pub mod corruption;
 pub mod depth;
 mod describe;
 mod detect;
+mod foreign;
 pub mod formats;
 mod frame;
 pub mod images;
@@ -179,7 +180,8 @@ fn brief(number: f64) -> String {
     if plain { number.to_string() } else { format!("{number:e}") }
 }
 
-/// Returns start and end of a ray's interval as [`load`] will find them, or `None` if the scene's files state them.
+/// Returns start and end of a ray's interval as [`load`] will find them, or `None` if the scene's files state them. A Blender
+/// folder of another size than NeRF's scenes has others.
 pub fn known_bounds(config: &DataConfig) -> Option<(f64, f64)> {
     let usual = match config.kind {
         DataKind::Blender | DataKind::BuiltinBlender => Some((2.0, 6.0)),

@@ -119,6 +119,17 @@ pub fn check_rotation(pose: &Pose) -> Result<(), String> {
     Ok(())
 }
 
+/// Returns the pose without the scale that its axes share, and that scale. It is 1 if it is rounding, or not shared.
+pub fn unscaled(pose: &Pose) -> (Pose, f64) {
+    let lengths = [0, 1, 2].map(|i| length(column(pose, i)));
+    let scale = lengths.iter().sum::<f64>() / 3.0;
+    let within = |of: f64| lengths.iter().all(|length| (length / of - 1.0).abs() <= ROTATION_TOLERANCE);
+    match scale.is_finite() && scale > 0.0 && !within(1.0) && within(scale) {
+        true => (pose.map(|[a, b, c, t]| [a / scale, b / scale, c / scale, t]), scale),
+        false => (*pose, 1.0),
+    }
+}
+
 /// Returns a camera's pose with y and z turned round: from OpenCV's axes (y down, z ahead) to OpenGL's, or back.
 pub fn flipped(pose: &Pose) -> Pose {
     pose.map(|[x, y, z, t]| [x, -y, -z, t])

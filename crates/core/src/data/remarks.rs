@@ -66,7 +66,9 @@ fn one_place(scene: &Scene, views: &[&View]) -> Option<String> {
 
 fn same_pose(views: &[&View]) -> Option<String> {
     let (first, second) = views.iter().enumerate().find_map(|(i, view)| {
-        let same = |other: &&&View| other.camera.pose == view.camera.pose;
+        // A view may be trained on and evaluated.
+        let is_itself = |other: &View| other.name == view.name && other.image == view.image;
+        let same = |other: &&&View| other.camera.pose == view.camera.pose && !is_itself(other);
         Some((view, views[i + 1..].iter().find(same)?))
     })?;
     Some(format!("views {} and {} have the same pose: one of the poses may be another's", first.name, second.name))

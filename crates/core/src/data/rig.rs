@@ -86,7 +86,24 @@ impl Subject {
         (near, largest + BEHIND * self.radius)
     }
 
+    /// Returns the ends of rays that hold what is looked at and nothing else: a radius before it for the nearest camera, a
+    /// radius behind it for the farthest.
+    pub fn extent(&self) -> (f64, f64) {
+        let [least, _, largest] = self.depths;
+        ((least - self.radius).max(LEAST_NEAR * least), largest + self.radius)
+    }
+
     /// Describes how these ends were found.
+    pub fn extent_words(&self) -> String {
+        let [least, _, largest] = self.depths;
+        format!(
+            "the cameras, which are {least:.3} to {largest:.3} away from what they look at (radius {:.3}): from a radius before it \
+             to a radius behind it, since the views show one object on one colour",
+            self.radius
+        )
+    }
+
+    /// Describes how the ends of [`Subject::bounds`] were found.
     pub fn bounds_words(&self) -> String {
         let [least, _, largest] = self.depths;
         format!(

@@ -418,10 +418,10 @@ section! {
         /// both stay as they are set.
         pub recognise_orbits: bool = true, numbers().columns(&["ndc"]).later().same_time();
         /// Start of a ray's interval in scene units (0 to 1 in NDC). Empty = the scene's own: from the format (LLFF's
-        /// depth bounds, 2 for Blender), or from COLMAP's points or the point that the cameras look at (`augnerf data
-        /// check` prints which).
+        /// depth bounds, 2 for Blender if that fits), or from COLMAP's points or the point that the cameras look at (`augnerf
+        /// data check` prints which).
         pub near: Option<f64> = None, numbers().real(|near| near >= 0.0, "a finite distance of at least 0");
-        /// End of a ray's interval. Empty = the scene's own, as for `near` (6 for Blender).
+        /// End of a ray's interval. Empty = the scene's own, as for `near` (6 for Blender if that fits).
         pub far: Option<f64> = None, numbers().real(|far| far >= 0.0, "a finite distance of at least 0");
         /// Point of a pixel through which its ray passes. Empty = `centre` for COLMAP and transforms.json, whose poses
         /// assume it, `corner` otherwise.

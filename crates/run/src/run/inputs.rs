@@ -9,7 +9,7 @@ use crate::data::formats::llff::settle_orbit;
 use crate::data::formats::transforms;
 use crate::data::{self, Photos, Scene};
 use crate::metrics::{Backbone, Lpips};
-use crate::settings::{Config, DataKind, Located, NO_REFERENCE, Resolved, Spacing, Split, scene_name};
+use crate::settings::{Config, DataConfig, DataKind, Located, NO_REFERENCE, Resolved, Spacing, Split, scene_name};
 
 use super::scene_file::{RecordedScene, is_early};
 use super::{RunDir, builtin_surface};
@@ -86,7 +86,7 @@ pub fn load_scene(config: Config, events: &dyn Listener) -> Result<(Resolved, Sc
 pub fn load_scene_with(config: Config, photos: Photos, events: &dyn Listener) -> Result<(Resolved, Scene)> {
     let (located, orbit) = locate(config)?;
     orbit.iter().for_each(|words| events.on(Event::Note(words)));
-    let scene = load(&located, photos, events)?;
+    let scene = load(&located, &located.data, photos, events)?;
     Ok((located.resolve(scene.extent()), scene))
 }
 
@@ -100,7 +100,9 @@ pub fn load_scene_of(run: &RunDir, config: Config, photos: Photos, events: &dyn 
     let config = find(config)?;
     let kind = config.data.kind;
     let located = config.locate(kind)?;
-    let mut scene = load(&located, photos, events)?;
+    let mut as_begun = located.data.clone();
+    seen.keep_early_bounds(&mut as_begun);
+    let mut scene = load(&located, &as_begun, photos, events)?;
     seen.restore_bounds(&mut scene, &located.data);
     seen.check(&scene, &located.data, begun.eval_split == located.data.eval_split)?;
     Ok((located.resolve(scene.extent()), scene))
@@ -124,9 +126,9 @@ pub fn settings_to_go_on(run: &RunDir) -> Result<Config> {
     Ok(config)
 }
 
-/// Loads a located scene.
-fn load(located: &Located, photos: Photos, events: &dyn Listener) -> Result<Scene> {
-    let mut scene = data::load_with(&located.data, located.seed, photos, events)?;
+/// Loads a located scene by its settings, or by those that a run began with.
+fn load(located: &Located, settings: &DataConfig, photos: Photos, events: &dyn Listener) -> Result<Scene> {
+    let mut scene = data::load_with(settings, located.seed, photos, events)?;
     scene.name.clone_from(&located.data.name);
     check_spacing(located, &scene)?;
     Ok(scene)

@@ -7,7 +7,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::base::files::{read_json, write_json};
 use crate::base::{Error, Result};
-use crate::data::formats::transforms::BOUNDS;
+use crate::data::formats::{blender, transforms};
 use crate::data::{Scene, View, WorldToScene};
 use crate::settings::{DataConfig, DataKind};
 use crate::train::checkpoint;
@@ -102,7 +102,7 @@ fn names(views: &[View]) -> Vec<String> {
 /// Returns whether rays have the fixed ends of earlier versions, which captures with a `transforms.json` had before
 /// the cameras decided them.
 pub(super) fn is_early((near, far): (f64, f64)) -> bool {
-    [near, far] == BOUNDS
+    [near, far] == transforms::BOUNDS
 }
 
 /// The scene as a run loaded it when it started.
@@ -127,7 +127,21 @@ impl RecordedScene {
     pub(super) fn bounds(&self, data: &DataConfig) -> Option<(f64, f64)> {
         match &self.recorded {
             Some(recorded) => Some((recorded.near, recorded.far)),
-            None => (self.early && data.kind == DataKind::Transforms).then_some(BOUNDS.into()),
+            None if !self.early => None,
+            None => match data.kind {
+                DataKind::Transforms => Some(transforms::BOUNDS.into()),
+                DataKind::Blender => Some(blender::BOUNDS.into()),
+                _ => None,
+            },
+        }
+    }
+
+    /// Sets the bounds that the run has and an earlier version gave any Blender scene, whatever its cameras look at.
+    pub(super) fn keep_early_bounds(&self, data: &mut DataConfig) {
+        let bounds = self.bounds(data).filter(|&(near, far)| [near, far] == blender::BOUNDS);
+        if let Some((near, far)) = bounds.filter(|_| data.kind == DataKind::Blender) {
+            data.near.get_or_insert(near);
+            data.far.get_or_insert(far);
         }
     }
 

@@ -26,14 +26,14 @@ pub fn most_memory_mib() -> f64 {
 }
 
 /// Returns the default box of a scene's surface, in the field's units. Under NDC it is all of NDC. For NeRF-Synthetic
-/// and the built-in scene it contains the objects with a margin. For other captures it is the box that most cameras
-/// look at, or else the box of the training rays.
+/// and the built-in scene it contains the objects with a margin. For other captures, and Blender folders of another size, it is
+/// the box that most cameras look at, or else the box of the training rays.
 pub fn surface_box(scene: &Scene) -> [[f64; 3]; 2] {
     let cube = |half: f64| [[-half; 3], [half; 3]];
     match scene.format().and_then(|format| format.kind.object_half()) {
         _ if scene.ndc.is_some() => cube(1.0),
-        Some(half) => cube(half),
-        None => scene.space.domain.unwrap_or_else(|| Lattice::seen(scene)),
+        Some(half) if scene.space.domain.is_none() => cube(half),
+        _ => scene.space.domain.unwrap_or_else(|| Lattice::seen(scene)),
     }
 }
 

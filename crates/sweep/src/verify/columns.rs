@@ -95,7 +95,16 @@ fn decided(point: &Point, record: &Record) -> Result<Decided> {
     };
     let (bounds, own_box) = (known_bounds(&located.data), may_have_box(&located.data));
     if let Some(bounds) = bounds.filter(|_| !own_box) {
-        return Ok(Decided { columns: keep(at(&located, bounds, None)), unknown: Vec::new() });
+        let mut columns = keep(at(&located, bounds, None));
+        // A Blender folder of another size has a box of its own.
+        let other_box = |(name, text): &Text| {
+            let found = record.protocol(name);
+            *name == "hash_grid" && found != text && found.split(", box").next() == text.split(", box").next()
+        };
+        let unknown = columns.iter().filter(|column| kind == DataKind::Blender && other_box(column));
+        let unknown: Vec<&'static str> = unknown.map(|(name, _)| *name).collect();
+        columns.retain(|(name, _)| !unknown.contains(name));
+        return Ok(Decided { columns, unknown });
     }
     // Two scenes that differ in all that is not known: what they agree in hangs on the configuration alone.
     let some_box = own_box.then_some([[-0.5; 3], [0.25; 3]]);

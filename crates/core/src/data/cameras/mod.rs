@@ -174,7 +174,7 @@ fn read_json(file: &Path, like: &Camera, axes: Axes) -> Result<CameraFile> {
     }
     let camera = |frame: Object| {
         let lens = lens::of_transforms(frame, document, like)?;
-        Ok(Camera { pose: frame.pose(axes)?, ..lens.with_height(like.height) })
+        Ok(Camera { pose: frame.pose(axes)?.0, ..lens.with_height(like.height) })
     };
     Ok(CameraFile { cameras: document.frames()?.into_iter().map(camera).collect::<Result<_>>()?, fps: None })
 }

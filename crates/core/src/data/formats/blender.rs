@@ -11,15 +11,21 @@ use crate::data::frame::{self, Frame, Reading};
 use crate::data::images;
 use crate::data::json::{self, Object};
 use crate::data::pose::{self, Pose};
-use crate::data::{Camera, Photos, Rig, Scene, SceneSpace, View, background, depth, name_of, path};
+use crate::data::{Camera, Photos, Rig, Scene, SceneSpace, Subject, View, background, depth, name_of, path};
 use crate::settings::{DataConfig, DataKind, EvalSplit};
 
-/// Start and end of a ray, as for all of NeRF's synthetic scenes.
-const BOUNDS: [f64; 2] = [2.0, 6.0];
+/// Start and end of a ray, as for all of NeRF's synthetic scenes, and range of the values of depth maps.
+pub const BOUNDS: [f64; 2] = [2.0, 6.0];
 /// Number of poses on the video path.
 const ORBIT_POSES: usize = 40;
 /// Elevation in degrees and radius of the video path, as in nerf-pytorch.
 const ORBIT: (f64, f64) = (-30.0, 4.0);
+/// Difference of two colours that count as one: what JPEG loses.
+const ONE_COLOUR: f32 = 0.04;
+/// Most views that are looked at.
+const LOOKED_AT: usize = 5;
+/// Fraction of a view's edge that has one colour if the view is of an object alone.
+const MOST_OF_EDGE: f64 = 0.9;
 /// Photographed objects fill about this fraction of what the cameras look at.
 const OF_SUBJECT: f64 = 0.5;
 /// Cameras are on the path's sphere, and look at its centre, within this fraction of the radius.
@@ -47,12 +53,9 @@ pub fn load(config: &DataConfig, photos: Photos, events: &dyn Listener) -> Resul
     let both: Vec<&Frame> = train.iter().chain(&test).collect();
     let sizes = frames::working_sizes(&both, config)?;
     let cameras: Vec<Camera> = both.iter().zip(sizes).map(|(frame, size)| frame.camera(size, in_turn)).collect();
-    frames::note_shared(&config.dir, &both[..train.len()], &both[train.len()..], events);
-    check_bounds(config, &cameras, events);
+    frames::note_shared(&config.dir, &both[..train.len()], &both[train.len()..], "", events);
     let mut space = SceneSpace::default();
     notes(&mut space, &both, &cameras, &[]);
-    let [near, far] = BOUNDS;
-    space.note("bounds from", format!("the format: {near} to {far}, as for all of NeRF's synthetic scenes"));
     let (of_train, of_test) = cameras.split_at(train.len());
     let background = background(config);
     let read = |frames: &[Frame], names: &[String], cameras: &[Camera], split: &str| -> Result<Vec<View>> {
@@ -60,6 +63,8 @@ pub fn load(config: &DataConfig, photos: Photos, events: &dyn Listener) -> Resul
         let how = Reading { scene, background: (background, true), photos, label: &label, events };
         Ok(frame::views(frames, names, cameras, how)?.0)
     };
+    let train = read(&train, &train_names, of_train, "train")?;
+    let [near, far] = bounds(config, &cameras, &train, &mut space, events)?;
     Ok(Scene {
         name: name_of(config),
         kind: DataKind::Blender.name(),
@@ -70,31 +75,84 @@ pub fn load(config: &DataConfig, photos: Photos, events: &dyn Listener) -> Resul
         corrupted: None,
         lacks_split,
         space,
-        train: read(&train, &train_names, of_train, "train")?,
+        train,
         test: read(&test, &test_names, of_test, eval)?,
-        near: BOUNDS[0],
-        far: BOUNDS[1],
+        near,
+        far,
         ndc: None,
         background: Some(background),
     })
 }
 
-/// Notes if rays end before what the cameras look at, or begin behind it. A capture of photos with a file per split may
-/// be read as such a scene.
-fn check_bounds(config: &DataConfig, cameras: &[Camera], events: &dyn Listener) {
-    let Some(subject) = Rig::of(cameras).subject else { return };
-    let (near, far) = (config.near.unwrap_or(BOUNDS[0]), config.far.unwrap_or(BOUNDS[1]));
-    let ([_, distance, _], reach) = (subject.depths, OF_SUBJECT * subject.radius);
-    if near <= distance - reach && distance + reach <= far {
-        return;
+/// Returns the ends of rays: the format's, or those of a folder whose cameras look at something else. A Blender export may have
+/// any size, and photos with a file for each split are read as such a scene. Their box is then what the cameras look at.
+fn bounds(
+    config: &DataConfig,
+    cameras: &[Camera],
+    views: &[View],
+    space: &mut SceneSpace,
+    events: &dyn Listener,
+) -> Result<[f64; 2]> {
+    let usual = format!("the format: {} to {}, as for all of NeRF's synthetic scenes", BOUNDS[0], BOUNDS[1]);
+    let subject = Rig::of(cameras).subject;
+    let (start, end) = (config.near.unwrap_or(BOUNDS[0]), config.far.unwrap_or(BOUNDS[1]));
+    let fits = |subject: &Subject| {
+        let (distance, reach) = (subject.depths[1], OF_SUBJECT * subject.radius);
+        start <= distance - reach && distance + reach <= end
+    };
+    let Some(subject) = subject.filter(|subject| !fits(subject)) else {
+        space.note("bounds from", usual);
+        return Ok(BOUNDS);
+    };
+    let one_colour = on_one_colour(views)?;
+    // Renders on one colour show nothing but the object. Photos have a background.
+    let ((near, far), why) = match one_colour {
+        true => (subject.extent(), subject.extent_words()),
+        false => (subject.bounds(), subject.bounds_words()),
+    };
+    let file = Path::new(&config.dir).join(transforms_file("train"));
+    let [_, distance, _] = subject.depths;
+    let begin = format!(
+        "{}: what the cameras look at is {distance:.3} away from them (radius {:.3}), outside of",
+        file.display(),
+        subject.radius
+    );
+    let instead = match one_colour {
+        true => "",
+        false => "; --set data.kind=transforms reads the folder as a capture of photos",
+    };
+    if config.near.is_some() && config.far.is_some() {
+        events.on(Event::Note(&format!(
+            "{begin} {start} to {end} (data.near, data.far); {near:.4} to {far:.4} would hold it{instead}"
+        )));
+        space.note("bounds from", usual);
+        return Ok(BOUNDS);
     }
     events.on(Event::Note(&format!(
-        "{}: what the cameras look at is {distance:.3} away from them (radius {:.3}), and rays run from {near} to {far}, the bounds of \
-         NeRF's synthetic scenes where none are set: set data.near and data.far, or read the folder as a capture of photographs with \
-         --set data.kind=transforms",
-        Path::new(&config.dir).join(transforms_file("train")).display(),
-        subject.radius
+        "{begin} {start} to {end}, the bounds of NeRF's synthetic scenes: rays run from {near:.4} to {far:.4} instead where \
+         data.near and data.far are not set{instead}"
     )));
+    space.domain = Some(subject.domain());
+    space.note("bounds from", why);
+    Ok([near, far])
+}
+
+/// Returns whether most of some views have one colour all along their edge, as renders of an object have.
+fn on_one_colour(views: &[View]) -> Result<bool> {
+    let is_plain = |view: &View| {
+        let (width, height) = (view.camera.width, view.camera.height);
+        let texels = || view.image.pixels.chunks_exact(3).enumerate();
+        let at_edge =
+            |i: usize| i < width || i >= width * (height - 1) || matches!(i % width, 0) || i % width == width - 1;
+        let Some((_, first)) = texels().next() else { return false };
+        let edge = || texels().filter(|(i, _)| at_edge(*i));
+        let near =
+            edge().filter(|(_, texel)| texel.iter().zip(first).all(|(a, b)| (a - b).abs() <= ONE_COLOUR)).count();
+        near as f64 >= MOST_OF_EDGE * edge().count() as f64
+    };
+    let some = views.iter().step_by(views.len().div_ceil(LOOKED_AT).max(1));
+    let plain = some.map(|view| Ok(is_plain(&view.read()?))).collect::<Result<Vec<bool>>>()?;
+    Ok(2 * plain.iter().filter(|plain| **plain).count() > plain.len())
 }
 
 /// Rounded as in nerf-pytorch.
@@ -140,7 +198,7 @@ fn read_split(config: &DataConfig, name: &str, events: &dyn Listener) -> Result<
         return Err(missing(&file, name));
     }
     let value = json::read(&file)?;
-    frames::read(Object::document(&file, &value)?, config.axes, events)
+    frames::read(Object::document(&file, &value)?, "frames", config, events)
 }
 
 /// Returns whether none of a split's photos is there, as exporters leave it that render no test views. Without the split's

@@ -5,18 +5,7 @@ use std::path::{Path, PathBuf};
 
 use super::model::Photograph;
 use crate::base::{Error, Result};
-use crate::data::images::{self, Size};
-
-/// Returns the folders of images, each with the reduction factor in its name.
-fn folders(dir: &Path) -> Result<Vec<(usize, PathBuf)>> {
-    let entries = std::fs::read_dir(dir).map_err(|e| Error::unreadable(dir, &e))?;
-    let named = entries.flatten().filter(|entry| entry.path().is_dir());
-    let mut found: Vec<(usize, PathBuf)> = named
-        .filter_map(|entry| Some((images::factor_of(&entry.file_name().to_string_lossy())?, entry.path())))
-        .collect();
-    found.sort();
-    Ok(found)
-}
+use crate::data::images::{self, Below, Size};
 
 /// The files of a scene's photos in the folder that suits the working resolution best.
 pub(super) struct Source {
@@ -42,7 +31,7 @@ impl Source {
 /// width: the smallest that is at least as wide. A folder without some of the photos is not used if another has them
 /// all.
 pub(super) fn find(dir: &Path, photographs: &[Photograph], size: Size) -> Result<Source> {
-    let mut folders = folders(dir)?;
+    let mut folders = images::folders(dir)?;
     match size {
         Size::Factor(wanted) => {
             let wanted = wanted.max(1);
@@ -55,9 +44,7 @@ pub(super) fn find(dir: &Path, photographs: &[Photograph], size: Size) -> Result
     let mut best: Option<Source> = None;
     let mut passed = Vec::new();
     for (factor, folder) in &folders {
-        let mut files: Vec<_> = photographs.iter().map(|photograph| file(folder, &photograph.name)).collect();
-        let renamed = find_renamed(folder, photographs, &mut files);
-        let source = Source { files, factor: *factor, passed: Vec::new(), renamed, moved: None };
+        let source = within(folder, *factor, photographs);
         let (found, all) = (source.found(), photographs.len());
         if let Size::Width(width) = size
             && widest(&source.files)?.is_some_and(|widest| widest < width)
@@ -75,11 +62,29 @@ pub(super) fn find(dir: &Path, photographs: &[Photograph], size: Size) -> Result
         }
     }
     let best = best.filter(|source| source.found() > 0).or_else(|| elsewhere(dir, photographs));
+    let best = best.or_else(|| reduced(dir, photographs, size));
     let Some(source) = best else { return Err(none(dir, photographs, size)?) };
     if source.found() == photographs.len() {
         return Ok(Source { passed, ..source });
     }
     Ok(source)
+}
+
+/// Returns the photos in a folder.
+fn within(folder: &Path, factor: usize, photographs: &[Photograph]) -> Source {
+    let mut files: Vec<_> = photographs.iter().map(|photograph| file(folder, &photograph.name)).collect();
+    let renamed = find_renamed(folder, photographs, &mut files);
+    Source { files, factor, passed: Vec::new(), renamed, moved: None }
+}
+
+/// Returns the photos in the largest of the reduced folders, if no other has them.
+fn reduced(dir: &Path, photographs: &[Photograph], size: Size) -> Option<Source> {
+    let Size::Factor(_) = size else { return None };
+    let all =
+        images::folders(dir).ok()?.into_iter().map(|(factor, folder)| (within(&folder, factor, photographs), folder));
+    let (source, folder) = all.into_iter().find(|(source, _)| source.found() > 0)?;
+    let words = images::reduced_words(folder.strip_prefix(dir).unwrap_or(&folder), source.factor, size);
+    Some(Source { moved: Some(words), ..source })
 }
 
 /// Returns the columns of the widest of these files, by which a width is measured.
@@ -93,7 +98,7 @@ fn none(dir: &Path, photographs: &[Photograph], size: Size) -> Result<Error> {
         Size::Factor(factor) => format!("data.downscale = {factor}"),
         Size::Width(width) => format!("data.width = {width}"),
     };
-    let there: Vec<String> = folders(dir)?.iter().map(|(_, folder)| folder.display().to_string()).collect();
+    let there: Vec<String> = images::folders(dir)?.iter().map(|(_, folder)| folder.display().to_string()).collect();
     let looked =
         if there.is_empty() { "there is no such folder".into() } else { format!("there is {}", there.join(", ")) };
     Ok(Error::Data(format!(
@@ -112,9 +117,9 @@ fn find_renamed(folder: &Path, photographs: &[Photograph], files: &mut [Option<P
         return 0;
     }
     let taken: HashSet<PathBuf> = files.iter().flatten().cloned().collect();
-    let there: Vec<PathBuf> =
-        images::below(folder).into_iter().filter(|within| !taken.contains(&folder.join(within))).collect();
-    fill(folder, photographs, files, |name| images::under_same_name(name, &there))
+    let there = images::below(folder).into_iter().filter(|within| !taken.contains(&folder.join(within))).collect();
+    let there = Below::of(there);
+    fill(folder, photographs, files, |name| there.under_same_name(name))
 }
 
 /// Fills in missing files below a folder, and counts them. A file that two photos mean is neither's.
@@ -139,11 +144,17 @@ fn elsewhere(dir: &Path, photographs: &[Photograph]) -> Option<Source> {
         let top = path.components().next().map(|top| top.as_os_str().to_string_lossy().into_owned());
         top.and_then(|top| images::factor_of(&top)).is_some_and(|factor| factor > 1)
     };
-    let there: Vec<PathBuf> = images::below(dir).into_iter().filter(|path| !is_smaller(path)).collect();
+    let there = Below::of(images::below(dir).into_iter().filter(|path| !is_smaller(path)).collect());
     let mut files = vec![None; photographs.len()];
-    let found = fill(dir, photographs, &mut files, |name| images::place_of(name, &there));
+    let mut found = fill(dir, photographs, &mut files, |name| there.by_end(name));
+    if found == 0 {
+        let names: Vec<&str> = photographs.iter().map(|photograph| photograph.name.as_str()).collect();
+        let (_, of_folder) = there.renamed_folder(&names, 1)?;
+        files = of_folder.into_iter().map(|file| file.map(|file| dir.join(file))).collect();
+        found = files.iter().flatten().count();
+    }
     let moved = files.iter().flatten().next().and_then(|file| file.strip_prefix(dir).ok()).map(|file| {
-        format!("{found} photos are in no folder images, and were found elsewhere: such as {}", file.display())
+        format!("{found} photos are not where the model says, and were found elsewhere: such as {}", file.display())
     });
     moved.map(|moved| Source { files, factor: 1, passed: Vec::new(), renamed: 0, moved: Some(moved) })
 }

@@ -56,7 +56,7 @@ pub fn load(config: &DataConfig, photos: Photos, events: &dyn Listener) -> Resul
     let dir = Path::new(&config.dir);
     let model = read::model(dir, &config.colmap_model, events)?;
     let source = folder::find(dir, &model.photographs, Size::of(config))?;
-    let missing = check_missing(dir, &model, &source, events)?;
+    let missing = note_missing(dir, &model, &source, events);
     source.moved.iter().for_each(|moved| events.on(Event::Note(&format!("{}: {moved}", dir.display()))));
     if source.renamed > 0 {
         events.on(Event::Note(&format!(
@@ -100,28 +100,26 @@ pub fn load(config: &DataConfig, photos: Photos, events: &dyn Listener) -> Resul
     Ok(capture.hold_out_listed(name_of(config), DataKind::Colmap.name(), config, &there))
 }
 
-/// Notes missing photos. It is an error if more than half are missing.
-fn check_missing(dir: &Path, model: &Model, source: &Source, events: &dyn Listener) -> Result<Vec<String>> {
+/// Notes missing photos.
+fn note_missing(dir: &Path, model: &Model, source: &Source, events: &dyn Listener) -> Vec<String> {
     let is_missing =
         |(photograph, file): (&Photograph, &Option<PathBuf>)| file.is_none().then(|| photograph.name.clone());
     let missing: Vec<String> = model.photographs.iter().zip(&source.files).filter_map(is_missing).collect();
     if missing.is_empty() {
-        return Ok(missing);
+        return missing;
     }
     let named: Vec<String> = missing.iter().take(NAMES).map(|name| format!("{:?}", shown(name))).collect();
     let more = if missing.len() > NAMES { ", ..." } else { "" };
-    let words = format!(
-        "{}: {} of the {} images of the COLMAP model are not there: {}{more}",
+    let is_most = 2 * missing.len() > model.photographs.len();
+    let most = if is_most { ", which are most of them: check that the model is this capture's" } else { "" };
+    events.on(Event::Note(&format!(
+        "{}: {} of the {} images of the COLMAP model are not there and are left out{most}: {}{more}",
         dir.display(),
         missing.len(),
         model.photographs.len(),
         named.join(", ")
-    );
-    if 2 * missing.len() > model.photographs.len() {
-        return Err(Error::Data(format!("{words}; with more than half of them gone it is another capture's model")));
-    }
-    events.on(Event::Note(&format!("{words}; they are left out")));
-    Ok(missing)
+    )));
+    missing
 }
 
 /// Returns all existing photos, with their cameras and their names among all. `poses` are those of all photos in the

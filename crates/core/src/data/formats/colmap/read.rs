@@ -126,9 +126,30 @@ pub(super) fn model(dir: &Path, wanted: &str, events: &dyn Listener) -> Result<M
         }
     }
     model.photographs = photographs;
+    plain_names(&mut model.photographs, &images, events);
     model.photographs.sort_by(|a, b| a.name.cmp(&b.name));
     check(&model, &images)?;
     Ok(model)
+}
+
+/// Takes names with backslashes, drives or roots, which are of another machine, for paths below the folder of images.
+fn plain_names(photographs: &mut [Photograph], images: &Path, events: &dyn Listener) {
+    let mut foreign: Vec<String> = Vec::new();
+    for Photograph { name, .. } in photographs {
+        let below = crate::data::images::slashes(name);
+        let drive = below.split_once(":/").filter(|(drive, _)| drive.len() == 1).map_or(&*below, |(_, rest)| rest);
+        let plain = drive.trim_start_matches('/').to_string();
+        if plain != *name {
+            foreign.push(std::mem::replace(name, plain));
+        }
+    }
+    if let Some(first) = foreign.first() {
+        events.on(Event::Note(&format!(
+            "{}: the names of {} images are paths of another machine and are read as paths below the folder of images: {first}",
+            images.display(),
+            foreign.len()
+        )));
+    }
 }
 
 fn check(model: &Model, images: &Path) -> Result<()> {

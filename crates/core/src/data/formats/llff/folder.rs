@@ -122,6 +122,7 @@ fn by_width(
 
 /// Returns the photos that have poses, if a folder has more than these and all of them.
 fn with_poses(paths: Vec<PathBuf>, poses: usize, listed: Option<&BTreeSet<String>>) -> Vec<PathBuf> {
+    let paths = if paths.len() > poses { images::without_twins(paths) } else { paths };
     let Some(listed) = listed.filter(|_| paths.len() > poses) else { return paths };
     let stem = |name: &Path| name.file_stem().map(|stem| images::name_key(Path::new(stem)));
     let stems: BTreeSet<String> = listed.iter().filter_map(|name| stem(Path::new(name))).collect();
@@ -150,17 +151,10 @@ fn photo_folders(dir: &Path, poses: usize) -> Result<Vec<String>> {
     Ok(if found.len() == 1 { found } else { Vec::new() })
 }
 
-/// Returns the names of the folders `images` and `images_*`, sorted.
+/// Returns the names of the folders `images` and `images_*`.
 fn folders(dir: &Path) -> Result<Vec<String>> {
-    let entries = std::fs::read_dir(dir).map_err(|e| Error::unreadable(dir, &e))?;
-    let mut names: Vec<String> = entries
-        .flatten()
-        .filter(|entry| entry.path().is_dir())
-        .map(|entry| entry.file_name().to_string_lossy().into_owned())
-        .filter(|name| images::factor_of(name).is_some())
-        .collect();
-    names.sort();
-    Ok(names)
+    let name = |folder: &Path| folder.file_name().unwrap_or_default().to_string_lossy().into_owned();
+    Ok(images::folders(dir)?.iter().map(|(_, folder)| name(folder)).collect())
 }
 
 fn describe_folders(dir: &Path) -> Result<String> {

@@ -48,6 +48,13 @@ pub fn load(config: &DataConfig, photos: Photos, events: &dyn Listener) -> Resul
     let source =
         folder::find(dir, Size::of(config), (poses.poses.len(), [poses.width, poses.height]), listed.as_ref())?;
     check_count(&source, poses.poses.len(), &file)?;
+    let folder = source.paths[0].parent().and_then(Path::file_name).unwrap_or_default().to_string_lossy();
+    if images::factor_of(&folder).is_none() {
+        events.on(Event::Note(&format!(
+            "{}: there is no folder images, and {folder}, the only folder with an image for each pose, is read",
+            dir.display()
+        )));
+    }
     check_size(&source, &mut poses, config, &file, events)?;
     let name_file = |e: Error| Error::Data(format!("{}: {e}", file.display()));
     let path = normalize(&mut poses, config).map_err(name_file)?;
@@ -57,6 +64,7 @@ pub fn load(config: &DataConfig, photos: Photos, events: &dyn Listener) -> Resul
     if config.ndc {
         check_facing(&cameras, &names, &file)?;
     }
+    images::note_twins(dir, source.paths.iter(), events);
     let masks = Masks::of(config, source.paths.iter().map(|path| &**path), events)?;
     let lens = Intrinsics { focal: camera.focal, centre: camera.centre };
     let frame = |((path, header), mask): ((&PathBuf, &Header), Option<MaskFile>)| {
@@ -140,12 +148,14 @@ fn check_count(source: &Source, poses: usize, file: &Path) -> Result<()> {
 /// Returns the names of the photos that have poses, if there are more photos: of `view_imgs.txt`, which LLFF writes, or of
 /// the COLMAP model in `sparse/0`. `None` if neither is there or has as many names as there are poses.
 fn registered(dir: &Path, poses: usize, events: &dyn Listener) -> Result<Option<BTreeSet<String>>> {
-    let all = images::list(&dir.join("images")).map_or(0, |paths| paths.len());
+    let all = images::list(&dir.join("images")).map_or(0, |paths| images::without_twins(paths).len());
     if all <= poses {
         return Ok(None);
     }
-    let listed = read_text(&dir.join(VIEWS_FILE), TEXT_BYTES).ok().map(|text| {
-        text.lines().map(str::trim).filter(|line| !line.is_empty()).map(String::from).collect::<BTreeSet<String>>()
+    let file = dir.join(VIEWS_FILE);
+    let text = file.is_file().then(|| read_text(&file, TEXT_BYTES).map_err(|e| Error::unreadable(&file, &e)));
+    let listed = text.transpose()?.map(|text| {
+        text.lines().map(str::trim).filter(|line| !line.is_empty()).map(images::slashes).collect::<BTreeSet<String>>()
     });
     let names = match listed.filter(|names| names.len() == poses) {
         Some(names) => Some((VIEWS_FILE, names)),

@@ -5,16 +5,17 @@ use std::path::{Path, PathBuf};
 
 use super::lens::{self, Lens};
 use crate::base::{Event, Listener, Result};
+use crate::data::brief;
 use crate::data::frame::{Frame, named};
-use crate::data::images::{self, Header, Size};
-use crate::data::json::{Object, Picture};
+use crate::data::images::{self, Below, Header, Size};
+use crate::data::json::{Object, Picture, Scaled};
 use crate::data::mask::{self, MaskFile, Masks};
 use crate::data::pose::Pose;
-use crate::settings::{Axes, DataConfig};
+use crate::settings::DataConfig;
 
 /// The key of a frame's pose.
 const POSE: &str = "transform_matrix";
-/// Largest number of photos that an error names. Notes name all.
+/// Largest number of photos that a sentence names.
 const NAMES: usize = 20;
 
 /// A frame of a file, with or without its photo. The scene's space, and the names and roles of its views, depend on the
@@ -41,104 +42,157 @@ impl Listed {
 /// A frame of the document.
 struct Entry<'a> {
     object: Object<'a>,
-    picture: Picture,
     pose: Pose,
+    picture: Picture,
+    reduced: usize,
 }
 
-/// Reads the frames of a document in its order. A note names missing photos, frames without a pose, and frames that are
-/// listed twice.
+/// Reads a document's frames under a key, in their order. Notes name missing photos, frames without a pose, frames that are
+/// listed twice, and what was repaired.
 ///
 /// # Errors
-/// If more than half of the photos are missing, if one has two poses, or if a field is invalid.
-pub fn read(document: Object, axes: Axes, events: &dyn Listener) -> Result<Vec<Listed>> {
+/// If none of the photos is there, if one has two poses, or if a field is invalid.
+pub fn read<'a>(document: Object<'a>, key: &'a str, config: &DataConfig, events: &dyn Listener) -> Result<Vec<Listed>> {
     let note = |what: &str| events.on(Event::Note(&document.error(what).to_string()));
-    let listed = |entry: Entry| {
+    let mut listed: Vec<Listed> = Vec::new();
+    let mut doubts: [Vec<String>; 2] = Default::default();
+    for entry in distinct(entries(document, key, config, &note)?, document, &note)? {
         let Picture { place, written, .. } = entry.picture.clone();
-        Ok(Listed { place, written, pose: entry.pose, frame: find(entry, document)? })
-    };
-    distinct(entries(document, axes, &note)?, document, &note)?.into_iter().map(listed).collect()
+        let (object, pose, frame) = (entry.object, entry.pose, find(entry, document)?);
+        if let Some(frame) = &frame {
+            let of_frame = lens::doubts(object, document, frame.size())?;
+            doubts.iter_mut().zip(of_frame).for_each(|(all, doubt)| all.extend(doubt));
+        }
+        listed.push(Listed { place, written, pose, frame });
+    }
+    for all in doubts.iter().filter(|all| !all.is_empty()) {
+        note(&format!("{} (in {} frames)", all[0], all.len()));
+    }
+    Ok(listed)
 }
 
 /// Returns whether none of a document's photos is there.
 pub fn has_no_photos(document: Object) -> Result<bool> {
-    let there = images::below(document.folder());
+    let there = Below::of(images::below(document.folder()));
     if document.is_empty("frames") {
         return Ok(true);
     }
     for object in document.frames()? {
         let picture = object.picture("file_path")?;
-        if picture.path.is_some() || images::place_of(&picture.written, &there).is_some() {
+        if picture.path.is_some() || there.by_end(&picture.written).is_some() {
             return Ok(false);
         }
     }
     Ok(true)
 }
 
-/// Reads the frames that have a pose; at least half must have their photos.
-fn entries<'a>(document: Object<'a>, axes: Axes, note: &dyn Fn(&str)) -> Result<Vec<Entry<'a>>> {
-    let (mut entries, mut without_pose) = (Vec::new(), Vec::new());
-    for object in document.frames()? {
+/// Returns the first names of a list.
+fn some(names: &[impl AsRef<str>]) -> String {
+    let more = if names.len() > NAMES { format!(" and {} more", names.len() - NAMES) } else { String::new() };
+    let shown: Vec<&str> = names.iter().take(NAMES).map(AsRef::as_ref).collect();
+    format!("{}{more}", shown.join(", "))
+}
+
+/// Reads the frames that have a pose. At least one photo must be there.
+fn entries<'a>(document: Object<'a>, key: &'a str, config: &DataConfig, note: &dyn Fn(&str)) -> Result<Vec<Entry<'a>>> {
+    let (mut entries, mut without_pose, mut scaled) = (Vec::new(), Vec::new(), Vec::new());
+    for object in document.objects(key)? {
         let picture = object.picture("file_path")?;
         if object.is_null(POSE) {
             without_pose.push(picture.written);
             continue;
         }
-        let pose = object.pose(axes)?;
-        entries.push(Entry { object, picture, pose });
+        let (pose, scale) = object.pose(config.axes)?;
+        scaled.extend(scale);
+        entries.push(Entry { object, picture, pose, reduced: 1 });
     }
     if !without_pose.is_empty() {
-        note(&format!(
-            "{} frames have no pose (\"{POSE}\" is null) and are left out: {}",
-            without_pose.len(),
-            without_pose.join(", ")
-        ));
+        let count = without_pose.len();
+        note(&format!("{count} frames have no pose (\"{POSE}\" is null) and are left out: {}", some(&without_pose)));
     }
+    note_scaled(&scaled, note);
     let lacks = |entry: &&Entry| entry.picture.path.is_none();
     let there = if entries.iter().any(|entry| lacks(&entry)) { images::below(document.folder()) } else { Vec::new() };
-    find_elsewhere(document, &there, &mut entries, note);
-    let first = entries.iter().find(lacks).map(|entry| entry.object);
-    let mut missing: Vec<String> = entries.iter().filter(lacks).map(|entry| entry.picture.written.clone()).collect();
+    let there = Below::of(there);
+    find_elsewhere(document, &there, &mut entries, config, note);
+    let missing: Vec<&str> = entries.iter().filter(lacks).map(|entry| &*entry.picture.written).collect();
     let (count, all) = (missing.len(), entries.len());
     if all == 0 {
         return Err(document.error("no frame has a pose"));
     }
-    match first {
-        Some(object) if 2 * count > all => {
-            let more = if count > NAMES { format!(" and {} more", count - NAMES) } else { String::new() };
-            let near = images::nearest(&missing[0], &there);
-            let near = near.map(|near| format!("; the nearest name there is {}", near.display())).unwrap_or_default();
-            missing.truncate(NAMES);
-            Err(object.error(&format!(
-                "\"file_path\" names no image (PNG, JPEG or WebP, also with the ending added), and so it is with {count} of {all} \
-                 frames: at least half of the photographs must be there; missing are {}{more}{near}",
-                missing.join(", ")
-            )))
-        }
-        Some(_) => {
-            note(&format!("{count} of {all} photographs are not there and are left out: {}", missing.join(", ")));
-            Ok(entries)
-        }
-        None => Ok(entries),
+    if count == all {
+        let near = there.nearest(missing[0]).map(|near| format!("; the nearest name there is {}", near.display()));
+        return Err(document.error(&format!(
+            "none of the {all} photos that \"{key}\" names is there (PNG, JPEG or WebP, also with the ending added){}; missing are {}",
+            near.unwrap_or_default(),
+            some(&missing)
+        )));
+    }
+    if count > 0 {
+        let most =
+            if 2 * count > all { ", which are most of them: check that the folder is the right one" } else { "" };
+        note(&format!("{count} of {all} photographs are not there and are left out{most}: {}", some(&missing)));
+    }
+    Ok(entries)
+}
+
+/// Notes matrices out of which a scale was taken.
+fn note_scaled(scaled: &[Scaled], note: &dyn Fn(&str)) {
+    for whole in [true, false] {
+        let mut by: Vec<f64> = scaled.iter().filter(|scaled| scaled.whole == whole).map(|scaled| scaled.by).collect();
+        by.sort_by(f64::total_cmp);
+        let (Some(least), Some(most)) = (by.first(), by.last()) else { continue };
+        let short = |number: f64| brief((number * 1e9).round() / 1e9);
+        let by_one = most - least <= 1e-3 * most.abs();
+        let range = if by_one { short(*least) } else { format!("{} to {}", short(*least), short(*most)) };
+        let count = by.len();
+        note(&match whole {
+            true => format!(
+                "{count} matrices are scaled as a whole (their last number is {range}, not 1) and are divided by that number"
+            ),
+            false => format!(
+                "the axes of {count} matrices have the length {range}, not 1, and are normalized; the positions stay as they are"
+            ),
+        });
     }
 }
 
 /// Looks for photos that are not where they are named: under the same name in another letter case or Unicode form, in
 /// another place below the document's folder that ends in the name, or without the name's folders. A place counts if it is
-/// the only one. If most photos are where they are named, the others are in no other folder.
-fn find_elsewhere(document: Object, there: &[PathBuf], entries: &mut [Entry], note: &dyn Fn(&str)) {
+/// the only one. If most photos are where they are named, the others are in no other folder. If all are missing, their
+/// folder may have another name.
+fn find_elsewhere(document: Object, there: &Below, entries: &mut [Entry], config: &DataConfig, note: &dyn Fn(&str)) {
     let most_are_there = 2 * entries.iter().filter(|entry| entry.picture.path.is_some()).count() >= entries.len();
-    let folder = document.folder();
     let mut moved = Vec::new();
-    for Entry { picture, .. } in entries.iter_mut().filter(|entry| entry.picture.path.is_none()) {
-        let elsewhere = || images::place_of(&picture.written, there).filter(|_| !most_are_there);
-        let Some(found) = images::under_same_name(&picture.written, there).or_else(elsewhere) else { continue };
-        let path = folder.join(found);
-        moved.push(format!("{} is {}", picture.written, found.display()));
-        (picture.place, picture.path) = (path.clone(), Some(path));
+    let mut place = |entry: &mut Entry, found: &Path| {
+        moved.push(format!("{} is {}", entry.picture.written, found.display()));
+        let path = document.folder().join(found);
+        (entry.picture.place, entry.picture.path) = (path.clone(), Some(path));
+    };
+    for entry in entries.iter_mut().filter(|entry| entry.picture.path.is_none()) {
+        let name = entry.picture.written.clone();
+        let found = there.under_same_name(&name).or_else(|| there.by_end(&name).filter(|_| !most_are_there));
+        found.into_iter().for_each(|found| place(entry, found));
+    }
+    let mut reduced = None;
+    if entries.iter().all(|entry| entry.picture.path.is_none()) {
+        let names: Vec<String> = entries.iter().map(|entry| entry.picture.written.clone()).collect();
+        let names: Vec<&str> = names.iter().map(String::as_str).collect();
+        let downscale = config.downscale.unwrap_or(1) as usize;
+        let (folder, files) = there.renamed_folder(&names, downscale).unwrap_or((Path::new(""), Vec::new()));
+        let factor = images::factor_in(folder);
+        for (entry, file) in entries.iter_mut().zip(files) {
+            file.into_iter().for_each(|file| place(entry, file));
+            // A file may name reduced photos itself, for which its numbers then are.
+            let own = images::factor_in(Path::new(&entry.picture.written));
+            entry.reduced = if factor.is_multiple_of(own) { factor / own } else { 1 };
+        }
+        reduced = (factor > 1).then(|| images::reduced_words(folder, factor, Size::of(config)));
     }
     if let Some(first) = moved.first() {
         note(&format!("{} photos are not where \"file_path\" says, and were found elsewhere: {first}", moved.len()));
     }
+    reduced.iter().for_each(|words| note(words));
 }
 
 /// Keeps each photo once. A second frame of it could be both trained on and held out.
@@ -162,17 +216,17 @@ fn distinct<'a>(entries: Vec<Entry<'a>>, document: Object, note: &dyn Fn(&str)) 
         }
     }
     if !again.is_empty() {
-        note(&format!("{} frames are listed again and are left out: {}", again.len(), again.join(", ")));
+        note(&format!("{} frames are listed again and are left out: {}", again.len(), some(&again)));
     }
     Ok(kept)
 }
 
 /// Returns the photo of an entry, if it exists.
-fn find(Entry { object, picture, .. }: Entry, document: Object) -> Result<Option<Frame>> {
+fn find(Entry { object, picture, reduced, .. }: Entry, document: Object) -> Result<Option<Frame>> {
     let Some(path) = picture.path else { return Ok(None) };
     let stated = lens::stated(object, document)?;
     let header = Header::read(&path)?.turned_to_fit(|size| stated.is_some_and(|stated| lens::is_scaled(stated, size)));
-    let Lens { intrinsics, distortion } = Lens::read(object, document, header.size)?;
+    let Lens { intrinsics, distortion } = Lens::read(object, document, header.size, reduced)?;
     let Some(frame) = Frame::new(path, header, intrinsics, distortion) else {
         return Err(object.error(&format!(
             "the lens distortion (k1, k2, k3 = {:?}, p1, p2 = {:?}) cannot be undone over the whole image: \
@@ -180,7 +234,7 @@ fn find(Entry { object, picture, .. }: Entry, document: Object) -> Result<Option
             distortion.radial, distortion.tangential
         )));
     };
-    Ok(Some(Frame { mask: mask::file_of(object, document)?.map(MaskFile::of_black), ..frame }))
+    Ok(Some(Frame { mask: mask::file_of(object, document)?.map(MaskFile::of_black), reduced, ..frame }))
 }
 
 /// Returns the frames of a list whose photos exist, each with its pose and its name among all.
@@ -211,16 +265,22 @@ pub fn find_masks<'a>(
 pub fn working_sizes(frames: &[&Frame], config: &DataConfig) -> Result<Vec<(usize, usize)>> {
     let sizes: Vec<(usize, usize)> = frames.iter().map(|frame| frame.size()).collect();
     let first = frames.first().map_or(Path::new(""), |frame| &frame.path);
-    images::working_sizes(Size::of(config), &sizes, first)
+    // Photos that are reduced already are reduced by the rest of the factor.
+    let reduced = frames.first().map_or(1, |frame| frame.reduced);
+    let size = match Size::of(config) {
+        Size::Factor(factor) => Size::Factor((factor / reduced).max(1)),
+        width => width,
+    };
+    images::working_sizes(size, &sizes, first)
 }
 
-/// Notes photos of a scene that are both trained on and evaluated.
-pub fn note_shared(scene: &str, train: &[&Frame], test: &[&Frame], events: &dyn Listener) {
+/// Notes photos of a scene that are both trained on and evaluated. `advice` says what to do.
+pub fn note_shared(scene: &str, train: &[&Frame], test: &[&Frame], advice: &str, events: &dyn Listener) {
     let is_trained = |frame: &&&Frame| train.iter().any(|other| other.path == frame.path);
     let shared: Vec<&Path> = test.iter().filter(is_trained).map(|frame| &*frame.path).collect();
     if !shared.is_empty() {
         let what = format!(
-            "{} of {} photographs that are evaluated are trained on, too, so that metrics are not of unseen views: {}",
+            "{} of {} photographs that are evaluated are trained on, too, so that metrics are not of unseen views{advice}: {}",
             shared.len(),
             test.len(),
             named(Path::new(scene), &shared)

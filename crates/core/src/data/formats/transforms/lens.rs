@@ -2,6 +2,7 @@
 
 use super::distortion::{Distortion, Intrinsics};
 use crate::base::Result;
+use crate::data::foreign::FOCAL;
 use crate::data::json::Object;
 use crate::data::{SMALLEST, brief};
 
@@ -9,6 +10,12 @@ use crate::data::{SMALLEST, brief};
 const MODELS: [&str; 6] = ["OPENCV", "FULL_OPENCV", "PINHOLE", "SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL"];
 /// Coefficients that no supported model has.
 const UNSUPPORTED: [&str; 3] = ["k4", "k5", "k6"];
+
+/// Difference of two focal lengths, as a fraction, that contradict each other.
+const CONTRADICTION: f64 = 0.05;
+/// Keys of a skew in pixels, and the largest skew of which nothing is said, as a fraction of the focal length.
+const SKEW: [&str; 3] = ["sk_x", "sk_y", "skew"];
+const LEAST_SKEW: f64 = 1e-3;
 
 /// The keys that are read from a document or a frame here.
 pub(super) const KEYS: [&str; 18] = [
@@ -40,13 +47,13 @@ pub(super) struct Lens {
 }
 
 /// Keys of a frame, and of the document if the frame lacks them.
-struct Keys<'a> {
-    frame: Object<'a>,
-    document: Object<'a>,
+pub(in crate::data) struct Keys<'a> {
+    pub(in crate::data) frame: Object<'a>,
+    pub(in crate::data) document: Object<'a>,
 }
 
 impl Keys<'_> {
-    fn number(&self, key: &str) -> Result<Option<f64>> {
+    pub(in crate::data) fn number(&self, key: &str) -> Result<Option<f64>> {
         Ok(self.frame.number(key)?.or(self.document.number(key)?))
     }
 
@@ -55,11 +62,11 @@ impl Keys<'_> {
         Ok([self.positive("w")?.unwrap_or(size[0]), self.positive("h")?.unwrap_or(size[1])])
     }
 
-    fn angle(&self, key: &str) -> Result<Option<f64>> {
+    pub(in crate::data) fn angle(&self, key: &str) -> Result<Option<f64>> {
         Ok(self.frame.angle(key)?.or(self.document.angle(key)?))
     }
 
-    fn positive(&self, key: &str) -> Result<Option<f64>> {
+    pub(in crate::data) fn positive(&self, key: &str) -> Result<Option<f64>> {
         match self.number(key)? {
             Some(v) if v < SMALLEST => Err(self
                 .frame
@@ -84,13 +91,13 @@ pub(super) fn stated(frame: Object, document: Object) -> Result<Option<[f64; 2]>
 
 impl Lens {
     /// Reads the lens of a frame whose image is `stored` (width, height). Intrinsics for images of another size (`w`,
-    /// `h`) are scaled.
-    pub(super) fn read(frame: Object, document: Object, stored: (usize, usize)) -> Result<Lens> {
+    /// `h`) are scaled. If neither is there, they are for one that is `reduced` times as large.
+    pub(super) fn read(frame: Object, document: Object, stored: (usize, usize), reduced: usize) -> Result<Lens> {
         let keys = Keys { frame, document };
         check_model(frame, document)?;
         check_coefficients(&keys)?;
         let size = [stored.0 as f64, stored.1 as f64];
-        let stated = keys.stated(size)?;
+        let stated = keys.stated(size.map(|side| side * reduced as f64))?;
         let scale = [size[0] / stated[0], size[1] / stated[1]];
         if !is_scaled(stated, stored) {
             return Err(frame.error(&format!(
@@ -114,15 +121,38 @@ fn focal(keys: &Keys, stated: [f64; 2]) -> Result<[f64; 2]> {
     let x = keys.positive("fl_x")?.or(from_angle(keys.angle("camera_angle_x")?, stated[0]));
     let y = keys.positive("fl_y")?;
     let Some(x) = x else {
-        return Err(keys.frame.error(
-            "neither \"fl_x\" nor \"camera_angle_x\" is there, in the frame or for all frames: \
-             the focal length is unknown",
-        ));
+        let (of_frame, of_all) = (keys.frame.instead(FOCAL), keys.document.instead(FOCAL));
+        return Err(keys.frame.error(&format!(
+            "neither \"fl_x\" nor \"camera_angle_x\" is there, in the frame or for all frames: the focal length is unknown{}",
+            if of_frame.is_empty() { of_all } else { of_frame }
+        )));
     };
     // A field of view in y counts only if no focal length is given.
     let wide = keys.number("fl_x")?.is_none();
     let y = y.or(if wide { from_angle(keys.angle("camera_angle_y")?, stated[1]) } else { None });
     Ok([x, y.unwrap_or(x)])
+}
+
+/// Returns what of a frame's lens is not read although it would change the camera: a field of view that contradicts the
+/// focal length, and a skew.
+pub(super) fn doubts(frame: Object, document: Object, stored: (usize, usize)) -> Result<[Option<String>; 2]> {
+    let keys = Keys { frame, document };
+    let (stated, focal) = (keys.stated([stored.0 as f64, stored.1 as f64])?, keys.positive(FOCAL)?);
+    let from_angle = keys.angle("camera_angle_x")?.map(|angle| 0.5 * stated[0] / (0.5 * angle).tan());
+    let other = focal.zip(from_angle).filter(|(focal, other)| (other / focal - 1.0).abs() > CONTRADICTION);
+    let angle = other.map(|(focal, other)| {
+        format!(
+            "\"fl_x\" is {focal:.1} and is used, but \"camera_angle_x\" would make it {other:.1}: one of them is wrong"
+        )
+    });
+    let mut skew = None;
+    for key in SKEW {
+        let is_much = |skew: &f64| skew.abs() > LEAST_SKEW * focal.unwrap_or(stated[0]);
+        skew = skew.or(keys.number(key).ok().flatten().filter(is_much).map(|skew| {
+            format!("\"{key}\" is {skew}, a skew of the pixels, which is not read: remove it from the images with the program that found it")
+        }));
+    }
+    Ok([angle, skew])
 }
 
 fn distortion(keys: &Keys) -> Result<Distortion> {

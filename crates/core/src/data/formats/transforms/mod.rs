@@ -2,8 +2,8 @@
 //!
 //! These keys are read, for all frames or per frame: `fl_x`, `fl_y`, `cx`, `cy`, `w`, `h`, `camera_angle_x`,
 //! `camera_angle_y`, `camera_model`, `k1`, `k2`, `k3`, `p1`, `p2`, `mask_path`. Each frame has `file_path` and
-//! `transform_matrix`. The document may have `train_filenames`, `val_filenames` and `test_filenames`. Other keys are
-//! ignored, and `data check` names them. `aabb_scale`, `scale` and `offset` place the scene in instant-ngp's unit cube;
+//! `transform_matrix`. The document may have `train_filenames`, `val_filenames` and `test_filenames`, or frames of a split of
+//! their own (`test_frames`). Other keys are ignored, and `data check` names them. `aabb_scale`, `scale` and `offset` place the scene in instant-ngp's unit cube;
 //! `applied_transform` and `ply_file_path` relate the poses to a point cloud.
 //!
 //! A photo's pixels are turned by its EXIF orientation only if `w` and `h` are those of the turned photo.
@@ -16,10 +16,10 @@ mod split;
 use std::collections::HashMap;
 use std::path::{Path, PathBuf};
 
-pub(in crate::data) use lens::check_model;
+pub(in crate::data) use lens::{Keys, check_model};
 pub use split::{Role, is_named};
 
-use crate::base::{Error, Listener, Result};
+use crate::base::{Error, Event, Listener, Result};
 use crate::data::formats::Capture;
 use crate::data::frame::{self, Frame, Reading};
 use crate::data::images;
@@ -27,7 +27,7 @@ use crate::data::pose::Pose;
 use crate::data::{Camera, Photos, Scene, SceneSpace, WorldToScene, background, name_of, path};
 use crate::settings::{DataConfig, DataKind, EvalSplit, Split};
 use frames::Listed;
-use split::{Listing, Roles};
+use split::{Listing, Roles, Uses};
 
 /// The file that identifies such a scene folder.
 pub const TRANSFORMS_FILE: &str = "transforms.json";
@@ -45,9 +45,9 @@ pub const BOUNDS: [f64; 2] = [0.05, 6.0];
 /// `every`. Otherwise every `config.holdout`-th view is held out. The scene's space and the views' roles depend on all
 /// listed photos, including missing ones.
 pub fn load(config: &DataConfig, photos: Photos, events: &dyn Listener) -> Result<Scene> {
-    let Listing { frames: all, named, ignored } = split::read(Path::new(&config.dir), config.axes, events)?;
+    let Listing { frames: all, named, ignored, aside } = split::read(config, events)?;
     let by_author = by_author(config, named)?;
-    let (mut listed, roles): (Vec<Listed>, Vec<Option<Role>>) = ordered(all, by_author, config)?.into_iter().unzip();
+    let (mut listed, roles): (Vec<Listed>, Vec<Uses>) = ordered(all, by_author, config)?.into_iter().unzip();
     let world = match config.recentre {
         true => WorldToScene::centre(&mut listed.iter_mut().map(|listed| &mut listed.pose).collect::<Vec<&mut Pose>>()),
         false => WorldToScene::default(),
@@ -56,7 +56,7 @@ pub fn load(config: &DataConfig, photos: Photos, events: &dyn Listener) -> Resul
     let there: Vec<bool> = listed.iter().map(|listed| listed.frame.is_some()).collect();
     let (mut frames, names) = frames::found(listed);
     frames::find_masks(frames.iter_mut(), config, events)?;
-    let used = frames.iter().map(|frame| &frame.path);
+    let used = frames.iter().map(|frame| &frame.path).chain(&aside);
     images::note_unused(Path::new(&config.dir), used, "have no pose in transforms.json", events);
     let targets = frames::working_sizes(&frames.iter().collect::<Vec<_>>(), config)?;
     let cameras: Vec<Camera> = frames.iter().zip(targets).map(|(frame, size)| frame.camera(size, by_ratio)).collect();
@@ -83,17 +83,32 @@ pub fn load(config: &DataConfig, photos: Photos, events: &dyn Listener) -> Resul
         EvalSplit::Test => Role::Test,
         EvalSplit::Val => Role::Val,
     };
-    if !roles.contains(&Some(wanted)) {
+    let of = |wanted: Role| roles.iter().map(|uses| uses[wanted as usize]).collect::<Vec<bool>>();
+    if !of(wanted).contains(&true) {
         return Err(split::without(wanted, &config.dir, &roles));
     }
-    let of = |wanted: Role| roles.iter().map(|role| *role == Some(wanted)).collect::<Vec<bool>>();
     let (train, evaluated) = (of(Role::Train), of(wanted));
     let found = |chosen: &[bool]| -> Vec<&Frame> {
         let chosen = chosen.iter().zip(&there).filter(|(_, there)| **there);
         frames.iter().zip(chosen).filter(|(_, (chosen, _))| **chosen).map(|(frame, _)| frame).collect()
     };
-    frames::note_shared(&config.dir, &found(&train), &found(&evaluated), events);
+    let advice = " (data.split=every holds out others)";
+    frames::note_shared(&config.dir, &found(&train), &found(&evaluated), advice, events);
+    note_both_held_out(config, &of(Role::Val), &of(Role::Test), events);
     Ok(capture.split_as(name, kind, config, &there, [&train, &evaluated]))
+}
+
+/// Notes views that are in the validation split and in the test split.
+fn note_both_held_out(config: &DataConfig, val: &[bool], test: &[bool], events: &dyn Listener) {
+    let count = |views: &mut dyn Iterator<Item = bool>| views.filter(|is| *is).count();
+    let both = count(&mut val.iter().zip(test).map(|(val, test)| *val && *test));
+    if both > 0 {
+        events.on(Event::Note(&format!(
+            "{}: {both} of {} test views are validation views, too: what is chosen with data.eval_split=val is chosen on them",
+            config.dir,
+            count(&mut test.iter().copied())
+        )));
+    }
 }
 
 /// Returns whether the author's split is kept. `named` says whether there is one.
@@ -127,24 +142,28 @@ fn by_author(config: &DataConfig, named: bool) -> Result<bool> {
     Ok(by_author)
 }
 
-/// Returns frames sorted by file. Files of splits may share photos; another kind of split has each photo once.
+/// Returns frames sorted by file, each photo once. Files of splits may share photos; their poses may differ only if the
+/// author's split is kept.
 fn ordered(mut all: Roles, by_author: bool, config: &DataConfig) -> Result<Roles> {
     all.sort_by_cached_key(|(listed, _)| (listed.order(), listed.place.clone()));
-    if by_author {
-        return Ok(all);
-    }
-    let mut poses: HashMap<PathBuf, Pose> = HashMap::new();
-    let mut kept = Vec::with_capacity(all.len());
-    for (listed, role) in all {
-        match poses.insert(images::real(&listed.place), listed.pose) {
-            None => kept.push((listed, role)),
-            Some(other) if other == listed.pose => {}
-            Some(_) => {
+    let mut places: HashMap<PathBuf, usize> = HashMap::new();
+    let mut kept: Roles = Vec::with_capacity(all.len());
+    for (listed, uses) in all {
+        let place = images::real(&listed.place);
+        match places.get(&place).map(|&i| &mut kept[i]) {
+            Some((other, of_other)) if other.pose == listed.pose => {
+                of_other.iter_mut().zip(uses).for_each(|(all, is)| *all |= is);
+            }
+            Some(_) if !by_author => {
                 return Err(Error::Data(format!(
-                    "{}: the transforms_*.json of its splits list the photo {} twice, with two poses: remove the wrong one",
+                    "{}: the splits list the photo {} twice, with two poses: remove the wrong one",
                     config.dir,
                     listed.place.display()
                 )));
+            }
+            _ => {
+                places.insert(place, kept.len());
+                kept.push((listed, uses));
             }
         }
     }

@@ -1,0 +1,504 @@
+//! Captures that other programs, other machines and other people left: what is repaired is named, and what is not read is answered
+//! with what to do.
+
+use std::f64::consts::TAU;
+use std::fs;
+use std::path::{Path, PathBuf};
+
+use augnerf::data::{Scene, View};
+use augnerf::settings::{DataConfig, DataKind, EvalSplit, Split};
+use image::{Rgb, RgbImage, Rgba, RgbaImage, imageops};
+use serde_json::{Value, json};
+use tempfile::TempDir;
+
+use crate::captures::{Folder, all, names, read};
+use crate::common::assert_says;
+use crate::common::program::{demand, refuse, succeed};
+use crate::common::{files, program};
+use crate::strangers::{capture, check_folder, copy};
+
+const KEY: &str = "transform_matrix";
+
+/// Changes each frame's object.
+fn each(mut folder: Folder, change: impl Fn(usize, &mut Value)) -> Folder {
+    folder.frames().iter_mut().enumerate().for_each(|(number, frame)| change(number, frame));
+    folder
+}
+
+/// Gives a key another name, in frames or in the document.
+fn renamed(folder: Folder, key: &'static str, other: &'static str) -> Folder {
+    let rename = |object: &mut Value| {
+        if let Some(value) = object.as_object_mut().unwrap().remove(key) {
+            object[other] = value;
+        }
+    };
+    let mut folder = each(folder, |_, frame| rename(frame));
+    rename(folder.document_mut());
+    folder
+}
+
+/// Multiplies the numbers of matrices: those of the first three columns, and the others.
+fn scaled(axes: f64, others: f64) -> Folder {
+    each(Folder::new(9), |_, frame| {
+        for row in frame[KEY].as_array_mut().unwrap() {
+            for (column, number) in row.as_array_mut().unwrap().iter_mut().enumerate() {
+                *number = (number.as_f64().unwrap() * if column < 3 { axes } else { others }).into();
+            }
+        }
+    })
+}
+
+/// The folder of photos has another name, and its photos are reduced.
+fn moved(to: &str, reduced: u32) -> Folder {
+    let folder = Folder::new(9);
+    let (from, to) = (folder.path().join("images"), folder.path().join(to));
+    fs::create_dir_all(&to).unwrap();
+    for photo in files::entries(&from) {
+        let image = image::open(&photo).unwrap();
+        let small = image.resize_exact(16 / reduced, 12 / reduced, imageops::FilterType::Triangle);
+        small.save(to.join(photo.file_name().unwrap())).unwrap();
+    }
+    fs::remove_dir_all(from).unwrap();
+    folder
+}
+
+fn listed(lists: &[(&str, std::ops::Range<usize>)]) -> Folder {
+    let of = |range: std::ops::Range<usize>| range.map(|i| format!("images/{i}.png")).collect::<Vec<String>>();
+    lists.iter().fold(Folder::new(9), |folder, (role, range)| {
+        folder.with(&format!("{role}_filenames"), of(range.clone()).into())
+    })
+}
+
+/// Frames from a number on stand under another key.
+fn parted(key: &str, from: usize) -> Folder {
+    let mut folder = Folder::new(9);
+    let frames = folder.frames().split_off(from);
+    folder.with(key, frames.into())
+}
+
+type Change = fn(&mut DataConfig);
+
+fn as_it_is(_: &mut DataConfig) {}
+
+/// A folder, settings, its training and held-out views, and what is said.
+type Case<'a> = (Folder, Change, [&'a [&'a str]; 2], &'a [&'a str]);
+
+/// What is read with a note: what is said, and the training and held-out views.
+#[test]
+fn what_is_repaired_is_named() {
+    let same: [&[&str]; 2] = [&["1", "2", "3", "4", "5", "6", "7"], &["0", "8"]];
+    let own: [&[&str]; 2] = [&["0", "1", "2", "3", "4", "5"], &["6", "7", "8"]];
+    let every: Change = |data| data.split = Some(Split::Every);
+    let val: Change = |data| data.eval_split = EvalSplit::Val;
+    let fourth: Change = |data| data.downscale = Some(4);
+    let second: Change = |data| data.downscale = Some(2);
+    let twice = || {
+        let folder = each(Folder::new(9), |number, frame| frame["file_path"] = format!("images/{number}").into());
+        (0..9).for_each(|i| RgbImage::new(16, 12).save(folder.path().join(format!("images/{i}.jpg"))).unwrap());
+        folder
+    };
+    let pruned = || {
+        let folder = Folder::new(9);
+        (1..7).for_each(|i| folder.remove(i));
+        folder
+    };
+    let cases: Vec<Case> = vec![
+        (
+            listed(&[("train", 0..6), ("val", 6..9), ("test", 6..9)]),
+            as_it_is,
+            own,
+            &["3 of 3 test views are validation views, too"],
+        ),
+        (listed(&[("train", 0..6), ("val", 6..9), ("test", 6..9)]), val, own, &["3 of 3 test views"]),
+        (listed(&[("train", 0..9), ("val", 0..9), ("test", 0..9)]), every, same, &[]),
+        (
+            listed(&[("train", 0..6), ("val", 2..7), ("test", 6..9)]),
+            as_it_is,
+            own,
+            &["1 of 3 test views are validation views, too"],
+        ),
+        (parted("test_frames", 6), as_it_is, own, &["the 3 views of \"test_frames\" are the test split"]),
+        (
+            Folder::new(9).with("test_frames", json!(["images/6.png", "images/7.png", "images/8.png"])),
+            as_it_is,
+            own,
+            &[],
+        ),
+        (parted("val_frames", 6), val, own, &["the 3 views of \"val_frames\" are the val split"]),
+        (
+            parted("test_frames", 6),
+            every,
+            [&["1", "2", "3", "4", "5"], &["0"]],
+            &["are left out with data.split=every"],
+        ),
+        (moved("input", 1), as_it_is, same, &["9 photos are not where", "images/0.png is input/0.png"]),
+        (moved("photos/all", 1), as_it_is, same, &["images/0.png is photos/all/0.png"]),
+        (moved("images_4", 4), fourth, same, &["only images_4 is there", "as data.downscale=4 reads them"]),
+        (moved("images_4", 4), as_it_is, same, &["data.downscale = 1 cannot be had"]),
+        (moved("images_2", 2), fourth, same, &["only images_2 is there"]),
+        (moved("images_4", 4), second, same, &["data.downscale = 2 cannot be had"]),
+        (
+            scaled(0.004, 0.004),
+            as_it_is,
+            same,
+            &["9 matrices are scaled as a whole (their last number is 0.004, not 1)"],
+        ),
+        (scaled(-2.0, -2.0), as_it_is, same, &["their last number is -2"]),
+        (
+            scaled(1.02, 1.0),
+            as_it_is,
+            same,
+            &["the axes of 9 matrices have the length 1.02, not 1, and are normalized"],
+        ),
+        (scaled(2.5, 1.0), as_it_is, same, &["have the length 2.5"]),
+        (pruned(), as_it_is, [&["7"], &["0", "8"]], &["6 of 9 photographs", "most of them: check", "images/6.png"]),
+        (twice(), as_it_is, same, &["9 photos are there again with another ending and are not used, such as 0.jpg"]),
+        (
+            Folder::new(9).with("camera_angle_x", json!(0.4)),
+            as_it_is,
+            same,
+            &["\"fl_x\" is 20.0 and is used, but \"camera_angle_x\" would make it 39.5", "(in 9 frames)"],
+        ),
+        (Folder::new(9).with("sk_x", json!(3.5)), as_it_is, same, &["\"sk_x\" is 3.5, a skew of the pixels"]),
+    ];
+    let plain = Folder::new(9).load(|_| {});
+    for (folder, change, views, words) in cases {
+        let (scene, notes) = folder.read(change);
+        let (scene, notes) = (scene.unwrap(), notes.join("\n"));
+        assert_eq!([names(&scene.train), names(&scene.test)], views.map(<[&str]>::to_vec), "{notes}");
+        assert_says(&notes, words);
+        assert!(!notes.contains("have no pose"), "{notes}");
+        // Each camera is where it is without the fault, and sees as much.
+        for View { name, camera, .. } in all(&scene).filter(|_| views == same) {
+            let right = all(&plain).find(|view| view.name == *name).unwrap().camera;
+            let pairs = camera.pose.iter().flatten().zip(right.pose.iter().flatten());
+            assert!(pairs.into_iter().all(|(a, b)| (a - b).abs() < 1e-9), "{notes}");
+            let width = |camera: &augnerf::data::Camera| camera.focal[0] / camera.width as f64;
+            assert!((width(camera) - width(&right)).abs() < 1e-9, "{notes}");
+        }
+    }
+    // Nothing is said of what is sound.
+    let (_, notes) =
+        Folder::new(9).with("camera_angle_x", json!(2.0 * 0.4f64.atan())).with("sk_x", json!(0.0)).read(|_| {});
+    assert!(notes.is_empty(), "{notes:?}");
+}
+
+/// Photos that are reduced already are reduced by the rest of the factor.
+#[test]
+fn a_factor_counts_from_the_originals() {
+    let width = |folder: Folder, factor: u32| {
+        let scene = folder.load(|data| data.downscale = Some(factor));
+        (scene.train[0].camera.width, scene.train[0].camera.focal[0])
+    };
+    for (folder, factor) in [(moved("images_2", 2), 4), (moved("images_4", 4), 4), (moved("images_4", 4), 1)] {
+        assert_eq!(width(folder, factor), (4, 5.0), "{factor}");
+    }
+    // With several folders, the smallest that suffices.
+    let both = moved("images_4", 4);
+    let larger = moved("images_2", 2);
+    copy(&larger.path().join("images_2"), &both.path().join("images_2"));
+    assert_eq!(width(both, 2), (8, 10.0));
+}
+
+/// What is not read is answered with the reason and what to do.
+#[test]
+fn what_is_not_read_is_answered_with_what_to_do() {
+    let with_lens = |key: &str, value: Value| renamed(Folder::new(9), "fl_x", "unread").with(key, value);
+    let of_frames = |key: &'static str, value: Value| {
+        each(renamed(Folder::new(9), "fl_x", "unread"), move |_, frame| frame[key] = value.clone())
+    };
+    let transposed = each(Folder::new(9), |_, frame| {
+        let old = frame[KEY].clone();
+        (0..4).for_each(|row| (0..4).for_each(|column| frame[KEY][row][column] = old[column][row].clone()));
+    });
+    let no_last_row = each(Folder::new(9), |_, frame| frame[KEY][3] = json!([0.5, 0.0, 0.0, 1.0]));
+    let uneven = each(Folder::new(9), |_, frame| frame[KEY][1][1] = 2.5.into());
+    let none_there = each(Folder::new(9), |number, frame| frame["file_path"] = format!("images/x{number}.png").into());
+    let two_folders = moved("photos", 1);
+    copy(&two_folders.path().join("photos"), &two_folders.path().join("thumbs"));
+    let cases: Vec<(Folder, &[&str])> = vec![
+        (
+            of_frames("K", json!([[20, 0, 8], [0, 20, 6], [0, 0, 1]])),
+            &["\"K\" is there: write its numbers as \"fl_x\""],
+        ),
+        (of_frames("camera_intrinsics", json!([])), &["\"camera_intrinsics\" is there: write its numbers"]),
+        (with_lens("fx", json!(20.0)), &["\"fx\" is there: it is called \"fl_x\" here"]),
+        (with_lens("focal", json!(20.0)), &["\"focal\" is there: it is called \"fl_x\" here"]),
+        (with_lens("FovX", json!(60.0)), &["\"FovX\" is there", "\"camera_angle_x\", in radians"]),
+        (Folder::new(9).with("fl_x", json!("20.0")), &["\"fl_x\" is \"20.0\"", "take away the quotation marks"]),
+        (
+            renamed(Folder::new(9), KEY, "camera_to_world"),
+            &["\"transform_matrix\" is missing; \"camera_to_world\" is there"],
+        ),
+        (renamed(Folder::new(9), KEY, "w2c"), &["\"w2c\" is there: write its inverse"]),
+        (renamed(Folder::new(9), "file_path", "image_path"), &["\"image_path\" is there: rename it to \"file_path\""]),
+        (renamed(Folder::new(9), "frames", "cameras"), &["\"frames\" is missing; \"cameras\" is there"]),
+        (transposed, &["the last row", "must be [0, 0, 0, 1]: the matrix is probably transposed"]),
+        (no_last_row, &["the last row of \"transform_matrix\" is [0.5,0.0,0.0,1.0], but it must be [0, 0, 0, 1]"]),
+        (uneven, &["columns of length"]),
+        (none_there, &["none of the 9 photos that \"frames\" names is there", "; missing are images/x0.png"]),
+        (two_folders, &["none of the 9 photos", "; the nearest name there is", "/0.png; missing are images/0.png"]),
+    ];
+    for (folder, words) in cases {
+        let error = folder.read(|_| {}).0.expect_err("must be refused");
+        assert_eq!(error.exit_code(), 3, "{error}");
+        assert_says(&error.to_string(), words);
+        assert!(
+            words[0].contains("probably transposed") || words.len() > 1 || !error.to_string().contains("transposed")
+        );
+    }
+}
+
+const POINTER: &str = "version https://git-lfs.github.com/spec/v1\noid sha256:07\nsize 8123456\n";
+
+/// Files that are called like photos or poses and are others.
+#[test]
+fn files_that_are_not_what_their_name_says_are_named() {
+    let with = |name: &str, content: &[u8]| {
+        let folder = Folder::new(9);
+        folder.load(|_| {});
+        fs::write(folder.path().join(name), content).unwrap();
+        folder
+    };
+    for (name, content, words) in [
+        ("images/5.png", POINTER.as_bytes(), "it is a Git LFS pointer"),
+        ("transforms.json", POINTER.as_bytes(), "run `git lfs pull`"),
+        ("images/5.png", b"\0\0\0\x18ftypheic\0\0\0\0", "5.png is HEIC, whatever its name"),
+        ("images/5.png", b"II*\0\x08\0\0\0", "5.png is TIFF or a raw photo, whatever its name"),
+        ("images/5.png", b"<!DOCTYPE html>", "5.png is a web page or XML, whatever its name"),
+        ("images/5.png", b"nothing", "may be truncated or damaged"),
+    ] {
+        let folder = with(name, content);
+        assert_says(&read(folder.path(), |_| {}).0.unwrap_err().to_string(), &[words]);
+    }
+    for (name, file) in [("colmap_only1", "sparse/1/images.txt"), ("masks_llff", "poses_bounds.npy")] {
+        let dir = TempDir::new().unwrap();
+        copy(Path::new(&capture(name)), dir.path());
+        fs::write(dir.path().join(file), POINTER).unwrap();
+        assert_says(&read(dir.path(), |_| {}).0.unwrap_err().to_string(), &[file, "Git LFS pointer"]);
+    }
+}
+
+/// Texts as Windows writes them: UTF-16, and names with backslashes and drives.
+#[test]
+fn texts_of_windows_are_read() {
+    let utf16 = |file: PathBuf| {
+        let text = fs::read_to_string(&file).unwrap();
+        let bytes: Vec<u8> = format!("\u{feff}{text}").encode_utf16().flat_map(u16::to_le_bytes).collect();
+        fs::write(file, bytes).unwrap();
+    };
+    let folder = Folder::new(9);
+    let hash = folder.load(|_| {}).hash();
+    utf16(folder.path().join("transforms.json"));
+    assert_eq!(read(folder.path(), |_| {}).0.unwrap().hash(), hash);
+
+    let colmap = |change: &dyn Fn(&Path)| {
+        let dir = TempDir::new().unwrap();
+        copy(Path::new(&capture("colmap_only1")), dir.path());
+        change(dir.path());
+        let (scene, notes) = read(dir.path(), |_| {});
+        (scene.unwrap(), notes.concat())
+    };
+    let (plain, _) = colmap(&|_| {});
+    let (scene, _) =
+        colmap(&|dir| ["cameras", "images"].iter().for_each(|name| utf16(dir.join(format!("sparse/1/{name}.txt")))));
+    assert_eq!(scene.hash(), plain.hash());
+    for front in ["C:\\Users\\me\\capture\\images\\", "sub\\", "/home/me/capture/images/"] {
+        let (scene, notes) = colmap(&|dir| {
+            let file = dir.join("sparse/1/images.txt");
+            let text = fs::read_to_string(&file).unwrap();
+            let line = |line: &str| match line.rsplit_once(' ') {
+                Some((rest, name)) if name.ends_with(".jpg") => format!("{rest} {front}{name}\n"),
+                _ => format!("{line}\n"),
+            };
+            fs::write(&file, text.lines().map(line).collect::<String>()).unwrap();
+            if front == "sub\\" {
+                fs::rename(dir.join("images"), dir.join("sub")).unwrap();
+                fs::create_dir(dir.join("images")).unwrap();
+                fs::rename(dir.join("sub"), dir.join("images/sub")).unwrap();
+            }
+        });
+        assert_eq!(scene.hash(), plain.hash(), "{front}: {notes}");
+        assert_says(&notes, &["the names of 8 images are paths of another machine", front]);
+    }
+    let llff = TempDir::new().unwrap();
+    copy(Path::new(&capture("llff_unregistered")), llff.path());
+    let file = llff.path().join("view_imgs.txt");
+    let text = fs::read_to_string(&file).unwrap();
+    fs::write(&file, text.lines().map(|name| format!("D:\\photos\\{name}\r\n")).collect::<String>()).unwrap();
+    utf16(file);
+    assert_says(&check_folder(llff.path(), &[]), &["6 of 8 photos have poses, by view_imgs.txt"]);
+}
+
+/// The same for the formats without a `transforms.json`.
+#[test]
+fn photos_of_other_formats_are_found_and_chosen_by_a_stated_rule() {
+    let with = |name: &str, change: &dyn Fn(&Path)| {
+        let dir = TempDir::new().unwrap();
+        copy(Path::new(&capture(name)), dir.path());
+        change(dir.path());
+        dir
+    };
+    let again = |dir: &Path| {
+        for photo in files::entries(&dir.join("images")) {
+            image::open(&photo).unwrap().save(photo.with_extension("webp")).unwrap();
+        }
+    };
+    for name in ["masks_llff", "colmap_only1"] {
+        let said = check_folder(with(name, &again).path(), &["data.masks=none"]);
+        assert_says(&said, &["8 photos are there again with another ending and are not used, such as 0001.webp"]);
+    }
+    let input = |dir: &Path| fs::rename(dir.join("images"), dir.join("input")).unwrap();
+    let said = check_folder(with("masks_llff", &input).path(), &["data.masks=none"]);
+    assert_says(&said, &["there is no folder images, and input, the only folder with an image for each pose, is read"]);
+    let reduced = with("colmap_only1", &|dir| fs::rename(dir.join("images"), dir.join("images_4")).unwrap());
+    for (factor, words) in [("4", "as data.downscale=4 reads them"), ("1", "data.downscale = 1 cannot be had")] {
+        let setting = format!("data.downscale={factor}");
+        let arguments = ["data", "check", reduced.path().to_str().unwrap(), "--set", &setting];
+        let out = succeed(&arguments);
+        let said = String::from_utf8_lossy(&out.stdout).into_owned();
+        assert!(factor == "4" || said.contains(words), "{said}");
+        assert_says(&said, &["32 x 32 pixels"]);
+    }
+    let pruned = with("colmap_only1", &|dir| {
+        (2..8).for_each(|i| fs::remove_file(dir.join(format!("images/000{i}.jpg"))).unwrap());
+    });
+    assert_says(&check_folder(pruned.path(), &[]), &["6 of the 8 images", "most of them: check that the model"]);
+}
+
+/// A Blender folder around an object of another size: cameras at `distance`, the object half as large as what they see.
+fn export(distance: f64, photo: impl Fn(u32, u32) -> [u8; 3]) -> TempDir {
+    let dir = TempDir::new().unwrap();
+    for (split, count) in [("train", 6), ("test", 2)] {
+        fs::create_dir(dir.path().join(split)).unwrap();
+        let frame = |i: usize| {
+            let name = format!("{split}/{i}");
+            RgbImage::from_fn(24, 24, |x, y| Rgb(photo(x, y))).save(dir.path().join(format!("{name}.png"))).unwrap();
+            let (sin, cos) = (TAU * (i as f64 + 0.1) / count as f64).sin_cos();
+            let pose =
+                json!([[cos, 0, sin, distance * sin], [0, 1, 0, 0], [-sin, 0, cos, distance * cos], [0, 0, 0, 1]]);
+            json!({ "file_path": name, KEY: pose })
+        };
+        let frames: Vec<Value> = (0..count).map(frame).collect();
+        let document = json!({"camera_angle_x": 0.69, "frames": frames});
+        fs::write(dir.path().join(format!("transforms_{split}.json")), document.to_string()).unwrap();
+    }
+    dir
+}
+
+#[test]
+fn blender_folders_of_another_size_have_bounds_and_a_box_that_fit() {
+    let object = |x: u32, y: u32| if (8..16).contains(&x) && (8..16).contains(&y) { [90, 20, 20] } else { [255; 3] };
+    let photo = |x: u32, y: u32| [(x * 10) as u8, (y * 10) as u8, 90];
+    let load = |dir: &TempDir, change: Change| -> (Scene, String) {
+        let (scene, notes) = read(dir.path(), |data| {
+            data.downscale = Some(1);
+            change(data);
+        });
+        (scene.unwrap(), notes.concat())
+    };
+    let radius = |distance: f64| distance * 0.345f64.sin();
+    for distance in [6.0, 1.0, 40.0] {
+        let (scene, notes) = load(&export(distance, object), as_it_is);
+        let (near, far) = (distance - radius(distance), distance + radius(distance));
+        assert!((scene.near - near).abs() < 1e-6 && (scene.far - far).abs() < 1e-6, "{:?}", scene.bounds());
+        let expected = format!("rays run from {near:.4} to {far:.4} instead");
+        assert_says(&notes, &[&format!("is {distance:.3} away"), "outside of 2 to 6", &expected]);
+        assert!(!notes.contains("data.kind"), "{notes}");
+        assert_eq!((scene.kind, scene.background), ("blender", Some([1.0; 3])));
+        let [low, high] = scene.space.domain.unwrap();
+        assert!((high[0] - radius(distance)).abs() < 1e-6 && (low[0] + high[0]).abs() < 1e-6);
+    }
+    // Photos have a background, and may be read as a capture.
+    let (scene, notes) = load(&export(6.0, photo), as_it_is);
+    assert!(scene.near < 2.0 + 1e-9 && scene.far > 12.0, "{:?}", scene.bounds());
+    assert_says(&notes, &["--set data.kind=transforms reads the folder as a capture of photos"]);
+    // What fits stays as it was published, and so does what is set.
+    let (scene, notes) = load(&export(4.0, object), as_it_is);
+    assert!(scene.bounds() == (2.0, 6.0) && scene.space.domain.is_none() && notes.is_empty(), "{notes}");
+    let set: Change = |data| (data.near, data.far) = (Some(2.0), Some(6.0));
+    let (scene, notes) = load(&export(6.0, object), set);
+    assert!(scene.bounds() == (2.0, 6.0) && scene.space.domain.is_none());
+    assert_says(&notes, &["outside of 2 to 6 (data.near, data.far)", "3.9708 to 8.0292 would hold it"]);
+    let (scene, _) = load(&export(6.0, object), |data| data.near = Some(1.0));
+    assert!(scene.near == 1.0 && scene.far > 8.0);
+    // Transparent renders are renders, whatever their colours.
+    let clear = export(6.0, photo);
+    for photo in files::entries(&clear.path().join("train")) {
+        let alpha = |x: u32, y: u32| if (4..20).contains(&x) && (4..20).contains(&y) { 255 } else { 0 };
+        RgbaImage::from_fn(24, 24, |x, y| Rgba([(x * 10) as u8, 80, 90, alpha(x, y)])).save(photo).unwrap();
+    }
+    let (scene, _) = load(&clear, as_it_is);
+    assert!((scene.near - (6.0 - radius(6.0))).abs() < 1e-6);
+}
+
+/// A run of an earlier version keeps the bounds that it was trained with.
+#[test]
+fn a_run_on_a_blender_folder_of_another_size_keeps_its_bounds() {
+    let dir = export(6.0, |x, _| if x < 12 { [255; 3] } else { [250, 255, 250] });
+    let run = dir.path().join("run");
+    let mut arguments = vec!["train", "--data", dir.path().to_str().unwrap(), "--preset", "smoke", "--quiet"];
+    arguments.extend([
+        "--out",
+        run.to_str().unwrap(),
+        "--set",
+        "data.downscale=1",
+        "--set",
+        "train.steps=2",
+        "--set",
+        "train.rays=64",
+    ]);
+    demand(program::augnerf(&arguments).arg("--set").arg("eval.train_views=0"), 0);
+    let file = run.join("scene.json");
+    let mut scene = files::json(&file);
+    assert!(scene["near"].as_f64().unwrap() > 3.9, "{scene}");
+    (scene["near"], scene["far"]) = (2.0.into(), 6.0.into());
+    fs::write(&file, scene.to_string()).unwrap();
+    let said = demand(&mut program::augnerf(&["eval", run.to_str().unwrap()]), 0);
+    assert_says(&said, &["outside of 2 to 6 (data.near, data.far)"]);
+}
+
+/// Files of splits share photos: each is one view with its own name.
+#[test]
+fn photos_that_two_splits_share_are_one_view() {
+    let folder = Folder::new(9);
+    folder.load(|_| {});
+    let document = files::json(&folder.path().join("transforms.json"));
+    for (split, range) in [("train", 0..6), ("val", 5..9), ("test", 5..9)] {
+        let mut part = document.clone();
+        part["frames"] = document["frames"].as_array().unwrap()[range].to_vec().into();
+        fs::write(folder.path().join(format!("transforms_{split}.json")), part.to_string()).unwrap();
+    }
+    fs::remove_file(folder.path().join("transforms.json")).unwrap();
+    let (scene, notes) = read(folder.path(), |data| data.kind = DataKind::Transforms);
+    let (scene, notes) = (scene.unwrap(), notes.join("\n"));
+    assert_eq!(names(&scene.train), ["0", "1", "2", "3", "4", "5"]);
+    assert_eq!(names(&scene.test), ["5", "6", "7", "8"]);
+    assert_says(
+        &notes,
+        &["1 of 4 photographs that are evaluated are trained on", "(data.split=every holds out others): images/5"],
+    );
+    assert_says(&notes, &["4 of 4 test views are validation views, too"]);
+    assert!(!notes.contains("the same pose"), "{notes}");
+}
+
+/// A note that the table has is not printed before it.
+#[test]
+fn data_check_says_each_thing_once() {
+    let folder = scaled(2.5, 1.0).with("cx", json!(0.0));
+    folder.load(|_| {});
+    let check = |flag: &[&str]| {
+        let arguments = [&["data", "check", folder.path().to_str().unwrap()], flag].concat();
+        let out = succeed(&arguments);
+        format!("{}{}", String::from_utf8_lossy(&out.stdout), String::from_utf8_lossy(&out.stderr))
+    };
+    for words in ["have the length 2.5", "has its principal point at"] {
+        assert_eq!(check(&[]).matches(words).count(), 1, "{words}");
+        assert_eq!(check(&["--json"]).matches(words).count(), 1, "{words}");
+    }
+    // What the table has not is said, and so is all that was noted before an error.
+    assert_says(&check(&["--set", "data.bound_factor=0.5"]), &["data.bound_factor"]);
+    let folder = scaled(2.5, 1.0).with("k1", json!(1e6));
+    let _ = folder.read(|_| {});
+    refuse(&["data", "check", folder.path().to_str().unwrap()], 3, &["have the length 2.5", "distortion"]);
+}
