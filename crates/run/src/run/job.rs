@@ -438,8 +438,12 @@ impl Watcher<'_> {
         let renders = self.experiment.run.renders();
         let pictures = Pictures::new(&renders, scene, config.eval.pictures);
         let viewer = self.experiment.viewer(trainer)?;
-        match preview::draw(&viewer, &pictures, allowance, &mut || self.experiment.check_signal(self.signal, step)) {
-            Ok(true) if !std::mem::replace(&mut preview.has_drawn, true) => self.events.on(Event::Note(&format!(
+        let stop_check = &mut || self.experiment.check_signal(self.signal, step);
+        let drawn = preview::draw(&viewer, &pictures, allowance, stop_check);
+        let (is_first, seconds) = (preview.spent == 0.0, started.elapsed().as_secs_f64());
+        preview.spent += seconds;
+        match drawn {
+            Ok(true) if is_first => self.events.on(Event::Note(&format!(
                 "step {step}: a first picture is in {}, and is replaced as training goes on",
                 pictures.preview_path().display()
             ))),
@@ -450,7 +454,7 @@ impl Watcher<'_> {
                 self.events.on(Event::Note(&format!("no picture of the unfinished training: {error}")));
             }
         }
-        self.seconds_evaluation += started.elapsed().as_secs_f64();
+        self.seconds_evaluation += seconds;
         Ok(())
     }
 }

@@ -23,13 +23,13 @@ pub(super) struct Preview {
     passed: usize,
     /// Sessions of fewer seconds have no pictures.
     shortest: f64,
-    /// A picture was drawn.
-    pub(super) has_drawn: bool,
+    /// Seconds spent on pictures, with writing them. None were drawn if it is 0.
+    pub(super) spent: f64,
 }
 
 impl Preview {
     pub(super) fn new(steps: (u64, u64), shortest: f64) -> Preview {
-        Preview { steps, started: Instant::now(), passed: 0, shortest, has_drawn: false }
+        Preview { steps, started: Instant::now(), passed: 0, shortest, spent: 0.0 }
     }
 
     /// Returns the seconds that a picture may take after `step`, or `None` if none is drawn there.
@@ -41,7 +41,9 @@ impl Preview {
         }
         self.passed += 1;
         let seconds = self.started.elapsed().as_secs_f64() * all / done;
-        (seconds >= self.shortest).then_some(SHARE * seconds)
+        // What a picture took too long, a later one waits for.
+        let left = SHARE * seconds * self.passed as f64 - self.spent;
+        (seconds >= self.shortest && left > 0.0).then_some(left.min(SHARE * seconds))
     }
 }
 
@@ -120,6 +122,9 @@ mod tests {
         assert_eq!(due((50, 100), 0.0), [55, 60, 70, 90]);
         // The last step's picture is the evaluation's.
         assert_eq!((due((0, 3), 0.0), due((0, 1), 0.0), due((0, 100), 1e9)), (vec![1, 2], vec![], vec![]));
+        let mut preview = Preview::new((0, 100), 0.0);
+        preview.spent = 1e9;
+        assert_eq!(preview.allowance(10), None);
         assert_eq!([64.0, 63.0, 16.0, 1.4, 1.0, -1.0].map(|left| stride(1.0, left)), [1, 2, 2, 7, 8, 8]);
     }
 }
