@@ -19,6 +19,7 @@ macro_rules! shipped {
 }
 
 shipped![
+    "paper" "ablation",
     "paper" "epsilon",
     "paper" "fig_embedded",
     "paper" "fig_strength_location",
