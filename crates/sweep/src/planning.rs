@@ -4,7 +4,7 @@ use std::collections::{BTreeMap, BTreeSet, HashSet};
 use std::path::Path;
 use std::time::{Duration, Instant};
 
-use crate::base::{Error, Result};
+use crate::base::{Error, Event, Result};
 use crate::settings::Config;
 
 use super::budget::{StepCosts, evaluations_per_step};
@@ -175,10 +175,13 @@ impl Estimate {
         let paced: Option<Vec<f64>> = left.iter().map(|point| pace.seconds_of(std::iter::once(*point))).collect();
         match paced {
             Some(paced) => paced.into_iter().for_each(add),
-            None => plan_costs(left, trainings, AT_START, |group| {
-                group.points.iter().for_each(|_| add(group.seconds));
-                Ok(())
-            })?,
+            None => {
+                trainings.events.on(Event::Note("timing some steps, for an estimate"));
+                plan_costs(left, trainings, AT_START, |group| {
+                    group.points.iter().for_each(|_| add(group.seconds));
+                    Ok(())
+                })?;
+            }
         }
         Ok(estimate)
     }

@@ -31,6 +31,8 @@ use super::runner::Work;
 
 /// Protocol column that names the box over which `l1`, `tv` and related metrics are integrals.
 const SMOOTHNESS_DOMAIN: &str = "smoothness_domain";
+/// Most scenes that are named.
+const NAMED: usize = 3;
 /// Most scenes in memory; points come scene by scene.
 const SCENES: usize = 2;
 /// Seconds that each training is timed for if a budget depends on its steps. The timing starts at the initial weights
@@ -133,11 +135,14 @@ impl<'a> Trainings<'a> {
                 configs.push((point, config));
             }
         }
+        let scenes: BTreeSet<&str> = configs.iter().map(|(point, _)| point.scene.as_str()).collect();
         if !configs.is_empty() {
-            let (all, scenes) = (points.len(), configs.iter().map(|(point, _)| &point.scene).collect::<BTreeSet<_>>());
-            let scenes = scenes.into_iter().map(String::as_str).collect::<Vec<_>>().join(", ");
-            self.events
-                .on(Event::Note(&format!("checking {} configurations of {all} points on {scenes}", configs.len())));
+            let scenes = match scenes.len() {
+                many if many > NAMED => format!("{many} scenes"),
+                _ => scenes.into_iter().collect::<Vec<_>>().join(", "),
+            };
+            let note = format!("checking {} configurations of {} points on {scenes}", configs.len(), points.len());
+            self.events.on(Event::Note(&note));
         }
         let (mut readable, mut unreadable, mut refused) = (false, BTreeMap::new(), Refused::default());
         for (point, config) in configs {

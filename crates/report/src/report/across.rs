@@ -3,7 +3,7 @@
 
 use super::statistics::{holm, simultaneous};
 use super::tables::text::{signed_interval, signed_text};
-use super::tables::{Comparison, Judgement, Line, Table, escape};
+use super::tables::{Comparison, Judgement, Line, Table, epochs_head, escape, joint};
 use crate::base::csv::{csv_number, csv_text};
 use crate::metrics::Metric;
 use crate::report::distinct;
@@ -39,6 +39,8 @@ pub struct Block {
     pub comparison: Option<Comparison>,
     /// Counts of the row's points by status: `done 5`. Those of the baseline follow if it lacks a point.
     pub status: String,
+    /// Lowest and highest of how often both rows saw a training pixel; `None` if it is unknown.
+    pub epochs: Option<(f64, f64)>,
     /// The row or its baseline lacks a point of its sweep.
     pub unfinished: bool,
     /// Ends of the interval that holds with 95 % for all blocks at once (Bonferroni).
@@ -72,6 +74,7 @@ impl Across {
                 label: None,
                 comparison: line.cells[0].comparison,
                 status: lacking.map_or_else(|| line.status.clone(), status),
+                epochs: joint([Some(line), compared_with].into_iter().flatten().filter_map(|line| line.epochs)),
                 unfinished: line.unfinished() || lacking.is_some(),
                 simultaneous: None,
             }
@@ -189,6 +192,7 @@ impl Across {
             escape(&self.baseline),
             escape(&self.metric)
         );
+        text += &epochs_head(self.blocks.iter().filter_map(|block| block.epochs));
         text += "| block | seeds | difference, 95 % interval | simultaneous interval | p (Holm) | said |\n";
         text += "|---|---:|---:|---:|---:|---|\n";
         text.extend(self.blocks.iter().map(|block| self.row_text(block)));

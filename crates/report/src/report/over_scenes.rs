@@ -3,7 +3,7 @@
 use super::over_units::{Components, SignTest, components, hodges_lehmann, prediction, sign_test, to_best};
 use super::statistics::{holm, mean, paired_differences, simultaneous, standard_deviation};
 use super::tables::text::{signed_interval, signed_text};
-use super::tables::{Comparison, Judgement, escape};
+use super::tables::{Comparison, Judgement, epochs_head, escape, joint};
 use crate::base::csv::{csv_number, csv_text};
 use crate::metrics::{Direction, Metric};
 use crate::report::statistics::p_text;
@@ -20,6 +20,8 @@ pub struct OverScenes {
     pub margin: Option<f64>,
     /// Names of the scenes.
     pub scenes: Vec<String>,
+    /// Lowest and highest of how often a training pixel was seen; `None` if it is unknown.
+    pub epochs: Option<(f64, f64)>,
     /// The other rows.
     pub rows: Vec<RowOverScenes>,
     /// As [`RowOverScenes::to_best`], of the baseline.
@@ -81,6 +83,7 @@ impl OverScenes {
             baseline: baseline.into(),
             metric: metric.into(),
             margin,
+            epochs: joint(records.iter().filter_map(Record::epochs).map(|own| (own, own))),
             rows: places.into_iter().map(row).collect(),
             baseline_of_one_colour: of_one_colour(&scenes, records, |record| record.row == baseline),
             scenes,
@@ -235,6 +238,7 @@ impl OverScenes {
             self.scenes.len(),
             escape(&self.metric)
         );
+        text += &epochs_head(self.epochs.into_iter());
         text += "| row | scenes | difference, 95 % interval | simultaneous interval | p (Holm) | said |\n";
         text += "|---|---:|---:|---:|---:|---|\n";
         text.extend(self.rows.iter().map(|row| self.row_text(row)));

@@ -28,7 +28,7 @@ pub fn facts(table: &Table, records: &[Record]) -> Vec<(&'static str, String)> {
         ("Scenes", scene_names(table)),
         ("Held-out views", of_column("views_evaluated")),
         ("Training steps", of_column("steps")),
-        ("Views of a training pixel", epochs_of(&table.lines.iter().collect::<Vec<&Line>>()).unwrap_or_default()),
+        ("Each training pixel seen", epochs_of(&table.lines).map_or_else(String::new, |seen| format!("{seen} times"))),
         ("Device", of_column("device")),
         ("Revision", of_column("code_revision")),
         ("Protocol", of_column("protocol")),

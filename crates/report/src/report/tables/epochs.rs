@@ -20,13 +20,20 @@ fn range((low, high): (f64, f64)) -> String {
     if low == high { low } else { format!("{low} to {high}") }
 }
 
-fn joint(ranges: impl Iterator<Item = (f64, f64)>) -> Option<(f64, f64)> {
+/// Returns the range that holds all ranges.
+pub(in crate::report) fn joint(ranges: impl Iterator<Item = (f64, f64)>) -> Option<(f64, f64)> {
     ranges.reduce(|all, own| (all.0.min(own.0), all.1.max(own.1)))
 }
 
 /// Returns how often the training pixels of lines were seen in one number or range; `None` if it is unknown of all.
-pub fn epochs_of(lines: &[&Line]) -> Option<String> {
-    joint(lines.iter().filter_map(|line| line.epochs)).map(range)
+pub fn epochs_of<'a>(lines: impl IntoIterator<Item = &'a Line>) -> Option<String> {
+    joint(lines.into_iter().filter_map(|line| line.epochs)).map(range)
+}
+
+/// Returns the paragraph of Markdown above numbers of several tables; empty if it is unknown of all how often pixels were seen.
+pub(in crate::report) fn epochs_head(all: impl Iterator<Item = (f64, f64)>) -> String {
+    let head = |seen| format!("Each training pixel was seen {} times ({MEANING}).\n\n", range(seen));
+    joint(all).map_or_else(String::new, head)
 }
 
 /// Returns whether a line's training pixels were seen less than once.
@@ -46,7 +53,7 @@ pub fn epochs_note(lines: &[&Line], most: usize) -> Option<String> {
     groups.sort_by_key(|(_, own)| std::cmp::Reverse(own.len()));
     if groups.len() > GROUPS {
         let others: Vec<&Line> = groups.drain(1..).flat_map(|(_, own)| own).collect();
-        groups.push((epochs_of(&others)?, others));
+        groups.push((epochs_of(others.iter().copied())?, others));
     }
     let unknown: Vec<&Line> =
         lines.iter().filter(|line| line.epochs.is_none() && !line.ids.is_empty()).copied().collect();

@@ -25,6 +25,7 @@ pub use checks::disagreements;
 pub(super) use comparison::comparisons_to_come;
 pub use comparison::{Comparison, Equivalence, Verdict};
 pub use delimited::{PointTiming, constants, points_csv, table_columns, table_csv, timing_csv};
+pub(super) use epochs::{epochs_head, joint};
 pub use epochs::{epochs_note, epochs_of, epochs_text, is_brief};
 pub use heading::{Heading, Judgement, is_better};
 pub use latex::table_latex;
@@ -328,11 +329,7 @@ fn line(spec: &TableSpec, group: &Group, groups: &[Group]) -> Line {
         published_average: published.as_ref().map(|row| row.average).filter(|_| spec.has_any("average_")),
         published_protocol: published.as_ref().map(|row| row.protocol().text()).unwrap_or_default(),
         protocol_difference: differences.unwrap_or_default(),
-        epochs: group
-            .done()
-            .filter_map(Record::epochs)
-            .map(|own| (own, own))
-            .reduce(|all, own| (all.0.min(own.0), all.1.max(own.1))),
+        epochs: joint(group.done().filter_map(Record::epochs).map(|own| (own, own))),
         published_epochs: published.as_ref().and_then(|row| row.protocol().epochs()),
         protocol,
         differs,
