@@ -7,7 +7,7 @@ use crate::metrics::{FLOOR_PSNR, PSNR};
 use crate::settings::columns::field_order;
 
 /// The column that says how often a training pixel was seen.
-const EPOCHS: &str = "epochs";
+pub(super) const EPOCHS: &str = "epochs";
 
 /// One point of a sweep: a configuration with its seed, and its results.
 #[derive(Clone, Debug, PartialEq)]

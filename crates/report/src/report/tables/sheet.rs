@@ -4,6 +4,7 @@ use serde_json::Value;
 
 use crate::augment::Site;
 use crate::base::csv::{csv_text, hash_cell, plain_hash};
+use crate::report::record::EPOCHS;
 use crate::settings::columns::{AXIS, SETTING, field_order, find};
 
 /// A column's name, and its cell in each line.
@@ -64,9 +65,9 @@ pub(super) fn compact(mut columns: Vec<Column>, constants: &Constants) -> Vec<Co
     others
 }
 
-/// Returns the fields that are equal in all lines.
+/// Returns the fields that are equal in all lines. Epochs are a column of all files: they say how far a number can be trusted.
 pub(super) fn constants_of(columns: Vec<Column>) -> Constants {
-    let fields = columns.into_iter().flat_map(readable).filter(|(name, _)| !is_swept(name));
+    let fields = columns.into_iter().flat_map(readable).filter(|(name, _)| !is_swept(name) && name != EPOCHS);
     let constant = |(name, cells): Column| {
         let first = text(cells.first()?);
         (!first.is_empty() && cells.iter().all(|cell| text(cell) == first)).then_some((name, first))
