@@ -219,7 +219,19 @@ fn a_training_has_one_row_and_a_fact_one_line() {
     assert_says(results, &["the same training: epsilon = 0.06275"]);
     let first = page.split("<h2>Read first</h2>").nth(1).unwrap().split("</section>").next().unwrap();
     assert_says(first, &["view in all 3 rows (see Attack)", "all rows: data_hash"]);
+    // What marks mean stands before the rows that have them.
+    assert_says(page.split("class=\"results").next().unwrap(), &["<li>† sites that move the rendered colours"]);
     assert_eq!(first.matches("<li>").count(), 2, "{first}");
+}
+
+/// A metric that no row has takes no column, and commands are code.
+#[test]
+fn pages_have_no_empty_columns_and_no_raw_backticks() {
+    let html = page();
+    let head = html.split("class=\"results").nth(1).unwrap().split("</thead>").next().unwrap();
+    assert!(head.contains("PSNR") && !head.contains("LPIPS"), "{head}");
+    assert_says(&html, &["<li>lpips_vgg: empty", "<code>sweep run --remeasure</code>"]);
+    assert!(!html.split("<main>").next().unwrap().contains("`sweep"));
 }
 
 /// Rows over three scenes: the second gains on all of them.

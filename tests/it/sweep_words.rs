@@ -100,8 +100,8 @@ axis = [{ name = "PGD steps", keys = ["perturb.t.steps"], values = [1, 3] }, { n
     let results = dir.path().join("results/tiny");
     let csv = fs::read_to_string(results.join("points.csv")).unwrap();
     let head: Vec<&str> = csv.lines().next().unwrap().split(',').collect();
-    let first = ["id", "scene", "row", "axes", "axis.PGD_steps"];
-    assert_eq!((&head[..5], head.iter().any(|name| name.contains(' '))), (&first[..], false));
+    let first = ["id", "scene", "row", "axes", "axis.PGD_steps", "axis.layer"];
+    assert_eq!((&head[..6], head.iter().any(|name| name.contains(' '))), (&first[..], false));
     let points = points_of(&results);
     let of = |row: &str, axes: &str| points.iter().find(|point| point["row"] == row && point["axes"] == axes).unwrap();
     let names = ["set.perturb.t.steps", "set.perturb.injection_layer", "perturb.t.epsilon", "position", "positions"];
@@ -124,7 +124,7 @@ axis = [{ name = "PGD steps", keys = ["perturb.t.steps"], values = [1, 3] }, { n
         &run(dir.path(), &["verify"], 10),
         &["steps of NeRF, PGD steps = 1 · builtin · seed 0 is '3', its configuration says '2'"],
     );
-    fs::write(&provenance, before.replace("[constants]\n", "[constants]\npsnr = 3\n")).unwrap();
+    fs::write(&provenance, before.replace("[constants]\n", "[constants]\nconfig_hash = \"habc\"\n")).unwrap();
     assert_says(&run(dir.path(), &["verify"], 10), &["[constants] are not the fields that all points share"]);
 }
 

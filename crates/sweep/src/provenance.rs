@@ -146,9 +146,9 @@ impl Provenance {
 /// Returns constants as TOML, numbers as numbers.
 pub(super) fn toml_of(constants: &Constants) -> Table {
     let value = |cell: &str| {
-        let numbers = [cell.parse().ok().map(Value::Integer), cell.parse().ok().map(Value::Float)];
-        let number = numbers.into_iter().flatten().find(|number| text(number) == cell);
-        number.unwrap_or_else(|| cell.into())
+        let integer = cell.parse().ok().map(Value::Integer);
+        let others = [cell.parse().ok().map(Value::Float), cell.parse().ok().map(Value::Boolean)];
+        integer.into_iter().chain(others.into_iter().flatten()).find(|value| text(value) == cell).unwrap_or(cell.into())
     };
     constants.iter().map(|(name, cell)| (name.clone(), value(cell))).collect()
 }
@@ -157,7 +157,6 @@ pub(super) fn toml_of(constants: &Constants) -> Table {
 fn text(value: &Value) -> String {
     match value {
         Value::String(text) => text.clone(),
-        Value::Float(number) => number.to_string(),
         other => other.to_string(),
     }
 }

@@ -12,9 +12,9 @@ use crate::base::{Error, Result};
 use crate::collect::{PAGE, TIMING};
 use crate::folder::{DEFINITION, PLAN, STEP_SECONDS};
 use crate::outputs::{SCALARS, optional};
-use crate::provenance::{Archived, PROVENANCE, sha256, toml_of};
+use crate::provenance::{Archived, PROVENANCE, sha256};
 use crate::report::exporters::{Content, EXPORTERS, OF_LOGS};
-use crate::report::tables::Table;
+use crate::report::tables::{Constants, Table};
 use crate::scored::SCORED;
 
 /// What tables and figures are made of: read, never made.
@@ -83,7 +83,11 @@ pub fn check(verifier: &Verifier, sweep: &Collected, findings: &mut Findings) ->
     }
     not_kept(&compared.absent, archived, &archive.path, findings);
     pins(sweep, findings)?;
-    if archive.provenance.constants != toml_of(&archive.outputs.constants().unwrap_or_default()) {
+    let sorted = |mut constants: Constants| {
+        constants.sort();
+        constants
+    };
+    if sorted(archive.provenance.constants()) != sorted(archive.outputs.constants().unwrap_or_default()) {
         findings.wrong(format!("{PROVENANCE}: [constants] are not the fields that all points share, without a column"));
     }
     if verifier.update {

@@ -82,8 +82,14 @@ struct Html<'a> {
 impl Page<'_> {
     /// Returns the page's text.
     pub fn html(&self) -> Result<String> {
+        // A note says why a metric has no number.
+        let is_filled = |index: &usize| {
+            self.table.lines.iter().any(|line| line.cells[*index].n > 0 || line.cells[*index].published.is_some())
+        };
+        let filled = (0..self.table.metrics.len()).filter(is_filled).map(|index| self.table.metrics[index].as_str());
+        let shown = &self.table.with_metrics(&filled.collect::<Vec<&str>>());
         let table = self.table;
-        let groups = (0..).zip(table.metrics.iter().map(|key| Heading::of(key).name.to_string())).collect();
+        let groups = (0..).zip(shown.metrics.iter().map(|key| Heading::of(key).name.to_string())).collect();
         let html = Html {
             title: &table.title,
             name: &table.name,
@@ -94,8 +100,8 @@ impl Page<'_> {
             facts: facts::facts(table, self.records),
             groups,
             over: over::over(table, self.records)?,
-            columns: results::columns(table),
-            scenes: results::scenes(table),
+            columns: results::columns(shown),
+            scenes: results::scenes(table, shown),
             notes: results::notes(table),
             latex: table_latex(table),
             figures: figures::figures(table, self.files)?,

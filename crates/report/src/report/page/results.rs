@@ -4,7 +4,8 @@ use crate::draw::numbers::rounded;
 use crate::metrics::{Direction, Metric};
 use crate::report::statistics::p_text;
 use crate::report::tables::text::{
-    UNKNOWN_BACKBONE, further_notes, interval_of, marked_label, mean_and_spread, published_text, scene_notes,
+    UNKNOWN_BACKBONE, further_notes, interval_of, is_of_mark, marked_label, mean_and_spread, published_text,
+    scene_notes,
 };
 use crate::report::tables::{Cell, Heading, Judgement, Line, Table};
 
@@ -33,6 +34,8 @@ pub struct Column {
 pub struct Scene<'a> {
     pub name: &'a str,
     pub rows: Vec<Row>,
+    /// What the marks at rows' names mean.
+    pub marks: Vec<String>,
     pub notes: Vec<String>,
 }
 
@@ -91,11 +94,12 @@ pub fn columns(table: &Table) -> Vec<Column> {
     columns
 }
 
-pub fn scenes(table: &Table) -> Vec<Scene<'_>> {
-    let scenes = table.scenes().into_iter().map(|(name, lines)| Scene {
-        name,
-        rows: trainings(&lines).into_iter().map(|(line, same)| row(table, line, &same)).collect(),
-        notes: scene_notes(&lines, MOST_NAMED),
+/// Returns the scenes with the columns of `shown`, and the notes to all columns.
+pub fn scenes<'a>(table: &'a Table, shown: &Table) -> Vec<Scene<'a>> {
+    let scenes = table.scenes().into_iter().zip(shown.scenes()).map(|((name, lines), (_, shown_lines))| {
+        let rows = trainings(&shown_lines).into_iter().map(|(line, same)| row(shown, line, &same)).collect();
+        let (marks, notes) = scene_notes(&lines, MOST_NAMED).into_iter().partition(|note| is_of_mark(note));
+        Scene { name, rows, marks, notes }
     });
     scenes.collect()
 }

@@ -21,6 +21,8 @@ const LEFT: f64 = 62.0;
 const GAP: f64 = 22.0;
 /// Room that the first number of a scale takes to its left.
 const HALF_NUMBER: f64 = 26.0;
+/// Height of the label of the best value, and of the gap to its dot.
+const LABEL: f64 = 24.0;
 /// Height of the numbers' first line below a panel.
 const FIRST: f64 = 14.0;
 
@@ -32,6 +34,7 @@ pub fn axes_figure(style: Style, records: &[Record], scene: &str, metric: &str) 
     let baseline = baseline(style, &records, metric);
     let drawn = range(drawn(&all, baseline.as_ref()));
     let Some(range) = drawn.filter(|_| !all.is_empty()) else { return Ok(None) };
+    let range = with_label(range, metric, style.width.pick(HEIGHT.0, HEIGHT.1));
     let tests = Tests::new(&all);
     let figure = Axes { style, all: &all, baseline: baseline.as_ref(), tests: &tests, metric, range };
     let mut drawing = style.canvas(&format!("{} on {scene}", metric_label(metric)));
@@ -39,6 +42,16 @@ pub fn axes_figure(style: Style, records: &[Record], scene: &str, metric: &str) 
         figure.draw_axis(&mut drawing, axis);
     }
     style.finish(drawing, &figure.caption(&records))
+}
+
+/// Returns the range with room for the best value's label, which stands beyond its dot.
+fn with_label((low, high): (f64, f64), metric: &str, height: f64) -> (f64, f64) {
+    let room = (high - low) * LABEL / (height - LABEL);
+    match Metric::find(metric).and_then(|metric| metric.direction.sign()) {
+        Some(sign) if sign > 0.0 => (low, high + room),
+        Some(_) => (low - room, high),
+        None => (low, high),
+    }
 }
 
 /// What the panels share.
@@ -64,12 +77,13 @@ struct Level<'f, 'a> {
 impl<'f, 'a> Axes<'f, 'a> {
     /// Draws the panels of an axis below everything.
     fn draw_axis(&self, drawing: &mut Canvas, axis: &str) {
-        let across = self.style.width.pick(ACROSS.0, ACROSS.1);
+        let columns = columns(self.all);
+        // A single panel is as wide as the figure.
+        let across = self.style.width.pick(ACROSS.0, ACROSS.1).min(columns.len().max(1));
         let names = distinct(self.all.iter().filter(|s| s.axis == axis).map(|s| s.panel));
         let parts = |name: &str| self.style.spec.parts_of(axis, name);
         let (first, gap) = self.margins();
         let width = (drawing.width - first - SIDE + gap) / across as f64 - gap;
-        let columns = columns(self.all);
         let place = |index: usize, name: &str| match columns.len() <= across {
             true => columns.iter().position(|column| *column == name).unwrap_or(0),
             false => index % across,
@@ -188,7 +202,8 @@ impl<'f, 'a> Axes<'f, 'a> {
         let label = number(best.mean, (panel.range.1 - panel.range.0) / 50.0);
         let half = text_width(&label, TEXT) / 2.0;
         let x = x.clamp(panel.left + half + 2.0, panel.right() - half - 2.0);
-        let y = (y - 14.0).max(panel.top + 8.0);
+        let up = Metric::find(self.metric).and_then(|metric| metric.direction.sign()).unwrap_or(1.0);
+        let y = y - 14.0 * up;
         // On a white plate, so that no line crosses it.
         let (left, right, top, bottom) = (x - half - 2.0, x + half + 2.0, y - 7.0, y + 7.0);
         drawing.area(vec![(left, top), (right, top), (right, bottom), (left, bottom)], PAPER, 0.75);
@@ -315,6 +330,13 @@ fn best(series: &Series, metric: &str) -> Option<(usize, Spread)> {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn the_label_of_the_best_value_has_room_beyond_it() {
+        assert_eq!(with_label((0.0, 146.0), "psnr", 170.0), (0.0, 170.0));
+        assert_eq!(with_label((0.0, 146.0), "lpips_vgg", 170.0), (-24.0, 146.0));
+        assert_eq!(with_label((0.0, 146.0), "occupied", 170.0), (0.0, 146.0));
+    }
 
     #[test]
     fn panels_have_room_for_bands() {

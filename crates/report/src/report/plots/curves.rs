@@ -202,7 +202,9 @@ fn figure(style: Style, scene: &str, along: &'static str, curves: &[Curve]) -> R
     let mut rows: Vec<Row> = rows.collect();
     let all = rows.len();
     keep_best(style, &mut rows);
-    if range_of(rows.iter().map(|row| &row.rays)).is_none() {
+    // A single log is no curve.
+    let has_curve = rows.iter().any(|row| row.rays.len() > 1 || row.held_out.len() > 1);
+    if !has_curve || range_of(rows.iter().map(|row| &row.rays)).is_none() {
         return Ok(None);
     }
     let end = axis_end(&rows.iter().map(Row::last).collect::<Vec<f64>>());

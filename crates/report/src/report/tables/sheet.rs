@@ -58,7 +58,8 @@ pub(super) fn compact(mut columns: Vec<Column>, constants: &Constants) -> Vec<Co
         cells.iter().any(|cell| !cell.is_empty()) && !is_constant(name, &cells)
     };
     let told = columns.into_iter().flat_map(readable).filter(is_told);
-    let (swept, mut others): (Vec<Column>, Vec<Column>) = told.partition(|(name, _)| is_swept(name));
+    let (mut swept, mut others): (Vec<Column>, Vec<Column>) = told.partition(|(name, _)| is_swept(name));
+    swept.sort_by_key(|(name, _)| name.starts_with(SETTING));
     others.retain(|(name, _)| !swept.iter().any(|(own, _)| own.strip_prefix(SETTING) == Some(name)));
     let at = others.iter().rposition(|(name, _)| ["row", "axes"].contains(&name.as_str())).map_or(0, |at| at + 1);
     others.splice(at..at, swept);
@@ -190,10 +191,10 @@ mod tests {
         assert_eq!(
             lines,
             [
-                "id,row,set.perturb.xyz.steps,set.perturb.t.steps,axis.steps,seed,perturb.t.step_size,perturb.t.epsilon,\
+                "id,row,axis.steps,set.perturb.xyz.steps,set.perturb.t.steps,seed,perturb.t.step_size,perturb.t.epsilon,\
                  perturb_lambda,data_hash",
-                "h123e45678901,A,1,3,3,0,0.01,0.5,0.1,h7797e1855047",
-                "abc,B,1,,1,1,,,0.2,hdeadbeef0123",
+                "h123e45678901,A,3,1,3,0,0.01,0.5,0.1,h7797e1855047",
+                "abc,B,1,1,,1,,,0.2,hdeadbeef0123",
             ]
         );
         for (line, numbers) in numbers.into_iter().enumerate() {

@@ -73,6 +73,12 @@ pub(super) fn status_and_reason(line: &Line) -> String {
     }
 }
 
+/// Returns whether a note says what a mark means.
+pub fn is_of_mark(note: &str) -> bool {
+    note.split_once(' ')
+        .is_some_and(|(start, _)| MARKS.iter().any(|(symbol, ..)| *symbol == start && !start.is_empty()))
+}
+
 /// Returns the line's label with its marks.
 pub fn marked_label(line: &Line) -> String {
     let marks: String = MARKS.iter().filter(|(_, _, of)| of(line).is_some()).map(|(symbol, _, _)| *symbol).collect();
