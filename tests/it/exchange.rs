@@ -160,14 +160,14 @@ fn more_steps_are_the_steps_that_a_longer_run_takes() {
     let hash =
         |run: &Path| read_json(&run.join("metrics.json"))["protocol"]["config_hash"].as_str().unwrap().to_string();
     let parent = |run: &Path| rows(&text(&run.join("metrics.csv")))[0]["parent"].clone();
-    assert_eq!(parent(&more), format!("{}@6", hash(&short)));
+    assert_eq!(parent(&more), format!("h{}@6", hash(&short)));
     assert_eq!(parent(&long), "");
     assert!(hash(&more) != hash(&long) && text(&more.join("scalars.csv")).lines().nth(1).unwrap().starts_with("8,"));
     // From step 0 with other settings.
     let restart =
         ["--restart", "--set", "train.steps=4", "--set", "train.learning_rate=0.001", "--out", path(&fresh), "-q"];
     succeed(&[&["train", "--from", path(&short)], &restart[..]].concat());
-    assert_eq!(parent(&fresh), format!("{}@6 restarted", hash(&short)));
+    assert_eq!(parent(&fresh), format!("h{}@6 restarted", hash(&short)));
     // A run that begins with weights of elsewhere goes on as any other.
     succeed(&["resume", path(&more), "-q"]);
 }
