@@ -216,8 +216,8 @@ pub fn load_with(config: &DataConfig, seed: u64, photos: Photos, events: &dyn Li
     let photos = if config.corruption.is_on() { Photos::Read } else { photos };
     let mut scene = (format.read)(config, photos, &load_notes)?;
     load_notes.words(&config.dir).into_iter().for_each(|words| scene.space.note("noted", words));
-    if config.rescale {
-        rescale::rescale(&mut scene, may_have_box(config))?;
+    if config.rescale && may_have_box(config) {
+        rescale::rescale(&mut scene)?;
     }
     scene.near = config.near.unwrap_or(scene.near);
     scene.far = config.far.unwrap_or(scene.far);

@@ -7,21 +7,18 @@ use super::Scene;
 /// Width of the box, and that of a Blender scene's hash grid.
 const WIDTH: f64 = 3.0;
 
-/// Moves and scales a scene so that the box that most cameras look at is around the origin, and its longest side 3. A scene
-/// whose format states its unit stays as it is: NDC, Blender's and the built-in ones.
+/// Moves and scales a scene so that the box that most cameras look at is around the origin, and its longest side 3. It is not
+/// for scenes whose format states its unit: NDC, Blender's and the built-in ones.
 ///
 /// # Errors
 /// [`Error::Data`]: a capture whose cameras look at no common point has no box.
-pub(super) fn rescale(scene: &mut Scene, may_have_box: bool) -> Result<()> {
+pub(super) fn rescale(scene: &mut Scene) -> Result<()> {
     let Some([lower, upper]) = scene.space.domain else {
-        return match may_have_box && scene.ndc.is_none() {
-            true => Err(Error::Data(format!(
-                "data.rescale: the cameras of {} look at no common point, so there is no box to scale by; set \
-                 data.rescale=false (the preset few-views sets it to true)",
-                scene.name
-            ))),
-            false => Ok(()),
-        };
+        return Err(Error::Data(format!(
+            "data.rescale: the cameras of {} look at no common point, so there is no box to scale by; set \
+             data.rescale=false (the preset few-views sets it to true)",
+            scene.name
+        )));
     };
     let longest = lower.iter().zip(&upper).map(|(low, high)| high - low).fold(0.0, f64::max);
     let factor = WIDTH / longest;

@@ -72,7 +72,7 @@ impl VolumeConfig {
     pub(super) fn resolve(&mut self, kind: DataKind, domain: Option<[[f64; 3]; 2]>) {
         self.step.get_or_insert(2.0 / self.resolution as f64);
         let objects = kind.object_half().map(|half| [[-half; 3], [half; 3]]);
-        self.bounds = self.bounds.or(objects).or(domain);
+        self.bounds = self.bounds.or(domain).or(objects);
     }
 
     /// Resets the settings that are not read.

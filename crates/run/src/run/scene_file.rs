@@ -136,10 +136,11 @@ impl RecordedScene {
         }
     }
 
-    /// Sets the bounds that the run has and an earlier version gave any Blender scene, whatever its cameras look at.
+    /// Sets the bounds of a run on a Blender scene without a box: an earlier version gave any the same, whatever its cameras
+    /// look at.
     pub(super) fn keep_early_bounds(&self, data: &mut DataConfig) {
-        let bounds = self.bounds(data).filter(|&(near, far)| [near, far] == blender::BOUNDS);
-        if let Some((near, far)) = bounds.filter(|_| data.kind == DataKind::Blender) {
+        let has_box = self.recorded.as_ref().is_some_and(|recorded| recorded.domain.is_some());
+        if let Some((near, far)) = self.bounds(data).filter(|_| data.kind == DataKind::Blender && !has_box) {
             data.near.get_or_insert(near);
             data.far.get_or_insert(far);
         }

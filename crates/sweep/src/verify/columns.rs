@@ -37,13 +37,12 @@ pub fn check(_: &Verifier, sweep: &Collected, findings: &mut Findings) -> Result
         }
         for (name, expected) in columns {
             // Columns that are younger than the points are not in their file.
-            let found = record.protocol.iter().find(|(known, _)| known.replace(' ', "_") == name);
-            let Some((_, found)) = found else { continue };
+            let Some(found) = found(record, &name) else { continue };
             if found.is_empty() && !one_revision {
                 continue;
             }
             count += 1;
-            if *found != expected {
+            if found != expected {
                 let point = record.point_label();
                 wrong.push(format!("points.csv: {name} of {point} is '{found}', its configuration says '{expected}'"));
             }
@@ -56,6 +55,12 @@ pub fn check(_: &Verifier, sweep: &Collected, findings: &mut Findings) -> Result
     revision(archive, findings);
     inactive(archive, findings);
     Ok(())
+}
+
+/// Returns what stands in a column, if the points have it.
+fn found<'a>(record: &'a Record, name: &str) -> Option<&'a str> {
+    let is_it = |(known, _): &&(String, String)| known.replace(' ', "_") == name;
+    record.protocol.iter().find(is_it).map(|(_, text)| text.as_str())
 }
 
 /// Columns that a configuration decides.
@@ -94,25 +99,21 @@ fn decided(point: &Point, record: &Record) -> Result<Decided> {
             .collect()
     };
     let (bounds, own_box) = (known_bounds(&located.data), may_have_box(&located.data));
-    if let Some(bounds) = bounds.filter(|_| !own_box) {
-        let mut columns = keep(at(&located, bounds, None));
-        // A Blender folder of another size has a box of its own.
-        let other_box = |(name, text): &Text| {
-            let found = record.protocol(name);
-            *name == "hash_grid" && found != text && found.split(", box").next() == text.split(", box").next()
-        };
-        let unknown = columns.iter().filter(|column| kind == DataKind::Blender && other_box(column));
-        let unknown: Vec<&'static str> = unknown.map(|(name, _)| *name).collect();
-        columns.retain(|(name, _)| !unknown.contains(name));
-        return Ok(Decided { columns, unknown });
-    }
+    // A Blender folder of another size than NeRF's scenes has bounds and a box of its own.
+    let may_differ = kind == DataKind::Blender && (located.data.near.is_none() || located.data.far.is_none());
     // Two scenes that differ in all that is not known: what they agree in hangs on the configuration alone.
-    let some_box = own_box.then_some([[-0.5; 3], [0.25; 3]]);
+    let some_box = (own_box || may_differ).then_some([[-0.5; 3], [0.25; 3]]);
     let short = keep(at(&located, bounds.unwrap_or((0.0, 1.0)), None));
-    let long = keep(at(&located, bounds.unwrap_or((0.0, 2.0)), some_box));
-    let unknown = short.iter().zip(&long).filter(|(short, long)| short != long).map(|((name, _), _)| *name).collect();
-    let same = short.into_iter().zip(long).filter(|(short, long)| short == long);
-    Ok(Decided { columns: same.map(|(short, _)| short).collect(), unknown })
+    let long = keep(at(&located, bounds.filter(|_| !may_differ).unwrap_or((0.0, 2.0)), some_box));
+    let mut decided = Decided { columns: Vec::new(), unknown: Vec::new() };
+    for ((name, text), (_, other)) in short.into_iter().zip(long) {
+        let is_usual = may_differ && found(record, name).is_none_or(|found| found.is_empty() || found == text);
+        match text == other || is_usual {
+            true => decided.columns.push((name, text)),
+            false => decided.unknown.push(name),
+        }
+    }
+    Ok(decided)
 }
 
 /// The scene's kind. A folder that is not at hand is of the kind that `points.csv` names: of another, most settings differ.

@@ -64,7 +64,7 @@ pub fn load(config: &DataConfig, photos: Photos, events: &dyn Listener) -> Resul
         Ok(frame::views(frames, names, cameras, how)?.0)
     };
     let train = read(&train, &train_names, of_train, "train")?;
-    let [near, far] = bounds(config, &cameras, &train, &mut space, events)?;
+    let [near, far] = bounds(config, of_train, &train, &mut space, events)?;
     Ok(Scene {
         name: name_of(config),
         kind: DataKind::Blender.name(),
@@ -84,7 +84,7 @@ pub fn load(config: &DataConfig, photos: Photos, events: &dyn Listener) -> Resul
     })
 }
 
-/// Returns the ends of rays: the format's, or those of a folder whose cameras look at something else. A Blender export may have
+/// Returns the ends of rays: the format's, or those of a folder whose training cameras look at something else. A Blender export may have
 /// any size, and photos with a file for each split are read as such a scene. Their box is then what the cameras look at.
 fn bounds(
     config: &DataConfig,
@@ -123,7 +123,7 @@ fn bounds(
     };
     if config.near.is_some() && config.far.is_some() {
         events.on(Event::Note(&format!(
-            "{begin} {start} to {end} (data.near, data.far); {near:.4} to {far:.4} would hold it{instead}"
+            "{begin} {start} to {end} (the bounds of this run); {near:.4} to {far:.4} would hold it{instead}"
         )));
         space.note("bounds from", usual);
         return Ok(BOUNDS);

@@ -140,7 +140,8 @@ fn plain_names(photographs: &mut [Photograph], images: &Path, events: &dyn Liste
         let drive = below.split_once(":/").filter(|(drive, _)| drive.len() == 1).map_or(&*below, |(_, rest)| rest);
         let plain = drive.trim_start_matches('/').to_string();
         if plain != *name {
-            foreign.push(std::mem::replace(name, plain));
+            let written = std::mem::replace(name, plain);
+            foreign.extend((written.trim_start_matches("./") != *name).then_some(written));
         }
     }
     if let Some(first) = foreign.first() {
