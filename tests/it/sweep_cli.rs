@@ -272,16 +272,16 @@ fn titles_say_what_the_command_line_changed() {
     let plain = run(&["--set", "train.steps=60", "--preset", "smoke"]);
     titled.iter().for_each(|name| assert!(!text(&results.join(name)).contains("(with"), "{name}"));
     assert_eq!(run(&[]), plain);
-    let changed = run(&["--set", "train.steps=5", "--set", "seed=0", "--extend"]);
+    let changed = run(&["--set", "train.steps=45", "--set", "seed=0", "--extend"]);
     for name in titled {
         let text = text(&results.join(name));
         // Figures have it in the caption, so that no title is long.
         let is_figure = name.ends_with(".svg");
-        assert_eq!(text.contains("tiny, 60 steps (with seed = 0, train.steps = 5)"), !is_figure, "{name}: {text}");
+        assert_eq!(text.contains("tiny, 60 steps (with seed = 0, train.steps = 45)"), !is_figure, "{name}: {text}");
         // Captions are wrapped.
         let parts = text.split('<').filter_map(|part| part.split_once('>')).map(|(_, words)| words.trim());
         let words = parts.filter(|words| !words.is_empty()).collect::<Vec<&str>>().join(" ");
-        assert_eq!(words.contains("All rows: seed = 0, train.steps = 5."), is_figure, "{name}: {text}");
+        assert_eq!(words.contains("All rows: seed = 0, train.steps = 45."), is_figure, "{name}: {text}");
     }
     demand(&["sweep", "collect", "runs/tiny"], dir.path(), 0);
     assert_eq!(files(&results, &[]), changed);
@@ -294,7 +294,7 @@ fn the_smoke_sweep_leaves_every_table_and_figure() {
     let file = Path::new(env!("CARGO_MANIFEST_DIR")).join("sweeps/checks/smoke.toml");
     let file = file.to_str().unwrap();
     demand(
-        &["sweep", "run", file, "--quiet", "--set", "train.steps=20", "--set", "data.width=40", "--jobs", "2"],
+        &["sweep", "run", file, "--quiet", "--set", "train.steps=20", "--set", "train.log_every=10", "--set", "data.width=40", "--jobs", "2"],
         dir.path(),
         0,
     );
