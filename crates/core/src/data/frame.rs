@@ -68,6 +68,13 @@ pub struct Unread {
     read: OnceLock<View>,
 }
 
+impl Unread {
+    /// Returns whether a mask is read with the photo.
+    pub(super) fn has_mask(&self) -> bool {
+        self.frame.mask.is_some()
+    }
+}
+
 impl Frame {
     /// Creates the frame of a file with this header, whose size the lens is for. Returns `None` if its distortion cannot be
     /// undone.

@@ -107,10 +107,12 @@ impl Scene {
     }
 
     /// Returns the number of pixels that are trained on: those of the training views outside their masks, corrupted or not.
-    pub fn training_pixels(&self) -> usize {
+    /// `None` if a mask is not read.
+    pub fn training_pixels(&self) -> Option<usize> {
         let counted = |view: &View| match &view.mask {
-            Some(mask) => mask.iter().filter(|counts| **counts).count(),
-            None => view.camera.width * view.camera.height,
+            Some(mask) => Some(mask.iter().filter(|counts| **counts).count()),
+            None if view.unread.as_ref().is_some_and(|unread| unread.has_mask()) => None,
+            None => Some(view.camera.width * view.camera.height),
         };
         self.train.iter().map(counted).sum()
     }

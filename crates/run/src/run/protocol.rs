@@ -233,9 +233,10 @@ fn of_state(config: &Resolved, scene: &Scene, state: &State) -> Found {
         Precision::F16 => "f16".into(),
         Precision::F32 => by_device(|device| if device == "cuda-tf32" { "tf32" } else { "f32" }),
     };
+    let seen = scene.training_pixels().and_then(|pixels| epochs(state.step, config.rays_per_step(), pixels));
     vec![
         ("steps", state.step.into()),
-        ("epochs", epochs(state.step, config.rays_per_step(), scene.training_pixels()).into()),
+        ("epochs", seen.into()),
         ("redraws", redraws.collect::<Vec<String>>().join(", ").into()),
         ("code_revision", state.revisions.join(" + ").into()),
         ("device", devices(state).into()),

@@ -182,9 +182,13 @@ impl Trained {
     pub fn protocol(&self) -> Protocol {
         let mut protocol = named(self.split, Protocol::new(&self.config, &self.scene, &self.state));
         if let (false, Some(recorded)) = (self.scene.is_read(), &self.recorded) {
+            // Epochs follow from the scene unless a mask is unread; those of another step are others.
+            let is_missing = protocol.get("epochs").is_null() && recorded.get("steps") == Some(protocol.get("steps"));
+            let epochs = is_missing.then_some("epochs");
             OF_PIXELS
-                .iter()
-                .for_each(|column| protocol.set(column, recorded.get(*column).cloned().unwrap_or_default()));
+                .into_iter()
+                .chain(epochs)
+                .for_each(|column| protocol.set(column, recorded.get(column).cloned().unwrap_or_default()));
         }
         protocol
     }
