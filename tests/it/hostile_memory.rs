@@ -70,7 +70,11 @@ fn poses_of_millions_of_values_are_refused_as_they_are_read() {
         let text = format!(r#"{{"camera_angle_x": 0.7, "frames": {open}{values}{close}}}"#);
         fs::write(dir.path().join("transforms.json"), text).unwrap();
         let arguments = ["data", "check", dir.path().to_str().unwrap()];
-        refused_within_memory(&arguments, 3, &["transforms.json", "more than 1048576 values"]);
+        refused_within_memory(
+            &arguments,
+            3,
+            &["transforms.json", "more than 2097152 commas, colons and opening brackets"],
+        );
     }
 }
 

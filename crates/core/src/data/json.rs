@@ -25,9 +25,9 @@ pub(super) struct Object<'a> {
     value: &'a Value,
 }
 
-/// Largest number of values in a scene's poses: a hundred for each of some ten thousand views. A short text can hold
-/// millions, each of which takes memory.
-const MOST_VALUES: usize = 1 << 20;
+/// Largest number of commas, colons and opening brackets in a scene's poses: two hundred for each of some ten thousand views.
+/// Each value but the first follows one, and a short text can hold millions of values, each of which takes memory.
+const MOST_MARKS: usize = 2 << 20;
 
 /// Reads a JSON file. `NaN` and the like, as Python writes them, become strings: they matter only where a number is
 /// needed.
@@ -38,9 +38,10 @@ pub(super) fn read(file: &Path) -> Result<Value> {
 /// Parses the text of a JSON file as [`read`] does.
 pub(super) fn parse(file: &Path, text: &[u8]) -> Result<Value> {
     let invalid = |what: &dyn std::fmt::Display| Error::Data(format!("{} is not valid JSON: {what}", file.display()));
-    // Each value but the first follows one of these.
-    if text.iter().filter(|letter| b",:[".contains(letter)).count() > 2 * MOST_VALUES {
-        return Err(invalid(&format!("more than {MOST_VALUES} values, which no scene has")));
+    if text.iter().filter(|letter| b",:[".contains(letter)).count() > MOST_MARKS {
+        return Err(invalid(&format!(
+            "more than {MOST_MARKS} commas, colons and opening brackets, which no scene has"
+        )));
     }
     serde_json::from_slice(&quote_no_numbers(text)).map_err(|e| invalid(&e))
 }
