@@ -18,37 +18,23 @@ pub fn check_name(what: &str, name: &str) -> Checked {
     }
 }
 
-/// What pandas or R read as a missing value, in lower case.
-const MISSING: [&str; 15] = [
-    "", "#n/a", "#n/a n/a", "#na", "-1.#ind", "-1.#qnan", "-nan", "1.#ind", "1.#qnan", "<na>", "n/a", "na", "nan",
-    "none", "null",
+/// What `pandas.read_csv` reads as missing, by its default list; R's `NA` is one of these.
+const MISSING: [&str; 19] = [
+    "", "#N/A", "#N/A N/A", "#NA", "-1.#IND", "-1.#QNAN", "-NaN", "-nan", "1.#IND", "1.#QNAN", "<NA>", "N/A", "NA",
+    "NULL", "NaN", "None", "n/a", "nan", "null",
 ];
 
-/// Returns an error for a name that pandas or R read from CSV files as something else than text: as a missing value, a number
-/// or a truth value.
+/// Returns an error for a name that pandas or R read from CSV files as a missing value.
 pub fn check_text(what: &str, name: &str) -> Checked {
-    let text = name.trim().to_lowercase();
-    let digits = text.trim_start_matches(['+', '-']);
-    let is_hexadecimal =
-        || digits.strip_prefix("0x").is_some_and(|digits| digits.chars().all(|c| c.is_ascii_hexdigit() || c == '.'));
-    // R has complex numbers.
-    let is_complex = || {
-        let parts =
-            digits.strip_suffix('i').filter(|parts| parts.starts_with(|c: char| c.is_ascii_digit() || c == '.'));
-        parts.is_some_and(|parts| parts.chars().all(|c| c.is_ascii_digit() || ".e+-".contains(c)))
-    };
-    let meant = if MISSING.contains(&text.as_str()) {
-        "missing value"
-    } else if text.parse::<f64>().is_ok() || is_hexadecimal() || is_complex() {
-        "number"
-    } else if ["true", "false"].contains(&text.as_str()) || ["T", "F"].contains(&name.trim()) {
-        "truth value"
-    } else {
+    if !MISSING.contains(&name.trim()) {
         return Ok(());
+    }
+    let advice = match what.contains("scene") {
+        true => format!("a scene has its folder's name: rename the folder, such as to 'scene {name}'"),
+        false => format!("choose another, such as 'row {name}'"),
     };
-    let kind = what.rsplit(' ').find(|word| !word.ends_with("name")).unwrap_or("row").trim_end_matches("'s");
     Err(format!(
-        "{what} '{name}' is one that pandas and R read as a {meant} in points.csv and table.csv; choose another, such as '{kind} {name}'"
+        "{what} '{name}' is one that pandas and R read as a missing value in points.csv and table.csv; {advice}"
     ))
 }
 
@@ -75,7 +61,7 @@ impl Definition {
         Ok(())
     }
 
-    /// Checks that other programs read the names of rows and scenes as text. Folders of earlier versions may have other names.
+    /// Checks that other programs read no name of a row or scene as a missing value. Folders of earlier versions may have other names.
     ///
     /// # Errors
     /// [`Error::Config`]: names the row or scene.
@@ -109,40 +95,17 @@ impl Definition {
 mod tests {
     use super::*;
 
-    /// What `pandas.read_csv` reads as missing: its default list.
-    const OF_PANDAS: [&str; 19] = [
-        "", "#N/A", "#N/A N/A", "#NA", "-1.#IND", "-1.#QNAN", "-NaN", "-nan", "1.#IND", "1.#QNAN", "<NA>", "N/A", "NA",
-        "NULL", "NaN", "None", "n/a", "nan", "null",
-    ];
-
+    /// Numbers lose nothing but their type.
     #[test]
     fn names_are_text_in_pandas_and_r() {
-        let said = |name: &str| check_text("the row's name", name).err().unwrap_or_default();
-        assert!(OF_PANDAS.iter().all(|name| said(name).contains("missing value")));
-        for name in [
-            "NONE",
-            " na ",
-            "1e5",
-            "-3",
-            "+.5",
-            "007",
-            "inf",
-            "-Infinity",
-            "0x1F",
-            "2i",
-            "1-2.5i",
-            "TRUE",
-            "false",
-            "T",
-        ] {
-            assert!(said(name).contains(&format!("such as 'row {name}'")), "{name}: {}", said(name));
+        let said = |what: &str, name: &str| check_text(what, name).err().unwrap_or_default();
+        for name in ["", "NA", " NaN ", "None", "null", "#N/A"] {
+            assert!(said("the row's name", name).ends_with(&format!("such as 'row {name}'")), "{name}");
         }
-        for name in ["NeRF", "No attack", "t", "None, 3 seeds", "1e5 steps", "+ TV", "0xyz", "hi", "i", "Ti", "F-NeRF"]
-        {
-            assert_eq!(said(name), "", "{name}");
+        for name in ["NeRF", "0042", "0.1", "1e5", "inf", "TRUE", "T", "none", "None, 3 seeds", "+ TV"] {
+            assert_eq!(said("the row's name", name), "", "{name}");
         }
-        let scene = check_text("the scene's name", "0042").unwrap_err();
-        assert!(scene.contains("read as a number") && scene.contains("'scene 0042'"), "{scene}");
+        assert!(said("the scene's name", "NA").ends_with("rename the folder, such as to 'scene NA'"));
     }
 
     /// Returns the error of a definition with these texts.
