@@ -154,6 +154,8 @@ fn names_that_are_no_text_are_refused_and_read() {
         run(dir.path(), command, 0);
     }
     assert!(points_of(&dir.path().join("results/tiny")).iter().any(|point| point["row"] == "None"));
+    fs::write(&file, TINY.replace("\"NeRF\"", "\"0.1\"")).unwrap();
+    run(dir.path(), &["sweep", "begin", "sweeps/tiny.toml", "--name", "numbers"], 0);
 }
 
 /// Cells that tables do not show are held to the scene and to the configurations.
@@ -387,8 +389,12 @@ fn rows_that_cannot_run_are_named_together() {
             let said = run(dir.path(), &["sweep", command, "sweeps/tiny.toml"], 2);
             assert_says(&said, &words);
             assert!(!said.contains("NeRF (") && !dir.path().join("runs").exists(), "{said}");
+            assert!(!said.contains("timing some steps"), "{said}");
         }
     }
+    fs::write(&file, TINY.replace("field.width", "field.widht")).unwrap();
+    let said = run(dir.path(), &["sweep", "begin", "sweeps/tiny.toml"], 2);
+    assert_says(&said, &["no row can run: [set] field.widht: unknown key"]);
 }
 
 /// Two fields of 16 layers of 4,096 neurons have 2 GB of weights.
@@ -470,7 +476,10 @@ fn status_says_why_the_last_worker_ended() {
     fs::create_dir_all(in_the_way.parent().unwrap()).unwrap();
     fs::write(&in_the_way, "").unwrap();
     run(root, &["sweep", "run", "sweeps/tiny.toml"], 4);
-    assert_says(&status(), &["the last worker (", ") ended: runs/tiny/points/", id]);
+    assert_says(&status(), &["the last worker ended: runs/tiny/points/", id]);
+    // What a full disk leaves.
+    fs::write(root.join("runs/tiny/worker.txt"), "").unwrap();
+    assert!(!status().contains("worker"));
     fs::remove_file(in_the_way).unwrap();
     run(root, &["sweep", "run", "sweeps/tiny.toml", "--quiet"], 0);
     assert!(!run(root, &["sweep", "status", "runs/tiny"], 0).contains("worker"));

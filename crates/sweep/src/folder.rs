@@ -5,7 +5,7 @@
 //! points.json             the points, with their configurations; fixed from then on
 //! begin.lock              held while these two files are written
 //! step_seconds.json       measured seconds of a step, where budgets are in seconds
-//! worker.json             the newest worker, and how it ended
+//! worker.txt              how the newest worker ended
 //! points/ID/config.toml   the point's configuration, before its scene fills it
 //! points/ID/run/          the run folder, as `augnerf train` writes it
 //! points/ID/result.json   metrics and protocol: the point is done

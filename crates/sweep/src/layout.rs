@@ -72,6 +72,8 @@ pub fn lay_out(definition: &Definition, data_root: Option<&Path>) -> Result<Vec<
 pub(super) struct Refused {
     reasons: Vec<(String, Vec<String>)>,
     known: HashSet<(String, String)>,
+    /// Another row is not refused.
+    others: bool,
 }
 
 /// Most rows that are named with a reason.
@@ -82,7 +84,10 @@ impl Refused {
     pub fn unless<T>(&mut self, made: Result<T>, rows: &[&str], scene: impl std::fmt::Display) -> Result<Option<T>> {
         let reason = match made {
             Err(error) if error.is_of_settings() => error.to_string(),
-            made => return made.map(Some),
+            made => {
+                self.others = true;
+                return made.map(Some);
+            }
         };
         for row in rows.iter().map(|row| format!("{row} ({scene})")) {
             if !self.known.insert((reason.clone(), row.clone())) {
@@ -98,8 +103,12 @@ impl Refused {
 
     /// Returns the error that names all refused rows, if there are any.
     pub fn check(self) -> Result<()> {
-        if self.reasons.is_empty() {
-            return Ok(());
+        match &self.reasons[..] {
+            [] => return Ok(()),
+            [(reason, rows)] if !self.others && rows.len() > 1 => {
+                return Err(Error::Config(format!("no row can run: {reason}")));
+            }
+            _ => {}
         }
         let of_reason = |(reason, rows): &(String, Vec<String>)| {
             let more = rows.len().saturating_sub(MOST_NAMED);

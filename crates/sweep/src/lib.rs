@@ -78,4 +78,4 @@ pub use step_seconds::PublishedCosts;
 pub use training::{Brief, Cost, Trainings};
 pub use view::{Origin, Selection, Source, View, split_names};
 pub use words::{check_name, check_text};
-pub use worker::Worker;
+pub use worker::last_words;

@@ -16,7 +16,7 @@ use super::folder::SweepFolder;
 use super::pace::{Pace, spent};
 use super::point_folder::{Failure, PointFolder, PointResult};
 use super::points::Point;
-use super::worker::Worker;
+use super::worker;
 
 /// Between two looks at points that other workers hold.
 const LOOK_EVERY: Duration = Duration::from_millis(500);
@@ -120,10 +120,10 @@ impl Runner<'_> {
     /// one of the whole sweep (a full disk, a signal); failed points are in the folder. Returns the finished points that
     /// could not be measured again.
     pub fn run(&self) -> Result<Vec<Unmeasured>> {
-        Worker::write(self.folder, None);
+        worker::begun(self.folder);
         let ran = self.run_all();
         let reason = ran.as_ref().err().map_or(String::new(), ToString::to_string);
-        Worker::write(self.folder, Some(&reason));
+        worker::ended(self.folder, &reason);
         ran
     }
 

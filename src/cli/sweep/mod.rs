@@ -282,13 +282,18 @@ fn planned_points(
     definition: &Definition,
     (trainings, measure): (&Trainings, &dyn StepCosts),
     console: &Console,
+    checked: impl Fn(),
 ) -> Result<Vec<Point>> {
     let (folder, data_root) = (location.folder()?, location.data_root.as_deref());
     match folder.points(data_root)? {
-        Some(points) if folder.compare(definition)? == Change::None => Ok(points),
+        Some(points) if folder.compare(definition)? == Change::None => {
+            checked();
+            Ok(points)
+        }
         _ => {
             let costs = PublishedCosts::beside(&location.results()?, measure)?;
-            let points = plan(definition, data_root, &costs, &|points| trainings.check_points(points))?;
+            let check = |points: &[Point]| trainings.check_points(points).map(|()| checked());
+            let points = plan(definition, data_root, &costs, &check)?;
             costs.note().iter().for_each(|note| console.say(note));
             Ok(points)
         }

@@ -82,11 +82,13 @@ impl PlanArguments {
         let folder = self.location.folder()?;
         let trainings = Trainings::new(runtime.clone(), (Vec::new(), String::new()), false, console);
         let brief = Brief(&trainings);
-        console.say(&format!(
-            "timing some steps of the points; this takes {} s at most, or longer where the first steps alone take longer",
-            LIMIT.as_secs()
-        ));
-        let points = planned_points(&self.location, &definition, (&trainings, &brief), console)?;
+        let checked = || {
+            console.say(&format!(
+                "timing some steps of the points; this takes {} s at most, or longer where the first steps alone take longer",
+                LIMIT.as_secs()
+            ));
+        };
+        let points = planned_points(&self.location, &definition, (&trainings, &brief), console, checked)?;
         let say = |words: &str| if self.answer.json { Ok(()) } else { print(words) };
         say(&format!("{} points", points.len()))?;
         let left: Vec<&Point> =

@@ -13,7 +13,7 @@ use crate::cli::progress::{print_shown, print_to_reader};
 use crate::metrics::PSNR;
 use crate::report::{Record, Status};
 use crate::sweep::slurm::{Queue, Slurm};
-use crate::sweep::{Pace, Point, SweepFolder, SweepOutputs, Worker};
+use crate::sweep::{Pace, Point, SweepFolder, SweepOutputs, last_words};
 
 use super::opened::Opened;
 use super::{check_done, duration, one_of_each, states_of};
@@ -269,7 +269,7 @@ fn states(folder: &SweepFolder, points: &[Point], all: bool) -> Result<(Vec<Stri
     lines.extend(by_row(folder, points)?);
     lines.extend(of_queue(&slurm, &queue, adrift)?);
     if running == 0 && counts.contains_key(Status::Waiting.name()) {
-        lines.extend(Worker::last_words(folder)?);
+        lines.extend(last_words(folder));
     }
     let counts: Vec<String> = counts.iter().map(|(status, count)| format!("{count} {status}")).collect();
     let open = |point: &&Point| point.no_data.is_none() && !folder.point(&point.id).ended();

@@ -110,11 +110,11 @@ impl SubmitArguments {
             if !self.extend {
                 check_unchanged(&folder, &definition, self.location.data_root.as_deref())?;
             }
-            let points = planned_points(&self.location, &definition, costs, &console)?;
+            let points = planned_points(&self.location, &definition, costs, &console, || ())?;
             return self.show(&script, &folder, &points, &console);
         }
         if self.extend {
-            let points = planned_points(&self.location, &definition, costs, &console)?;
+            let points = planned_points(&self.location, &definition, costs, &console, || ())?;
             check_numbers(&folder, &points)?;
         }
         let (folder, points) = begin_folder(&self.location, &definition, self.extend, costs, &console)?;
