@@ -270,8 +270,11 @@ fn limits_of_memory_are_told() {
     let dir = TempDir::new().unwrap();
     let folder = Folder::new(9).with("fl_x", 5000.into());
     let photo = |i: usize| folder.path().join(format!("images/{i}.png"));
-    RgbImage::from_fn(4000, 4000, |x, y| Rgb([x as u8, y as u8, 7])).save(photo(0)).unwrap();
-    (1..9).for_each(|i| assert!(fs::copy(photo(0), photo(i)).is_ok()));
+    let save = |side: u32| {
+        RgbImage::from_fn(side, side, |x, y| Rgb([x as u8, y as u8, 7])).save(photo(0)).unwrap();
+        (1..9).for_each(|i| assert!(fs::copy(photo(0), photo(i)).is_ok()));
+    };
+    save(4000);
     folder.write();
     let data = folder.path().display().to_string();
     let out = dir.path().join("out").display().to_string();
@@ -279,18 +282,19 @@ fn limits_of_memory_are_told() {
         let program = env!("CARGO_BIN_EXE_augnerf");
         let line = format!("ulimit -v 1500000; exec {program} {command}");
         let mut shell = std::process::Command::new("sh");
-        shell.args(["-c", &line]).env("AUGNERF_DATA", "").env("RAYON_NUM_THREADS", "2");
+        shell.args(["-c", &line]).env("AUGNERF_DATA", "").env("RAYON_NUM_THREADS", "1");
         assert_says(&demand(&mut shell, code), words);
     };
     for command in [
         format!("data check {data} --set data.downscale=1"),
-        format!("train --data {data} --set data.downscale=1 --out {out}"),
+        format!("train --data {data} --set data.downscale=1 --threads 1 --out {out}"),
     ] {
         limited(&command, 3, &["9 images of 4000x4000 pixels take 1.6 GiB of memory", "are free", "data.downscale"]);
     }
-    limited(&format!("data check {data} --pixels --set data.downscale=50"), 0, &["80 x 80 pixels"]);
-    // Not even one can be decoded.
-    image::GrayImage::new(14_000, 14_000).save(photo(0)).unwrap();
+    save(500);
+    limited(&format!("data check {data} --pixels --set data.downscale=50"), 0, &["10 x 10 pixels"]);
+    // Not even one can be decoded: it takes more than the limit.
+    image::GrayImage::new(18_000, 18_000).save(photo(0)).unwrap();
     limited(
         &format!("data check {data} --pixels --set data.width=80"),
         3,
