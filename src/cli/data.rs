@@ -196,7 +196,10 @@ impl CheckArguments {
         let photos = if self.pixels { Photos::Read } else { Photos::Later };
         let held = Held { events: &console, notes: Mutex::default() };
         let loaded = load_scene_with(config, photos, &held);
-        held.say(loaded.as_ref().ok());
+        if loaded.is_err() {
+            let notes = held.notes.into_inner().unwrap_or_else(PoisonError::into_inner);
+            notes.iter().for_each(|note| console.say(note));
+        }
         let (config, scene) = loaded?;
         let sizes = scene.train.iter().chain(&scene.test).map(|view| (view.camera.width, view.camera.height));
         images::check_memory_of(&sizes.collect::<Vec<_>>())?;
@@ -226,7 +229,7 @@ fn pixels_words(scene: &Scene) -> &'static str {
     }
 }
 
-/// Holds notes back until it is known which of them the table has.
+/// Holds notes back: the table of a scene has them.
 struct Held<'a> {
     events: &'a dyn Listener,
     notes: Mutex<Vec<String>>,
@@ -237,20 +240,6 @@ impl Listener for Held<'_> {
         match event {
             Event::Note(words) => self.notes.lock().unwrap_or_else(PoisonError::into_inner).push(words.into()),
             other => self.events.on(other),
-        }
-    }
-}
-
-impl Held<'_> {
-    /// Says what the scene does not say of itself; without a scene, all.
-    fn say(self, loaded: Option<&(Resolved, Scene)>) {
-        let (dir, rows) = loaded.map_or(("", Vec::new()), |(config, scene)| (&*config.data.dir, scene.describe()));
-        for note in self.notes.into_inner().unwrap_or_else(PoisonError::into_inner) {
-            let bare =
-                note.strip_prefix(dir.trim_end_matches('/')).unwrap_or(&note).trim_start_matches([':', '/', ' ']);
-            if !rows.iter().any(|(_, words)| words.contains(bare)) {
-                self.events.on(Event::Note(&note));
-            }
         }
     }
 }

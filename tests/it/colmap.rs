@@ -580,6 +580,7 @@ fn a_capture_in_llff_format_that_goes_around_is_read_without_ndc() {
     let (config, scene) = loaded.unwrap();
     assert_eq!((config.data.ndc, config.data.spherify, scene.ndc), (false, true, None));
     assert_says(&said, &["goes around", "60 degrees", "data.ndc=false"]);
+    assert!(scene.describe().iter().any(|(label, words)| label == "orbit" && said.contains(words)));
     assert!(scene.space.domain.is_some() && scene.far / scene.near > 20.0);
     // Its configuration repeats it without a word.
     let mut again = config.clone().into_draft();

@@ -112,26 +112,34 @@ const NEAR: f64 = 0.6;
 
 /// Folders below a scene's that are searched.
 const DEEPEST: usize = 3;
-/// Most files that are searched.
-const MOST_FILES: usize = 100_000;
+/// Most files and folders that are searched.
+const MOST_PATHS: usize = 100_000;
+
+/// Returns the files and folders below a folder that can be seen, as paths within it, the less deep first.
+pub(super) fn paths_below(folder: &Path) -> Vec<PathBuf> {
+    let inside = |within: &Path| {
+        let entries = std::fs::read_dir(folder.join(within)).into_iter().flatten().flatten();
+        let seen = entries.map(|entry| entry.file_name()).filter(|name| !name.to_string_lossy().starts_with('.'));
+        let mut paths: Vec<PathBuf> = seen.map(|name| within.join(name)).collect();
+        paths.sort();
+        paths
+    };
+    let mut found = inside(Path::new(""));
+    let mut at = 0;
+    while at < found.len() && found.len() < MOST_PATHS {
+        if found[at].components().count() <= DEEPEST && folder.join(&found[at]).is_dir() {
+            let more = inside(&found[at]);
+            found.extend(more);
+        }
+        at += 1;
+    }
+    found
+}
 
 /// Returns the images below a folder as paths within it, in order.
 pub(super) fn below(folder: &Path) -> Vec<PathBuf> {
-    let (mut found, mut folders) = (Vec::new(), vec![(PathBuf::new(), 0)]);
-    while let Some((within, depth)) = folders.pop() {
-        for entry in std::fs::read_dir(folder.join(&within)).into_iter().flatten().flatten() {
-            let (path, name) = (entry.path(), entry.file_name());
-            let inner = within.join(&name);
-            if name.to_string_lossy().starts_with('.') || found.len() >= MOST_FILES {
-                continue;
-            }
-            if path.is_dir() && depth < DEEPEST {
-                folders.push((inner, depth + 1));
-            } else if path.is_file() && is_image(&path) {
-                found.push(inner);
-            }
-        }
-    }
+    let is_file = |within: &PathBuf| is_image(within) && folder.join(within).is_file();
+    let mut found: Vec<PathBuf> = paths_below(folder).into_iter().filter(is_file).collect();
     found.sort();
     found
 }
@@ -586,8 +594,8 @@ fn at_once(files: &[(&Path, f64)]) -> Result<usize> {
     let (free, needed) = (free_memory_mib(), largest / MIB);
     if let Some(free) = free.filter(|free| needed > *free) {
         return Err(Error::Data(format!(
-            "{} takes up to {needed:.0} MiB of memory to read, and {free:.0} MiB are free; raise the memory limit, or make the photos \
-             smaller first",
+            "{} takes up to {needed:.0} MiB of memory to read, and {free:.0} MiB are free; make the photos smaller first, or \
+             give the program more memory",
             path.display()
         )));
     }

@@ -15,9 +15,6 @@ use crate::base::{Error, Result};
 const MARKERS: [&str; 3] = ["poses_bounds.npy", "transforms_train.json", "transforms.json"];
 /// Largest number of letters by which a mistaken name differs from a right one.
 const TYPING_ERRORS: usize = 2;
-/// Most files and folders that are looked at, and how deep.
-const MOST_PATHS: usize = 100_000;
-const DEEPEST: usize = 4;
 /// Folders above one that may be the scene's.
 const ABOVE: usize = 3;
 
@@ -49,7 +46,9 @@ pub(super) fn check_folder(path: &Path) -> Result<()> {
 
 /// Returns the error for a folder that no format detects: what it looks like, and what to do.
 pub(super) fn unknown(dir: &Path) -> Error {
-    let (entries, paths) = (entries(dir), paths(dir));
+    let entries = entries(dir);
+    let paths: Vec<String> =
+        images::paths_below(dir).iter().map(|path| images::slashes(&path.to_string_lossy())).collect();
     let holds = |endings: &[&str], kind: &str, advice: &dyn Fn(&Path) -> String| {
         one_of(dir, &entries, endings).map(|file| format!("{} is {kind}; {}", file.display(), advice(&file)))
     };
@@ -83,21 +82,6 @@ fn entries(dir: &Path) -> Vec<String> {
     let mut names: Vec<String> = names.filter(|name| !name.starts_with('.')).collect();
     names.sort();
     names
-}
-
-/// Returns the files and folders below a folder, as paths within it with slashes, the less deep first.
-fn paths(dir: &Path) -> Vec<String> {
-    let mut found: Vec<String> = entries(dir);
-    let mut at = 0;
-    while at < found.len() && found.len() < MOST_PATHS {
-        let within = found[at].clone();
-        let folder = dir.join(&within);
-        if within.matches('/').count() + 1 < DEEPEST && folder.is_dir() && !folder.is_symlink() {
-            found.extend(entries(&folder).into_iter().map(|name| format!("{within}/{name}")));
-        }
-        at += 1;
-    }
-    found
 }
 
 /// A part of a scene, such as its `images` or `sparse`.

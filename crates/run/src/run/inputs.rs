@@ -86,7 +86,8 @@ pub fn load_scene(config: Config, events: &dyn Listener) -> Result<(Resolved, Sc
 pub fn load_scene_with(config: Config, photos: Photos, events: &dyn Listener) -> Result<(Resolved, Scene)> {
     let (located, orbit) = locate(config)?;
     orbit.iter().for_each(|words| events.on(Event::Note(words)));
-    let scene = load(&located, &located.data, photos, events)?;
+    let mut scene = load(&located, &located.data, photos, events)?;
+    scene.space.notes.extend(orbit.map(|words| ("orbit", words)));
     Ok((located.resolve(scene.extent()), scene))
 }
 

@@ -76,7 +76,7 @@ struct Views {
 pub(super) fn write(path: &Path, scene: &Scene) -> Result<()> {
     let Scene { name, kind, near, far, ndc, space, .. } = scene;
     // Paths of folders do not belong in a run's files.
-    let told = space.notes.iter().filter(|(label, _)| !["images", "passed over"].contains(label));
+    let told = space.notes.iter().filter(|(label, _)| !["images", "orbit", "passed over"].contains(label));
     let notes = told.map(|(label, words)| (label.to_string(), words.clone().into())).collect();
     write_json(
         path,
