@@ -234,11 +234,20 @@ pub(super) fn views(frames: &[Frame], names: &[String], cameras: &[Camera], how:
             views
         }
         Photos::Later => {
-            for i in (0..frames.len()).filter(|i| frames[*i].header.has_alpha) {
+            let mut rest = (0..frames.len()).filter(|i| frames[*i].header.has_alpha);
+            let mut first = None;
+            while first.is_none_or(|alpha| alpha == Alpha::Hidden)
+                && let Some(i) = rest.next()
+            {
                 alphas[i] = view(i)?.1;
-                if alphas[i] == Alpha::Clear || known && alphas[i] == Alpha::Opaque {
-                    break;
-                }
+                first = Some(alphas[i]);
+            }
+            // An opaque one tells nothing of the others.
+            if first == Some(Alpha::Opaque) && !known {
+                let rest: Vec<usize> = rest.collect();
+                let files: Vec<_> = rest.iter().map(|i| (&*frames[*i].path, frames[*i].bytes())).collect();
+                let found = images::each(&files, how.label, how.events, |at| Ok(view(rest[at])?.1))?;
+                rest.iter().zip(found).for_each(|(i, alpha)| alphas[*i] = alpha);
             }
             // A mask that hides everything is an error; so are often all.
             let masked = frames.iter().zip(cameras).find(|(frame, _)| frame.mask.is_some());
