@@ -22,7 +22,7 @@ pub enum Missing {
     /// Nobody is there to be told.
     Sender,
     /// What was sent gets this answer.
-    Sense(Reply),
+    Refused(Reply),
 }
 
 impl From<io::Error> for Missing {
@@ -148,7 +148,7 @@ impl Connection {
 
     /// Waits for bytes until the deadline.
     fn fill(&mut self) -> Result<(), Missing> {
-        let late = || Missing::Sense(Reply::refused(408, "The request has not come to its end in time."));
+        let late = || Missing::Refused(Reply::refused(408, "The request has not come to its end in time."));
         let left = self.deadline.saturating_duration_since(Instant::now());
         if left.is_zero() {
             return Err(late());
@@ -176,12 +176,12 @@ impl Connection {
         let mut seen = 0;
         loop {
             if self.read.len() > MOST_HEAD_BYTES {
-                return Err(Missing::Sense(too_long()));
+                return Err(Missing::Refused(too_long()));
             }
             // At each new line, so that single bytes are not parsed again and again; and at the first bytes, which tell other
             // protocols.
             let is_new = self.read[seen..].contains(&b'\n') || seen == 0;
-            if is_new && let Some((request, length)) = Request::of(&self.read).map_err(Missing::Sense)? {
+            if is_new && let Some((request, length)) = Request::of(&self.read).map_err(Missing::Refused)? {
                 self.read.drain(..length);
                 return Ok(request);
             }
@@ -299,7 +299,7 @@ mod tests {
     fn status<T>(missing: Result<T, Missing>) -> Option<u16> {
         match missing.err().expect("no request") {
             Missing::Sender => None,
-            Missing::Sense(reply) => Some(reply.status),
+            Missing::Refused(reply) => Some(reply.status),
         }
     }
 

@@ -14,7 +14,7 @@ const PAUSE: Duration = Duration::from_millis(50);
 pub enum Rank {
     /// A picture that was made small to be quick, or a ray.
     Quick,
-    /// Empty space, without which sharp pictures are made faster.
+    /// Empty space, which sharp pictures then leave out.
     EmptySpace,
     /// A picture that takes as long as it takes.
     Sharp,

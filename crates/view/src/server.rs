@@ -215,7 +215,7 @@ impl Server {
                 Ok(true) => {}
                 Ok(false) => break,
                 Err(Missing::Sender) => return Ok(()),
-                Err(Missing::Sense(refusal)) => {
+                Err(Missing::Refused(refusal)) => {
                     connection.answer(&refusal, true, false)?;
                     break;
                 }
@@ -235,11 +235,11 @@ impl Server {
         if self.router.pictures.is_stopping() {
             return Err(Missing::Sender);
         }
-        self.check(&request).map_err(Missing::Sense)?;
+        self.check(&request).map_err(Missing::Refused)?;
         self.no_stranger(stream);
         let length = request.body_length.filter(|length| *length <= MOST_BODY_BYTES);
         let too_long = || Reply::refused(413, "The request is too long, or does not say how long it is.");
-        let body = connection.body(length.ok_or_else(|| Missing::Sense(too_long()))?)?;
+        let body = connection.body(length.ok_or_else(|| Missing::Refused(too_long()))?)?;
         *self.asked.lock().unwrap_or_else(PoisonError::into_inner) = Some(Instant::now());
         let reply = connection.watched(|has_gone| self.router.route(&request, &body, has_gone))?;
         connection.answer(&reply, request.method != "HEAD", request.stays_open)?;

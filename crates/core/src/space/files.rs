@@ -75,7 +75,10 @@ pub fn write_obj(mesh: &Mesh, comment: &str, out: &mut impl Write) -> std::io::R
 }
 
 /// Reads positions and faces of a `.ply` (ascii or binary) or `.obj` file. Polygons are cut into triangles from their
-/// first corner. Positions far from 0 are less an [origin](Mesh::origin), which files of this program name. A mesh without faces or area, or with a coordinate that is NaN, is an error.
+/// first corner. Positions far from 0 are less an [origin](Mesh::origin), which files of this program name.
+///
+/// # Errors
+/// The file cannot be read. The mesh has no faces or no area, or a coordinate is NaN.
 ///
 /// ```
 /// # use augnerf_core as augnerf;
