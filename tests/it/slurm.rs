@@ -286,7 +286,8 @@ fn what_slurm_cannot_take_is_refused_in_a_sentence() {
     assert_says(&submit(&["--device", "cudaa"], 2), &["device cudaa", "cuda:N"]);
     assert_says(&submit(&["--device", "cuda:1"], 0), &["--device cuda:1"]);
     assert_says(&submit(&["--device", "gpu:1"], 0), &["--device gpu:1"]);
-    let seconds = TINY.to_string() + "\n[[row]]\nname = \"equal\"\nset = { \"regularizer.kind\" = \"tv\" }\nbudget = { kind = \"seconds\", like = \"NeRF\" }\n";
+    let seconds = TINY.to_string()
+        + "\n[[row]]\nname = \"equal\"\nset = { \"regularizer.kind\" = \"tv\" }\nbudget = { kind = \"seconds\", like = \"NeRF\" }\n";
     std::fs::write(dir.path().join("tiny.toml"), seconds).unwrap();
     assert_says(&submit(&[], 2), &["budgets in seconds", "augnerf sweep begin"]);
 }

@@ -294,7 +294,20 @@ fn the_smoke_sweep_leaves_every_table_and_figure() {
     let file = Path::new(env!("CARGO_MANIFEST_DIR")).join("sweeps/checks/smoke.toml");
     let file = file.to_str().unwrap();
     demand(
-        &["sweep", "run", file, "--quiet", "--set", "train.steps=20", "--set", "train.log_every=10", "--set", "data.width=40", "--jobs", "2"],
+        &[
+            "sweep",
+            "run",
+            file,
+            "--quiet",
+            "--set",
+            "train.steps=20",
+            "--set",
+            "train.log_every=10",
+            "--set",
+            "data.width=40",
+            "--jobs",
+            "2",
+        ],
         dir.path(),
         0,
     );

@@ -433,19 +433,6 @@ fn every_table_says_how_often_a_pixel_was_seen() {
         crate::common::files::rows(text).iter().map(|row| row["epochs"].clone()).collect()
     };
     assert_eq!(of_rows(&points), ["0.0125", "0.00625", "0.00625"]);
-    // Results of earlier programs lack the column.
-    let mut reader = csv::Reader::from_reader(points.as_bytes());
-    let at = reader.headers().unwrap().iter().position(|name| name == "epochs").unwrap();
-    let without = |row: &csv::StringRecord| -> Vec<String> {
-        row.iter().enumerate().filter(|(index, _)| *index != at).map(|(_, cell)| cell.to_string()).collect()
-    };
-    let mut writer = csv::Writer::from_writer(Vec::new());
-    writer.write_record(without(&reader.headers().unwrap().clone())).unwrap();
-    reader.records().for_each(|row| writer.write_record(without(&row.unwrap())).unwrap());
-    fs::write(results.join("points.csv"), writer.into_inner().unwrap()).unwrap();
-    run(root, &["verify", "results/tiny", "--update"], 0);
-    assert_eq!(of_rows(&read("points.csv")), ["0.0125", "0.00625", "0.00625"]);
-    assert_says(&read("table.md"), &[&note.replace("each", "Each")]);
 }
 
 #[test]

@@ -241,7 +241,7 @@ impl SweepFolder {
                     },
                     inactive_levels: state.result.inactive_levels.clone(),
                 };
-                records.push(record.with_epochs().ordered());
+                records.push(record.ordered());
             }
         }
         let names: Vec<String> = definition.scenes.iter().map(|scene| scene_name(scene)).collect();

@@ -107,7 +107,7 @@ impl RunsTable {
             protocol: evaluated.protocol.iter().map(|(name, value)| (name.clone(), text(value))).collect(),
             inactive_levels: inactive.collect(),
         };
-        self.outputs.records.push(record.with_epochs());
+        self.outputs.records.push(record);
         let places = vec![TablePosition { row, axes: Vec::new() }];
         let source = scene.clone();
         self.points.push(Point { id, scene, source, config, places, without_budget: false, no_data: None });

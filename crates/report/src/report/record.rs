@@ -2,7 +2,6 @@
 
 use serde::{Deserialize, Serialize};
 
-use crate::data::epochs;
 use crate::metrics::{FLOOR_PSNR, PSNR};
 use crate::settings::columns::field_order;
 
@@ -117,29 +116,9 @@ impl Record {
         Some(self.metric(PSNR.key)? <= self.metric(FLOOR_PSNR.key)?)
     }
 
-    /// Returns how often its training pixels were seen. Points of earlier programs do not say it. There it follows from steps,
-    /// rays and pixels, if all views have one size; `None` otherwise.
+    /// Returns how often its training pixels were seen, or `None` for points of earlier programs, which do not say it.
     pub fn epochs(&self) -> Option<f64> {
-        let number = |name: &str| self.protocol(name).parse::<usize>().ok();
-        let masked = match self.protocol("masks").split_once(" % of trained") {
-            Some((percent, _)) => percent.parse::<f64>().ok(),
-            None => Some(0.0),
-        };
-        let derived = || {
-            let pixels = number("width")?.checked_mul(number("height")?)?.checked_mul(number("views_trained")?)?;
-            let counted = pixels as f64 * (1.0 - masked? / 100.0);
-            epochs(number("steps")? as u64, number("rays")?, counted.round() as usize)
-        };
-        self.protocol(EPOCHS).parse().ok().filter(|epochs: &f64| epochs.is_finite()).or_else(derived)
-    }
-
-    /// Returns the record with the protocol's epochs, where they are known.
-    pub fn with_epochs(mut self) -> Record {
-        if let Some(epochs) = self.epochs().filter(|_| self.protocol(EPOCHS).is_empty()) {
-            self.protocol.retain(|(name, _)| name != EPOCHS);
-            self.protocol.push((EPOCHS.into(), epochs.to_string()));
-        }
-        self
+        self.protocol(EPOCHS).parse().ok().filter(|epochs: &f64| epochs.is_finite())
     }
 
     /// Returns the record with its protocol in one order, whichever program measured it.
@@ -259,40 +238,4 @@ pub fn distinct<T: PartialEq>(items: impl Iterator<Item = T>) -> Vec<T> {
         }
     }
     seen
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn points_of_earlier_programs_have_the_epochs_that_they_imply() {
-        let epochs = |changed: &[(&str, &str)]| {
-            let usual =
-                [("steps", "600"), ("rays", "256"), ("width", "100"), ("height", "100"), ("views_trained", "40")];
-            let of = |name: &str| changed.iter().rev().chain(&usual).find(|(known, _)| *known == name);
-            let names = ["steps", "rays", "width", "height", "views_trained", "masks", EPOCHS];
-            let protocol =
-                names.into_iter().filter_map(|name| of(name).map(|(_, text)| (name.into(), text.to_string())));
-            let record = Record {
-                id: String::new(),
-                scene: String::new(),
-                row: String::new(),
-                axes: Vec::new(),
-                seed: None,
-                status: Status::Done,
-                reason: String::new(),
-                metrics: Vec::new(),
-                protocol: protocol.collect(),
-                inactive_levels: Vec::new(),
-            };
-            record.with_epochs().protocol(EPOCHS).to_string()
-        };
-        assert_eq!(epochs(&[]), "0.384");
-        assert_eq!(epochs(&[("masks", "20.00 % of trained, 9.80 % of evaluated pixels left out")]), "0.48");
-        assert_eq!(epochs(&[(EPOCHS, "7.5")]), "7.5");
-        for unknown in [("rays", ""), ("width", "100/80"), ("views_trained", "0")] {
-            assert_eq!(epochs(&[unknown]), "", "{unknown:?}");
-        }
-    }
 }

@@ -80,7 +80,6 @@ pub fn read_points(
             protocol,
             inactive_levels: cell("inactive_levels").split_whitespace().map(String::from).collect(),
         };
-        let record = record.with_epochs();
         records.push(if is_early { record } else { record.ordered() });
     }
     Ok((records, is_early))
