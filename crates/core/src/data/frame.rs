@@ -273,7 +273,7 @@ fn note_hidden(frames: &[Frame], alphas: &[Alpha], how: Reading) -> Result<()> {
     if count > 0 && count == all {
         return Err(Error::Data(format!(
             "{scene}: all {all} photos are wholly transparent (alpha is 0 everywhere), such as {}, so only their background would be \
-             trained on; their alpha channel is probably unused: remove it, for example with ImageMagick's mogrify -alpha off",
+             trained on; their alpha channel is probably unused: remove it from a copy, for example with ImageMagick's mogrify -alpha off",
             hidden[0].path.display()
         )));
     }

@@ -288,7 +288,8 @@ fn refusal(path: &str, value: &str, message: &str) -> String {
     let of_type = starts.iter().any(|start| message.starts_with(start)) && !message.starts_with("expected a ");
     let Some(setting) = REGISTRY.get(path).filter(|_| of_type) else { return message.into() };
     let kind = match setting.kind.as_str() {
-        kind @ ("whole number" | "number" | "number, or reach") => format!("a {kind}"),
+        "whole number" => "a whole number from 0".into(),
+        kind @ ("number" | "number, or reach") => format!("a {kind}"),
         kind @ ("text" | "true or false") => kind.into(),
         kind if kind.starts_with('[') => kind.into(),
         kind if kind.starts_with("list of: ") => {

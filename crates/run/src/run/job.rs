@@ -444,7 +444,7 @@ impl Watcher<'_> {
         preview.spent += seconds;
         match drawn {
             Ok(true) if is_first => self.events.on(Event::Note(&format!(
-                "step {step}: a first picture is in {}, and is replaced as training goes on",
+                "step {step}: a first picture is in {}; newer ones replace it, and the evaluation's images in the end",
                 pictures.preview_path().display()
             ))),
             // The session stops after this step.

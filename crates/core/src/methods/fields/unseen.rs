@@ -42,11 +42,11 @@ pub(super) fn unseen_cameras(
             )));
         }
         if group == RayGroup::Point && points.count() == 0 {
-            return Err(Error::Config(format!(
-                "a term of the loss reads depth at points that the training views show, and {} has none; it needs a COLMAP \
-                 model with its points",
-                config.data.dir
-            )));
+            return Err(Error::Config(
+                "a term of the loss, such as regularizer.kind=sparse-depth, reads depth at points of a COLMAP model, and this scene \
+                 has none; take a COLMAP scene with its points, or another term"
+                    .into(),
+            ));
         }
         unseen.as_ref().filter(|_| of_cameras(&group)).map_or(Ok(()), |cameras| cameras.check(group))
     })?;
