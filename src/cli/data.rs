@@ -225,7 +225,10 @@ fn owned((label, value): (&str, &str)) -> (String, String) {
 fn pixels_words(scene: &Scene) -> &'static str {
     match scene.is_read() {
         true => "all read",
-        false => "headers are read, and pixels only where alpha tells the background (--pixels reads all)",
+        false => {
+            "headers are read, and pixels only until alpha tells the background: --pixels reads all, and finds damaged and wholly \
+             transparent photos"
+        }
     }
 }
 

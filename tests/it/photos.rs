@@ -182,7 +182,7 @@ fn photographs_that_show_nothing_are_told() {
         assert_says(&error, &["all 9 photos are wholly transparent", "alpha", "mogrify -alpha off", "images/0.png"]);
         // As a Blender scene.
         fs::copy(folder.path().join("transforms.json"), folder.path().join("transforms_train.json")).unwrap();
-        assert_says(&load(folder.path(), photos).unwrap_err(), &["photos are wholly transparent"]);
+        assert_says(&load(folder.path(), photos).unwrap_err(), &["train photos are wholly transparent"]);
         // One that shows something is enough for the others to be noted.
         let (_, notes) = load(with_alpha(9, |i, x| if i < 2 { 0 } else { 16 * x as u8 }).path(), photos).unwrap();
         assert_says(&notes, &["2 of 9 photos are wholly transparent", "images/0.png, images/1.png"]);

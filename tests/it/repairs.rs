@@ -6,7 +6,7 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 use augnerf::data::{Scene, View};
-use augnerf::settings::{DataConfig, DataKind, EvalSplit, Split};
+use augnerf::settings::{DataConfig, DataKind, EvalSplit, Split, build, parse_assignment};
 use image::{Rgb, RgbImage, Rgba, RgbaImage, imageops};
 use serde_json::{Value, json};
 use tempfile::TempDir;
@@ -134,9 +134,9 @@ fn what_is_repaired_is_named() {
         (moved("input", 1), as_it_is, same, &["9 photos are not where", "images/0.png is input/0.png"]),
         (moved("photos/all", 1), as_it_is, same, &["images/0.png is photos/all/0.png"]),
         (moved("images_4", 4), fourth, same, &["only images_4 is there", "as data.downscale=4 reads them"]),
-        (moved("images_4", 4), as_it_is, same, &["data.downscale = 1 cannot be had"]),
+        (moved("images_4", 4), as_it_is, same, &["the originals are not there"]),
         (moved("images_2", 2), fourth, same, &["only images_2 is there"]),
-        (moved("images_4", 4), second, same, &["data.downscale = 2 cannot be had"]),
+        (moved("images_4", 4), second, same, &["the originals are not there"]),
         (
             scaled(0.004, 0.004),
             as_it_is,
@@ -151,7 +151,12 @@ fn what_is_repaired_is_named() {
             &["the axes of 9 matrices have the length 1.02, not 1, and are normalized"],
         ),
         (scaled(2.5, 1.0), as_it_is, same, &["have the length 2.5"]),
-        (pruned(), as_it_is, [&["7"], &["0", "8"]], &["6 of 9 photographs", "most of them: check", "images/6.png"]),
+        (
+            pruned(),
+            as_it_is,
+            [&["7"], &["0", "8"]],
+            &["6 of 9 photographs", "images/6.png. These are most of them: check"],
+        ),
         (twice(), as_it_is, same, &["9 photos are there again with another ending and are not used, such as 0.jpg"]),
         (
             Folder::new(9).with("camera_angle_x", json!(0.4)),
@@ -354,8 +359,11 @@ fn photos_of_other_formats_are_found_and_chosen_by_a_stated_rule() {
     let input = |dir: &Path| fs::rename(dir.join("images"), dir.join("input")).unwrap();
     let said = check_folder(with("masks_llff", &input).path(), &["data.masks=none"]);
     assert_says(&said, &["there is no folder images, and input, the only folder with an image for each pose, is read"]);
+    let reduced = with("masks_llff", &|dir| fs::rename(dir.join("images"), dir.join("images_4")).unwrap());
+    let said = check_folder(reduced.path(), &["data.masks=none"]);
+    assert_says(&said, &["only images_4 is there", "the originals are not there"]);
     let reduced = with("colmap_only1", &|dir| fs::rename(dir.join("images"), dir.join("images_4")).unwrap());
-    for (factor, words) in [("4", "as data.downscale=4 reads them"), ("1", "data.downscale = 1 cannot be had")] {
+    for (factor, words) in [("4", "as data.downscale=4 reads them"), ("1", "the originals are not there")] {
         let setting = format!("data.downscale={factor}");
         let arguments = ["data", "check", reduced.path().to_str().unwrap(), "--set", &setting];
         let out = succeed(&arguments);
@@ -434,6 +442,8 @@ fn blender_folders_of_another_size_have_bounds_and_a_box_that_fit() {
         assert_eq!((scene.bounds(), scene.space.domain), (plain.bounds(), plain.space.domain));
         assert_eq!(scene.train[0].camera, plain.train[0].camera);
     }
+    let volume = build(None, None, &[parse_assignment("method=nv").unwrap()]).unwrap();
+    assert_eq!(volume.resolve(DataKind::Blender, plain.extent()).unwrap().nv.bounds, plain.space.domain);
     // Transparent renders are renders, whatever their colours.
     let clear = export(6.0, photo);
     for photo in files::entries(&clear.path().join("train")) {

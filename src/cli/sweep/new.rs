@@ -5,10 +5,10 @@ use std::path::PathBuf;
 use clap::Args;
 use serde_json::json;
 
+use crate::base::quoted;
 use crate::base::{Error, Result};
 use crate::cli::answer::Answer;
 use crate::cli::progress::{print, print_shown};
-use crate::sweep::slurm::quoted;
 use crate::sweep::{template, write_new};
 
 pub const EXAMPLES: &str = "Examples:

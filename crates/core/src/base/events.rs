@@ -9,7 +9,7 @@ pub enum Event<'a> {
     Note(&'a str),
     /// A stage of `parts` equal parts begins: images to read, views to render, planes to query.
     Started {
-        /// What is being done, as in "reading images".
+        /// What is being done, as in "reading photos".
         what: &'a str,
         /// Number of parts.
         parts: u64,

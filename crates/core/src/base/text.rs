@@ -44,6 +44,18 @@ pub fn line(text: &str) -> String {
     format!("{} ... ({} characters) ... {}", part(0, head), tail - head, part(tail, length))
 }
 
+/// Returns the first `most` names of a list.
+pub fn first_names(names: &[impl AsRef<str>], most: usize) -> String {
+    let shown: Vec<&str> = names.iter().take(most).map(AsRef::as_ref).collect();
+    shown.join(", ") + if names.len() > most { ", ..." } else { "" }
+}
+
+/// Quotes a word for a shell, and for Slurm's `#SBATCH` lines.
+pub fn quoted(word: &str) -> String {
+    let plain = |c: char| c.is_ascii_alphanumeric() || "_-./:=,@%+".contains(c);
+    if !word.is_empty() && word.chars().all(plain) { word.into() } else { format!("'{}'", word.replace('\'', r"'\''")) }
+}
+
 /// Returns whether a character is a control character other than tab, or one that changes the direction of text.
 fn is_command(character: char) -> bool {
     let turns = ['\u{200e}', '\u{200f}', '\u{2028}', '\u{2029}'].contains(&character)

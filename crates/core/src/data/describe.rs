@@ -1,6 +1,7 @@
 //! A scene in words, for `data check`.
 
 use super::{Camera, Rig, Scene, View, pose};
+use crate::base::first_names;
 
 /// Factor between the bounds above which samples that are even in depth are too sparse near the camera.
 const WIDE: f64 = 20.0;
@@ -102,9 +103,8 @@ impl Scene {
 }
 
 fn names(views: &[View]) -> String {
-    let shown: Vec<&str> = views.iter().take(NAMES).map(|v| v.name.as_str()).collect();
-    let more = if views.len() > NAMES { ", ..." } else { "" };
-    format!("{} ({}{more})", views.len(), shown.join(", "))
+    let names: Vec<&str> = views.iter().map(|view| view.name.as_str()).collect();
+    format!("{} ({})", views.len(), first_names(&names, NAMES))
 }
 
 #[cfg(test)]

@@ -13,7 +13,7 @@ use super::images::{self, Header};
 use super::mask::{MaskFile, Masked};
 use super::pose::Pose;
 use super::{Camera, SceneSpace, View, depth, resample};
-use crate::base::{Error, Event, Image, Listener, Result};
+use crate::base::{Error, Event, Image, Listener, Result, first_names};
 
 /// A photo of which no pixel is less transparent (0 to 1, alpha) shows nothing.
 const HIDDEN: f32 = 0.02;
@@ -211,8 +211,8 @@ pub(super) struct Reading<'a> {
     /// Colour behind transparent pixels, and whether the scene has it in any case.
     pub(super) background: ([f32; 3], bool),
     pub(super) photos: Photos,
-    /// Name of the work.
-    pub(super) label: &'a str,
+    /// What they are, as in "test photos".
+    pub(super) what: &'a str,
     pub(super) events: &'a dyn Listener,
 }
 
@@ -221,14 +221,14 @@ pub(super) struct Reading<'a> {
 /// # Errors
 /// A file cannot be read; all photos are wholly transparent; memory is missing.
 pub(super) fn views(frames: &[Frame], names: &[String], cameras: &[Camera], how: Reading) -> Result<(Vec<View>, bool)> {
-    let (background, known) = how.background;
+    let ((background, known), label) = (how.background, format!("reading {}", how.what));
     let view = |i: usize| frames[i].view(&names[i], cameras[i], background);
     let mut alphas = vec![Alpha::Opaque; frames.len()];
     let views = match how.photos {
         Photos::Read => {
             images::check_memory_of(&cameras.iter().map(|camera| (camera.width, camera.height)).collect::<Vec<_>>())?;
             let bytes = frames.iter().map(|frame| (&*frame.path, frame.bytes()));
-            let read = images::each(&bytes.collect::<Vec<_>>(), how.label, how.events, view)?;
+            let read = images::each(&bytes.collect::<Vec<_>>(), &label, how.events, view)?;
             let (views, found): (Vec<View>, Vec<Alpha>) = read.into_iter().unzip();
             alphas = found;
             views
@@ -246,7 +246,7 @@ pub(super) fn views(frames: &[Frame], names: &[String], cameras: &[Camera], how:
             if first == Some(Alpha::Opaque) && !known {
                 let rest: Vec<usize> = rest.collect();
                 let files: Vec<_> = rest.iter().map(|i| (&*frames[*i].path, frames[*i].bytes())).collect();
-                let found = images::each(&files, how.label, how.events, |at| Ok(view(rest[at])?.1))?;
+                let found = images::each(&files, &label, how.events, |at| Ok(view(rest[at])?.1))?;
                 rest.iter().zip(found).for_each(|(i, alpha)| alphas[*i] = alpha);
             }
             // A mask that hides everything is an error; so are often all.
@@ -269,10 +269,10 @@ pub(super) fn views(frames: &[Frame], names: &[String], cameras: &[Camera], how:
 fn note_hidden(frames: &[Frame], alphas: &[Alpha], how: Reading) -> Result<()> {
     let hidden: Vec<&Frame> =
         frames.iter().zip(alphas).filter(|(_, alpha)| **alpha == Alpha::Hidden).map(|(frame, _)| frame).collect();
-    let (count, all, scene) = (hidden.len(), frames.len(), how.scene.display());
+    let (count, all, scene, what) = (hidden.len(), frames.len(), how.scene.display(), how.what);
     if count > 0 && count == all {
         return Err(Error::Data(format!(
-            "{scene}: all {all} photos are wholly transparent (alpha is 0 everywhere), such as {}, so only their background would be \
+            "{scene}: all {all} {what} are wholly transparent (alpha is 0 everywhere), such as {}, so only their background would be \
              trained on; their alpha channel is probably unused: remove it from a copy, for example with ImageMagick's mogrify -alpha off",
             hidden[0].path.display()
         )));
@@ -280,7 +280,7 @@ fn note_hidden(frames: &[Frame], alphas: &[Alpha], how: Reading) -> Result<()> {
     if count > 0 {
         let names = named(how.scene, &hidden.iter().map(|frame| &*frame.path).collect::<Vec<_>>());
         how.events.on(Event::Note(&format!(
-            "{scene}: {count} of {all} photos are wholly transparent (alpha is 0 everywhere) and show the background alone: {names}"
+            "{scene}: {count} of {all} {what} are wholly transparent (alpha is 0 everywhere) and show the background alone: {names}"
         )));
     }
     Ok(())
@@ -308,9 +308,8 @@ fn note_turned(frames: &[Frame], how: Reading) {
 
 /// Returns the names of files of a scene, of the first if there are many.
 pub(super) fn named(scene: &Path, paths: &[&Path]) -> String {
-    let names = paths.iter().take(NAMES).map(|path| path.strip_prefix(scene).unwrap_or(path).to_string_lossy());
-    let more = if paths.len() > NAMES { ", ..." } else { "" };
-    names.collect::<Vec<_>>().join(", ") + more
+    let names = paths.iter().map(|path| path.strip_prefix(scene).unwrap_or(path).to_string_lossy());
+    first_names(&names.collect::<Vec<_>>(), NAMES)
 }
 
 /// Notes what was found of images and lenses, for people.

@@ -12,7 +12,7 @@ use unicode_normalization::UnicodeNormalization;
 
 use super::{foreign, resample};
 use crate::base::input::{open_regular, read_bytes};
-use crate::base::{Error, Event, Image, Listener, Result};
+use crate::base::{Error, Event, Image, Listener, Result, first_names};
 use crate::runtime::free_memory_mib;
 use crate::settings::DataConfig;
 
@@ -209,13 +209,12 @@ pub(super) fn note_unused<'a>(scene: &Path, used: impl Iterator<Item = &'a PathB
             continue;
         }
         let place = if within.as_os_str().is_empty() { String::new() } else { format!(" in {}", within.display()) };
-        let shown = others.iter().take(UNUSED_NAMED).cloned().collect::<Vec<_>>().join(", ");
-        let more = if others.len() > UNUSED_NAMED { ", ..." } else { "" };
         events.on(Event::Note(&format!(
-            "{}: {} of the {} photos{place} {why} and are not used: {shown}{more}",
+            "{}: {} of the {} photos{place} {why} and are not used: {}",
             scene.display(),
             others.len(),
-            there.len()
+            there.len(),
+            first_names(&others, UNUSED_NAMED)
         )));
     }
 }
@@ -346,9 +345,9 @@ pub(super) fn factor_in(folder: &Path) -> usize {
 pub(super) fn reduced_words(folder: &Path, factor: usize, size: Size) -> String {
     let lost = match size {
         Size::Factor(wanted) if !wanted.is_multiple_of(factor) => {
-            format!("; data.downscale = {wanted} cannot be had, and they are read as they are")
+            "; the originals are not there, and these are read as they are"
         }
-        _ => String::new(),
+        _ => "",
     };
     format!(
         "only {} is there, whose photos are {factor} times smaller than the originals, as data.downscale={factor} reads them{lost}",

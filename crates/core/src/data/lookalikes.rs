@@ -9,7 +9,7 @@ use super::foreign::{ARCHIVES, LAYOUTS, UNREAD, VIDEOS};
 use super::formats::{FORMATS, Format};
 use super::{images, json};
 use crate::base::input::{TEXT_BYTES, read_text};
-use crate::base::{Error, Result};
+use crate::base::{Error, Result, quoted};
 
 /// Files by which a folder is recognized as a scene.
 const MARKERS: [&str; 3] = ["poses_bounds.npy", "transforms_train.json", "transforms.json"];
@@ -180,7 +180,18 @@ fn layout(dir: &Path, paths: &[String]) -> Option<String> {
     };
     let here = dir.display().to_string();
     let photos = if dir.join("images").is_dir() { format!("{here}/images") } else { here.clone() };
-    let advice = advice.replace("HERE", &here).replace("FILE", file).replace("PHOTOS", &photos);
+    let word = |word: &str| {
+        let parts = word.split('/').map(|part| match part {
+            "HERE" => &*here,
+            "FILE" => file,
+            "PHOTOS" => &*photos,
+            other => other,
+        });
+        let path = parts.collect::<Vec<&str>>().join("/");
+        if path == word { path } else { quoted(&path) }
+    };
+    let words = |words: &str| words.split(' ').map(word).collect::<Vec<String>>().join(" ");
+    let advice = advice.split('`').map(words).collect::<Vec<String>>().join("`");
     Some(format!("{here} looks like {name}; {advice}"))
 }
 
@@ -265,18 +276,19 @@ fn without_cameras(photos: &Path, count: usize, scene: &Path) -> String {
     } else {
         format!("put them into {}/images and ", scene.display())
     };
-    let (shown, scene) = (photos.display(), scene.display());
+    let [images, data, scene] = [&scene.join("images"), photos, scene].map(|path| quoted(&path.to_string_lossy()));
     format!(
-        "{shown}: {count} photos without cameras; {first}find the cameras with `colmap \
-         automatic_reconstructor --workspace_path {scene} --image_path {scene}/images`, or run `ns-process-data images --data \
-         {shown} --output-dir {scene}`, then check {scene}"
+        "{}: {count} photos without cameras; {first}find the cameras with `colmap \
+         automatic_reconstructor --workspace_path {scene} --image_path {images}`, or run `ns-process-data images --data \
+         {data} --output-dir {scene}`, then check {scene}",
+        photos.display()
     )
 }
 
 fn of_video(video: &Path) -> String {
     format!(
         "make a scene of its frames with `ns-process-data video --data {} --output-dir SCENE`, then check SCENE",
-        video.display()
+        quoted(&video.to_string_lossy())
     )
 }
 
@@ -371,8 +383,10 @@ mod tests {
             (&[("train/rgb/0.png", ""), ("train/pose/0.txt", ""), ("train/intrinsics/0.txt", "")], "NeRF++"),
             (
                 &[("images/0.jpg", ""), ("my cameras.csv", "#cameras 1\n#name,x,y,alt\n")],
-                "`ns-process-data realitycapture --data DIR/images --csv DIR/my cameras.csv --output-dir SCENE`",
+                "`ns-process-data realitycapture --data DIR/images --csv 'DIR/my cameras.csv' --output-dir SCENE`",
             ),
+            (&[("images/0.jpg", ""), ("PHOTOS.csv", "#name,x,y,alt\n")], "--csv DIR/PHOTOS.csv --output-dir SCENE`"),
+            (&[("my clip.mp4", "")], "--data 'DIR/my clip.mp4' --output-dir SCENE`"),
             (&[("a.jpg", ""), ("scan.nvm", "NVM_V3")], "VisualSFM; write its cameras"),
             (&[("scan.xml", "<?xml?>\n<document><chunk/></document>"), ("a.jpg", "")], "--xml DIR/scan.xml"),
             (

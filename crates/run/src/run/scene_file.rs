@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use serde::{Deserialize, Serialize};
 
 use crate::base::files::{read_json, write_json};
-use crate::base::{Error, Result};
+use crate::base::{Error, Result, first_names};
 use crate::data::formats::{blender, transforms};
 use crate::data::{Scene, View, WorldToScene};
 use crate::settings::{DataConfig, DataKind};
@@ -207,9 +207,7 @@ fn is_close(a: f64, b: f64) -> bool {
 fn difference(then: &[String], now: &[String]) -> Option<String> {
     let without = |all: &[String], others: &[String], what: &str| {
         let lack: Vec<&str> = all.iter().filter(|name| !others.contains(name)).map(String::as_str).collect();
-        let more = if lack.len() > NAMES { ", ..." } else { "" };
-        (!lack.is_empty())
-            .then(|| format!("{} {what} ({}{more})", lack.len(), lack[..lack.len().min(NAMES)].join(", ")))
+        (!lack.is_empty()).then(|| format!("{} {what} ({})", lack.len(), first_names(&lack, NAMES)))
     };
     let parts = [without(then, now, "are gone"), without(now, then, "are new")];
     let words = parts.into_iter().flatten().collect::<Vec<String>>().join(" and ");

@@ -22,7 +22,7 @@ use crate::base::{Error, Result};
 pub use commands::check_installed;
 pub use jobs::{JobId, Submitted};
 pub use queue::{Queue, Task};
-pub use script::{Request, Script, array, quoted};
+pub use script::{Request, Script, array};
 
 use super::folder::SweepFolder;
 use super::points::Point;

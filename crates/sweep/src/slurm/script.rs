@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use crate::base::{Error, Result};
+use crate::base::{Error, Result, quoted};
 
 /// Seconds before the time limit at which running points are told to write a checkpoint and stop.
 const STOP_BEFORE: u32 = 120;
@@ -102,12 +102,6 @@ pub fn array(indices: &[usize]) -> String {
         if first == last { first.to_string() } else { format!("{first}-{last}") }
     };
     spans.iter().map(text).collect::<Vec<_>>().join(",")
-}
-
-/// Quotes a word for a shell, and for Slurm's `#SBATCH` lines.
-pub fn quoted(word: &str) -> String {
-    let plain = |c: char| c.is_ascii_alphanumeric() || "_-./:=,@%+".contains(c);
-    if !word.is_empty() && word.chars().all(plain) { word.into() } else { format!("'{}'", word.replace('\'', r"'\''")) }
 }
 
 /// Joins words to a command line.

@@ -59,8 +59,8 @@ pub fn load(config: &DataConfig, photos: Photos, events: &dyn Listener) -> Resul
     let (of_train, of_test) = cameras.split_at(train.len());
     let background = background(config);
     let read = |frames: &[Frame], names: &[String], cameras: &[Camera], split: &str| -> Result<Vec<View>> {
-        let (scene, label) = (Path::new(&config.dir), format!("reading {split} images"));
-        let how = Reading { scene, background: (background, true), photos, label: &label, events };
+        let (scene, what) = (Path::new(&config.dir), format!("{split} photos"));
+        let how = Reading { scene, background: (background, true), photos, what: &what, events };
         Ok(frame::views(frames, names, cameras, how)?.0)
     };
     let train = read(&train, &train_names, of_train, "train")?;

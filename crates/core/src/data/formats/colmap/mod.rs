@@ -15,7 +15,7 @@ mod text;
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 
-use crate::base::{Error, Event, Listener, Result};
+use crate::base::{Error, Event, Listener, Result, first_names};
 use crate::data::formats::Capture;
 use crate::data::formats::transforms::distortion::Intrinsics;
 use crate::data::formats::transforms::{BOUNDS, by_ratio};
@@ -86,7 +86,7 @@ pub fn load(config: &DataConfig, photos: Photos, events: &dyn Listener) -> Resul
     frame::note_images(&mut space, &frames.iter().collect::<Vec<_>>(), (first.width, first.height));
     notes(&mut space, &model, &frames, &missing, &source);
     let background = background(config);
-    let how = Reading { scene: dir, background: (background, false), photos, label: "reading images", events };
+    let how = Reading { scene: dir, background: (background, false), photos, what: "photos", events };
     let (views, clear) = frame::views(&frames, &names, &cameras, how)?;
     let capture = Capture {
         views,
@@ -108,16 +108,15 @@ fn note_missing(dir: &Path, model: &Model, source: &Source, events: &dyn Listene
     if missing.is_empty() {
         return missing;
     }
-    let named: Vec<String> = missing.iter().take(NAMES).map(|name| format!("{:?}", shown(name))).collect();
-    let more = if missing.len() > NAMES { ", ..." } else { "" };
+    let named: Vec<String> = missing.iter().map(|name| format!("{:?}", shown(name))).collect();
     let is_most = 2 * missing.len() > model.photographs.len();
-    let most = if is_most { ", which are most of them: check that the model is this capture's" } else { "" };
+    let most = if is_most { ". These are most of them: check that the model is this capture's" } else { "" };
     events.on(Event::Note(&format!(
-        "{}: {} of the {} images of the COLMAP model are not there and are left out{most}: {}{more}",
+        "{}: {} of the {} images of the COLMAP model are not there and are left out: {}{most}",
         dir.display(),
         missing.len(),
         model.photographs.len(),
-        named.join(", ")
+        first_names(&named, NAMES)
     )));
     missing
 }

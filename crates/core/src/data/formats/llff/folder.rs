@@ -18,6 +18,8 @@ pub(super) struct Source {
     pub(super) target: (usize, usize),
     /// Folders that were not used, for people.
     pub(super) passed: Vec<String>,
+    /// Says that reduced photos stand for others.
+    pub(super) reduced: Option<String>,
 }
 
 impl Source {
@@ -28,7 +30,7 @@ impl Source {
 }
 
 /// Finds the images of `poses` poses. For a factor: `images_{factor}` as it is, `images` averaged down, or a folder
-/// whose factor divides it. For a width: the smallest folder that is at least as wide. A folder without an image per
+/// whose factor divides it, or the largest that is there. For a width: the smallest folder that is at least as wide. A folder without an image per
 /// pose is not used if another has them.
 ///
 /// `shape` are width and height for which the poses were made: photos that fit only if they are turned by their EXIF
@@ -58,17 +60,23 @@ fn by_factor(
     fits: impl Fn((usize, usize)) -> bool,
     listed: Option<&BTreeSet<String>>,
 ) -> Result<Source> {
-    let mut found: Vec<(usize, Vec<PathBuf>)> = Vec::new();
+    let (mut found, mut smaller) = (Vec::new(), Vec::<(usize, Vec<PathBuf>)>::new());
     for name in photo_folders(dir, poses)? {
         let of = images::factor_of(&name).unwrap_or(1);
-        if !factor.is_multiple_of(of) {
-            continue;
-        }
-        found.push((of, with_poses(images::list(&dir.join(name))?, poses, listed)));
+        let fitting = if factor.is_multiple_of(of) { &mut found } else { &mut smaller };
+        fitting.push((of, with_poses(images::list(&dir.join(name))?, poses, listed)));
     }
     // Folders of the factor first, then the originals, then the smallest that can be averaged.
     found.sort_by_key(|(of, _)| (*of != factor, *of != 1, std::cmp::Reverse(*of)));
     found.retain(|(_, paths)| !paths.is_empty());
+    let mut reduced = None;
+    let of_smaller = smaller.into_iter().filter(|(_, paths)| paths.len() == poses).min_by_key(|(of, _)| *of);
+    if let Some((of, paths)) = of_smaller.filter(|_| found.is_empty()) {
+        let folder = PathBuf::from(format!("images_{of}"));
+        reduced = Some(images::reduced_words(&folder, of, Size::Factor(factor)));
+        found.push((of, paths));
+    }
+    let factor = if reduced.is_some() { found[0].0 } else { factor };
     let whole = found.iter().position(|(_, paths)| paths.len() == poses);
     let passed = found.iter().take(whole.unwrap_or(0)).map(|(_, paths)| passed_over(paths, poses)).collect();
     if found.is_empty() {
@@ -85,7 +93,7 @@ fn by_factor(
     let stored = headers[0].size;
     // To the nearest pixel, as ImageMagick made the published folders.
     let divide = |n: usize| ((n as f64 * of as f64 / factor as f64).round() as usize).max(1);
-    Ok(Source { paths, headers, stored, target: (divide(stored.0), divide(stored.1)), passed })
+    Ok(Source { paths, headers, stored, target: (divide(stored.0), divide(stored.1)), passed, reduced })
 }
 
 fn by_width(
@@ -117,7 +125,7 @@ fn by_width(
     let target = Size::Width(width).apply(stored, &paths[0])?;
     let smaller = found.iter().filter(|(lacking, ..)| *lacking).filter(|(_, other, _)| *other < columns);
     let passed = smaller.map(|(_, _, paths)| passed_over(paths, poses)).collect();
-    Ok(Source { paths, headers, stored, target, passed })
+    Ok(Source { paths, headers, stored, target, passed, reduced: None })
 }
 
 /// Returns the photos that have poses, if a folder has more than these and all of them.

@@ -48,6 +48,7 @@ pub fn load(config: &DataConfig, photos: Photos, events: &dyn Listener) -> Resul
     let source =
         folder::find(dir, Size::of(config), (poses.poses.len(), [poses.width, poses.height]), listed.as_ref())?;
     check_count(&source, poses.poses.len(), &file)?;
+    source.reduced.iter().for_each(|words| events.on(Event::Note(&format!("{}: {words}", dir.display()))));
     let folder = source.paths[0].parent().and_then(Path::file_name).unwrap_or_default().to_string_lossy();
     if images::factor_of(&folder).is_none() {
         events.on(Event::Note(&format!(
@@ -73,7 +74,7 @@ pub fn load(config: &DataConfig, photos: Photos, events: &dyn Listener) -> Resul
     };
     let frames: Vec<Frame> = source.paths.iter().zip(&source.headers).zip(masks.files).map(frame).collect();
     let background = background(config);
-    let how = Reading { scene: dir, background: (background, false), photos, label: "reading images", events };
+    let how = Reading { scene: dir, background: (background, false), photos, what: "photos", events };
     let (views, clear) = frame::views(&frames, &names, &cameras, how)?;
     let ndc = Ndc { width: source.target.0 as f64, height: source.target.1 as f64, focal: camera.focal[0] };
     let capture = Capture {

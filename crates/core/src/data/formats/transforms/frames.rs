@@ -4,7 +4,7 @@ use std::collections::HashMap;
 use std::path::{Path, PathBuf};
 
 use super::lens::{self, Lens};
-use crate::base::{Event, Listener, Result};
+use crate::base::{Event, Listener, Result, first_names};
 use crate::data::brief;
 use crate::data::frame::{Frame, named};
 use crate::data::images::{self, Below, Header, Size};
@@ -86,13 +86,6 @@ pub fn has_no_photos(document: Object) -> Result<bool> {
     Ok(true)
 }
 
-/// Returns the first names of a list.
-fn some(names: &[impl AsRef<str>]) -> String {
-    let more = if names.len() > NAMES { format!(" and {} more", names.len() - NAMES) } else { String::new() };
-    let shown: Vec<&str> = names.iter().take(NAMES).map(AsRef::as_ref).collect();
-    format!("{}{more}", shown.join(", "))
-}
-
 /// Reads the frames that have a pose. At least one photo must be there.
 fn entries<'a>(document: Object<'a>, key: &'a str, config: &DataConfig, note: &dyn Fn(&str)) -> Result<Vec<Entry<'a>>> {
     let (mut entries, mut without_pose, mut scaled) = (Vec::new(), Vec::new(), Vec::new());
@@ -107,8 +100,8 @@ fn entries<'a>(document: Object<'a>, key: &'a str, config: &DataConfig, note: &d
         entries.push(Entry { object, picture, pose, reduced: 1 });
     }
     if !without_pose.is_empty() {
-        let count = without_pose.len();
-        note(&format!("{count} frames have no pose (\"{POSE}\" is null) and are left out: {}", some(&without_pose)));
+        let (count, names) = (without_pose.len(), first_names(&without_pose, NAMES));
+        note(&format!("{count} frames have no pose (\"{POSE}\" is null) and are left out: {names}"));
     }
     note_scaled(&scaled, note);
     let lacks = |entry: &&Entry| entry.picture.path.is_none();
@@ -125,13 +118,14 @@ fn entries<'a>(document: Object<'a>, key: &'a str, config: &DataConfig, note: &d
         return Err(document.error(&format!(
             "none of the {all} photos that \"{key}\" names is there (PNG, JPEG or WebP, also with the ending added){}; missing are {}",
             near.unwrap_or_default(),
-            some(&missing)
+            first_names(&missing, NAMES)
         )));
     }
     if count > 0 {
         let most =
-            if 2 * count > all { ", which are most of them: check that the folder is the right one" } else { "" };
-        note(&format!("{count} of {all} photographs are not there and are left out{most}: {}", some(&missing)));
+            if 2 * count > all { ". These are most of them: check that the folder is the right one" } else { "" };
+        let names = first_names(&missing, NAMES);
+        note(&format!("{count} of {all} photographs are not there and are left out: {names}{most}"));
     }
     Ok(entries)
 }
@@ -216,7 +210,7 @@ fn distinct<'a>(entries: Vec<Entry<'a>>, document: Object, note: &dyn Fn(&str)) 
         }
     }
     if !again.is_empty() {
-        note(&format!("{} frames are listed again and are left out: {}", again.len(), some(&again)));
+        note(&format!("{} frames are listed again and are left out: {}", again.len(), first_names(&again, NAMES)));
     }
     Ok(kept)
 }

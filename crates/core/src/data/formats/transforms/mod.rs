@@ -61,7 +61,7 @@ pub fn load(config: &DataConfig, photos: Photos, events: &dyn Listener) -> Resul
     let targets = frames::working_sizes(&frames.iter().collect::<Vec<_>>(), config)?;
     let cameras: Vec<Camera> = frames.iter().zip(targets).map(|(frame, size)| frame.camera(size, by_ratio)).collect();
     let (scene, background) = (Path::new(&config.dir), background(config));
-    let how = Reading { scene, background: (background, false), photos, label: "reading images", events };
+    let how = Reading { scene, background: (background, false), photos, what: "photos", events };
     let (views, clear) = frame::views(&frames, &names, &cameras, how)?;
     let first = cameras[0];
     let (mut space, (near, far)) = SceneSpace::of_cameras(&cameras, world, BOUNDS);
