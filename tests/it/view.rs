@@ -447,7 +447,7 @@ fn deltas_of_no_size_are_the_clean_pass_and_others_raise_the_error() {
         .unwrap();
     let target = candle_core::Tensor::from_slice(&view.image.pixels, (256, 3), run.runtime.device()).unwrap();
     let error = |attack: &Attack| {
-        let rgb = perturbed.render(&rays, Some(&target), attack, 0).unwrap().rgb;
+        let rgb = perturbed.pass(&rays, Some(&target), attack, 0).unwrap().composite.rgb;
         (&rgb - &target).unwrap().sqr().unwrap().mean_all().unwrap().to_scalar::<f32>().unwrap()
     };
     let clean = error(&Attack { sites: vec![], scale: 1.0 });

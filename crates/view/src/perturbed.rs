@@ -6,7 +6,7 @@ use crate::augment::{Deltas, Draw, Passes, PerSite, Sets, Site, SiteNumbers, wor
 use crate::base::Result;
 use crate::base::rng::{Random, Stream};
 use crate::data::{RayParts, Rays, Scene};
-use crate::methods::{AttackGeometry, Fields, RenderedRays};
+use crate::methods::{AttackGeometry, Fields};
 use crate::render::sampling::stratified;
 use crate::render::{
     FixedSamples, Pass, PassOutput, Perturbation, clean_pass, columns, fine_t_vals, perturbed_pass,
@@ -54,15 +54,6 @@ impl PerturbedRenderer {
     pub fn sites(&self) -> Vec<&'static str> {
         let numbers = self.config.perturb.numbers.iter();
         numbers.filter(|(_, numbers)| numbers.on() && numbers.perturbs()).map(|(site, _)| site.about().name).collect()
-    }
-
-    /// Renders rays with the deltas of `attack`: those of [`PerturbedRenderer::pass`].
-    ///
-    /// # Errors
-    /// Those of candle.
-    pub fn render(&self, rays: &Rays, target: Option<&Tensor>, attack: &Attack, part: u64) -> Result<RenderedRays> {
-        let out = self.pass(rays, target, attack, part)?.composite;
-        Ok(RenderedRays { rgb: out.rgb, depth: out.depth, acc: out.acc })
     }
 
     /// Runs the evaluated pass with the deltas of `attack`. Without sites it is the clean pass. The search raises the squared

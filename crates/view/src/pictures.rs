@@ -8,12 +8,12 @@ use candle_core::{DType, Tensor};
 use serde_json::json;
 
 use crate::base::{Error, Image, Result};
-use crate::data::{Camera, RayBuffer, View};
+use crate::data::{Camera, RayBuffer, Rays, View};
 use crate::draw::{encode_jpeg, encode_png8};
 use crate::run::RenderedView;
 
 use super::http::Reply;
-use super::perturbed::Attack;
+use super::perturbed::{Attack, PerturbedRenderer};
 use super::picture::draw_layer;
 use super::queue::{Queue, Rank, Work};
 use super::request::Arguments;
@@ -133,14 +133,7 @@ impl Pictures {
         let mut work = Work::new(&self.queue, Rank::Quick, &check);
         work.next()?;
         let of = |attack: &Attack| -> Result<RaySamples> {
-            let rays = RayBuffer::new(
-                &[(&camera, x, y)],
-                run.scene.ndc.as_ref(),
-                run.config.data.origin_of_pixels(),
-                perturbed.ray_parts(),
-            )
-            .to_tensors(DType::F32, run.runtime.device())?;
-            let target = photo.as_ref().map(|photo| photographed(&photo.image, &camera, &[(x, y)])).transpose()?;
+            let (rays, target) = rays_of(run, perturbed, &camera, &[(x, y)], photo.as_ref())?;
             let norm = f64::from(rays.direction_norm.flatten_all()?.to_vec1::<f32>()?[0]);
             RaySamples::of(&perturbed.pass(&rays, target.as_ref(), attack, 0)?, norm)
         };
@@ -202,6 +195,21 @@ fn photographed(photo: &Image, camera: &Camera, pixels: &[(u32, u32)]) -> Result
     Ok(Tensor::from_vec(colours, (pixels.len(), 3), &candle_core::Device::Cpu)?)
 }
 
+/// Returns the rays through pixels, and the colours of a photograph there.
+fn rays_of(
+    run: &ShownRun,
+    perturbed: &PerturbedRenderer,
+    camera: &Camera,
+    pixels: &[(u32, u32)],
+    photo: Option<&View>,
+) -> Result<(Rays, Option<Tensor>)> {
+    let of_camera: Vec<(&Camera, u32, u32)> = pixels.iter().map(|&(x, y)| (camera, x, y)).collect();
+    let (ndc, origin) = (run.scene.ndc.as_ref(), run.config.data.origin_of_pixels());
+    let rays = RayBuffer::new(&of_camera, ndc, origin, perturbed.ray_parts());
+    let target = photo.map(|photo| photographed(&photo.image, camera, pixels)).transpose()?;
+    Ok((rays.to_tensors(DType::F32, run.runtime.device())?, target))
+}
+
 /// Renders a view with the deltas of an attack.
 fn perturbed_view(
     run: &ShownRun,
@@ -219,16 +227,8 @@ fn perturbed_view(
     let parts: Vec<(u64, &[(u32, u32)])> = (0..).zip(pixels.chunks(SEARCHED_RAYS)).collect();
     let render = |parts: &[(u64, &[(u32, u32)])]| -> Result<[Vec<f32>; 3]> {
         let (part, pixels) = parts[0];
-        let of_camera: Vec<(&Camera, u32, u32)> = pixels.iter().map(|&(x, y)| (camera, x, y)).collect();
-        let rays = RayBuffer::new(
-            &of_camera,
-            run.scene.ndc.as_ref(),
-            run.config.data.origin_of_pixels(),
-            perturbed.ray_parts(),
-        )
-        .to_tensors(DType::F32, run.runtime.device())?;
-        let target = photo.as_ref().map(|photo| photographed(&photo.image, camera, pixels)).transpose()?;
-        let out = perturbed.render(&rays, target.as_ref(), attack, part)?;
+        let (rays, target) = rays_of(run, perturbed, camera, pixels, photo.as_ref())?;
+        let out = perturbed.pass(&rays, target.as_ref(), attack, part)?.composite;
         let host = |tensor: &Tensor| tensor.flatten_all()?.to_vec1::<f32>();
         Ok([host(&out.rgb)?, host(&(out.depth / &out.acc)?)?, host(&out.acc)?])
     };
