@@ -6,7 +6,8 @@ use std::path::{Path, PathBuf};
 
 use serde_json::Value;
 
-use super::images::{ENDINGS, is_image, slashes};
+use super::found::slashes;
+use super::images::{ENDINGS, is_image};
 use super::pose::{self, Pose};
 use super::{LARGEST, SMALLEST, brief, foreign};
 use crate::base::input::read_text;

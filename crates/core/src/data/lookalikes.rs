@@ -10,6 +10,7 @@ use super::formats::{FORMATS, Format};
 use super::{images, json};
 use crate::base::input::{TEXT_BYTES, read_text};
 use crate::base::{Error, Result, quoted};
+use crate::data::found;
 
 /// Files by which a folder is recognized as a scene.
 const MARKERS: [&str; 3] = ["poses_bounds.npy", "transforms_train.json", "transforms.json"];
@@ -48,7 +49,7 @@ pub(super) fn check_folder(path: &Path) -> Result<()> {
 pub(super) fn unknown(dir: &Path) -> Error {
     let entries = entries(dir);
     let paths: Vec<String> =
-        images::paths_below(dir).iter().map(|path| images::slashes(&path.to_string_lossy())).collect();
+        found::paths_below(dir).iter().map(|path| found::slashes(&path.to_string_lossy())).collect();
     let holds = |endings: &[&str], kind: &str, advice: &dyn Fn(&Path) -> String| {
         one_of(dir, &entries, endings).map(|file| format!("{} is {kind}; {}", file.display(), advice(&file)))
     };

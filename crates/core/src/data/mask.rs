@@ -5,6 +5,7 @@ use std::collections::{BTreeMap, BTreeSet, HashMap};
 use std::path::{Path, PathBuf};
 
 use crate::base::{Error, Event, Image, Listener, Result};
+use crate::data::found;
 use crate::data::json::Object;
 use crate::data::{images, resample};
 use crate::settings::DataConfig;
@@ -162,7 +163,7 @@ impl<'a> Finder<'a> {
                 let name = entry.file_name().to_string_lossy().into_owned();
                 let holds_photos = || self.photos.iter().any(|photo| photo.starts_with(entry.path()));
                 if name.to_lowercase().contains(IN_FOLDERS) && !holds_photos() {
-                    *folders.entry(name).or_default() += images::below(&entry.path()).len();
+                    *folders.entry(name).or_default() += found::below(&entry.path()).len();
                 }
             }
         }
@@ -201,12 +202,12 @@ impl<'a> Finder<'a> {
 }
 
 fn stem(photo: &Path) -> Option<String> {
-    photo.file_stem().map(|stem| images::name_key(Path::new(stem)))
+    photo.file_stem().map(|stem| found::name_key(Path::new(stem)))
 }
 
 fn images_of(folder: &Path) -> Images {
-    let key = |within: &PathBuf| images::name_key(&within.with_extension(""));
-    images::below(folder).into_iter().map(|within| (key(&within), folder.join(&within))).collect()
+    let key = |within: &PathBuf| found::name_key(&within.with_extension(""));
+    found::below(folder).into_iter().map(|within| (key(&within), folder.join(&within))).collect()
 }
 
 /// Finds `NAME.png`, `NAME.jpg.png` as COLMAP has it, `NAME_mask.png`, `mask_NAME.png`, `NAME.mask.png`, and instant-ngp's
@@ -222,7 +223,7 @@ fn named(images: &Images, photo: &Path, prefix: &Path, beside: bool) -> Option<M
         format!("{stem}_alpha"),
     ];
     let dynamic = [format!("{DYNAMIC}{stem}"), format!("{DYNAMIC}{name}")];
-    let get = |base: &String| images.get(&images::name_key(&prefix.join(base)));
+    let get = |base: &String| images.get(&found::name_key(&prefix.join(base)));
     let path = plain.into_iter().chain(marked).find_map(|base| get(&base)).filter(|path| **path != *photo);
     let inverted = || dynamic.iter().find_map(get);
     match path {

@@ -8,6 +8,7 @@ mod describe;
 mod detect;
 mod foreign;
 pub mod formats;
+mod found;
 mod frame;
 pub mod images;
 mod json;

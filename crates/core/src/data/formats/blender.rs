@@ -7,8 +7,8 @@ use std::path::{Path, PathBuf};
 use crate::base::{Error, Event, Listener, Result};
 use crate::data::formats::transforms::frames::{self, Listed};
 use crate::data::formats::transforms::{notes, transforms_file};
+use crate::data::found;
 use crate::data::frame::{self, Frame, Reading};
-use crate::data::images;
 use crate::data::json::{self, Object};
 use crate::data::pose::{self, Pose};
 use crate::data::{Camera, Photos, Rig, Scene, SceneSpace, Subject, View, background, depth, name_of, path};
@@ -45,7 +45,7 @@ pub fn load(config: &DataConfig, photos: Photos, events: &dyn Listener) -> Resul
         true => hold_out(train, config, eval, events),
     };
     let used: Vec<PathBuf> = train.iter().chain(&listed).map(|listed| listed.place.clone()).collect();
-    images::note_unused(Path::new(&config.dir), used.iter(), "are in no transforms_*.json that is read", events);
+    found::note_unused(Path::new(&config.dir), used.iter(), "are in no transforms_*.json that is read", events);
     let (mut train, train_names) = frames::found(train);
     let (mut test, test_names) = frames::found(listed.into_iter().step_by(config.test_skip.max(1)).collect());
     frames::find_masks(train.iter_mut().chain(&mut test), config, events)?;

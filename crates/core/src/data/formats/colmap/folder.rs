@@ -5,7 +5,8 @@ use std::path::{Path, PathBuf};
 
 use super::model::Photograph;
 use crate::base::{Error, Result};
-use crate::data::images::{self, Below, Size};
+use crate::data::found::{self, Below};
+use crate::data::images::{self, Size};
 
 /// The files of a scene's photos in the folder that suits the working resolution best.
 pub(super) struct Source {
@@ -83,7 +84,7 @@ fn reduced(dir: &Path, photographs: &[Photograph], size: Size) -> Option<Source>
     let all =
         images::folders(dir).ok()?.into_iter().map(|(factor, folder)| (within(&folder, factor, photographs), folder));
     let (source, folder) = all.into_iter().find(|(source, _)| source.found() > 0)?;
-    let words = images::reduced_words(folder.strip_prefix(dir).unwrap_or(&folder), source.factor, size);
+    let words = found::reduced_words(folder.strip_prefix(dir).unwrap_or(&folder), source.factor, size);
     Some(Source { moved: Some(words), ..source })
 }
 
@@ -117,7 +118,7 @@ fn find_renamed(folder: &Path, photographs: &[Photograph], files: &mut [Option<P
         return 0;
     }
     let taken: HashSet<PathBuf> = files.iter().flatten().cloned().collect();
-    let there = images::below(folder).into_iter().filter(|within| !taken.contains(&folder.join(within))).collect();
+    let there = found::below(folder).into_iter().filter(|within| !taken.contains(&folder.join(within))).collect();
     let there = Below::of(there);
     fill(folder, photographs, files, |name| there.under_same_name(name))
 }
@@ -144,7 +145,7 @@ fn elsewhere(dir: &Path, photographs: &[Photograph]) -> Option<Source> {
         let top = path.components().next().map(|top| top.as_os_str().to_string_lossy().into_owned());
         top.and_then(|top| images::factor_of(&top)).is_some_and(|factor| factor > 1)
     };
-    let there = Below::of(images::below(dir).into_iter().filter(|path| !is_smaller(path)).collect());
+    let there = Below::of(found::below(dir).into_iter().filter(|path| !is_smaller(path)).collect());
     let mut files = vec![None; photographs.len()];
     let mut found = fill(dir, photographs, &mut files, |name| there.by_end(name));
     if found == 0 {

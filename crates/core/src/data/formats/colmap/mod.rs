@@ -19,6 +19,7 @@ use crate::base::{Error, Event, Listener, Result, first_names};
 use crate::data::formats::Capture;
 use crate::data::formats::transforms::distortion::Intrinsics;
 use crate::data::formats::transforms::{BOUNDS, by_ratio};
+use crate::data::found;
 use crate::data::frame::{self, Frame, Reading};
 use crate::data::images::{self, Header, Size};
 use crate::data::mask::Masks;
@@ -65,7 +66,7 @@ pub fn load(config: &DataConfig, photos: Photos, events: &dyn Listener) -> Resul
             source.renamed
         )));
     }
-    images::note_unused(dir, source.files.iter().flatten(), "are not in the COLMAP model", events);
+    found::note_unused(dir, source.files.iter().flatten(), "are not in the COLMAP model", events);
     let mut poses: Vec<Pose> = model.photographs.iter().map(|photograph| photograph.pose).collect();
     let world = match config.recentre {
         true => WorldToScene::centre(&mut poses.iter_mut().collect::<Vec<&mut Pose>>()),

@@ -136,7 +136,7 @@ pub(super) fn model(dir: &Path, wanted: &str, events: &dyn Listener) -> Result<M
 fn plain_names(photographs: &mut [Photograph], images: &Path, events: &dyn Listener) {
     let mut foreign: Vec<String> = Vec::new();
     for Photograph { name, .. } in photographs {
-        let below = crate::data::images::slashes(name);
+        let below = crate::data::found::slashes(name);
         let drive = below.split_once(":/").filter(|(drive, _)| drive.len() == 1).map_or(&*below, |(_, rest)| rest);
         let plain = drive.trim_start_matches('/').to_string();
         if plain != *name {

@@ -4,6 +4,7 @@ use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 
 use crate::base::{Error, Result};
+use crate::data::found;
 use crate::data::images::{self, Header, Size};
 
 /// The files to read, and their working size.
@@ -73,7 +74,7 @@ fn by_factor(
     let of_smaller = smaller.into_iter().filter(|(_, paths)| paths.len() == poses).min_by_key(|(of, _)| *of);
     if let Some((of, paths)) = of_smaller.filter(|_| found.is_empty()) {
         let folder = PathBuf::from(format!("images_{of}"));
-        reduced = Some(images::reduced_words(&folder, of, Size::Factor(factor)));
+        reduced = Some(found::reduced_words(&folder, of, Size::Factor(factor)));
         found.push((of, paths));
     }
     let factor = if reduced.is_some() { found[0].0 } else { factor };
@@ -130,9 +131,9 @@ fn by_width(
 
 /// Returns the photos that have poses, if a folder has more than these and all of them.
 fn with_poses(paths: Vec<PathBuf>, poses: usize, listed: Option<&BTreeSet<String>>) -> Vec<PathBuf> {
-    let paths = if paths.len() > poses { images::without_twins(paths) } else { paths };
+    let paths = if paths.len() > poses { found::without_twins(paths) } else { paths };
     let Some(listed) = listed.filter(|_| paths.len() > poses) else { return paths };
-    let stem = |name: &Path| name.file_stem().map(|stem| images::name_key(Path::new(stem)));
+    let stem = |name: &Path| name.file_stem().map(|stem| found::name_key(Path::new(stem)));
     let stems: BTreeSet<String> = listed.iter().filter_map(|name| stem(Path::new(name))).collect();
     let chosen: Vec<PathBuf> =
         paths.iter().filter(|path| stem(path).is_some_and(|stem| stems.contains(&stem))).cloned().collect();
@@ -151,7 +152,7 @@ fn photo_folders(dir: &Path, poses: usize) -> Result<Vec<String>> {
         return Ok(named);
     }
     let entries = std::fs::read_dir(dir).map_err(|e| Error::unreadable(dir, &e))?;
-    let is_photos = |name: &str| images::is_photo(&name.to_lowercase());
+    let is_photos = |name: &str| found::is_photo(&name.to_lowercase());
     let has_all =
         |name: &String| is_photos(name) && images::list(&dir.join(name)).is_ok_and(|paths| paths.len() == poses);
     let names = entries.flatten().map(|entry| entry.file_name().to_string_lossy().into_owned());

@@ -16,6 +16,7 @@ use crate::base::input::{TEXT_BYTES, read_text};
 use crate::base::{Error, Event, Listener, Result};
 use crate::data::formats::transforms::distortion::{Distortion, Intrinsics};
 use crate::data::formats::{Capture, colmap};
+use crate::data::found;
 use crate::data::frame::{self, Frame, Reading};
 use crate::data::images::{self, Header, Size};
 use crate::data::mask::{MaskFile, Masks};
@@ -65,7 +66,7 @@ pub fn load(config: &DataConfig, photos: Photos, events: &dyn Listener) -> Resul
     if config.ndc {
         check_facing(&cameras, &names, &file)?;
     }
-    images::note_twins(dir, source.paths.iter(), events);
+    found::note_twins(dir, source.paths.iter(), events);
     let masks = Masks::of(config, source.paths.iter().map(|path| &**path), events)?;
     let lens = Intrinsics { focal: camera.focal, centre: camera.centre };
     let frame = |((path, header), mask): ((&PathBuf, &Header), Option<MaskFile>)| {
@@ -149,14 +150,14 @@ fn check_count(source: &Source, poses: usize, file: &Path) -> Result<()> {
 /// Returns the names of the photos that have poses, if there are more photos: of `view_imgs.txt`, which LLFF writes, or of
 /// the COLMAP model in `sparse/0`. `None` if neither is there or has as many names as there are poses.
 fn registered(dir: &Path, poses: usize, events: &dyn Listener) -> Result<Option<BTreeSet<String>>> {
-    let all = images::list(&dir.join("images")).map_or(0, |paths| images::without_twins(paths).len());
+    let all = images::list(&dir.join("images")).map_or(0, |paths| found::without_twins(paths).len());
     if all <= poses {
         return Ok(None);
     }
     let file = dir.join(VIEWS_FILE);
     let text = file.is_file().then(|| read_text(&file, TEXT_BYTES).map_err(|e| Error::unreadable(&file, &e)));
     let listed = text.transpose()?.map(|text| {
-        text.lines().map(str::trim).filter(|line| !line.is_empty()).map(images::slashes).collect::<BTreeSet<String>>()
+        text.lines().map(str::trim).filter(|line| !line.is_empty()).map(found::slashes).collect::<BTreeSet<String>>()
     });
     let names = match listed.filter(|names| names.len() == poses) {
         Some(names) => Some((VIEWS_FILE, names)),

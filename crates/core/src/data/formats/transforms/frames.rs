@@ -6,8 +6,9 @@ use std::path::{Path, PathBuf};
 use super::lens::{self, Lens};
 use crate::base::{Event, Listener, Result, first_names};
 use crate::data::brief;
+use crate::data::found::{self, Below};
 use crate::data::frame::{Frame, named};
-use crate::data::images::{self, Below, Header, Size};
+use crate::data::images::{self, Header, Size};
 use crate::data::json::{Object, Picture, Scaled};
 use crate::data::mask::{self, MaskFile, Masks};
 use crate::data::pose::Pose;
@@ -73,7 +74,7 @@ pub fn read<'a>(document: Object<'a>, key: &'a str, config: &DataConfig, events:
 
 /// Returns whether none of a document's photos is there.
 pub fn has_no_photos(document: Object) -> Result<bool> {
-    let there = Below::of(images::below(document.folder()));
+    let there = Below::of(found::below(document.folder()));
     if document.is_empty("frames") {
         return Ok(true);
     }
@@ -105,7 +106,7 @@ fn entries<'a>(document: Object<'a>, key: &'a str, config: &DataConfig, note: &d
     }
     note_scaled(&scaled, note);
     let lacks = |entry: &&Entry| entry.picture.path.is_none();
-    let there = if entries.iter().any(|entry| lacks(&entry)) { images::below(document.folder()) } else { Vec::new() };
+    let there = if entries.iter().any(|entry| lacks(&entry)) { found::below(document.folder()) } else { Vec::new() };
     let there = Below::of(there);
     find_elsewhere(document, &there, &mut entries, config, note);
     let missing: Vec<&str> = entries.iter().filter(lacks).map(|entry| &*entry.picture.written).collect();
@@ -174,14 +175,14 @@ fn find_elsewhere(document: Object, there: &Below, entries: &mut [Entry], config
         let names: Vec<&str> = names.iter().map(String::as_str).collect();
         let downscale = config.downscale.unwrap_or(1) as usize;
         let (folder, files) = there.renamed_folder(&names, downscale).unwrap_or((Path::new(""), Vec::new()));
-        let factor = images::factor_in(folder);
+        let factor = found::factor_in(folder);
         for (entry, file) in entries.iter_mut().zip(files) {
             file.into_iter().for_each(|file| place(entry, file));
             // A file may name reduced photos itself, for which its numbers then are.
-            let own = images::factor_in(Path::new(&entry.picture.written));
+            let own = found::factor_in(Path::new(&entry.picture.written));
             entry.reduced = if factor.is_multiple_of(own) { factor / own } else { 1 };
         }
-        reduced = (factor > 1).then(|| images::reduced_words(folder, factor, Size::of(config)));
+        reduced = (factor > 1).then(|| found::reduced_words(folder, factor, Size::of(config)));
     }
     if let Some(first) = moved.first() {
         note(&format!("{} photos are not where \"file_path\" says, and were found elsewhere: {first}", moved.len()));
@@ -194,7 +195,7 @@ fn distinct<'a>(entries: Vec<Entry<'a>>, document: Object, note: &dyn Fn(&str)) 
     let mut places: HashMap<PathBuf, usize> = HashMap::new();
     let (mut kept, mut again): (Vec<Entry>, Vec<String>) = (Vec::new(), Vec::new());
     for entry in entries {
-        let place = images::real(&entry.picture.place);
+        let place = found::real(&entry.picture.place);
         match places.get(&place) {
             Some(&place) if kept[place].pose == entry.pose => again.push(entry.picture.written),
             Some(_) => {

@@ -21,8 +21,8 @@ pub use split::{Role, is_named};
 
 use crate::base::{Error, Event, Listener, Result};
 use crate::data::formats::Capture;
+use crate::data::found;
 use crate::data::frame::{self, Frame, Reading};
-use crate::data::images;
 use crate::data::pose::Pose;
 use crate::data::{Camera, Photos, Scene, SceneSpace, WorldToScene, background, name_of, path};
 use crate::settings::{DataConfig, DataKind, EvalSplit, Split};
@@ -57,7 +57,7 @@ pub fn load(config: &DataConfig, photos: Photos, events: &dyn Listener) -> Resul
     let (mut frames, names) = frames::found(listed);
     frames::find_masks(frames.iter_mut(), config, events)?;
     let used = frames.iter().map(|frame| &frame.path).chain(&aside);
-    images::note_unused(Path::new(&config.dir), used, "have no pose in transforms.json", events);
+    found::note_unused(Path::new(&config.dir), used, "have no pose in transforms.json", events);
     let targets = frames::working_sizes(&frames.iter().collect::<Vec<_>>(), config)?;
     let cameras: Vec<Camera> = frames.iter().zip(targets).map(|(frame, size)| frame.camera(size, by_ratio)).collect();
     let (scene, background) = (Path::new(&config.dir), background(config));
@@ -149,7 +149,7 @@ fn ordered(mut all: Roles, by_author: bool, config: &DataConfig) -> Result<Roles
     let mut places: HashMap<PathBuf, usize> = HashMap::new();
     let mut kept: Roles = Vec::with_capacity(all.len());
     for (listed, uses) in all {
-        let place = images::real(&listed.place);
+        let place = found::real(&listed.place);
         match places.get(&place).map(|&i| &mut kept[i]) {
             Some((other, of_other)) if other.pose == listed.pose => {
                 of_other.iter_mut().zip(uses).for_each(|(all, is)| *all |= is);

@@ -9,8 +9,9 @@ use serde_json::Value;
 use super::frames::Listed;
 use super::{TRANSFORMS_FILE, frames, lens, transforms_file};
 use crate::base::{Error, Event, Listener, Result};
+use crate::data::found;
 use crate::data::json::{self, Object};
-use crate::data::{images, mask};
+use crate::data::mask;
 use crate::settings::{DataConfig, Split};
 
 /// The role of a view.
@@ -193,7 +194,7 @@ fn listed(document: Object) -> Result<Vec<Option<Vec<String>>>> {
     let of_role = |role: Role| {
         let Some(key) = names_of(document, role) else { return Ok(None) };
         let names = document.texts(key)?.unwrap_or_default();
-        let names: Vec<String> = names.iter().map(|name| images::slashes(name)).collect();
+        let names: Vec<String> = names.iter().map(|name| found::slashes(name)).collect();
         match names.iter().find(|name| !known.contains(*name)) {
             Some(name) => Err(document.error(&format!(
                 "\"{}\" names \"{name}\", which is the \"file_path\" of no frame: write it as it stands there",
