@@ -106,12 +106,12 @@ fn a_page_that_may_not_be_ready_yet_ends() {
     let mut errors = BufReader::new(child.stderr.take().unwrap());
     errors.read_line(&mut first).unwrap();
     assert_says(&first, &["opening", out.to_str().unwrap()]);
-    assert!(Command::new("kill").args(["-INT", &child.id().to_string()]).status().unwrap().success());
+    assert!(Command::new("kill").args(["-TERM", &child.id().to_string()]).status().unwrap().success());
     let ended = child.wait().unwrap();
     let printed = std::io::read_to_string(child.stdout.take().unwrap()).unwrap();
     match ended.signal() {
         // Signals are caught before the address is printed.
-        Some(2) => assert_eq!(printed, ""),
+        Some(15) => assert_eq!(printed, ""),
         _ => assert!(ended.code() == Some(0) && printed.starts_with("http://") && printed.lines().count() == 1),
     }
 }
