@@ -36,7 +36,7 @@ fn capture() -> (Folder, String) {
 fn train(data: &str, out: &Path) -> String {
     let out = out.display().to_string();
     let small =
-        ["--preset", "smoke", "--set", "train.steps=2", "--set", "train.rays=32", "--set", "data.downscale=1", "-q"];
+        ["--preset", "smoke", "--set", "train.steps=2", "--set", "train.rays=16", "--set", "data.downscale=1", "-q"];
     succeed(&[&["train", "--data", data, "--out", &out], &small[..]].concat());
     out
 }
