@@ -54,8 +54,8 @@ fn epochs_of_masked_photos_are_those_of_the_evaluation() {
     succeed(&[&mesh[..], &["--threshold", &threshold(&mesh)]].concat());
     for file in ["metrics.json", "mesh/mesh.json"] {
         let seen = json(&Path::new(&run).join(file))["protocol"]["epochs"].as_f64().unwrap();
-        // Two steps of 32 rays, and 7 views of half of 16 x 12 pixels.
-        assert!((seen - 64.0 / 672.0).abs() < 1e-9, "{file}: {seen}");
+        // Two steps of 16 rays, and 7 views of half of 16 x 12 pixels.
+        assert!((seen - 32.0 / 672.0).abs() < 1e-9, "{file}: {seen}");
     }
 }
 
