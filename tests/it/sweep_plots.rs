@@ -90,7 +90,7 @@ fn record(row: &str, axes: Vec<AxisValue>, seed: u64, psnr: Option<f64>) -> Reco
 /// A table and its points, without logs.
 fn collected<'a>(spec: &'a TableSpec, records: &'a [Record], table: &'a Table) -> Collected<'a> {
     Collected {
-        constants: None,
+        constants: Vec::new(),
         spec,
         records,
         timing: &[],

@@ -117,7 +117,7 @@ fn find<'a>(table: &'a Table, scene: &str, label: &str) -> &'a Line {
 }
 
 fn cells<'a>(row: &'a HashMap<String, String>, names: &[&str]) -> Vec<&'a str> {
-    names.iter().map(|&name| row[name].as_str()).collect()
+    names.iter().map(|&name| row.get(name).map_or("", String::as_str)).collect()
 }
 
 #[test]
@@ -202,7 +202,7 @@ fn uncontrolled_settings_are_refused_or_marked() {
         (&["code_revision".into()][..], &["code_revision".into()][..])
     );
     assert!(find(&table, "fern", "NeRF").mixed.is_empty());
-    assert_eq!(rows(&table_csv(&table, &[], None))[1]["mixed"], "code_revision");
+    assert_eq!(rows(&table_csv(&table, &[], &vec![]))[1]["mixed"], "code_revision");
     for text in [table_markdown(&table), table_terminal(&table, 80)] {
         assert!(text.contains("‡ NOT COMPARABLE"), "{text}");
     }
@@ -252,7 +252,7 @@ fn what_cannot_be_placed_is_refused() {
 #[test]
 fn points_csv_has_every_point() {
     let timing = [("fern-NeRF-0".to_string(), vec![("seconds_training".to_string(), Some(12.5))])];
-    let rows = rows(&points_csv(&records(), &timing, None));
+    let rows = rows(&points_csv(&records(), &timing, &vec![]));
     assert_eq!(rows.len(), records().len());
     let names = ["id", "psnr", "lpips_vgg", "average_vgg", "width", "seconds_training"];
     assert_eq!(cells(&rows[3], &names), ["fern-NeRF-0", "25", "0.25", "", "101", "12.5"]);
@@ -265,7 +265,7 @@ fn points_csv_has_every_point() {
 #[test]
 fn table_csv_has_every_line() {
     let timing = [0, 1].map(|seed| (format!("fern-NeRF-{seed}"), vec![("seconds".to_string(), Some(seed as f64))]));
-    let rows = rows(&table_csv(&table(), &timing, None));
+    let rows = rows(&table_csv(&table(), &timing, &vec![]));
     assert_eq!(rows.len(), 7);
     let names = [
         "row",
@@ -301,6 +301,8 @@ fn csvs_hold_what_varies_and_are_read_back_whole() {
             ("attack_numbers", if is_attacked { "t 3/0.01/0.5, feature 1/0.5/2" } else { "" }),
             ("masks", ""),
             ("set.perturb.t.steps", if is_attacked { "3" } else { "" }),
+            ("injection_layer", if is_attacked { "4" } else { "" }),
+            ("set.perturb.injection_layer", if is_attacked { "4" } else { "" }),
         ] {
             record.protocol.push((name.into(), text.into()));
         }
@@ -311,14 +313,14 @@ fn csvs_hold_what_varies_and_are_read_back_whole() {
     let shared = constants(&records);
     let text_of = |name: &str| shared.iter().find(|(known, _)| known == name).map(|(_, text)| text.as_str());
     assert_eq!([text_of("code_revision"), text_of("steps"), text_of("masks")], [Some("abc"), Some("2000"), None]);
-    let csv = points_csv(&records, &[], Some(&shared));
+    let csv = points_csv(&records, &[], &shared);
     let found = rows(&csv);
     let head: Vec<&str> = csv.lines().next().unwrap().split(',').collect();
     let first =
-        ["id", "scene", "row", "axes", "set.perturb.t.steps", "position", "positions", "seed", "status", "reason"];
-    assert_eq!(head[..10], first);
+        ["id", "scene", "row", "axes", "set.perturb.t.steps", "set.perturb.injection_layer", "position", "positions"];
+    assert_eq!(head[..8], first);
     assert!(
-        !["code_revision", "average_vgg", "masks", "lambda", "attack_numbers", "perturb.t.steps"]
+        !["code_revision", "average_vgg", "masks", "lambda", "attack_numbers", "perturb.t.steps", "injection_layer"]
             .iter()
             .any(|n| head.contains(n))
     );
@@ -331,10 +333,10 @@ fn csvs_hold_what_varies_and_are_read_back_whole() {
     let read = |csv: &str, shared| {
         read_points(csv, shared, &[], |at| if at.axes.is_empty() { Some(vec![]) } else { axes(at.axes) }).unwrap()
     };
-    // What an earlier version wrote has all columns, and is read alike.
-    for (csv, constants, is_early) in [(&csv, &shared, false), (&points_csv(&records, &[], None), &vec![], true)] {
-        let (again, early) = read(csv, constants);
-        assert_eq!((again.len(), early), (records.len(), is_early));
+    // Columns of constants are read alike.
+    for (csv, constants) in [(&csv, &shared), (&points_csv(&records, &[], &vec![]), &vec![])] {
+        let again = read(csv, constants);
+        assert_eq!(again.len(), records.len());
         for (read, record) in again.iter().zip(&records) {
             let place =
                 |r: &Record| (r.id.clone(), r.label(), r.seed, r.status, r.reason.clone(), r.inactive_levels.clone());
@@ -343,10 +345,10 @@ fn csvs_hold_what_varies_and_are_read_back_whole() {
                 assert_eq!(read.protocol(name), text, "{name}");
             }
         }
-        assert_eq!(points_csv(&again, &[], (!early).then_some(constants)), **csv);
+        assert_eq!(points_csv(&again, &[], constants), **csv);
     }
     let table = Table::new(&TableSpec { must_match: vec![], ..spec() }, &records, false).unwrap();
-    let lines = rows(&table_csv(&table, &[], Some(&shared)));
+    let lines = rows(&table_csv(&table, &[], &shared));
     assert_eq!(cells(&lines[1], &["row", "set.perturb.t.steps", "psnr_mean"]), ["Aug-NeRF", "3", "25.5"]);
     assert!(!["code_revision", "mixed", "average_vgg_mean", "width"].iter().any(|name| lines[1].contains_key(*name)));
 }
@@ -365,7 +367,7 @@ fn no_column_is_a_keyword() {
     let keywords: Vec<&str> = [PYTHON, R, SQL].iter().flat_map(|words| words.split_whitespace()).collect();
     let fields = COLUMNS.iter().map(|column| file_field((column.name.into(), String::new())).0);
     let metrics = METRICS.iter().map(|metric| metric.key.to_string());
-    let csvs = [points_csv(&records(), &[], Some(&vec![])), table_csv(&table(), &[], Some(&vec![]))];
+    let csvs = [points_csv(&records(), &[], &vec![]), table_csv(&table(), &[], &vec![])];
     let heads = csvs.iter().flat_map(|csv| csv.lines().next().unwrap().split(',')).map(String::from);
     for name in fields.chain(metrics).chain(heads) {
         assert!(!keywords.iter().any(|word| word.eq_ignore_ascii_case(&name)), "{name}");
@@ -389,7 +391,7 @@ fn what_is_said_of_a_row_holds_for_most_of_its_seeds() {
         let spec = TableSpec { rows: vec![row("NeRF", None, "NeRF")], ..spec() };
         let table = Table::new(&spec, &records, false).unwrap();
         let lines: Vec<&Line> = table.lines.iter().collect();
-        let csv = rows(&table_csv(&table, &[], Some(&vec![])));
+        let csv = rows(&table_csv(&table, &[], &vec![]));
         let inactive = csv[0].get("inactive_levels").cloned().unwrap_or_default();
         (table_markdown(&table), warnings(&lines).join("\n"), inactive)
     };
@@ -602,7 +604,7 @@ fn methods_that_are_not_run_carry_the_paper_s_numbers_alone() {
     assert_eq!((line.cells[0].mean, line.cells[0].n, line.cells[0].published), (None, 0, Some(21.37)));
     // The paper has no such row for the other scene.
     assert_eq!(table.lines.iter().filter(|line| line.quoted).count(), 1);
-    let rows = rows(&table_csv(&table, &[], None));
+    let rows = rows(&table_csv(&table, &[], &vec![]));
     assert_eq!(cells(&rows[0], &["row", "source", "psnr_mean", "psnr_published"]), ["SRN", "published", "", "21.37"]);
     assert_eq!(cells(&rows[1], &["source"]), ["run"]);
     let markdown = table_markdown(&table);
@@ -645,7 +647,7 @@ fn words_are_the_same_in_every_format_and_follow_holm() {
         assert!(comparison.p.unwrap() < 0.05 && comparison.p_holm.unwrap() > 0.05);
         assert_eq!(comparison.verdict(), None);
     }
-    let csv = rows(&table_csv(&table, &[], None));
+    let csv = rows(&table_csv(&table, &[], &vec![]));
     let verdicts: Vec<&str> = csv.iter().map(|row| row["psnr_verdict"].as_str()).collect();
     assert_eq!(verdicts, ["", "higher", "", ""]);
     assert!(!csv[0].contains_key("psnr_equivalent"), "no equivalence without a margin");
@@ -672,7 +674,7 @@ fn words_are_the_same_in_every_format_and_follow_holm() {
     spec.equivalence = vec![("psnr".into(), 0.6)];
     records.retain(|record| record.row != "+ TV Reg.");
     let table = Table::new(&spec, &records, false).unwrap();
-    let csv = rows(&table_csv(&table, &[], None));
+    let csv = rows(&table_csv(&table, &[], &vec![]));
     let names = ["psnr_margin", "psnr_verdict", "psnr_equivalent"];
     assert_eq!(cells(&csv[0], &names), ["", "", ""]);
     assert_eq!(cells(&csv[1], &names), ["0.6", "higher", "true"]);
@@ -724,7 +726,7 @@ fn odd_names_stay_names_in_every_format() {
         latex.contains("\n\\providecommand{\\augnerfletter}") && latex.contains("$\\lambda$ \\augnerfletter{4E2D}")
     );
     assert!(!table_latex(&self::table()).contains("augnerfletter"));
-    assert_eq!(rows(&points_csv(&records, &[], None))[0]["reason"], "'@SUM(A1)");
+    assert_eq!(rows(&points_csv(&records, &[], &vec![]))[0]["reason"], "'@SUM(A1)");
 }
 
 /// Not only what captions tell: two rows whose fields differ in nothing but octaves, or rates, are not alike.

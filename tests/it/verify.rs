@@ -66,18 +66,15 @@ fn what_is_changed_is_found() {
     let at = |name: &str| folder.join(name);
     assert!(!at("rows_builtin_psnr.svg").exists());
     verify(dir.path(), &["--update", "--all"], 0);
-    let first = |name: &str, column: usize| {
-        let mut reader = csv::Reader::from_path(at(name)).unwrap();
-        reader.records().next().unwrap().unwrap()[column].to_string()
-    };
+    let first = |column: &str| rows(&text(&at("points.csv")))[0][column].clone();
     // A number of a point, of a table, of its pictures.
-    let psnr = first("points.csv", 8);
+    let psnr = first("psnr");
     let wrong = psnr[..psnr.len() - 1].to_string() + if psnr.ends_with('1') { "2" } else { "1" };
     assert_found(dir.path(), &at("points.csv"), &psnr, &wrong, &["WRONG", "table.csv, line 2"]);
     assert_found(dir.path(), &at("table.md"), "23.57", "23.58", &["table.md, line", "23.58", "23.57"]);
     assert_found(dir.path(), &at("rows_builtin_psnr.svg"), "NeRF", "NerF", &["rows_builtin_psnr.svg, line"]);
     // What the points are.
-    let id = first("points.csv", 0);
+    let id = first("id").trim_start_matches('h').to_string();
     assert_found(dir.path(), &at("points.json"), "\"steps\":3000", "\"steps\":3001", &["its configuration makes"]);
     assert_found(dir.path(), &at("sweep.toml"), "3000", "3001", &["sweep.toml makes"]);
     let other = format!("{}0", &id[..11]);
@@ -115,17 +112,25 @@ fn depth_errors_of_other_views_are_found() {
     assert_says(&verify(dir.path(), &[], 10), &["depth_errors.gz", &words]);
 }
 
-/// Sets cells of a column of a CSV file: in the lines that `of` picks.
-fn forge(file: &Path, column: &str, value: &str, of: impl Fn(&csv::StringRecord) -> bool) {
+/// Sets cells of a column of `points.csv`, in the lines that `of` picks by row and seed, or the constant of this name.
+fn forge(folder: &Path, column: &str, value: &str, of: impl Fn(&str, &str) -> bool) {
+    let file = &folder.join("points.csv");
     let mut reader = csv::Reader::from_path(file).unwrap();
     let head = reader.headers().unwrap().clone();
-    let at = head.iter().position(|name| name == column).unwrap();
+    let place = |column: &str| head.iter().position(|name| name == column);
+    let Some(at) = place(column) else {
+        let file = folder.join("provenance.toml");
+        let mut table: toml::Table = text(&file).parse().unwrap();
+        let before = table["constants"].as_table_mut().unwrap().insert(column.into(), value.into());
+        assert!(before.is_some(), "{column}");
+        return std::fs::write(file, table.to_string()).unwrap();
+    };
     let mut writer = csv::Writer::from_writer(Vec::new());
     writer.write_record(&head).unwrap();
     let mut changed = 0;
     for row in reader.records() {
         let row = row.unwrap();
-        let is_meant = of(&row) && row[at] != *value;
+        let is_meant = of(&row[place("row").unwrap()], &row[place("seed").unwrap()]) && row[at] != *value;
         changed += usize::from(is_meant);
         writer
             .write_record(row.iter().enumerate().map(|(i, cell)| if is_meant && i == at { value } else { cell }))
@@ -175,20 +180,18 @@ fn forged_tables_are_not_held_to_their_own_hash() {
 /// Tables and figures written anew from it do not make a changed `points.csv` right.
 #[test]
 fn forged_columns_are_held_to_what_decides_them() {
-    let augmented = |row: &csv::StringRecord| row[2].starts_with("Aug-NeRF");
-    let first = |row: &csv::StringRecord| row[2] == *"NeRF" && row[4] == *"0";
     // Column, what is written there, what is said of it.
     type Forged = [(&'static str, &'static str, &'static str)];
     let of_nerf: &Forged = &[
         ("steps", "6000", "steps of NeRF · builtin · seed 0 is '6000', its configuration says '3000'"),
         ("learning_rate", "1", "learning_rate of NeRF"),
-        ("samples_fine", "128", "samples_fine of NeRF"),
+        ("set.sampling.fine", "128", "samples_fine of NeRF"),
         ("ssim", "", "ssim of NeRF · builtin · seed 0 is empty, which others have"),
         ("lpips_squeeze", "", "lpips_squeeze of NeRF · fern · seed 0 is empty, which others have"),
     ];
     let of_aug: &Forged = &[
         ("levels", "xyz", "levels of Aug-NeRF"),
-        ("attack_numbers", "xyz 1/1/1", "attack_numbers of Aug-NeRF"),
+        ("perturb.xyz.steps", "9", "attack_numbers of Aug-NeRF"),
         ("norms", "xyz l2", "norms of Aug-NeRF"),
         ("inactive_levels", "rgb", "inactive_levels of Aug-NeRF"),
         ("laplacian", "", "laplacian of Aug-NeRF"),
@@ -204,8 +207,9 @@ fn forged_columns_are_held_to_what_decides_them() {
     ] {
         let (dir, folder) = results(name);
         for (column, value, _) in forged {
-            let of = |row: &csv::StringRecord| if is_aug { augmented(row) } else { first(row) };
-            forge(&folder.join("points.csv"), column, value, of);
+            let of =
+                |row: &str, seed: &str| if is_aug { row.starts_with("Aug-NeRF") } else { row == "NeRF" && seed == "0" };
+            forge(&folder, column, value, of);
         }
         let words: Vec<&str> = forged.iter().map(|(.., words)| *words).collect();
         assert_says(&verify(dir.path(), &["--update"], 10), &words);
@@ -455,7 +459,8 @@ fn a_comparison_across_sweeps_is_made_again() {
     let blocks = rows(&text(&folder.join("across.csv")));
     let own = |name: &str, column: &str| {
         let table = rows(&text(&dir.path().join(place(name)).join("table.csv")));
-        table.iter().find(|row| row["row"] == "Aug-NeRF").unwrap()[column].clone()
+        // A table of one seed has no p.
+        table.iter().find(|row| row["row"] == "Aug-NeRF").unwrap().get(column).cloned().unwrap_or_default()
     };
     for block in &blocks {
         assert_eq!(block["difference"], own(&block["sweep"], "psnr_difference"), "{}", block["sweep"]);
@@ -586,7 +591,7 @@ row = [{ name = "NeRF" }, { name = "equal", set = { "field.depth" = 3 }, budget 
     // A measurement that is empty is none that was left out.
     let points = folder.join("points.csv");
     let kept = text(&points);
-    forge(&points, "psnr", "", |_| true);
+    forge(&folder, "psnr", "", |_, _| true);
     assert_says(&verify(dir.path(), &["--retrain", "2", "--update"], 10), &["psnr is '", "points.csv has ''"]);
     std::fs::write(&points, kept).unwrap();
     assert_says(&verify(dir.path(), &["--update"], 0), &["written anew"]);

@@ -5,7 +5,7 @@ use std::path::Path;
 use tempfile::TempDir;
 
 use crate::common::assert_says;
-use crate::common::files::text;
+use crate::common::files::{rows, text};
 use crate::common::program::{self, augnerf};
 use crate::verify::{results, verify};
 use sha2::{Digest, Sha256};
@@ -115,11 +115,13 @@ fn changes_of_cells_and_points_are_found() {
     let root = dir.path();
     verify(root, &[], 0);
     let [points, plan, definition, timing] = ["points.csv", "points.json", "sweep.toml", "timing.csv"].map(of);
-    let first = lines(root, &points, &[",chair,NeRF,,0,"]).remove(0);
-    let other = lines(root, &points, &[",chair,Aug-NeRF,,0,"]).remove(0);
-    let cell = |line: &str, column: usize| line.split(',').nth(column).unwrap().to_string();
-    let [id, psnr, float, ssim] = [0, 8, 9, 11].map(|column| cell(&first, column));
-    let (other_id, other_psnr) = (cell(&other, 0), cell(&other, 8));
+    let all = rows(&text(&root.join(&points)));
+    let cells = |row: &str| {
+        let own = all.iter().find(|cells| cells["row"] == row && cells["seed"] == "0").unwrap();
+        ["id", "psnr", "psnr_float", "ssim"].map(|column| own[column].clone())
+    };
+    let ([id, psnr, float, ssim], [other_id, other_psnr, ..]) = (cells("NeRF"), cells("Aug-NeRF"));
+    let [first, other] = [&id, &other_id].map(|id| lines(root, &points, &[id]).remove(0));
     let one_more = |text: &str| text.replacen("23.", "24.", 1);
     // Cells.
     is_found(root, &[(&points, &psnr, &one_more(&psnr))], false, &["table.csv, line 2", "psnr of NeRF"]);
@@ -134,20 +136,21 @@ fn changes_of_cells_and_points_are_found() {
     );
     // Points.
     is_found(root, &[(&points, &format!("{first}\n"), "")], false, &["points.csv lacks NeRF"]);
-    is_found(root, &[(&points, &id, "5242d028289d")], false, &["points.csv"]);
-    is_found(root, &[(&points, ",NeRF,,0,done", ",NeRF,,7,done")], false, &["points.csv"]);
-    is_found(root, &[(&points, ",NeRF,,0,done", ",NeRF,,0,waiting")], false, &["is 'waiting'", "11 of 12 places"]);
+    is_found(root, &[(&points, &id, "h5242d028289d")], false, &["points.csv"]);
+    is_found(root, &[(&points, ",1,1,0,done", ",1,1,7,done")], false, &["points.csv"]);
+    is_found(root, &[(&points, ",1,1,0,done", ",1,1,0,waiting")], false, &["is 'waiting'", "11 of 12 places"]);
     for (mine, theirs, update) in [(&psnr, &other_psnr, true), (&id, &other_id, false)] {
         let swapped = (first.replace(mine, theirs), other.replace(theirs, mine));
         is_found(root, &[(&points, &first, &swapped.0), (&points, &other, &swapped.1)], update, &["points.csv"]);
     }
     is_found(root, &[(&plan, "\"steps\":3000", "\"steps\":3001")], false, &["its configuration makes"]);
-    is_found(root, &[(&plan, &format!("\"id\":\"{id}\""), "\"id\":\"0123\"")], false, &["5242d028289c has no"]);
+    is_found(root, &[(&plan, &format!("\"id\":\"{}\"", &id[1..]), "\"id\":\"0123\"")], false, &["5242d028289c has no"]);
     // Columns.
-    is_found(root, &[(&points, "f52a25627886", "deadbeef0000")], false, &["code_revision"]);
-    is_found(root, &[(&points, ",512,3000,", ",512,6000,")], false, &["steps of NeRF"]);
+    let provenance = of("provenance.toml");
+    is_found(root, &[(&provenance, "hf52a25627886", "hdeadbeef0000")], false, &["code_revision"]);
+    is_found(root, &[(&provenance, "steps = 3000", "steps = 6000")], false, &["steps of NeRF"]);
     is_found(root, &[(&points, "\"0.0005, times", "\"0.005, times")], false, &["learning_rate of NeRF"]);
-    is_found(root, &[(&of("provenance.toml"), "f52a25627886", "deadbeef0000")], false, &["code_revision"]);
+    is_found(root, &[(&provenance, "f52a25627886", "deadbeef0000")], false, &["code_revision"]);
     // The definition.
     is_found(
         root,

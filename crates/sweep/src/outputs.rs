@@ -47,8 +47,6 @@ pub struct SweepOutputs {
     pub step_seconds: Option<Vec<u8>>,
     /// Scored images of other programs that are in the table.
     pub scored: Vec<Scored>,
-    /// They were read from results of an earlier version, whose tables have other columns.
-    pub is_early: bool,
 }
 
 /// A run's `scalars.csv`.
@@ -105,9 +103,9 @@ impl SweepOutputs {
         self.records.iter().cloned().chain(self.scored.iter().map(Scored::record)).collect()
     }
 
-    /// Returns the protocol fields that all points share and that are no columns of their tables; `None` if all fields are.
-    pub fn constants(&self) -> Option<Constants> {
-        (!self.is_early).then(|| constants(&self.records))
+    /// Returns the protocol fields that all points share and that are no columns of their tables.
+    pub fn constants(&self) -> Constants {
+        constants(&self.records)
     }
 
     /// Writes all inputs of tables and figures into their folder: the definition, the points with their

@@ -103,7 +103,7 @@ impl Provenance {
 
     /// Sets what all points share.
     pub fn set_constants(&mut self, outputs: &SweepOutputs) {
-        self.constants = toml_of(&outputs.constants().unwrap_or_default());
+        self.constants = toml_of(&outputs.constants());
     }
 
     /// Returns what all points share as text.

@@ -91,7 +91,7 @@ pub struct Origin {
 
 impl Origin {
     pub(super) fn of(source: &Source) -> Origin {
-        let points = points_csv(&source.outputs.records, &[], source.outputs.constants().as_ref());
+        let points = points_csv(&source.outputs.records, &[], &source.outputs.constants());
         Origin { name: source.name.clone(), points_sha256: sha256(points.as_bytes()), label: None }
     }
 }
@@ -107,7 +107,7 @@ impl View {
         let mut view = View {
             first: first.definition.clone(),
             spec: TableSpec { name: name.into(), ..table_of(first) },
-            outputs: SweepOutputs { is_early: false, ..first.outputs.clone() },
+            outputs: first.outputs.clone(),
             points: first.points.to_vec(),
             selection: selection.clone(),
             sweeps: sources.iter().map(Origin::of).collect(),
@@ -385,7 +385,7 @@ impl View {
             sweep: &'a [Origin],
             constants: toml::Table,
         }
-        let constants = toml_of(&self.outputs.constants().unwrap_or_default());
+        let constants = toml_of(&self.outputs.constants());
         toml::to_string(&File { selection: &self.selection, sweep: &self.sweeps, constants }).expect("plain data")
     }
 }

@@ -454,7 +454,8 @@ fn sweep_folders(dir: &Path) -> Vec<Reader> {
     fs::create_dir_all(path.parent().unwrap()).unwrap();
     readers.push(reader("sweep, scored", Format::Text, vec![SCORED.into()], move |bytes| {
         write(&path, bytes);
-        SweepOutputs::of_folder(&folder, &own, &[]).map(|outputs| drop(points_csv(&outputs.all_records(), &[], None)))
+        SweepOutputs::of_folder(&folder, &own, &[])
+            .map(|outputs| drop(points_csv(&outputs.all_records(), &[], &vec![])))
     }));
     readers
 }

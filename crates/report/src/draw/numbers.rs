@@ -17,7 +17,7 @@ pub fn numbers(values: &[f64], step: f64) -> Vec<String> {
     let largest = values.iter().map(|value| value.abs()).fold(0.0, f64::max);
     let decimals = |step: f64| (-step.log10().floor()).clamp(0.0, 6.0) as usize;
     if largest == 0.0 || PLAIN.contains(&largest) {
-        return values.iter().map(|value| signed(format!("{value:.*}", decimals(step)))).collect();
+        return values.iter().map(|value| format!("{value:.*}", decimals(step))).collect();
     }
     let exponent = largest.log10().floor() as i32;
     let unit = 10f64.powi(exponent);
@@ -36,7 +36,7 @@ pub fn values(values: &[f64]) -> Vec<String> {
         |rounded: &[f64]| (0..values.len()).any(|i| (0..i).any(|j| rounded[i] == rounded[j] && values[i] != values[j]));
     let rounded = (DIGITS..17).map(with).find(|rounded| !alike(rounded)).unwrap_or_else(|| values.to_vec());
     let is_plain = |value: &f64| *value == 0.0 || PLAIN.contains(&value.abs());
-    let text = if rounded.iter().all(is_plain) { |value: f64| signed(value.to_string()) } else { power };
+    let text = if rounded.iter().all(is_plain) { |value: f64| value.to_string() } else { power };
     rounded.into_iter().map(text).collect()
 }
 
@@ -52,20 +52,15 @@ pub fn power(value: f64) -> String {
 
 fn times(share: String, exponent: i32) -> String {
     let power = match exponent {
-        0 => return signed(share),
+        0 => return share,
         1 => "10".to_string(),
         other => format!("10{}", raised(other)),
     };
     match share.as_str() {
         "1" => power,
-        "-1" => format!("−{power}"),
-        _ => format!("{}×{power}", signed(share)),
+        "-1" => format!("-{power}"),
+        _ => format!("{share}×{power}"),
     }
-}
-
-/// With a minus sign, not a hyphen.
-fn signed(text: String) -> String {
-    text.replace('-', "−")
 }
 
 fn to_digits(value: f64, digits: usize) -> f64 {
@@ -123,7 +118,7 @@ mod tests {
 
     #[test]
     fn ticks_have_the_digits_of_their_step() {
-        assert_eq!(numbers(&[-0.5, 0.0, 0.5], 0.5), ["−0.5", "0.0", "0.5"]);
+        assert_eq!(numbers(&[-0.5, 0.0, 0.5], 0.5), ["-0.5", "0.0", "0.5"]);
         assert_eq!(numbers(&[0.0, 2e-4, 4e-4], 2e-4), ["0", "2×10⁻⁴", "4×10⁻⁴"]);
         assert_eq!(numbers(&[2e6, 2.5e6], 5e5), ["2.0×10⁶", "2.5×10⁶"]);
         assert_eq!(number(20.25, 0.02), "20.25");

@@ -2,7 +2,7 @@
 //! at once.
 
 use super::statistics::{holm, simultaneous};
-use super::tables::text::{signed_interval, signed_text};
+use super::tables::text::{interval_text, signed_interval, signed_text};
 use super::tables::{Comparison, Judgement, Line, Table, epochs_head, escape, joint};
 use crate::base::csv::{csv_number, csv_text};
 use crate::metrics::Metric;
@@ -216,9 +216,7 @@ impl Across {
             "| {place} | {} | {} | {} | {} | {} |\n",
             comparison.pairs,
             signed_interval(&self.metric, comparison.difference, comparison.interval),
-            block.simultaneous.map_or(String::new(), |(low, high)| {
-                format!("[{}, {}]", signed_text(&self.metric, low), signed_text(&self.metric, high))
-            }),
+            interval_text(&self.metric, block.simultaneous),
             comparison.p_holm.map_or(String::new(), p_text),
             escape(&self.words(block, comparison))
         )

@@ -2,7 +2,7 @@
 
 use super::over_units::{Components, SignTest, components, hodges_lehmann, prediction, sign_test, to_best};
 use super::statistics::{holm, mean, paired_differences, simultaneous, standard_deviation};
-use super::tables::text::{signed_interval, signed_text};
+use super::tables::text::{interval_text, signed_interval, signed_text};
 use super::tables::{Comparison, Judgement, epochs_head, escape, joint};
 use crate::base::csv::{csv_number, csv_text};
 use crate::metrics::{Direction, Metric};
@@ -246,7 +246,11 @@ impl OverScenes {
             "\n| row | scenes up, down, p | median, 95 % interval | a new scene | between, within | minus the best |\n";
         text += "|---|---:|---:|---:|---:|---:|\n";
         text.extend(self.rows.iter().map(|row| self.details_text(row)));
-        text += &format!("| {} |  |  |  |  | {} |\n", escape(&self.baseline), self.ends_text(self.baseline_to_best));
+        text += &format!(
+            "| {} |  |  |  |  | {} |\n",
+            escape(&self.baseline),
+            interval_text(&self.metric, self.baseline_to_best)
+        );
         text += &self.scenes_text();
         text += &self.one_colour_notes();
         text.extend(HOW_TO_READ.iter().map(|note| format!("- {note}\n")));
@@ -276,7 +280,7 @@ impl OverScenes {
             name,
             comparison.pairs.to_string(),
             signed_interval(&self.metric, comparison.difference, comparison.interval),
-            self.ends_text(row.simultaneous),
+            interval_text(&self.metric, row.simultaneous),
             comparison.p_holm.map_or(String::new(), p_text),
             self.said(row, comparison.verdict().map_or(not_significant(comparison), |verdict| verdict.name())),
         ]
@@ -289,9 +293,9 @@ impl OverScenes {
             escape(&row.row),
             row.signs.map_or(String::new(), |s| format!("{}, {}, {}", s.above, s.below, p_text(s.p))),
             row.median.map_or(String::new(), |(median, ends)| signed_interval(&self.metric, median, ends)),
-            self.ends_text(row.prediction),
+            interval_text(&self.metric, row.prediction),
             row.components.map_or(String::new(), |c| format!("{}, {}", unsigned(c.between), unsigned(c.within))),
-            self.ends_text(row.to_best)
+            interval_text(&self.metric, row.to_best)
         )
     }
 
@@ -327,12 +331,6 @@ impl OverScenes {
             text += &format!("| {} | {} |\n", escape(scene), cells.join(" | "));
         }
         text + "\n"
-    }
-
-    fn ends_text(&self, ends: Option<(f64, f64)>) -> String {
-        ends.map_or(String::new(), |(low, high)| {
-            format!("[{}, {}]", signed_text(&self.metric, low), signed_text(&self.metric, high))
-        })
     }
 
     /// Returns what is said of a row whose difference has a verdict of this name.

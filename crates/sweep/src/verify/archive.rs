@@ -61,7 +61,7 @@ impl Archive {
                 .find(|place| place.row == found.row && at(&place.axes) == found.axes)
                 .map(|place| place.axes.clone())
         });
-        let (records, is_early) = read.map_err(|e| in_file("points.csv", e))?;
+        let records = read.map_err(|e| in_file("points.csv", e))?;
         let head = of_points.lines().next().unwrap_or_default();
         let with_timing = head.split(',').any(|column| clocks.iter().any(|clock| clock == column));
         let outputs = SweepOutputs {
@@ -70,7 +70,6 @@ impl Archive {
             scalars: read_scalars(path)?,
             step_seconds: optional(&folder.step_seconds())?,
             scored: read_scored(path, &definition)?,
-            is_early,
             ..SweepOutputs::default()
         };
         Ok(Archive { path: path.to_path_buf(), definition, points, outputs, provenance, with_timing })

@@ -28,7 +28,7 @@ pub fn check(_: &Verifier, sweep: &Collected, findings: &mut Findings) -> Result
         let Some(point) = archive.points.iter().find(|point| point.id == record.id) else { continue };
         let Decided { columns, unknown } = decided(point, record)?;
         let columns = columns.into_iter().map(|(name, text)| (name.to_string(), text));
-        let used = (!archive.outputs.is_early).then_some(record.protocol.as_slice());
+        let used = Some(record.protocol.as_slice());
         let columns = columns.chain(varied.columns(point, &record.axes, used));
         for name in unknown {
             if !open.contains(&name) {

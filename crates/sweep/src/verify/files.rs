@@ -87,7 +87,7 @@ pub fn check(verifier: &Verifier, sweep: &Collected, findings: &mut Findings) ->
         constants.sort();
         constants
     };
-    if sorted(archive.provenance.constants()) != sorted(archive.outputs.constants().unwrap_or_default()) {
+    if sorted(archive.provenance.constants()) != sorted(archive.outputs.constants()) {
         findings.wrong(format!("{PROVENANCE}: [constants] are not the fields that all points share, without a column"));
     }
     if verifier.update {

@@ -13,6 +13,7 @@ use super::files::Collected;
 use crate::base::csv::{column_names, plain_cell};
 use crate::base::{Error, Result};
 use crate::outputs::optional;
+use crate::report::tables::add_repeated;
 
 /// The tables of a results' folder.
 pub struct Cells {
@@ -42,8 +43,11 @@ impl Cells {
     /// Of a sweep: its tables as its points make them, whatever stands in the folder.
     pub fn of_sweep(sweep: &Collected) -> Result<Cells> {
         let mut cells = Cells::of_tables(&sweep.archive.path, |name| sweep.text(name))?;
-        let constants = sweep.archive.outputs.constants().unwrap_or_default();
-        cells.rows.iter_mut().chain(&mut cells.points).for_each(|row| row.cells.extend(constants.iter().cloned()));
+        let constants = sweep.archive.outputs.constants();
+        for row in cells.rows.iter_mut().chain(&mut cells.points) {
+            row.cells.extend(constants.iter().cloned());
+            add_repeated(&mut row.cells);
+        }
         Ok(cells)
     }
 

@@ -18,7 +18,7 @@ pub static POINTS_CSV: TextFile = TextFile {
     name: "points.csv",
     needs_table: false,
     text: |collected| {
-        Ok(Some(points_csv(&collected.records_of(false), collected.joined_timing(), collected.constants.as_ref())))
+        Ok(Some(points_csv(&collected.records_of(false), collected.joined_timing(), &collected.constants)))
     },
 };
 
@@ -30,7 +30,7 @@ pub static SCORED_CSV: TextFile = TextFile {
         let scored = collected.records_of(true);
         // Images of another program do not share what points share.
         let none = Constants::new();
-        Ok((!scored.is_empty()).then(|| points_csv(&scored, &[], collected.constants.as_ref().map(|_| &none))))
+        Ok((!scored.is_empty()).then(|| points_csv(&scored, &[], &none)))
     },
 };
 
@@ -38,14 +38,14 @@ pub static SCORED_CSV: TextFile = TextFile {
 pub static TIMING_CSV: TextFile = TextFile {
     name: "timing.csv",
     needs_table: false,
-    text: |collected| Ok(Some(timing_csv(collected.records, collected.timing, collected.constants.as_ref()))),
+    text: |collected| Ok(Some(timing_csv(collected.records, collected.timing, &collected.constants))),
 };
 
 /// One line a row, with all digits.
 pub static TABLE_CSV: TextFile = TextFile {
     name: "table.csv",
     needs_table: true,
-    text: |collected| Ok(Some(table_csv(collected.table()?, collected.joined_timing(), collected.constants.as_ref()))),
+    text: |collected| Ok(Some(table_csv(collected.table()?, collected.joined_timing(), &collected.constants))),
 };
 
 /// One line for each attacked row: effect of the attack at each site.

@@ -6,6 +6,7 @@ use serde_json::Value;
 
 use super::sheet::{Column, Constants, compact, constants_of, csv_of};
 use super::{Cell, Line, Table, axes_text, distinct, protocol_names};
+use crate::metrics::FLOOR_PSNR;
 use crate::report::statistics::mean;
 use crate::report::{Record, Status};
 use crate::settings::columns::is_per_seed;
@@ -13,7 +14,7 @@ use crate::settings::columns::is_per_seed;
 /// Clock times of a point: its folder's name, and name and value of each.
 pub type PointTiming = (String, Vec<(String, Option<f64>)>);
 
-/// The column that tells lines of one point apart. Files of earlier versions lack it.
+/// The column that tells lines of one point apart.
 pub const POSITION: &str = "position";
 /// Columns that identify a line of the table.
 pub(super) const PLACE_COLUMNS: [&str; 4] = ["scene", "source", "row", "axes"];
@@ -24,9 +25,8 @@ pub fn constants(records: &[Record]) -> Constants {
     constants_of(protocol_columns(&done))
 }
 
-/// Returns one line a point: identity, metrics, protocol and, if given, clock times. Without `constants`, all columns are
-/// as earlier versions wrote them.
-pub fn points_csv(records: &[Record], timing: &[PointTiming], constants: Option<&Constants>) -> String {
+/// Returns one line a point: identity, metrics, protocol but for `constants` and, if given, clock times.
+pub fn points_csv(records: &[Record], timing: &[PointTiming], constants: &Constants) -> String {
     let all: Vec<&Record> = records.iter().collect();
     let text = |name: &str, of: fn(&Record) -> Value| column(name, records.iter().map(of));
     let mut columns = vec![
@@ -35,7 +35,7 @@ pub fn points_csv(records: &[Record], timing: &[PointTiming], constants: Option<
         text("row", |record| record.row.as_str().into()),
         text("axes", |record| axes_text(record).into()),
     ];
-    columns.extend(constants.iter().flat_map(|_| positions(records)));
+    columns.extend(positions(records));
     columns.extend([
         text("seed", |record| record.seed.into()),
         text("status", |record| record.status.name().into()),
@@ -51,18 +51,11 @@ pub fn points_csv(records: &[Record], timing: &[PointTiming], constants: Option<
     for name in clock_names(timing) {
         columns.push(column(name, records.iter().map(|record| clock(timing, &record.id, name).into())));
     }
-    written(columns, constants)
+    csv_of(&compact(columns, constants))
 }
 
 fn column(name: &str, cells: impl Iterator<Item = Value>) -> Column {
     (name.into(), cells.collect())
-}
-
-fn written(columns: Vec<Column>, constants: Option<&Constants>) -> String {
-    csv_of(&match constants {
-        Some(constants) => compact(columns, constants),
-        None => columns,
-    })
 }
 
 /// Returns which of its point's lines each line is, from 1, and how many the point has.
@@ -87,7 +80,7 @@ fn protocol_columns(records: &[&Record]) -> Vec<Column> {
 
 /// Returns one line for each measured point: its folder's name, identity and clock times. A point in several rows has
 /// one line.
-pub fn timing_csv(records: &[Record], timing: &[PointTiming], constants: Option<&Constants>) -> String {
+pub fn timing_csv(records: &[Record], timing: &[PointTiming], constants: &Constants) -> String {
     let label = |id: &str| records.iter().find(|record| record.id == id).map(Record::point_label).unwrap_or_default();
     let mut columns = vec![
         column("id", timing.iter().map(|(id, _)| id.as_str().into())),
@@ -96,13 +89,13 @@ pub fn timing_csv(records: &[Record], timing: &[PointTiming], constants: Option<
     for name in clock_names(timing) {
         columns.push(column(name, timing.iter().map(|(id, _)| clock(timing, id, name).into())));
     }
-    written(columns, constants)
+    csv_of(&compact(columns, constants))
 }
 
 /// Returns one line a row: counts, each metric with its comparison, the published numbers, the protocol that its seeds
-/// share and, if given, its mean clock times. Without `constants`, all columns are as earlier versions wrote them.
-pub fn table_csv(table: &Table, timing: &[PointTiming], constants: Option<&Constants>) -> String {
-    written(table_columns(table, timing), constants)
+/// share but for `constants` and, if given, its mean clock times.
+pub fn table_csv(table: &Table, timing: &[PointTiming], constants: &Constants) -> String {
+    csv_of(&compact(table_columns(table, timing), constants))
 }
 
 /// Returns all columns of [`table_csv`]. Counts and metrics are numbers.
@@ -123,6 +116,8 @@ pub fn table_columns(table: &Table, timing: &[PointTiming]) -> Vec<Column> {
         text("inactive_levels", |line| inactive_text(line).into()),
         text("differs", |line| line.differs.join(" ").into()),
         text("mixed", |line| line.mixed.join(" ").into()),
+        text("no_better_than_one_colour", |line| line.no_better_than_one_colour.join(", ").into()),
+        text(FLOOR_PSNR.key, |line| line.floor_psnr.into()),
     ]);
     for (index, metric) in table.metrics.iter().enumerate() {
         let cells: Vec<&Cell> = lines().map(|line| &line.cells[index]).collect();

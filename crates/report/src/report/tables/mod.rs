@@ -32,7 +32,7 @@ pub use latex::table_latex;
 pub use markdown::escape;
 pub use markdown::table_markdown;
 pub use read::{PlaceText, read_points, read_timing};
-pub use sheet::{Column, Constants, attack_numbers, file_field, plain_field};
+pub use sheet::{Column, Constants, add_repeated, attack_numbers, file_field, plain_field};
 pub use terminal::table_terminal;
 
 use crate::base::Result;

@@ -6,7 +6,7 @@ use crate::base::csv::{column_names, plain_cell, plain_hash};
 use crate::metrics::Metric;
 use crate::report::{AxisValue, Record, Status};
 
-/// Columns that every line fills, in files of every version.
+/// Columns that every line fills.
 const NEEDED: [&str; 5] = ["id", "scene", "row", "seed", "status"];
 /// The other columns that are no field of the protocol. A file lacks those that would be empty.
 const OTHERS: [&str; 5] = ["axes", POSITION, "positions", "reason", "inactive_levels"];
@@ -24,21 +24,19 @@ pub struct PlaceText<'a> {
     pub axes: &'a str,
 }
 
-/// Returns the records of a `points.csv`, and whether an earlier version wrote it. `constants` are the fields that all measured
-/// points share and that are no columns. `axes` returns the axis values for a position, or `None` if it does not exist.
+/// Returns the records of a `points.csv`. `constants` are the fields that all measured points share and that are no columns. `axes` returns the axis values for a position, or `None` if it does not exist.
 /// `clocks` are columns that are neither metrics nor protocol.
 pub fn read_points(
     text: &str,
     constants: &Constants,
     clocks: &[String],
     axes: impl Fn(PlaceText) -> Option<Vec<AxisValue>>,
-) -> Result<(Vec<Record>, bool), String> {
+) -> Result<Vec<Record>, String> {
     let mut reader = csv::Reader::from_reader(text.as_bytes());
     let head = column_names(&mut reader)?;
     if let Some(lacking) = NEEDED.iter().find(|name| !head.iter().any(|column| column == *name)) {
         return Err(format!("it has no column '{lacking}'; it needs {}", NEEDED.join(", ")));
     }
-    let is_early = !head.iter().any(|name| name == POSITION);
     let is_own = |name: &str| NEEDED.contains(&name) || OTHERS.contains(&name) || clocks.iter().any(|own| own == name);
     let (metrics, fields): (Vec<usize>, Vec<usize>) =
         (0..head.len()).filter(|&i| !is_own(&head[i])).partition(|&i| Metric::find(&head[i]).is_some());
@@ -63,7 +61,7 @@ pub fn read_points(
         if status == Status::Done {
             let own = fields.iter().map(|&i| (head[i].clone(), plain_cell(&row[i]).to_string()));
             protocol.push(("scene".into(), scene.into()));
-            protocol.extend(if is_early { own.collect() } else { fields_of(own.chain(constants.clone()).collect()) });
+            protocol.extend(fields_of(own.chain(constants.clone()).collect()));
         }
         let record = Record {
             id: id.into(),
@@ -80,9 +78,9 @@ pub fn read_points(
             protocol,
             inactive_levels: cell("inactive_levels").split_whitespace().map(String::from).collect(),
         };
-        records.push(if is_early { record } else { record.ordered() });
+        records.push(record.ordered());
     }
-    Ok((records, is_early))
+    Ok(records)
 }
 
 /// Returns the clock times in a `timing.csv`, by point.

@@ -6,6 +6,7 @@ use crate::augment::Site;
 use crate::base::csv::{csv_text, hash_cell, plain_hash};
 use crate::report::record::EPOCHS;
 use crate::settings::columns::{AXIS, SETTING, field_order, find};
+use crate::settings::registry::REGISTRY;
 
 /// A column's name, and its cell in each line.
 pub type Column = (String, Vec<Value>);
@@ -39,6 +40,26 @@ pub(super) fn csv_of(columns: &[Column]) -> String {
     csv_text(std::iter::once(head).chain((0..lines).map(line)))
 }
 
+fn texts(cells: &[Value]) -> Vec<String> {
+    cells.iter().map(text).collect()
+}
+
+/// Returns the field with a swept setting's own value: `rays` for `set.train.rays`.
+fn column_of_setting(swept: &str) -> Option<&'static str> {
+    let path = swept.strip_prefix(SETTING)?;
+    // The field holds the steps of the run, which are those of the setting if it has ended.
+    if path == "train.steps" {
+        return Some("steps");
+    }
+    REGISTRY.settings.iter().find(|setting| setting.path == path)?.rule.column
+}
+
+/// Returns whether a swept column holds what the field `name` does.
+fn repeats(swept: &str, name: &str) -> bool {
+    swept.strip_prefix(SETTING) == Some(name)
+        || column_of_setting(swept).is_some_and(|column| file_name(column) == name)
+}
+
 /// Returns whether a column holds what a sweep varies.
 fn is_swept(name: &str) -> bool {
     name.starts_with(AXIS) || name.starts_with(SETTING)
@@ -54,13 +75,14 @@ pub(super) fn compact(mut columns: Vec<Column>, constants: &Constants) -> Vec<Co
         known.is_some_and(|(_, value)| cells.iter().all(|cell| cell.is_empty() || cell == value))
     };
     let is_told = |(name, cells): &Column| {
-        let cells: Vec<String> = cells.iter().map(text).collect();
+        let cells = texts(cells);
         cells.iter().any(|cell| !cell.is_empty()) && !is_constant(name, &cells)
     };
     let told = columns.into_iter().flat_map(readable).filter(is_told);
     let (mut swept, mut others): (Vec<Column>, Vec<Column>) = told.partition(|(name, _)| is_swept(name));
     swept.sort_by_key(|(name, _)| name.starts_with(SETTING));
-    others.retain(|(name, _)| !swept.iter().any(|(own, _)| own.strip_prefix(SETTING) == Some(name)));
+    others
+        .retain(|(name, cells)| !swept.iter().any(|(own, values)| repeats(own, name) && texts(values) == texts(cells)));
     let at = others.iter().rposition(|(name, _)| ["row", "axes"].contains(&name.as_str())).map_or(0, |at| at + 1);
     others.splice(at..at, swept);
     others
@@ -82,8 +104,7 @@ fn readable((name, cells): Column) -> Vec<Column> {
         return columns;
     }
     let cell = |cell: Value| if HASHES.contains(&name.as_str()) { hash_cell(&text(&cell)).into() } else { cell };
-    // Results of earlier versions have blanks in names of axes.
-    vec![(file_name(&name).replace(' ', "_"), cells.into_iter().map(cell).collect())]
+    vec![(file_name(&name).into(), cells.into_iter().map(cell).collect())]
 }
 
 /// Returns the name of a field in files.
@@ -154,7 +175,20 @@ pub(super) fn fields_of(cells: Vec<(String, String)>) -> Vec<(String, String)> {
     let numbers = cells.iter().any(|(name, _)| is_number(name.strip_prefix(SETTING).unwrap_or(name)));
     let joined = numbers.then(|| (ATTACK_NUMBERS.to_string(), joined_numbers(&cells)));
     let own = cells.into_iter().filter(|(name, _)| !is_number(name)).map(plain_field);
-    own.chain(joined).collect()
+    let mut fields: Vec<(String, String)> = own.chain(joined).collect();
+    add_repeated(&mut fields);
+    fields
+}
+
+/// Adds the fields that [`compact`] left out because a swept column repeats them.
+pub fn add_repeated(fields: &mut Vec<(String, String)>) {
+    let of_setting = |(name, cell): &(String, String)| {
+        let column = column_of_setting(name)?;
+        let is_lacking = !fields.iter().any(|(known, _)| known == column);
+        is_lacking.then(|| (column.to_string(), cell.clone()))
+    };
+    let repeated: Vec<(String, String)> = fields.iter().filter_map(of_setting).collect();
+    fields.extend(repeated);
 }
 
 #[cfg(test)]

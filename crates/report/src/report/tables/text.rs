@@ -2,7 +2,7 @@
 
 use super::kinds::{is_without_fields, kind_notes, llff_note};
 use super::together::number;
-pub use super::together::{mean_and_spread, mean_text, signed_interval, signed_text};
+pub use super::together::{interval_text, mean_and_spread, mean_text, signed_interval, signed_text};
 pub use super::warnings::{SEE_ATTACK, warnings};
 use super::{Cell, Comparison, Line, Table};
 use crate::metrics::{DEPTH_MAE, DEPTH_RMSE, DEPTH_ROUGHNESS, Metric, NORMAL_ROUGHNESS, Needs, PSNR};
