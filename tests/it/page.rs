@@ -127,6 +127,7 @@ pub fn page() -> String {
     let files = [
         ("curves_fern_psnr.svg".to_string(), svg("along steps")),
         ("curves_fern_psnr_seconds.svg".into(), svg("time")),
+        ("curves_fern_psnr.txt".into(), b"Training on fern\nLines are means.\n".to_vec()),
     ];
     let attack = AttackLine::of(&table.lines[1], |_, column| match column {
         "gain.xyz" => vec![1e-3, 3e-3],
@@ -180,13 +181,20 @@ fn the_page_fits_a_phone_and_shows_videos() {
     assert_eq!((page.matches("class=\"wide\"").count(), page.matches("class=\"narrow\"").count()), (2, 2));
     assert_says(
         &page,
-        &["<figcaption>Training on fern", "media-src data:", "data:image/gif;base64,R0lGODlh", "TV, seed 0"],
+        &[
+            "<strong>Training on fern</strong> Lines are means. <code>curves_fern_psnr<",
+            "media-src data:",
+            "data:image/gif;base64,R0lGODlh",
+            "TV, seed 0",
+        ],
     );
     // What people look at first stands first, and a mesh is shown as films are.
     let places =
         ["id=\"views\"", "id=\"films\"", "id=\"meshes\"", "id=\"figures\""].map(|part| page.find(part).unwrap());
     assert!(places.is_sorted(), "{places:?}");
     assert_says(&page, &["alt=\"mesh of TV\"", "<code>mesh.png</code>"]);
+    // No box scrolls within the page.
+    assert!(page.contains("9 points: show all</summary>") && !page.contains("overflow-y"));
     assert_says(&page, &["scroll sideways for more", "rows.length > 2 ? 1 : 0"]);
 }
 
@@ -218,7 +226,7 @@ fn a_training_has_one_row_and_a_fact_one_line() {
     assert_eq!(results.matches("<th scope=\"row\">").count(), 2, "{results}");
     assert_says(results, &["the same training: epsilon = 0.06275"]);
     let first = page.split("<h2>Read first</h2>").nth(1).unwrap().split("</section>").next().unwrap();
-    assert_says(first, &["view in all 3 rows (see Attack)", "all rows: data_hash"]);
+    assert_says(first, &["view in all 2 rows (see Attack)", "all rows: data_hash"]);
     // What marks mean stands before the rows that have them.
     assert_says(page.split("class=\"results").next().unwrap(), &["<li>† sites that move the rendered colours"]);
     assert_eq!(first.matches("<li>").count(), 2, "{first}");

@@ -65,6 +65,12 @@ fn texts(svg: &str) -> Vec<(&str, &str)> {
         .collect()
 }
 
+/// All words of a figure, and its caption.
+fn said(figure: &Figure) -> String {
+    let texts: String = texts(&figure.svg).into_iter().map(|(_, text)| format!("{text} ")).collect();
+    texts + &figure.caption
+}
+
 /// Where the text stands; it must be there once.
 fn place(svg: &str, text: &str) -> (f64, f64) {
     let found: Vec<&str> = texts(svg).into_iter().filter(|(_, own)| *own == text).map(|(element, _)| element).collect();
@@ -174,15 +180,14 @@ fn the_paper_s_figure() {
     let figure = axes_figure(page(&spec), &records, "fern", "psnr").unwrap().unwrap();
     keep("axes", &figure);
     assert_eq!(figure.svg, axes_figure(page(&spec), &records, "fern", "psnr").unwrap().unwrap().svg);
-    for words in ["input coordinates", "features", "injection layer", "10⁻⁵", "PSNR (dB)", "Dashed: NeRF"] {
+    for words in ["input coordinates", "features", "injection layer", "10⁻⁵", "PSNR (dB)", ">\nNeRF\n<"] {
         assert!(figure.svg.contains(words), "{words}");
     }
     // Panels of coordinates and output show nothing; those of features do.
-    let said = texts(&figure.svg).into_iter().map(|(_, text)| format!("{text} ")).collect::<String>();
+    let said = said(&figure);
     assert_eq!(said.matches("Aug-NeRF: 3 seeds: no difference shown; detectable").count(), 4, "{said}");
     assert_eq!(said.matches("differ, p ").count(), 3, "{said}");
-    let caption: Vec<&str> = texts(&figure.svg).into_iter().map(|(_, text)| text).collect();
-    assert!(caption.join(" ").contains("waiting: output steps = 3 (Aug-NeRF)"), "the missing value is named");
+    assert!(figure.caption.contains("waiting: output steps = 3 (Aug-NeRF)"), "the missing value is named");
     assert!(axes_figure(page(&spec), &records, "orchids", "psnr").unwrap().is_none());
     assert!(axes_figure(page(&spec), &records, "fern", "ssim").unwrap().is_none());
 }
@@ -203,16 +208,14 @@ fn a_table_as_points() {
     let figure = rows_figure(page(&spec), &table, &records, "fern", "psnr").unwrap().unwrap();
     keep("rows", &figure);
     assert_eq!(figure.svg, rows_figure(page(&spec), &table, &records, "fern", "psnr").unwrap().unwrap().svg);
-    for words in [
-        "Feature &amp; (Pre-) Output",
-        "waiting",
-        "one seed: no interval",
-        "better",
-        "Aug-NeRF †",
-        "no difference is shown",
-    ] {
+    for words in ["Feature &amp; (Pre-) Output", "waiting", "one seed: no interval", "better", "Aug-NeRF †"] {
         assert!(figure.svg.contains(words), "{words}");
     }
+    // A paper has its own caption: title and explanation stand in a file beside the picture.
+    assert!(figure.caption.starts_with("PSNR (dB) on fern\nLarge dots") && !figure.svg.contains("Large dots"));
+    let names = |name: &str| figure.clone().files(name).map(|(name, _)| name).collect::<Vec<String>>();
+    assert_eq!(names("rows").last().unwrap(), "rows.txt");
+    assert!(!names("rows_column").contains(&"rows_column.txt".to_string()), "both widths share it");
     assert!(rows_figure(page(&spec), &table, &records, "orchids", "psnr").unwrap().is_none());
 }
 
@@ -263,11 +266,13 @@ fn training_curves() {
     for (row, times) in [("NeRF", 1), ("Aug-NeRF", 2), ("+ Feature Aug.", 2), ("+ l1 Reg.", 0)] {
         assert_eq!(texts(&figure.svg).iter().filter(|(_, text)| *text == row).count(), times, "{row}");
     }
-    let said: String = texts(&figure.svg).into_iter().map(|(_, text)| format!("{text} ")).collect();
+    let said = said(&figure);
     for words in ["moving averages", "Of 10 rows: the baseline and the 4 with the highest", "(dB), difference to NeRF"]
     {
         assert!(said.contains(words), "{words}: {said}");
     }
+    // Rows share their seeds: the baseline alone has a band.
+    assert_eq!(figure.svg.matches("<polygon").count(), 1);
     // Where a line ends before the panel does, what leads to its name is no measurement.
     let log = |last: usize| vec![(1..=last).map(|i| (100.0 * i as f64, 15.0 + i as f64)).collect::<Vec<_>>()];
     let held_out = Curve { label: "NeRF".into(), seeds: log(10), held_out: log(9), ..Curve::default() };
@@ -310,6 +315,27 @@ fn training_curves_against_seconds() {
     assert!(curves_figure(page(&spec), "fern", &curves).unwrap().unwrap().svg.contains("unknown"));
 }
 
+/// What a table does not tell apart is no difference in a figure: a scale spans ten units of the last digit or more.
+#[test]
+fn scales_are_no_finer_than_tables() {
+    let spec = spec(&["NeRF", "TV"]);
+    let level = |row: &str| if row == "TV" { 20.002 } else { 20.0 };
+    let curve = |row: &str| Curve {
+        label: row.into(),
+        seeds: vec![(1..=20).map(|i| (f64::from(i), level(row))).collect()],
+        ..Curve::default()
+    };
+    let curves = curves_figure(page(&spec), "fern", &["NeRF", "TV"].map(curve)).unwrap().unwrap();
+    let records: Vec<Record> =
+        ["NeRF", "TV"].iter().flat_map(|row| (0..3).map(|seed| record(row, vec![], seed, Some(level(row))))).collect();
+    let table = Table::new(&spec, &records, false).unwrap();
+    let rows = rows_figure(page(&spec), &table, &records, "fern", "psnr").unwrap().unwrap();
+    for (figure, ticks) in [(curves, ["20.00", "0.00"]), (rows, ["20.00", "0.00"])] {
+        let said = texts(&figure.svg).into_iter().map(|(_, text)| text).collect::<Vec<_>>();
+        assert!(ticks.iter().all(|tick| said.contains(tick)) && !said.contains(&"20.002"), "{said:?}");
+    }
+}
+
 /// Where views were evaluated during training, a second panel has held-out and training views of each row.
 #[test]
 fn training_curves_show_seen_and_unseen_views() {
@@ -344,7 +370,7 @@ fn shifts_of_the_attack() {
     for word in ["t", "density", "Aug-NeRF", "10⁻⁵", "10⁻³", "10", "1/2: a seed below is inactive"] {
         assert!(says(&figure.svg, word), "{word}");
     }
-    assert!(!figure.svg.contains("Shifts of 0"));
+    assert!(!figure.caption.contains("Shifts of 0"));
     // A shift is drawn at its logarithm: 5 is at 0.699 of the decade, as the bound of 0.5 is in that below.
     let flat = |value: f64| {
         let sites = vec![(Site::Feature, vec![vec![(1.0, value), (2.0, value)]])];
@@ -362,8 +388,8 @@ fn shifts_of_the_attack() {
     // What moves no colour has nothing to draw.
     assert!(flat(0.0).is_none() && shifts_figure(page(&spec), "fern", &[]).unwrap().is_none());
     let half = vec![(Site::Feature, vec![vec![(1.0, 0.0), (2.0, 1.0), (3.0, 2.0)]])];
-    let svg = shifts_figure(page(&spec), "fern", &[Shifts { label: "half".into(), sites: half }]).unwrap().unwrap().svg;
-    assert!(svg.contains("Shifts of 0 have no place on this scale."));
+    let half = shifts_figure(page(&spec), "fern", &[Shifts { label: "half".into(), sites: half }]).unwrap().unwrap();
+    assert!(half.caption.contains("Shifts of 0 have no place on this scale."));
 }
 
 #[test]
@@ -405,7 +431,7 @@ fn a_product_of_two_axes_is_drawn_too() {
     records.extend((0..16).flat_map(|i| values(i / 4, i % 4)));
     let figure = axes_figure(page(&spec(&["NeRF", "Aug-NeRF"])), &records, "fern", "psnr").unwrap().expect("a figure");
     keep("product", &figure);
-    let said: String = texts(&figure.svg).into_iter().map(|(_, text)| format!("{text} ")).collect();
+    let said = said(&figure);
     for value in ["1e-3", "1e-2", "1e-1", "1"] {
         assert!(said.contains(&format!("features epsilon = {value}: 3 seeds")), "{value}");
     }
@@ -429,7 +455,7 @@ fn a_product_of_two_axes_is_drawn_too() {
     );
     assert!(better > 0);
     assert_eq!((map.svg.matches("waiting").count(), map.svg.matches("± 0.").count()), (1, 15));
-    for words in ["features: epsilon", "features: steps", "0.001", "PSNR (dB) on fern, Aug-NeRF"] {
+    for words in ["features: epsilon", "features: steps", "0.001", "PSNR (dB), Aug-NeRF"] {
         assert!(map.svg.contains(words), "{words}");
     }
     assert!(heatmap_figures(page(&spec), &table, &records, "fern", "ssim").unwrap().is_empty());
@@ -583,9 +609,8 @@ fn no_figure_grows_with_its_words() {
         for (index, figure) in figures.iter().enumerate() {
             keep(&format!("long_{index}{}", width.suffix()), figure);
             assert!(figure.svg.contains(if width == Width::Page { " width=\"17cm\"" } else { " width=\"8.3cm\"" }));
-            let said: String = texts(&figure.svg).into_iter().map(|(_, text)| format!("{text} ")).collect();
-            assert!(said.contains("All rows: data.width = 24, train.steps = 20."), "{said}");
-            assert_eq!(said.matches("data.width").count(), 1, "not in the title");
+            assert!(figure.caption.ends_with(" All rows: data.width = 24, train.steps = 20.\n"), "{}", figure.caption);
+            assert_eq!(said(figure).matches("data.width").count(), 1, "not in the title");
         }
     }
 }
@@ -649,7 +674,7 @@ fn curves_are_not_squeezed() {
     for width in Width::ALL {
         let figure = curves_figure(Style { spec: &spec, width }, "fern", &curves).unwrap().unwrap();
         keep(&format!("squeezed{}", width.suffix()), &figure);
-        let said: String = texts(&figure.svg).into_iter().map(|(_, text)| format!("{text} ")).collect();
+        let said = said(&figure);
         assert!(said.contains("Cut off: longer goes on to step 8600"), "{said}");
         assert!(said.contains("difference to NeRF, rows far from the others"), "{said}");
         assert!(!texts(&figure.svg).iter().any(|(_, text)| *text == "8000"), "the axis ends at 2000");

@@ -456,7 +456,7 @@ fn inactive_sites_are_worded_by_what_was_judged() {
         "{text}"
     );
     assert!(text.contains("| Aug-NeRF † |"), "one mark");
-    let figure = rows_figure(page(&spec()), &table, &records, "fern", "psnr").unwrap().unwrap().svg;
+    let figure = rows_figure(page(&spec()), &table, &records, "fern", "psnr").unwrap().unwrap().caption;
     assert!(figure.contains("8-bit") && !figure.contains("effect"), "{figure}");
 }
 

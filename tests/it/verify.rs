@@ -258,6 +258,10 @@ fn update_writes_tables_from_points_alone() {
     std::fs::write(&figure, "old").unwrap();
     assert_says(&verify(dir.path(), &["--update"], 0), &["rows_builtin_psnr.svg: written anew"]);
     assert!(text(&figure).contains("NeRF") && !folder.join("rows_builtin_depth_mae.svg").exists());
+    // A figure that is kept has its caption beside it.
+    std::fs::remove_file(folder.join("rows_builtin_psnr.txt")).unwrap();
+    assert_says(&verify(dir.path(), &[], 10), &["rows_builtin_psnr.txt: the points make it"]);
+    assert!(!folder.join("rows_builtin_depth_mae.txt").exists());
     verify(dir.path(), &["--update", "--all"], 0);
     assert!(folder.join("rows_builtin_depth_mae.svg").exists());
     assert_says(&verify(dir.path(), &["--all"], 2), &["--update"]);
@@ -388,7 +392,8 @@ fn a_comparison_over_scenes_is_made_again() {
     let said = across(&["--rows", "Aug-NeRF"], 0);
     assert_says(&said, &["Rows against NeRF over 3 scenes: psnr", "a scene counts once", "| fern |"]);
     let folder = dir.path().join("results/over");
-    assert_says(&text(&folder.join("over_scenes.svg")), &["Rows against NeRF over 3 scenes", "difference in PSNR"]);
+    assert_says(&text(&folder.join("over_scenes.svg")), &["difference in PSNR (dB) to NeRF"]);
+    assert_says(&text(&folder.join("over_scenes.txt")), &["Rows against NeRF over 3 scenes", "Faint dots are scenes"]);
     let scenes = rows(&text(&folder.join("scenes.csv")));
     let number = |row: &std::collections::HashMap<String, String>, column: &str| row[column].parse::<f64>().unwrap();
     for (scene, name) in ["builtin", "fern", "chair"].iter().zip(["precision", "precision", "precision_chair"]) {
@@ -454,7 +459,7 @@ fn a_comparison_across_sweeps_is_made_again() {
     let folder = dir.path().join("results/both");
     assert_says(
         &text(&folder.join("across.svg")),
-        &["Aug-NeRF against NeRF", "difference in PSNR", "chair, 8 views", " width=\"17cm\""],
+        &["Aug-NeRF minus NeRF: difference in PSNR", "chair, 8 views", " width=\"17cm\""],
     );
     let blocks = rows(&text(&folder.join("across.csv")));
     let own = |name: &str, column: &str| {

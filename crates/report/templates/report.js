@@ -59,11 +59,12 @@ const hint = box => {
 };
 const hintAll = () => all(".box").forEach(hint);
 addEventListener("resize", hintAll);
+all("details").forEach(part => part.addEventListener("toggle", hintAll));
 hintAll();
 
 // Curves against steps or seconds.
 for (const figure of all("figure.switch")) {
-  const buttons = all("button", figure), shown = all(".paper", figure);
+  const buttons = all("button", figure), shown = all(".drawn", figure);
   const show = at => buttons.forEach((button, i) => {
     button.setAttribute("aria-pressed", i === at);
     shown[i].hidden = i !== at;

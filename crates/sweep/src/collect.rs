@@ -133,10 +133,10 @@ impl Results {
 /// Receives a file by its name below the results folder.
 pub type Taking<'a> = &'a mut dyn FnMut(&str, Content) -> Result<()>;
 
-/// Adds a file if it is an SVG, which pages show.
-pub(super) fn keep_svg(figures: &mut Vec<(String, Vec<u8>)>, name: &str, content: &Content) -> Result<()> {
-    if name.ends_with(".svg") {
-        figures.push((name.into(), content.bytes()?.into_owned()));
+/// Adds a file, unless it is a PNG, whose pixels no page needs.
+pub(super) fn keep_shown(figures: &mut Vec<(String, Vec<u8>)>, name: &str, content: &Content) -> Result<()> {
+    if let Content::Bytes(bytes) = content {
+        figures.push((name.into(), bytes.clone()));
     }
     Ok(())
 }

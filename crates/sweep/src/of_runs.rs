@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use serde::Deserialize;
 use serde_json::{Map, Value};
 
-use super::collect::{TableInputs, keep_svg};
+use super::collect::{TableInputs, keep_shown};
 use super::comparability::{by_seed, must_match};
 use super::layout::TablePosition;
 use super::outputs::SweepOutputs;
@@ -150,7 +150,7 @@ impl RunsTable {
         let inputs =
             TableInputs { spec: &self.spec, outputs: &self.outputs, points: &self.points, force: true, with_timing };
         let mut figures = Vec::new();
-        let table = inputs.files(&mut |name, content| keep_svg(&mut figures, name, &content))?;
+        let table = inputs.files(&mut |name, content| keep_shown(&mut figures, name, &content))?;
         let page = inputs.page(&table, &figures, folder)?;
         Ok((table, page))
     }

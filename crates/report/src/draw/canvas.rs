@@ -22,6 +22,8 @@ use crate::base::{Error, Image, Result};
 pub struct Figure {
     /// SVG text.
     pub svg: String,
+    /// What it shows, and on the next line how it is read; empty if the figure says so itself.
+    pub caption: String,
     canvas: Canvas,
 }
 
@@ -43,10 +45,13 @@ impl Figure {
         raster::png(&self.canvas)
     }
 
-    /// `NAME.svg` and, with the feature `png-figures`, `NAME.png`.
+    /// `NAME.svg`, with the feature `png-figures` `NAME.png`, and the caption as `NAME.txt`. Both widths share a caption.
     pub fn files(self, name: &str) -> impl Iterator<Item = (String, Content)> {
         let png = raster::SVG_ALONE.is_none().then(|| (format!("{name}.png"), Content::Png(self.canvas)));
-        std::iter::once((format!("{name}.svg"), Content::Bytes(self.svg.into_bytes()))).chain(png)
+        let has_own = !self.caption.is_empty() && !name.ends_with(Width::Column.suffix());
+        let caption = has_own.then(|| (format!("{name}.txt"), Content::Bytes(self.caption.into_bytes())));
+        let svg = (format!("{name}.svg"), Content::Bytes(self.svg.into_bytes()));
+        std::iter::once(svg).chain(png).chain(caption)
     }
 }
 
@@ -309,7 +314,7 @@ impl Canvas {
 
     /// The figure's files.
     pub fn finish(self) -> Result<Figure> {
-        Ok(Figure { svg: self.svg(), canvas: self })
+        Ok(Figure { svg: self.svg(), caption: String::new(), canvas: self })
     }
 
     /// The PNG's pixels, which only the feature `png-figures` draws.

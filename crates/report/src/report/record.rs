@@ -173,12 +173,6 @@ pub struct AxisParts {
 }
 
 impl TableSpec {
-    /// Returns the title without the changed settings, which figures have in their captions.
-    pub fn short_title(&self) -> &str {
-        let with = format!(" (with {})", self.changed);
-        self.title.strip_suffix(&with).unwrap_or(&self.title)
-    }
-
     /// Returns the names of the settings that an axis varies together; empty if it varies one.
     pub fn parts_of(&self, axis: &str, panel: &str) -> &[String] {
         let own = self.parts.iter().find(|parts| (parts.axis.as_str(), parts.panel.as_str()) == (axis, panel));

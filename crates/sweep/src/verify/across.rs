@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 
 use super::Verifier;
 use super::archive::Archive;
-use super::files::{Compared, is_figure, not_kept};
+use super::files::{Compared, is_spare, not_kept};
 use super::findings::Findings;
 use super::tree::{Tree, root_of};
 use crate::across::{ACROSS, AcrossRequest};
@@ -56,7 +56,7 @@ impl Comparison {
 pub fn check(verifier: &Verifier, comparison: &Comparison, findings: &mut Findings) -> Result<()> {
     let Comparison { path, request: (request, sweeps), files } = comparison;
     let made: BTreeMap<String, Content> = files.iter().cloned().collect();
-    let compared = Compared::new(verifier, path, made.iter(), is_figure, findings)?;
+    let compared = Compared::new(verifier, path, made.iter(), |name| is_spare(path, name), findings)?;
     compared.report(&format!("from comparisons of {sweeps} sweeps, of which {request} has the hashes"), findings);
     not_kept(&compared.absent, None, path, findings);
     Ok(())

@@ -3,7 +3,7 @@
 use std::path::{Path, PathBuf};
 
 use crate::base::{Error, Result};
-use crate::collect::{Collector, PAGE, TableInputs, Taking, keep_svg};
+use crate::collect::{Collector, PAGE, TableInputs, Taking, keep_shown};
 use crate::definition::Definition;
 use crate::folder::SweepFolder;
 use crate::outputs::{SweepOutputs, optional, read_scalars};
@@ -91,9 +91,9 @@ impl Archive {
     /// The page of a results' folder: without pictures of views, which lie with the runs.
     pub fn page(&self, runs: Option<&SweepFolder>) -> Result<(Table, String)> {
         let mut figures = Vec::new();
-        let table = self.files(&mut |name, content| keep_svg(&mut figures, name, &content))?;
+        let table = self.files(&mut |name, content| keep_shown(&mut figures, name, &content))?;
         // Those that nothing makes again, as they were committed.
-        for name in self.provenance.pinned.keys().filter(|name| name.ends_with(".svg")) {
+        for name in self.provenance.pinned.keys() {
             if let Some(bytes) = optional(&self.path.join(name))? {
                 figures.push((name.clone(), bytes));
             }

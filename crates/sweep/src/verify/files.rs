@@ -71,8 +71,9 @@ pub fn check(verifier: &Verifier, sweep: &Collected, findings: &mut Findings) ->
     }
     let archived = archive.provenance.archived.as_ref();
     // A sweep without any clock has had none since it was collected.
-    let may_lack =
-        |name: &str| is_figure(name) || name == TIMING || archived.is_some_and(|a| a.files.contains_key(name));
+    let may_lack = |name: &str| {
+        is_spare(&archive.path, name) || name == TIMING || archived.is_some_and(|a| a.files.contains_key(name))
+    };
     let held = inputs(archive, findings)?;
     let compared = Compared::new(verifier, &archive.path, made.iter(), may_lack, findings)?;
     match archive.done().count() {
@@ -204,6 +205,12 @@ impl Compared {
 /// Whether a file is a picture.
 pub fn is_figure(name: &str) -> bool {
     name.ends_with(".svg") || name.ends_with(".png")
+}
+
+/// Whether a folder may do without a file: a picture, or the caption of a picture that it does without, too.
+pub fn is_spare(folder: &Path, name: &str) -> bool {
+    let has = |ending: &str| folder.join(name).with_extension(ending).exists();
+    is_figure(name) || name.ends_with(".txt") && !has("svg") && !has("png")
 }
 
 /// Says in one line what is not there, and where it is to be had.

@@ -1,4 +1,4 @@
-//! Figures, each as SVG and PNG.
+//! Figures, each as SVG and PNG, with its caption as text.
 
 use crate::base::Result;
 use crate::report::plots::{
@@ -18,80 +18,59 @@ pub struct Figures {
 /// A figure's file name without its extension, and the figure if there is one.
 type Named = (String, Option<Figure>);
 
+impl Figures {
+    const fn new(kind: &'static str, figures: fn(&Collected, Style) -> Result<Vec<Named>>) -> Figures {
+        Figures { kind, repeats: true, figures }
+    }
+}
+
 /// `rows_SCENE_METRIC`: the rows of a sweep without axes. A row with its own axes has a line for each value.
-pub static ROWS: Figures = Figures {
-    kind: "rows_",
-    repeats: true,
-    figures: |collected, style| {
-        let table = collected.table()?;
-        each_metric(collected, |scene, metric| match collected.spec.varied {
-            true => Ok(vec![]),
-            false => Ok(vec![rows_figure(style, table, collected.records, scene, metric)?]),
-        })
-    },
-};
+pub static ROWS: Figures = Figures::new("rows_", |collected, style| {
+    let table = collected.table()?;
+    each_metric(collected, |scene, metric| match collected.spec.varied {
+        true => Ok(vec![]),
+        false => Ok(vec![rows_figure(style, table, collected.records, scene, metric)?]),
+    })
+});
 
 /// `axes_SCENE_METRIC`: a metric against the varied setting.
-pub static AXES: Figures = Figures {
-    kind: "axes_",
-    repeats: true,
-    figures: |collected, style| {
-        each_metric(collected, |scene, metric| Ok(vec![axes_figure(style, collected.records, scene, metric)?]))
-    },
-};
+pub static AXES: Figures = Figures::new("axes_", |collected, style| {
+    each_metric(collected, |scene, metric| Ok(vec![axes_figure(style, collected.records, scene, metric)?]))
+});
 
 /// `heatmap_SCENE_METRIC`: a metric over two axes that are varied together; several are numbered.
-pub static HEATMAPS: Figures = Figures {
-    kind: "heatmap_",
-    repeats: true,
-    figures: |collected, style| {
-        let table = collected.table()?;
-        each_metric(collected, |scene, metric| {
-            let figures = heatmap_figures(style, table, collected.records, scene, metric)?;
-            Ok(figures.into_iter().map(Some).collect())
-        })
-    },
-};
+pub static HEATMAPS: Figures = Figures::new("heatmap_", |collected, style| {
+    let table = collected.table()?;
+    each_metric(collected, |scene, metric| {
+        let figures = heatmap_figures(style, table, collected.records, scene, metric)?;
+        Ok(figures.into_iter().map(Some).collect())
+    })
+});
 
 /// `curves_SCENE_psnr`: training against steps and, if clock times are shown, against seconds.
-pub static CURVES: Figures = Figures {
-    kind: "curves_",
-    repeats: true,
-    figures: |collected, style| {
-        let mut figures = Vec::new();
-        for (scene, curves) in collected.curves {
-            figures.push((format!("{scene}_psnr"), curves_figure(style, scene, curves)?));
-            // Drawn only with clock times, since it is not reproducible.
-            figures.push((format!("{scene}_psnr_seconds"), seconds_figure(style, scene, curves)?));
-        }
-        Ok(figures)
-    },
-};
+pub static CURVES: Figures = Figures::new("curves_", |collected, style| {
+    let mut figures = Vec::new();
+    for (scene, curves) in collected.curves {
+        figures.push((format!("{scene}_psnr"), curves_figure(style, scene, curves)?));
+        // Drawn only with clock times, since it is not reproducible.
+        figures.push((format!("{scene}_psnr_seconds"), seconds_figure(style, scene, curves)?));
+    }
+    Ok(figures)
+});
 
 /// `attack_SCENE`: how far the attack's deltas move colours during training, one panel a site.
-pub static ATTACK: Figures = Figures {
-    kind: "attack_",
-    repeats: true,
-    figures: |collected, style| {
-        let mut figures = Vec::new();
-        for (scene, shifts) in collected.shifts {
-            figures.push((scene.clone(), shifts_figure(style, scene, shifts)?));
-        }
-        Ok(figures)
-    },
-};
+pub static ATTACK: Figures = Figures::new("attack_", |collected, style| {
+    let of = |(scene, shifts): &(String, Vec<_>)| Ok((scene.clone(), shifts_figure(style, scene, shifts)?));
+    collected.shifts.iter().map(of).collect()
+});
 
 /// `surfaces_SCENE`: the rows' surfaces, if the points drew any.
 pub static SURFACES: Figures = Figures {
-    kind: "surfaces_",
     repeats: false,
-    figures: |collected, style| {
-        let mut figures = Vec::new();
-        for (scene, surfaces) in collected.surfaces {
-            figures.push((scene.clone(), surfaces_figure(style, scene, surfaces)?));
-        }
-        Ok(figures)
-    },
+    ..Figures::new("surfaces_", |collected, style| {
+        let of = |(scene, surfaces): &(String, Vec<_>)| Ok((scene.clone(), surfaces_figure(style, scene, surfaces)?));
+        collected.surfaces.iter().map(of).collect()
+    })
 };
 
 impl Exporter for Figures {
@@ -100,7 +79,7 @@ impl Exporter for Figures {
     }
 
     fn owns(&self, file: &str) -> bool {
-        file.starts_with(self.kind) && (file.ends_with(".svg") || file.ends_with(".png"))
+        file.starts_with(self.kind) && [".svg", ".png", ".txt"].iter().any(|ending| file.ends_with(ending))
     }
 
     fn repeats(&self) -> bool {

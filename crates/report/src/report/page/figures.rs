@@ -1,46 +1,48 @@
 //! The figures, inline in the page.
 
 use crate::base::{Error, Result};
-use crate::metrics::Metric;
 use crate::report::plots::Width;
-use crate::report::tables::{Heading, Table};
+use crate::report::tables::Table;
 
-/// A figure, with its version against seconds if there is one.
-pub struct Figure {
-    pub name: String,
-    pub title: String,
-    pub svg: Drawn,
-    pub seconds: Option<Drawn>,
-}
-
-/// A figure as wide screens and as narrow ones show it.
-#[derive(Default)]
+/// A figure as wide screens and as narrow ones show it, with its caption.
 pub struct Drawn {
+    pub name: String,
+    /// What it shows.
+    pub title: String,
+    /// How it is read.
+    pub caption: String,
     pub page: String,
     pub column: String,
 }
 
+impl Drawn {
+    /// Takes the SVGs of a page and of a column, and the lines of a caption; the name is the title of a figure without.
+    pub fn new(name: &str, page: &[u8], column: &[u8], caption: &str) -> Result<Drawn> {
+        let (title, caption) = caption.split_once('\n').unwrap_or((name, ""));
+        let [title, caption] = [title, caption].map(|text| text.trim().to_string());
+        Ok(Drawn { name: name.into(), title, caption, page: inline(name, page)?, column: inline(name, column)? })
+    }
+}
+
 const SECONDS: &str = "_seconds";
 
-/// Returns the figures among the files, in order, without those of a metric that is the same for all rows.
-pub fn figures(table: &Table, files: &[(String, Vec<u8>)]) -> Result<Vec<Figure>> {
-    let column = Width::Column.suffix();
+/// Returns the figures among the files, in order, each with its version against seconds if there is one; without those of
+/// a metric that is the same for all rows.
+pub fn figures(table: &Table, files: &[(String, Vec<u8>)]) -> Result<Vec<Vec<Drawn>>> {
+    let suffix = Width::Column.suffix();
+    let file = |file: String| files.iter().find(|(known, _)| *known == file).map(|(_, bytes)| bytes.as_slice());
     let svgs = files.iter().filter_map(|(name, bytes)| Some((name.strip_suffix(".svg")?, bytes)));
-    let mut figures: Vec<Figure> = Vec::new();
+    let mut figures: Vec<Vec<Drawn>> = Vec::new();
     let same = same_for_all(table);
-    for (name, bytes) in svgs.filter(|(name, _)| !name.ends_with(column)) {
+    for (name, bytes) in svgs.filter(|(name, _)| !name.ends_with(suffix)) {
         if same.iter().any(|place| name.split_once('_').is_some_and(|(_, rest)| rest == place)) {
             continue;
         }
-        let narrow = format!("{name}{column}.svg");
-        let narrow =
-            files.iter().find(|(known, _)| *known == narrow).map(|(_, bytes)| inline(name, bytes)).transpose()?;
-        let page = inline(name, bytes)?;
-        let drawn = Drawn { column: narrow.unwrap_or_else(|| page.clone()), page };
-        let of_steps = |figure: &&mut Figure| name.strip_suffix(SECONDS) == Some(figure.name.as_str());
-        match figures.iter_mut().find(of_steps) {
-            Some(figure) => figure.seconds = Some(drawn),
-            None => figures.push(Figure { name: name.into(), title: title(name), svg: drawn, seconds: None }),
+        let caption = String::from_utf8_lossy(file(format!("{name}.txt")).unwrap_or_default());
+        let drawn = Drawn::new(name, bytes, file(format!("{name}{suffix}.svg")).unwrap_or(bytes), &caption)?;
+        match figures.iter_mut().find(|figure| name.strip_suffix(SECONDS) == Some(figure[0].name.as_str())) {
+            Some(figure) => figure.push(drawn),
+            None => figures.push(vec![drawn]),
         }
     }
     Ok(figures)
@@ -63,29 +65,8 @@ fn same_for_all(table: &Table) -> Vec<String> {
     same
 }
 
-/// Returns what a figure shows, in words, by its file's name: `rows_fern_psnr` as `Rows: PSNR on fern`.
-fn title(name: &str) -> String {
-    let (kind, rest) = name.split_once('_').unwrap_or((name, ""));
-    let metric = Metric::in_tables().map(|metric| metric.key).filter(|key| rest.ends_with(&format!("_{key}")));
-    let Some(key) = metric.max_by_key(|key| key.len()) else {
-        return match kind {
-            "attack" => format!("Shift of colours by the attack on {rest}"),
-            "surfaces" => format!("Surfaces of {rest}"),
-            _ => name.into(),
-        };
-    };
-    let (scene, metric) = (&rest[..rest.len() - key.len() - 1], Heading::of(key).name);
-    match kind {
-        "rows" => format!("{metric} of each row on {scene}"),
-        "axes" => format!("{metric} along the axes on {scene}"),
-        "heatmap" => format!("{metric} over two axes on {scene}"),
-        "curves" => format!("Training on {scene}"),
-        _ => name.into(),
-    }
-}
-
 /// Returns the SVG element of a figure of this program. Other content is not put into a page.
-pub fn inline(name: &str, bytes: &[u8]) -> Result<String> {
+fn inline(name: &str, bytes: &[u8]) -> Result<String> {
     let text = std::str::from_utf8(bytes).ok().map(str::trim).filter(|text| text.starts_with("<svg"));
     let is_plain =
         |text: &&str| !["<script", "<foreignObject", "<style", "<a "].iter().any(|other| text.contains(other));

@@ -34,7 +34,7 @@ pub struct Page<'a> {
     pub table: &'a Table,
     /// The points.
     pub records: &'a [Record],
-    /// Names and bytes of files; the page uses the SVGs.
+    /// Names and bytes of files; the page uses the SVGs and their captions.
     pub files: &'a [(String, Vec<u8>)],
     /// First held-out views, scene by scene.
     pub views: Vec<ShownScene>,
@@ -66,7 +66,7 @@ struct Html<'a> {
     scenes: Vec<results::Scene<'a>>,
     notes: Vec<String>,
     latex: String,
-    figures: Vec<figures::Figure>,
+    figures: Vec<Vec<figures::Drawn>>,
     views: &'a [ShownScene],
     views_note: &'static str,
     films: &'a [Film],

@@ -1,6 +1,6 @@
 //! The rows over all scenes, before the table of each scene.
 
-use super::figures::{Drawn, inline};
+use super::figures::Drawn;
 use crate::base::Result;
 use crate::report::plots::{Width, over_scenes_figure};
 use crate::report::tables::{Heading, Judgement, Table};
@@ -15,7 +15,7 @@ pub struct Over {
     pub metric: String,
     pub scenes: usize,
     pub rows: Vec<Row>,
-    pub figure: Drawn,
+    pub figure: Option<Drawn>,
 }
 
 /// A row's difference to the baseline.
@@ -43,7 +43,6 @@ pub fn over(table: &Table, records: &[Record]) -> Result<Option<Over>> {
     if over.scenes.len() < FEWEST_SCENES {
         return Ok(None);
     }
-    let [page, column] = Width::ALL.map(|width| drawn(&over, width));
     let row = |row: &RowOverScenes| {
         let [label, _, difference, simultaneous, p, said] = over.cells(row);
         let signs = row.signs.map_or(String::new(), |signs| format!("{}, {}", signs.above, signs.below));
@@ -61,10 +60,13 @@ pub fn over(table: &Table, records: &[Record]) -> Result<Option<Over>> {
         metric: Heading::of(metric).name.to_string(),
         scenes: over.scenes.len(),
         rows: over.best_first().into_iter().map(row).collect(),
-        figure: Drawn { page: page?, column: column? },
+        figure: drawn(&over)?,
     }))
 }
 
-fn drawn(over: &OverScenes, width: Width) -> Result<String> {
-    over_scenes_figure(over, width)?.map_or(Ok(String::new()), |figure| inline("over_scenes", figure.svg.as_bytes()))
+fn drawn(over: &OverScenes) -> Result<Option<Drawn>> {
+    let [page, column] = Width::ALL.map(|width| over_scenes_figure(over, width));
+    let both = page?.zip(column?);
+    both.map(|(page, column)| Drawn::new("over_scenes", page.svg.as_bytes(), column.svg.as_bytes(), &page.caption))
+        .transpose()
 }

@@ -5,8 +5,8 @@ use crate::report::statistics::mean;
 use crate::report::tables::{Line, PointTiming, Table};
 use crate::settings::columns::is_per_seed;
 
-/// Names and texts of fields.
-type Fields<'a> = Vec<(&'a str, &'a str)>;
+/// Names, as words, and texts of fields.
+type Fields<'a> = Vec<(String, &'a str)>;
 
 /// The protocol of a scene's rows.
 pub struct Scene<'a> {
@@ -38,7 +38,11 @@ pub fn scenes(table: &Table) -> Vec<Scene<'_>> {
 
 /// Returns the named fields of a line that are not empty.
 fn fields<'a>(line: &'a Line, names: &[&'a str]) -> Fields<'a> {
-    names.iter().map(|name| (*name, line.protocol(name))).filter(|(_, text)| !text.is_empty()).collect()
+    names
+        .iter()
+        .map(|name| (name.replace('_', " "), line.protocol(name)))
+        .filter(|(_, text)| !text.is_empty())
+        .collect()
 }
 
 /// A row's label, its scene, and sort key and text of each clock.

@@ -1,7 +1,7 @@
 //! One comparison of several sweeps: differences with their intervals, one line a block.
 
-use super::Figure;
 use super::differences::{Differences, MARKS, NOT_SHOWN, Scale, colour};
+use super::{Figure, metric_label};
 use crate::base::Result;
 use crate::draw::canvas::{Anchor, Canvas, GREY, TEXT, Width};
 use crate::report::tables::Judgement;
@@ -16,6 +16,7 @@ pub fn across_figure(across: &Across, width: Width) -> Result<Option<Figure>> {
     let figure = Differences {
         title: format!("{} against {}", across.row, across.baseline),
         metric: &across.metric,
+        head: format!("{} minus {}: difference in {}", across.row, across.baseline, metric_label(&across.metric)),
         lines: across.blocks.iter().map(|block| (block.place(), words(across, block))).collect(),
         values: shown(across).collect(),
         margin,

@@ -4,10 +4,10 @@
 use super::pairs::Tests;
 use super::places::Places;
 use super::series::{Series, absent, places, series};
-use super::{Figure, SPREAD_NOTE, Spread, Stroke, Style, metric_label};
+use super::{Figure, SPREAD_NOTE, Spread, Stroke, Style, canvas, legend, metric_label, range_of};
 use crate::base::Result;
 use crate::draw::canvas::{
-    Anchor, BLACK, BLUE, Canvas, GREY, GRID, LINE_HEIGHT, PAPER, Panel, SIDE, TEXT, range, text_width, wrapped,
+    Anchor, BLACK, BLUE, Canvas, GREY, GRID, LINE_HEIGHT, PAPER, Panel, SIDE, TEXT, text_width, wrapped,
 };
 use crate::draw::numbers::number;
 use crate::metrics::Metric;
@@ -23,6 +23,7 @@ const GAP: f64 = 22.0;
 const HALF_NUMBER: f64 = 26.0;
 /// Height of the label of the best value, and of the gap to its dot.
 const LABEL: f64 = 24.0;
+const BASELINE: Stroke = Stroke { colour: GREY, dashed: true, width: 1.5 };
 /// Height of the numbers' first line below a panel.
 const FIRST: f64 = 14.0;
 
@@ -32,16 +33,19 @@ pub fn axes_figure(style: Style, records: &[Record], scene: &str, metric: &str) 
     let records: Vec<&Record> = records.iter().filter(|record| record.scene == scene).collect();
     let all = series(&records, metric);
     let baseline = baseline(style, &records, metric);
-    let drawn = range(drawn(&all, baseline.as_ref()));
+    let drawn = range_of(metric, drawn(&all, baseline.as_ref()));
     let Some(range) = drawn.filter(|_| !all.is_empty()) else { return Ok(None) };
     let range = with_label(range, metric, style.width.pick(HEIGHT.0, HEIGHT.1));
     let tests = Tests::new(&all);
     let figure = Axes { style, all: &all, baseline: baseline.as_ref(), tests: &tests, metric, range };
-    let mut drawing = style.canvas(&format!("{} on {scene}", metric_label(metric)));
+    let mut drawing = canvas(style.width);
     for axis in distinct(all.iter().map(|series| series.axis)) {
         figure.draw_axis(&mut drawing, axis);
     }
-    style.finish(drawing, &figure.caption(&records))
+    if let Some((name, _)) = &baseline {
+        legend::draw(&mut drawing, &[(name, BASELINE)]);
+    }
+    style.finish(drawing, &format!("{} on {scene}", metric_label(metric)), &figure.caption(&records))
 }
 
 /// Returns the range with room for the best value's label, which stands beyond its dot.
@@ -189,7 +193,7 @@ impl<'f, 'a> Axes<'f, 'a> {
             drawing.area(vec![(left, low), (right, low), (right, high), (left, high)], GREY, 0.15);
         }
         let y = panel.y(spread.mean);
-        drawing.dashed(&[(panel.left, y), (panel.right(), y)], GREY, 1.5);
+        BASELINE.draw(drawing, &[(panel.left, y), (panel.right(), y)]);
     }
 
     /// Marks the best mean with its value.
@@ -214,9 +218,6 @@ impl<'f, 'a> Axes<'f, 'a> {
         let mut text = SPREAD_NOTE.to_string();
         if self.all.iter().any(|series| best(series, self.metric).is_some()) {
             text += " The best mean of each panel is marked with its value, in blue where it differs from another one.";
-        }
-        if let Some((baseline, _)) = self.baseline {
-            text += &format!(" Dashed: {baseline}.");
         }
         text += " A difference is shown by paired t tests over seeds, with Holm's p below 0.05 over all pairs of values in the \
                  figure; a panel without one names the least that would have been.";
@@ -349,7 +350,7 @@ mod tests {
         }];
         // The mean is 18, the standard deviation the root of 31.5 / 2.
         let baseline = ("NeRF", vec![12.0, 20.0]);
-        let (low, high) = range(drawn(&series, Some(&baseline))).unwrap();
+        let (low, high) = range_of("psnr", drawn(&series, Some(&baseline))).unwrap();
         assert!(low <= 12.0 && high >= 18.0 + 15.75_f64.sqrt(), "{low} to {high}");
     }
 

@@ -1,9 +1,10 @@
 //! Training curves: values of the baseline and the best rows, then differences to the baseline.
 
 use super::ends::{self, End};
-use super::{Figure, SPREAD_NOTE, Spread, Stroke, Style};
+use super::{Figure, Spread, Stroke, Style, canvas};
 use crate::base::Result;
-use crate::draw::canvas::{Anchor, BLACK, Canvas, GREY, LINE_HEIGHT, Panel, SIDE, TEXT, range, tick_texts, wrapped};
+use crate::draw::canvas::{Anchor, BLACK, Canvas, GREY, LINE_HEIGHT, Panel, SIDE, TEXT, tick_texts, wrapped};
+use crate::metrics::PSNR;
 use crate::report::statistics::mean;
 
 /// Log points in a curve's moving average.
@@ -64,6 +65,11 @@ fn spreads(seeds: &[Vec<(f64, f64)>]) -> Line {
     (0..first.len()).filter_map(at).collect()
 }
 
+/// Returns a line without bands.
+fn means(line: Line) -> Line {
+    line.into_iter().map(|(step, spread)| (step, Spread { band: None, ..spread })).collect()
+}
+
 /// Returns the centred moving average, over fewer points at the ends.
 fn smoothed(points: &[(f64, f64)]) -> Vec<(f64, f64)> {
     let points = finite(points);
@@ -86,7 +92,10 @@ fn finite(points: &[(f64, f64)]) -> Vec<(f64, f64)> {
 
 /// Returns the lowest and highest number of lines and their bands.
 fn range_of<'a>(lines: impl Iterator<Item = &'a Line>) -> Option<(f64, f64)> {
-    range(lines.flatten().flat_map(|(_, s)| s.band.map_or([s.mean, s.mean], |(low, high)| [low, high])))
+    super::range_of(
+        PSNR.key,
+        lines.flatten().flat_map(|(_, s)| s.band.map_or([s.mean, s.mean], |(low, high)| [low, high])),
+    )
 }
 
 /// Returns where the axis of steps ends: rows that train for much longer than the others do not squeeze them.
@@ -161,12 +170,14 @@ struct Row<'a> {
 impl<'a> Row<'a> {
     fn new(style: Style, curve: &'a Curve) -> Row<'a> {
         let smooth: Vec<_> = curve.seeds.iter().map(|seed| smoothed(seed)).collect();
+        // A row shares its seeds with its baseline: its band would say the same, and hide that.
+        let own = |line| if style.baseline_of(&curve.label).is_some() { means(line) } else { line };
         Row {
             label: &curve.label,
             stroke: style.stroke(&curve.label),
-            rays: spreads(&smooth),
-            held_out: unsmoothed(&curve.held_out),
-            seen: unsmoothed(&curve.seen),
+            rays: own(spreads(&smooth)),
+            held_out: own(unsmoothed(&curve.held_out)),
+            seen: means(unsmoothed(&curve.seen)),
         }
     }
 
@@ -213,7 +224,7 @@ fn figure(style: Style, scene: &str, along: &'static str, curves: &[Curve]) -> R
         [&mut row.rays, &mut row.held_out, &mut row.seen].into_iter().for_each(|line| *line = cut(line, end));
     }
     let curves = Curves { style, rows: &rows, end, along };
-    let mut drawing = style.canvas(&format!("training on {scene}"));
+    let mut drawing = canvas(style.width);
     let rays = |row: &Row| vec![(row.rays.clone(), row.stroke)];
     curves.draw(&mut drawing, "PSNR of the step's rays (dB)", &rows.iter().collect::<Vec<_>>(), rays, (210.0, 160.0));
     // Seconds of two rows do not fall together.
@@ -229,7 +240,8 @@ fn figure(style: Style, scene: &str, along: &'static str, curves: &[Curve]) -> R
         let title = "PSNR of whole views (dB): held-out, and training (dashed)";
         curves.draw(&mut drawing, title, &evaluated, both, (190.0, 160.0));
     }
-    style.finish(drawing, &caption(all, &rows, &longer))
+    let against = if along == "step" { "" } else { ", against seconds" };
+    style.finish(drawing, &format!("Training on {scene}{against}"), &caption(all, &rows, &longer))
 }
 
 /// Keeps the baseline and the best other rows, if there are many.
@@ -356,7 +368,10 @@ fn far(differences: &[f64]) -> Vec<bool> {
 }
 
 fn caption(all: usize, rows: &[Row], longer: &[String]) -> String {
-    let mut text = format!("{SPREAD_NOTE} Curves of the step's rays are moving averages over {WINDOW} log points.");
+    let mut text = format!(
+        "Lines are means over seeds. The baseline has a band: mean ± standard deviation of three and more seeds, from end to \
+         end of two. Curves of the step's rays are moving averages over {WINDOW} log points."
+    );
     if rows.len() > 1 {
         text += " Differences are those of the means, from a tenth of the steps on.";
     }

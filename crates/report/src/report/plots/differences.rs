@@ -1,10 +1,10 @@
 //! Differences with their intervals on a horizontal scale, one line each.
 
-use super::{Figure, metric_label};
+use super::{Figure, canvas, captioned, range_of};
 use crate::base::Result;
 use crate::draw::canvas::{
-    Anchor, BLACK, BLUE, Canvas, Colour, GREY, GRID, LINE_HEIGHT, ORANGE, SIDE, TEXT, Width, range, text_width,
-    tick_texts, wrapped,
+    Anchor, BLACK, BLUE, Canvas, Colour, GREY, GRID, LINE_HEIGHT, ORANGE, SIDE, TEXT, Width, text_width, tick_texts,
+    wrapped,
 };
 use crate::report::tables::{Comparison, Judgement, Line};
 
@@ -28,6 +28,8 @@ const NAMES: (f64, f64) = (250.0, 150.0);
 pub(super) struct Differences<'a> {
     pub(super) title: String,
     pub(super) metric: &'a str,
+    /// Name of the scale.
+    pub(super) head: String,
     /// Name and words of each line.
     pub(super) lines: Vec<(String, String)>,
     /// All that is drawn.
@@ -44,7 +46,7 @@ impl Differences<'_> {
         width: Width,
         draw: impl Fn(&mut Canvas, &Scale, f64, usize),
     ) -> Result<Option<Figure>> {
-        let mut drawing = Canvas::titled(width, &self.title);
+        let mut drawing = canvas(width);
         let names: Vec<String> = self.lines.iter().map(|(name, _)| name.clone()).collect();
         let widest = names.iter().map(|name| text_width(name, TEXT)).fold(60.0, f64::max);
         let room = widest.min(width.pick(NAMES.0, NAMES.1));
@@ -55,9 +57,10 @@ impl Differences<'_> {
             left,
             width: width.units() - left - words_room - SIDE - 10.0,
             top: 0.0,
-            range: range(self.values.iter().copied().chain([0.0]).chain(margins())).unwrap_or((-1.0, 1.0)),
+            range: range_of(self.metric, self.values.iter().copied().chain([0.0]).chain(margins()))
+                .unwrap_or((-1.0, 1.0)),
         };
-        let head = scale.head(&format!("difference in {}", metric_label(self.metric)));
+        let head = scale.head(&self.head);
         scale.top = drawing.height + head.len() as f64 * LINE_HEIGHT + 8.0;
         let words: Vec<Vec<String>> = self.lines.iter().map(|(_, words)| wrapped(words, words_room, TEXT)).collect();
         let mut heights = heights(&names, room);
@@ -83,8 +86,7 @@ impl Differences<'_> {
             }
         }
         drawing.height = bottom + FOOT;
-        drawing.caption(&self.caption);
-        drawing.finish().map(Some)
+        captioned(drawing, &self.title, &self.caption)
     }
 }
 

@@ -1,11 +1,10 @@
 //! A metric over two axes that are varied together, as coloured cells.
 
 use super::places::Places;
-use super::{Figure, Style, metric_label};
+use super::{Figure, Style, canvas, metric_label, range_of};
 use crate::base::Result;
 use crate::draw::canvas::{
-    Anchor, BLACK, BLUE, Canvas, Colour, GREY, LINE_HEIGHT, ORANGE, PAPER, SIDE, TEXT, range, text_width, ticks,
-    wrapped,
+    Anchor, BLACK, BLUE, Canvas, Colour, GREY, LINE_HEIGHT, ORANGE, PAPER, SIDE, TEXT, text_width, ticks, wrapped,
 };
 use crate::draw::numbers::numbers;
 use crate::draw::scale_colour;
@@ -85,8 +84,8 @@ fn place<'a>(values: &mut Vec<&'a str>, value: &'a str) -> usize {
 impl Map<'_> {
     fn figure(&self, style: Style, table: &Table, scene: &str, metric: usize) -> Result<Option<Figure>> {
         let means = self.cells.iter().filter_map(|(_, line)| line.cells[metric].mean);
-        let Some(range) = range(means) else { return Ok(None) };
-        let mut drawing = style.canvas(&format!("{} on {scene}, {}", metric_label(&table.metrics[metric]), self.title));
+        let Some(range) = range_of(&table.metrics[metric], means) else { return Ok(None) };
+        let (mut drawing, shows) = (canvas(style.width), metric_label(&table.metrics[metric]));
         let [across, down] = [&self.columns, &self.rows].map(|values| Places::new(values));
         let [across_texts, down_texts] = [&across, &down].map(|places| names(places));
         let widest = down_texts.iter().map(|text| text_width(text, TEXT)).fold(40.0, f64::max);
@@ -95,7 +94,9 @@ impl Map<'_> {
         let cells = drawing.width - left - SIDE - 20.0 - BAR - 6.0 - NUMBERS;
         let cell = ((cells / self.columns.len() as f64).min(CELL.0).max(1.0), CELL.1);
         let right = left + cell.0 * self.columns.len() as f64;
-        let top = drawing.lines((SIDE, drawing.height + 4.0), drawing.width - 2.0 * SIDE, &axis_name(self.down), BLACK);
+        let heads = drawing.width - 2.0 * SIDE;
+        let top = drawing.lines((SIDE, drawing.height + 4.0), heads, &format!("{shows}, {}", self.title), BLACK);
+        let top = drawing.lines((SIDE, top), heads, &axis_name(self.down), GREY);
         let bottom = top + cell.1 * self.rows.len() as f64;
         let mut foot = bottom;
         for (index, text) in across_texts.iter().enumerate() {
@@ -120,7 +121,8 @@ impl Map<'_> {
         }
         draw_bar(&mut drawing, (right + 20.0, top), bottom - top, range);
         drawing.height = foot + 14.0;
-        style.finish(drawing, &caption(self.cells.iter().map(|(_, line)| *line)))
+        let caption = caption(self.cells.iter().map(|(_, line)| *line));
+        style.finish(drawing, &format!("{shows} on {scene}, {}", self.title), &caption)
     }
 }
 

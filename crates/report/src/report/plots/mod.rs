@@ -1,11 +1,11 @@
 //! Figures of a sweep.
 //!
-//! Each is drawn for a page and for one of two columns ([`Width`]); long titles and names wrap. A row has one colour in
-//! all figures. Blue is better, orange worse, grey not shown.
+//! Each is drawn for a page and for one of two columns ([`Width`]); long names wrap. Title and caption stand beside the
+//! figure, in [`Figure::caption`]. A row has one colour in all figures. Blue is better, orange worse, grey not shown.
 
 use crate::base::Result;
-use crate::draw::canvas::{Canvas, Colour, PALETTE};
-use crate::metrics::Metric;
+use crate::draw::canvas::{Canvas, Colour, PALETTE, range};
+use crate::metrics::{Digits, Metric};
 use crate::report::TableSpec;
 use crate::report::statistics::{mean, standard_deviation};
 
@@ -37,29 +37,26 @@ pub use rows::rows_figure;
 pub use shifts::{Shifts, shifts_figure};
 pub use surfaces::{Surface, surfaces_figure};
 
+/// Free height above everything.
+const TOP: f64 = 8.0;
+
 /// What the figures of a sweep share.
 #[derive(Clone, Copy)]
 pub struct Style<'a> {
-    /// The sweep's title and rows; a row's place decides its colour.
+    /// The sweep's rows; a row's place decides its colour.
     pub spec: &'a TableSpec,
     /// Width in print.
     pub width: Width,
 }
 
 impl Style<'_> {
-    /// Returns a canvas with the sweep's title and what the figure shows.
-    fn canvas(&self, shows: &str) -> Canvas {
-        Canvas::titled(self.width, &format!("{}: {shows}", self.spec.short_title()))
-    }
-
-    /// Adds the caption, with the settings that were changed for all rows, and finishes the figure.
-    fn finish(&self, mut drawing: Canvas, caption: &str) -> Result<Option<Figure>> {
+    /// Finishes a figure with what it shows and its caption, to which settings that were changed for all rows belong.
+    fn finish(&self, drawing: Canvas, shows: &str, caption: &str) -> Result<Option<Figure>> {
         let changed = match self.spec.changed.as_str() {
             "" => String::new(),
             changed => format!(" All rows: {changed}."),
         };
-        drawing.caption(&format!("{caption}{changed}"));
-        drawing.finish().map(Some)
+        captioned(drawing, shows, &format!("{caption}{changed}"))
     }
 
     /// Returns the line of a row. After the last colour of the palette, colours repeat, dashed.
@@ -95,6 +92,30 @@ impl Stroke {
             (_, false) => drawing.line(line, self.colour, self.width),
         }
     }
+}
+
+/// Returns an empty canvas of a figure's width.
+fn canvas(width: Width) -> Canvas {
+    Canvas::new(width.units(), TOP)
+}
+
+/// Finishes a figure with what it shows and how it is read.
+fn captioned(drawing: Canvas, shows: &str, caption: &str) -> Result<Option<Figure>> {
+    let mut figure = drawing.finish()?;
+    figure.caption = format!("{shows}\n{caption}\n");
+    Ok(Some(figure))
+}
+
+/// Returns a range around values of a metric, which spans ten units of its last digit or more: what tables do not tell
+/// apart is no difference in a figure.
+fn range_of(metric: &str, values: impl Iterator<Item = f64>) -> Option<(f64, f64)> {
+    let (low, high) = range(values)?;
+    let least = match Metric::find(metric).map(|metric| metric.digits) {
+        Some(Digits::Decimals(digits)) => 10f64.powi(1 - digits as i32),
+        _ => 0.0,
+    };
+    let room = (least - (high - low)).max(0.0) / 2.0;
+    Some((low - room, high + room))
 }
 
 /// Returns the name of a metric in figures.

@@ -1,7 +1,7 @@
 //! Rows against a baseline over scenes: one line a row, the best first, with each scene's difference.
 
-use super::Figure;
 use super::differences::{Differences, MARKS, NOT_SHOWN, Scale};
+use super::{Figure, metric_label};
 use crate::base::Result;
 use crate::draw::canvas::{Canvas, GREY, Width};
 use crate::report::statistics::mean;
@@ -16,6 +16,7 @@ pub fn over_scenes_figure(over: &OverScenes, width: Width) -> Result<Option<Figu
     let figure = Differences {
         title: format!("Rows against {} over {} scenes", over.baseline, over.scenes.len()),
         metric: &over.metric,
+        head: format!("difference in {} to {}", metric_label(&over.metric), over.baseline),
         lines: rows.iter().map(|row| (row.row.clone(), over.judged(row))).collect(),
         values: rows.iter().copied().flat_map(shown).collect(),
         margin: over.margin,

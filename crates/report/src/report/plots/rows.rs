@@ -1,9 +1,9 @@
 //! A table as points: means with their seeds, and differences to the baseline with intervals.
 
 use super::differences::{FOOT, MARKS, NOT_SHOWN, Scale, absent, heights, middles, words};
-use super::{Figure, Stroke, Style, metric_label};
+use super::{Figure, Stroke, Style, canvas, metric_label, range_of};
 use crate::base::Result;
-use crate::draw::canvas::{Anchor, Canvas, GREY, LINE_HEIGHT, SIDE, TEXT, Width, range, text_width};
+use crate::draw::canvas::{Anchor, Canvas, GREY, LINE_HEIGHT, SIDE, TEXT, Width, text_width};
 use crate::metrics::Metric;
 use crate::report::tables::{Cell, Comparison, Line, Table};
 use crate::report::{Record, Status, distinct};
@@ -28,15 +28,15 @@ pub fn rows_figure(
         return Ok(None);
     }
     let seeds: Vec<Vec<f64>> = lines.iter().map(|line| seeds(line, records, metric)).collect();
-    let Some(values) = range(seeds.iter().flatten().copied()) else { return Ok(None) };
+    let Some(values) = range_of(metric, seeds.iter().flatten().copied()) else { return Ok(None) };
     let cells: Vec<&Cell> = lines.iter().map(|line| &line.cells[column]).collect();
     let ends = cells.iter().filter_map(|cell| cell.comparison).flat_map(|comparison| {
         let (low, high) = comparison.interval.unwrap_or((comparison.difference, comparison.difference));
         [low, high]
     });
-    let differences = range(ends.chain([0.0])).unwrap_or((-1.0, 1.0));
+    let differences = range_of(metric, ends.chain([0.0])).unwrap_or((-1.0, 1.0));
     let names: Vec<String> = lines.iter().map(|line| label(line)).collect();
-    let mut drawing = style.canvas(&format!("{} on {scene}", metric_label(metric)));
+    let mut drawing = canvas(style.width);
     let [mut left, mut right] = scales(style.width, &names, &said(style.width, &cells), values, differences);
     let heads = [left.head(metric_label(metric)), right.head(&difference_head(&lines, metric))];
     let top = drawing.height + heads.iter().map(Vec::len).max().unwrap_or(1) as f64 * LINE_HEIGHT + 8.0;
@@ -55,7 +55,7 @@ pub fn rows_figure(
         drawing.text(at, &verdict(style.width, metric, comparison), TEXT, Anchor::Left, GREY);
     }
     drawing.height = bottom + FOOT;
-    style.finish(drawing, &caption(&lines, column))
+    style.finish(drawing, &format!("{} on {scene}", metric_label(metric)), &caption(&lines, column))
 }
 
 /// Places both scales beside the names.

@@ -1,7 +1,7 @@
 //! How far the attack moves colours during training, site by site.
 
 use super::curves::{Line, Plot, Seeds, axis_end, cut, unsmoothed};
-use super::{Figure, SPREAD_NOTE, Spread, Stroke, Style, legend};
+use super::{Figure, SPREAD_NOTE, Spread, Stroke, Style, canvas, legend};
 use crate::augment::Site;
 use crate::base::Result;
 use crate::draw::canvas::{Canvas, GREY, LINE_HEIGHT, Panel, SIDE};
@@ -45,7 +45,7 @@ pub fn shifts_figure(style: Style, scene: &str, rows: &[Shifts]) -> Result<Optio
     let points = || sites.iter().flat_map(|(_, lines)| lines).flatten();
     let Some(range) = decades(points()) else { return Ok(None) };
     let across = style.width.pick(ACROSS.0, ACROSS.1);
-    let mut drawing = style.canvas(&format!("shift of colours by the attack on {scene}"));
+    let mut drawing = canvas(style.width);
     let width = (drawing.width - LEFT - SIDE + GAP) / across as f64 - GAP;
     let strokes: Vec<Stroke> = rows.iter().map(|row| style.stroke(&row.label)).collect();
     drawing.height = drawing.lines(
@@ -68,7 +68,8 @@ pub fn shifts_figure(style: Style, scene: &str, rows: &[Shifts]) -> Result<Optio
     legend::draw(&mut drawing, &entries);
     let longer: Vec<&str> =
         rows.iter().filter(|row| row.last().is_some_and(|last| last > end)).map(|row| row.label.as_str()).collect();
-    style.finish(drawing, &caption(points().any(|(_, shift)| shift.mean <= 0.0), &longer))
+    let caption = caption(points().any(|(_, shift)| shift.mean <= 0.0), &longer);
+    style.finish(drawing, &format!("Shift of colours by the attack on {scene}"), &caption)
 }
 
 const BOUND: Stroke = Stroke { colour: GREY, dashed: true, width: 1.2 };

@@ -1,6 +1,6 @@
 //! Surfaces of a sweep's rows, side by side.
 
-use super::{Figure, Style};
+use super::{Figure, Style, canvas};
 use crate::base::{Image, Result};
 use crate::data::resample::shrink;
 use crate::draw::canvas::{BLACK, FINENESS, LINE_HEIGHT, SIDE, TEXT, wrapped};
@@ -17,7 +17,7 @@ pub fn surfaces_figure(style: Style, scene: &str, surfaces: &[Surface]) -> Resul
     if surfaces.is_empty() {
         return Ok(None);
     }
-    let mut drawing = style.canvas(&format!("surfaces of {scene}"));
+    let mut drawing = canvas(style.width);
     let across = style.width.pick(ACROSS.0, ACROSS.1);
     let width = ((drawing.width - 2.0 * SIDE + GAP) / across as f64 - GAP).floor();
     let height = |picture: &Image| (width * picture.height as f64 / picture.width.max(1) as f64).round();
@@ -37,6 +37,7 @@ pub fn surfaces_figure(style: Style, scene: &str, surfaces: &[Surface]) -> Resul
     }
     style.finish(
         drawing,
+        &format!("Surfaces of {scene}"),
         "Level sets of density, of each row's first seed, from the first held-out view's camera: triangles lit by smooth \
          normals, one grey for all. What faces away from the camera is darker.",
     )
