@@ -80,14 +80,16 @@ pub fn page_of_axes() -> String {
 }
 
 fn page_without_pictures(spec: &TableSpec, records: &[Record]) -> String {
+    let table = &Table::new(spec, records, false).unwrap();
+    let logged = |column: &str| if column == "shift.view" { vec![0.1] } else { vec![] };
     let page = Page {
-        table: &Table::new(spec, records, false).unwrap(),
+        table,
         records,
         files: &[],
         views: vec![],
         films: vec![],
         meshes: vec![],
-        attacks: vec![],
+        attacks: table.lines.iter().filter_map(|line| AttackLine::of(line, |_, column| logged(column))).collect(),
         timing: &[],
         link: &|_| None,
     };
@@ -225,6 +227,8 @@ fn a_training_has_one_row_and_a_fact_one_line() {
     let results = page.split("class=\"results").nth(1).unwrap().split("</table>").next().unwrap();
     assert_eq!(results.matches("<th scope=\"row\">").count(), 2, "{results}");
     assert_says(results, &["the same training: epsilon = 0.06275"]);
+    let attack = page.split("id=\"attack\"").nth(1).unwrap().split("</table>").next().unwrap();
+    assert_eq!(attack.matches("<th scope=\"row\">").count(), 2, "{attack}");
     let first = page.split("<h2>Read first</h2>").nth(1).unwrap().split("</section>").next().unwrap();
     assert_says(first, &["view in all 2 rows (see Attack)", "all rows: data_hash"]);
     // What marks mean stands before the rows that have them.

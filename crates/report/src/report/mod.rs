@@ -16,5 +16,4 @@ pub mod tables;
 pub use across::{Across, Block};
 pub use over_scenes::{OverScenes, RowOverScenes};
 pub use published::{PUBLISHED_NOTE, PublishedProtocol, PublishedRow, published_rows};
-pub use record::distinct;
-pub use record::{AxisParts, AxisValue, PublishedKey, Record, RowSpec, Status, TableSpec, label};
+pub use record::{AxisParts, AxisValue, PublishedKey, Record, RowSpec, Status, TableSpec, distinct, label};

@@ -10,55 +10,52 @@ pub struct TextFile {
     name: &'static str,
     needs_table: bool,
     /// Returns `None` if there is nothing to write.
-    text: fn(&Collected) -> Result<Option<String>>,
+    text: Text,
+}
+
+type Text = fn(&Collected) -> Result<Option<String>>;
+
+impl TextFile {
+    const fn of_points(name: &'static str, text: Text) -> TextFile {
+        TextFile { name, needs_table: false, text }
+    }
+
+    const fn of_table(name: &'static str, text: Text) -> TextFile {
+        TextFile { name, needs_table: true, text }
+    }
 }
 
 /// One line a point.
-pub static POINTS_CSV: TextFile = TextFile {
-    name: "points.csv",
-    needs_table: false,
-    text: |collected| {
-        Ok(Some(points_csv(&collected.records_of(false), collected.joined_timing(), &collected.constants)))
-    },
-};
+pub static POINTS_CSV: TextFile = TextFile::of_points("points.csv", |collected| {
+    Ok(Some(points_csv(&collected.records_of(false), collected.joined_timing(), &collected.constants)))
+});
 
 /// One line for each set of images of another program.
-pub static SCORED_CSV: TextFile = TextFile {
-    name: "scored.csv",
-    needs_table: false,
-    text: |collected| {
-        let scored = collected.records_of(true);
-        // Images of another program do not share what points share.
-        let none = Constants::new();
-        Ok((!scored.is_empty()).then(|| points_csv(&scored, &[], &none)))
-    },
-};
+pub static SCORED_CSV: TextFile = TextFile::of_points("scored.csv", |collected| {
+    let scored = collected.records_of(true);
+    // Images of another program do not share what points share.
+    Ok((!scored.is_empty()).then(|| points_csv(&scored, &[], &Constants::new())))
+});
 
 /// Clock times, apart from what is reproducible.
-pub static TIMING_CSV: TextFile = TextFile {
-    name: "timing.csv",
-    needs_table: false,
-    text: |collected| Ok(Some(timing_csv(collected.records, collected.timing, &collected.constants))),
-};
+pub static TIMING_CSV: TextFile = TextFile::of_points("timing.csv", |collected| {
+    Ok(Some(timing_csv(collected.records, collected.timing, &collected.constants)))
+});
 
 /// One line a row, with all digits.
-pub static TABLE_CSV: TextFile = TextFile {
-    name: "table.csv",
-    needs_table: true,
-    text: |collected| Ok(Some(table_csv(collected.table()?, collected.joined_timing(), &collected.constants))),
-};
+pub static TABLE_CSV: TextFile = TextFile::of_table("table.csv", |collected| {
+    Ok(Some(table_csv(collected.table()?, collected.joined_timing(), &collected.constants)))
+});
 
 /// One line for each attacked row: effect of the attack at each site.
-pub static ATTACK_CSV: TextFile =
-    TextFile { name: "attack.csv", needs_table: true, text: |collected| Ok(attack_csv(collected.attacks)) };
+pub static ATTACK_CSV: TextFile = TextFile::of_table("attack.csv", |collected| Ok(attack_csv(collected.attacks)));
 
 /// The table in GitHub's Markdown.
 pub static MARKDOWN: TextFile =
-    TextFile { name: "table.md", needs_table: true, text: |collected| Ok(Some(table_markdown(collected.table()?))) };
+    TextFile::of_table("table.md", |collected| Ok(Some(table_markdown(collected.table()?))));
 
 /// The table for a paper.
-pub static LATEX: TextFile =
-    TextFile { name: "table.tex", needs_table: true, text: |collected| Ok(Some(table_latex(collected.table()?))) };
+pub static LATEX: TextFile = TextFile::of_table("table.tex", |collected| Ok(Some(table_latex(collected.table()?))));
 
 impl Exporter for TextFile {
     fn needs_table(&self) -> bool {

@@ -1,6 +1,6 @@
 //! Effect of the attack, row by row and site by site.
 
-use crate::report::tables::{AttackLine, AttackSite};
+use crate::report::tables::{AttackLine, AttackSite, Line, Table};
 
 /// One site of one line on the page. Each number has its sort key and its text.
 pub struct SiteRow<'a> {
@@ -13,7 +13,8 @@ pub struct SiteRow<'a> {
     pub judged: String,
 }
 
-pub fn site_rows<'a>(lines: &'a [AttackLine]) -> Vec<SiteRow<'a>> {
+/// Returns the sites of the lines that a table has.
+pub fn site_rows<'a>(lines: &'a [AttackLine], table: &Table) -> Vec<SiteRow<'a>> {
     let text = |index: usize, value: f64| match index {
         2 => format!("{:.0} %", 100.0 * value),
         3 => format!("{value:.2}"),
@@ -35,5 +36,10 @@ pub fn site_rows<'a>(lines: &'a [AttackLine]) -> Vec<SiteRow<'a>> {
             (inactive, seeds) => format!("inactive with {inactive} of {seeds} seeds"),
         },
     };
-    lines.iter().flat_map(|attack| attack.sites.iter().map(move |site| of_site(attack, site))).collect()
+    let is_shown = |line: &Line| table.lines.iter().any(|own| (&own.scene, &own.label) == (&line.scene, &line.label));
+    lines
+        .iter()
+        .filter(|attack| is_shown(attack.line))
+        .flat_map(|attack| attack.sites.iter().map(move |site| of_site(attack, site)))
+        .collect()
 }

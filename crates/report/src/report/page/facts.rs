@@ -2,7 +2,6 @@
 
 use std::collections::BTreeSet;
 
-use super::results::distinct_lines;
 use crate::draw::numbers::rounded;
 use crate::report::tables::text::{SEE_ATTACK, warnings as warnings_of};
 use crate::report::tables::{Line, Table, epochs_note, epochs_of, is_brief};
@@ -64,7 +63,7 @@ fn scene_names(table: &Table) -> String {
 pub fn warnings(table: &Table, records: &[Record]) -> Vec<String> {
     let scenes = table.scenes();
     let of_scene = |(scene, lines): &(&str, Vec<&Line>)| {
-        let (scene, lines) = (scene.to_string(), &distinct_lines(lines)[..]);
+        let scene = scene.to_string();
         let brief = epochs_note(lines, NAMED).filter(|_| lines.iter().any(|line| is_brief(line)));
         let brief = brief.map(|note| format!("less than one epoch: {note}"));
         brief.into_iter().chain(warnings_of(lines)).map(move |warning| (scene.clone(), rounded(&warning)))

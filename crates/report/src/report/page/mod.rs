@@ -88,7 +88,8 @@ impl Page<'_> {
         };
         let filled = (0..self.table.metrics.len()).filter(is_filled).map(|index| self.table.metrics[index].as_str());
         let shown = &self.table.with_metrics(&filled.collect::<Vec<&str>>());
-        let table = self.table;
+        // Values of several axes can be one training, which is one row.
+        let (table, once) = (self.table, &results::once(self.table));
         let groups = (0..).zip(shown.metrics.iter().map(|key| Heading::of(key).name.to_string())).collect();
         let html = Html {
             title: &table.title,
@@ -96,12 +97,12 @@ impl Page<'_> {
             script_hash: format!("sha256-{}", STANDARD.encode(Sha256::digest(SCRIPT.as_bytes()))),
             style: STYLE,
             script: SCRIPT,
-            warnings: facts::warnings(table, self.records),
+            warnings: facts::warnings(once, self.records),
             facts: facts::facts(table, self.records),
             groups,
             over: over::over(table, self.records)?,
             columns: results::columns(shown),
-            scenes: results::scenes(table, shown),
+            scenes: results::scenes(once, shown),
             notes: results::notes(table),
             latex: table_latex(table),
             figures: figures::figures(table, self.files)?,
@@ -109,12 +110,12 @@ impl Page<'_> {
             views_note: views::NOTE,
             films: &self.films,
             meshes: &self.meshes,
-            attacks: attack::site_rows(&self.attacks),
+            attacks: attack::site_rows(&self.attacks, once),
             has_axes: points::has_axes(self.records),
             points: points::points(table, self.records, self.link),
-            protocols: protocol::scenes(table),
+            protocols: protocol::scenes(once),
             clocks: protocol::clocks(self.timing),
-            costs: protocol::costs(table, self.timing),
+            costs: protocol::costs(once, self.timing),
         };
         html.render().map_err(|e| Error::Output(format!("cannot make the page: {e}")))
     }

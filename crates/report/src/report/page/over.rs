@@ -43,6 +43,9 @@ pub fn over(table: &Table, records: &[Record]) -> Result<Option<Over>> {
     if over.scenes.len() < FEWEST_SCENES {
         return Ok(None);
     }
+    let [page, column] = Width::ALL.map(|width| over_scenes_figure(&over, width));
+    let drawn =
+        page?.zip(column?).map(|(a, b)| Drawn::new("over_scenes", a.svg.as_bytes(), b.svg.as_bytes(), &a.caption));
     let row = |row: &RowOverScenes| {
         let [label, _, difference, simultaneous, p, said] = over.cells(row);
         let signs = row.signs.map_or(String::new(), |signs| format!("{}, {}", signs.above, signs.below));
@@ -60,13 +63,6 @@ pub fn over(table: &Table, records: &[Record]) -> Result<Option<Over>> {
         metric: Heading::of(metric).name.to_string(),
         scenes: over.scenes.len(),
         rows: over.best_first().into_iter().map(row).collect(),
-        figure: drawn(&over)?,
+        figure: drawn.transpose()?,
     }))
-}
-
-fn drawn(over: &OverScenes) -> Result<Option<Drawn>> {
-    let [page, column] = Width::ALL.map(|width| over_scenes_figure(over, width));
-    let both = page?.zip(column?);
-    both.map(|(page, column)| Drawn::new("over_scenes", page.svg.as_bytes(), column.svg.as_bytes(), &page.caption))
-        .transpose()
 }

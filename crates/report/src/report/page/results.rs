@@ -94,12 +94,11 @@ pub fn columns(table: &Table) -> Vec<Column> {
     columns
 }
 
-/// Returns the scenes with the columns of `shown`, and the notes to all columns.
-pub fn scenes<'a>(table: &'a Table, shown: &Table) -> Vec<Scene<'a>> {
-    let scenes = table.scenes().into_iter().zip(shown.scenes()).map(|((name, lines), (_, shown_lines))| {
+/// Returns the scenes with the columns of `shown`, and the notes of `once` to all columns.
+pub fn scenes<'a>(once: &'a Table, shown: &Table) -> Vec<Scene<'a>> {
+    let scenes = once.scenes().into_iter().zip(shown.scenes()).map(|((name, lines), (_, shown_lines))| {
         let rows = trainings(&shown_lines).into_iter().map(|(line, same)| row(shown, line, &same)).collect();
-        let (marks, notes) =
-            scene_notes(&distinct_lines(&lines), MOST_NAMED).into_iter().partition(|note| is_of_mark(note));
+        let (marks, notes) = scene_notes(&lines, MOST_NAMED).into_iter().partition(|note| is_of_mark(note));
         Scene { name, rows, marks, notes }
     });
     scenes.collect()
@@ -127,9 +126,10 @@ fn trainings<'a>(lines: &[&'a Line]) -> Vec<(&'a Line, Vec<&'a Line>)> {
     trainings
 }
 
-/// Returns the lines that the page shows: one for each training.
-pub fn distinct_lines<'a>(lines: &[&'a Line]) -> Vec<&'a Line> {
-    trainings(lines).into_iter().map(|(line, _)| line).collect()
+/// Returns the table with one line for each training.
+pub fn once(table: &Table) -> Table {
+    let lines: Vec<&Line> = table.lines.iter().collect();
+    Table { lines: trainings(&lines).into_iter().map(|(line, _)| line.clone()).collect(), ..table.clone() }
 }
 
 fn row(table: &Table, line: &Line, same: &[&Line]) -> Row {

@@ -225,21 +225,18 @@ fn figure(style: Style, scene: &str, along: &'static str, curves: &[Curve]) -> R
     }
     let curves = Curves { style, rows: &rows, end, along };
     let mut drawing = canvas(style.width);
-    let rays = |row: &Row| vec![(row.rays.clone(), row.stroke)];
-    curves.draw(&mut drawing, "PSNR of the step's rays (dB)", &rows.iter().collect::<Vec<_>>(), rays, (210.0, 160.0));
+    let rays = rows.iter().map(|row| (row, vec![(row.rays.clone(), row.stroke)])).collect();
+    curves.draw(&mut drawing, "PSNR of the step's rays (dB)", rays, (210.0, 160.0));
     // Seconds of two rows do not fall together.
     if along == "step" {
         curves.draw_differences(&mut drawing);
     }
-    let evaluated: Vec<&Row> = rows.iter().filter(|row| !row.held_out.is_empty() || !row.seen.is_empty()).collect();
-    let both = |row: &Row| {
+    let evaluated = rows.iter().filter(|row| !row.held_out.is_empty() || !row.seen.is_empty()).map(|row| {
         let line = |line: &Line, dashed| (line.clone(), Stroke { dashed, ..row.stroke });
-        vec![line(&row.held_out, false), line(&row.seen, true)]
-    };
-    if !evaluated.is_empty() {
-        let title = "PSNR of whole views (dB): held-out, and training (dashed)";
-        curves.draw(&mut drawing, title, &evaluated, both, (190.0, 160.0));
-    }
+        (row, vec![line(&row.held_out, false), line(&row.seen, true)])
+    });
+    let title = "PSNR of whole views (dB): held-out, and training (dashed)";
+    curves.draw(&mut drawing, title, evaluated.collect(), (190.0, 160.0));
     let against = if along == "step" { "" } else { ", against seconds" };
     style.finish(drawing, &format!("Training on {scene}{against}"), &caption(all, &rows, &longer))
 }
@@ -250,24 +247,18 @@ fn keep_best(style: Style, rows: &mut Vec<Row>) {
         return;
     }
     let baseline = rows.iter().position(|row| style.baseline_of(row.label).is_none()).unwrap_or(0);
-    let mut scores: Vec<f64> = (0..rows.len()).filter(|i| *i != baseline).map(|i| rows[i].score()).collect();
-    scores.sort_by(|a, b| b.total_cmp(a));
-    let least = scores[BEST - 1];
-    let (mut at, mut kept) = (0, 0);
-    rows.retain(|row| {
-        at += 1;
-        let keeps = at - 1 == baseline || row.score() >= least && kept < BEST;
-        kept += usize::from(keeps && at - 1 != baseline);
-        keeps
-    });
+    let mut kept: Vec<usize> = (0..rows.len()).filter(|index| *index != baseline).collect();
+    kept.sort_by(|a, b| rows[*b].score().total_cmp(&rows[*a].score()));
+    kept.truncate(BEST);
+    let mut indices = 0..;
+    rows.retain(|_| indices.next().is_some_and(|index| index == baseline || kept.contains(&index)));
 }
 
 /// Returns how far a row that is cut off goes on, and its last value.
 fn further(row: &Row, along: &str) -> String {
-    let unit = if along == "step" { "step " } else { "" };
     let (last, value) = row.rays.last().map_or((0.0, 0.0), |(step, spread)| (*step, spread.mean));
-    let after = if along == "step" { "" } else { " s" };
-    format!("{} goes on to {unit}{last:.0}{after} (last {value:.2} dB)", row.label)
+    let at = if along == "step" { format!("step {last:.0}") } else { format!("{last:.0} s") };
+    format!("{} goes on to {at} (last {value:.2} dB)", row.label)
 }
 
 struct Curves<'f, 'a> {
@@ -278,17 +269,10 @@ struct Curves<'f, 'a> {
 }
 
 impl Curves<'_, '_> {
-    /// Draws a panel below everything: the lines of rows, the first of each named at its end.
-    fn draw(
-        &self,
-        drawing: &mut Canvas,
-        title: &str,
-        rows: &[&Row],
-        lines: impl Fn(&Row) -> Vec<(Line, Stroke)>,
-        height: (f64, f64),
-    ) {
-        let lines: Vec<Vec<(Line, Stroke)>> = rows.iter().map(|row| lines(row)).collect();
-        let Some(range) = range_of(lines.iter().flatten().map(|(line, _)| line)) else { return };
+    /// Draws a panel below everything: the lines of rows, the first of each named at its end; nothing without lines.
+    fn draw(&self, drawing: &mut Canvas, title: &str, rows: Vec<(&Row, Vec<(Line, Stroke)>)>, height: (f64, f64)) {
+        let lines = rows.iter().flat_map(|(_, lines)| lines).map(|(line, _)| line);
+        let Some(range) = range_of(lines) else { return };
         let room = self.style.width.pick(NAMES.0, NAMES.1);
         let title = wrapped(title, drawing.width - LEFT - SIDE, TEXT);
         let panel = Panel {
@@ -306,7 +290,7 @@ impl Curves<'_, '_> {
             drawing.line(&[(plot.panel.left, y), (plot.panel.right(), y)], GREY, 1.2);
         }
         let mut named = Vec::new();
-        for (row, own) in rows.iter().zip(&lines) {
+        for (row, own) in &rows {
             own.iter().for_each(|(line, stroke)| plot.line(drawing, line, *stroke));
             let end = own.iter().find_map(|(line, _)| plot.places(line).last().copied());
             named.extend(end.map(|at| End { at, stroke: row.stroke, name: row.label }));
@@ -331,14 +315,10 @@ impl Curves<'_, '_> {
         let names: Vec<&str> = compared.iter().filter_map(|(row, _)| self.style.baseline_of(row.label)).collect();
         let baseline = if names.iter().all(|name| *name == names[0]) { names.first() } else { None };
         for (group, far) in [("", false), (", rows far from the others", true)] {
-            let rows = compared.iter().zip(&is_far).filter(|(_, own)| **own == far).map(|(row, _)| row);
-            let (rows, lines): (Vec<&Row>, Vec<&Line>) = rows.map(|(row, line)| (*row, line)).unzip();
+            let rows = compared.iter().zip(&is_far).filter(|(_, own)| **own == far);
+            let rows = rows.map(|((row, line), _)| (*row, vec![(line.clone(), row.stroke)])).collect();
             let title = format!("{what} (dB), difference to {}{group}", baseline.unwrap_or(&"the baseline"));
-            let line = |row: &Row| {
-                let index = rows.iter().position(|other| other.label == row.label).expect("one of the rows");
-                vec![(lines[index].clone(), row.stroke)]
-            };
-            self.draw(drawing, &title, &rows, line, (150.0, 130.0));
+            self.draw(drawing, &title, rows, (150.0, 130.0));
         }
     }
 }

@@ -48,12 +48,8 @@ pub fn shifts_figure(style: Style, scene: &str, rows: &[Shifts]) -> Result<Optio
     let mut drawing = canvas(style.width);
     let width = (drawing.width - LEFT - SIDE + GAP) / across as f64 - GAP;
     let strokes: Vec<Stroke> = rows.iter().map(|row| style.stroke(&row.label)).collect();
-    drawing.height = drawing.lines(
-        (SIDE, drawing.height + 4.0),
-        drawing.width - 2.0 * SIDE,
-        "shift of the rendered colours (8-bit steps)",
-        GREY,
-    );
+    let (room, head) = (drawing.width - 2.0 * SIDE, "shift of the rendered colours (8-bit steps)");
+    drawing.height = drawing.lines((SIDE, drawing.height + 4.0), room, head, GREY);
     for line in sites.chunks(across) {
         let (top, mut foot) = (drawing.height + LINE_HEIGHT, 0.0);
         for (column, (site, lines)) in line.iter().enumerate() {
