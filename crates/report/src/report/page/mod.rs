@@ -112,7 +112,7 @@ impl Page<'_> {
             meshes: &self.meshes,
             attacks: attack::site_rows(&self.attacks, once),
             has_axes: points::has_axes(self.records),
-            points: points::points(table, self.records, self.link),
+            points: points::points(shown, self.records, self.link),
             protocols: protocol::scenes(once),
             clocks: protocol::clocks(self.timing),
             costs: protocol::costs(once, self.timing),
