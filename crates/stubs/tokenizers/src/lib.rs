@@ -12,305 +12,157 @@ impl std::fmt::Display for Missing {
 
 impl std::error::Error for Missing {}
 
-/// Text models.
-pub mod models {
-    /// Byte-pair encoding.
-    pub mod bpe {
-        use crate::Missing;
-
-        /// Tokens and their numbers.
-        pub type Vocab = std::collections::HashMap<String, u32>;
-
-        /// A model; there is none.
-        pub enum BPE {}
-
-        impl BPE {
-            /// Returns a builder that makes none.
-            pub fn builder() -> BpeBuilder {
-                BpeBuilder
-            }
+/// A function of these arguments, which drops them.
+macro_rules! makes {
+    ($made:ident, $($name:ident($($argument:ty),*)),+ $(,)?) => {
+        impl $made {
+            $(pub fn $name($(_: $argument),*) -> $made { $made })+
         }
+    };
+}
 
-        /// A builder that makes nothing.
-        pub struct BpeBuilder;
+/// A builder of a type that nothing makes: `drops` are dropped, `refuses` and `build` end in an error.
+macro_rules! builds {
+    ($built:ident, $builder:ident, drops: $($drop:ident($dropped:ty)),*; refuses: $($refuse:ident($refused:ty)),*) => {
+        impl $built {
+            pub fn builder() -> $builder { $builder }
+        }
+        pub struct $builder;
+        impl $builder {
+            $(pub fn $drop(self, _: $dropped) -> $builder { self })*
+            $(pub fn $refuse(self, _: $refused) -> Result<$builder, crate::Missing> { Err(crate::Missing) })*
+            pub fn build(self) -> Result<$built, crate::Missing> { Err(crate::Missing) }
+        }
+    };
+}
+
+/// Conversions into a type that stands for any of several.
+macro_rules! wraps {
+    ($any:ident, $($one:ty => $made:expr),+) => {
+        $(impl From<$one> for $any { fn from(_: $one) -> $any { $made } })+
+    };
+}
+
+pub mod models {
+    pub mod bpe {
+        pub type Vocab = std::collections::HashMap<String, u32>;
+        pub type Merges = Vec<(String, String)>;
+        pub enum BPE {}
+        builds!(BPE, BpeBuilder, drops: unk_token(String), byte_fallback(bool), ignore_merges(bool); refuses:);
 
         impl BpeBuilder {
-            /// Drops both.
-            pub fn vocab_and_merges(self, _vocab: Vocab, _merges: Vec<(String, String)>) -> BpeBuilder {
+            pub fn vocab_and_merges(self, _: Vocab, _: Merges) -> BpeBuilder {
                 self
-            }
-
-            /// Drops the token.
-            pub fn unk_token(self, _token: String) -> BpeBuilder {
-                self
-            }
-
-            /// Drops the choice.
-            pub fn byte_fallback(self, _wanted: bool) -> BpeBuilder {
-                self
-            }
-
-            /// Drops the choice.
-            pub fn ignore_merges(self, _wanted: bool) -> BpeBuilder {
-                self
-            }
-
-            /// Refused.
-            pub fn build(self) -> Result<BPE, Missing> {
-                Err(Missing)
             }
         }
     }
 }
 
-/// What changes text first.
 pub mod normalizers {
-    /// Any of them.
     pub struct NormalizerWrapper;
-
-    /// Unicode's forms.
     pub mod unicode {
-        /// The composed form.
         pub struct NFC;
     }
-
-    impl From<unicode::NFC> for NormalizerWrapper {
-        fn from(_: unicode::NFC) -> NormalizerWrapper {
-            NormalizerWrapper
-        }
-    }
+    wraps!(NormalizerWrapper, unicode::NFC => NormalizerWrapper);
 }
 
-/// What cuts text first.
 pub mod pre_tokenizers {
-    /// Any of them.
     pub struct PreTokenizerWrapper;
-
-    /// By bytes.
     pub mod byte_level {
-        /// The step by bytes, which is also a decoder and a last step.
         #[derive(Default)]
         pub struct ByteLevel;
-
-        impl ByteLevel {
-            /// Drops the choices.
-            pub fn new(_add_prefix_space: bool, _trim_offsets: bool, _use_regex: bool) -> ByteLevel {
-                ByteLevel
-            }
-        }
+        makes!(ByteLevel, new(bool, bool, bool));
     }
-
-    /// Several in turn.
     pub mod sequence {
-        /// Several in turn.
         pub struct Sequence;
-
-        impl Sequence {
-            /// Drops the steps.
-            pub fn new(_steps: Vec<super::PreTokenizerWrapper>) -> Sequence {
-                Sequence
-            }
-        }
+        makes!(Sequence, new(Vec<super::PreTokenizerWrapper>));
     }
-
-    /// By a pattern.
     pub mod split {
-        use crate::Missing;
-        use crate::tokenizer::SplitDelimiterBehavior;
-
-        /// A pattern.
         pub enum SplitPattern {
-            /// A regular expression.
             Regex(String),
         }
-
-        /// A step; there is none.
         pub enum Split {}
-
         impl Split {
-            /// Refused.
             pub fn new(
-                _pattern: SplitPattern,
-                _behaviour: SplitDelimiterBehavior,
-                _invert: bool,
-            ) -> Result<Split, Missing> {
-                Err(Missing)
+                _: SplitPattern,
+                _: crate::tokenizer::SplitDelimiterBehavior,
+                _: bool,
+            ) -> Result<Split, crate::Missing> {
+                Err(crate::Missing)
             }
         }
     }
-
-    impl From<byte_level::ByteLevel> for PreTokenizerWrapper {
-        fn from(_: byte_level::ByteLevel) -> PreTokenizerWrapper {
-            PreTokenizerWrapper
-        }
-    }
-
-    impl From<sequence::Sequence> for PreTokenizerWrapper {
-        fn from(_: sequence::Sequence) -> PreTokenizerWrapper {
-            PreTokenizerWrapper
-        }
-    }
-
-    impl From<split::Split> for PreTokenizerWrapper {
-        fn from(split: split::Split) -> PreTokenizerWrapper {
-            match split {}
-        }
-    }
+    wraps!(
+        PreTokenizerWrapper,
+        byte_level::ByteLevel => PreTokenizerWrapper,
+        sequence::Sequence => PreTokenizerWrapper,
+        split::Split => PreTokenizerWrapper
+    );
 }
 
-/// What makes text of tokens.
 pub mod decoders {
     pub use crate::pre_tokenizers::byte_level;
-
-    /// Any of them.
     pub struct DecoderWrapper;
-
-    impl From<byte_level::ByteLevel> for DecoderWrapper {
-        fn from(_: byte_level::ByteLevel) -> DecoderWrapper {
-            DecoderWrapper
-        }
-    }
+    wraps!(DecoderWrapper, byte_level::ByteLevel => DecoderWrapper);
 }
 
-/// What changes tokens last.
 pub mod processors {
     pub use crate::pre_tokenizers::byte_level;
-
-    /// Any of them.
     #[derive(Clone)]
     pub enum PostProcessorWrapper {
-        /// By bytes.
         ByteLevel,
-        /// Several in turn.
         Sequence,
-        /// By a template.
         Template(template::TemplateProcessing),
     }
-
-    /// Several in turn.
     pub mod sequence {
-        /// Several in turn.
         pub struct Sequence;
-
-        impl Sequence {
-            /// Drops the steps.
-            pub fn new(_steps: Vec<super::PostProcessorWrapper>) -> Sequence {
-                Sequence
-            }
-        }
+        makes!(Sequence, new(Vec<super::PostProcessorWrapper>));
     }
-
-    /// By a template.
     pub mod template {
-        use crate::Missing;
-
-        /// A template; there is none.
         #[derive(Clone)]
         pub enum TemplateProcessing {}
-
-        impl TemplateProcessing {
-            /// Returns a builder that makes none.
-            pub fn builder() -> TemplateProcessingBuilder {
-                TemplateProcessingBuilder
-            }
-        }
-
-        /// A builder that makes nothing.
-        pub struct TemplateProcessingBuilder;
-
-        impl TemplateProcessingBuilder {
-            /// Refused.
-            pub fn try_single(self, _pieces: Vec<String>) -> Result<TemplateProcessingBuilder, Missing> {
-                Err(Missing)
-            }
-
-            /// Refused.
-            pub fn try_pair(self, _pieces: Vec<String>) -> Result<TemplateProcessingBuilder, Missing> {
-                Err(Missing)
-            }
-
-            /// Drops the tokens.
-            pub fn special_tokens(self, _tokens: Vec<(String, u32)>) -> TemplateProcessingBuilder {
-                self
-            }
-
-            /// Refused.
-            pub fn build(self) -> Result<TemplateProcessing, Missing> {
-                Err(Missing)
-            }
-        }
+        builds!(
+            TemplateProcessing, TemplateProcessingBuilder, drops: special_tokens(Vec<(String, u32)>);
+            refuses: try_single(Vec<String>), try_pair(Vec<String>)
+        );
     }
-
-    impl From<byte_level::ByteLevel> for PostProcessorWrapper {
-        fn from(_: byte_level::ByteLevel) -> PostProcessorWrapper {
-            PostProcessorWrapper::ByteLevel
-        }
-    }
-
-    impl From<sequence::Sequence> for PostProcessorWrapper {
-        fn from(_: sequence::Sequence) -> PostProcessorWrapper {
-            PostProcessorWrapper::Sequence
-        }
-    }
+    wraps!(
+        PostProcessorWrapper,
+        byte_level::ByteLevel => PostProcessorWrapper::ByteLevel,
+        sequence::Sequence => PostProcessorWrapper::Sequence
+    );
 }
 
-/// All steps together.
 pub mod tokenizer {
-    use crate::Missing;
-    use crate::decoders::DecoderWrapper;
-    use crate::models::bpe::BPE;
-    use crate::normalizers::NormalizerWrapper;
-    use crate::pre_tokenizers::PreTokenizerWrapper;
-    use crate::processors::PostProcessorWrapper;
+    use crate::{Missing, decoders, normalizers, pre_tokenizers, processors};
 
-    /// What becomes of a text's separators.
     pub enum SplitDelimiterBehavior {
-        /// Pieces of their own.
         Isolated,
     }
-
-    /// A token beside the model's.
     pub struct AddedToken;
+    makes!(AddedToken, from(String, bool));
 
-    impl AddedToken {
-        /// Drops the token.
-        pub fn from(_content: String, _special: bool) -> AddedToken {
-            AddedToken
-        }
+    /// There is none, as there is no model: no method is ever called.
+    pub struct Tokenizer(crate::models::bpe::BPE);
+
+    macro_rules! never {
+        ($($name:ident($argument:ty) -> $made:ty),+ $(,)?) => {
+            impl Tokenizer {
+                $(pub fn $name(&mut self, _: $argument) -> $made { match self.0 {} })+
+            }
+        };
     }
-
-    /// A tokenizer; there is none, as there is no model.
-    pub struct Tokenizer(BPE);
+    never!(
+        with_normalizer(Option<normalizers::NormalizerWrapper>) -> Result<&mut Tokenizer, Missing>,
+        with_pre_tokenizer(Option<pre_tokenizers::PreTokenizerWrapper>) -> &mut Tokenizer,
+        with_decoder(Option<decoders::DecoderWrapper>) -> &mut Tokenizer,
+        with_post_processor(Option<processors::PostProcessorWrapper>) -> &mut Tokenizer,
+        add_special_tokens(Vec<AddedToken>) -> Result<usize, Missing>,
+    );
 
     impl Tokenizer {
-        /// A model's tokenizer.
-        pub fn new(model: BPE) -> Tokenizer {
+        pub fn new(model: crate::models::bpe::BPE) -> Tokenizer {
             Tokenizer(model)
-        }
-
-        /// Never called.
-        pub fn with_normalizer(&mut self, _: Option<NormalizerWrapper>) -> Result<&mut Tokenizer, Missing> {
-            match self.0 {}
-        }
-
-        /// Never called.
-        pub fn with_pre_tokenizer(&mut self, _: Option<PreTokenizerWrapper>) -> &mut Tokenizer {
-            match self.0 {}
-        }
-
-        /// Never called.
-        pub fn with_decoder(&mut self, _: Option<DecoderWrapper>) -> &mut Tokenizer {
-            match self.0 {}
-        }
-
-        /// Never called.
-        pub fn with_post_processor(&mut self, _: Option<PostProcessorWrapper>) -> &mut Tokenizer {
-            match self.0 {}
-        }
-
-        /// Never called.
-        pub fn add_special_tokens(&mut self, _: Vec<AddedToken>) -> Result<usize, Missing> {
-            match self.0 {}
         }
     }
 }
