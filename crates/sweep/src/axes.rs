@@ -231,7 +231,7 @@ fn distinct(kind: &str, values: Vec<Value>) -> Result<Vec<Value>, String> {
 }
 
 /// Returns a value as tables and plots print it.
-fn text(value: &Value) -> String {
+pub(super) fn text(value: &Value) -> String {
     match value {
         Value::String(text) => text.clone(),
         other => other.to_string(),

@@ -11,7 +11,7 @@ use super::definition::Definition;
 use super::folder::{DEFINITION, STEP_SECONDS, SweepFolder};
 use super::outputs::SweepOutputs;
 use super::points::Point;
-use super::provenance::{Provenance, sha256};
+use super::provenance::Provenance;
 use super::scored::with_scored;
 use super::view::VIEW;
 use crate::report::exporters::{Collected, Content, EXPORTERS};
@@ -19,6 +19,7 @@ use crate::report::plots::{Curve, Seeds, Shifts, Surface};
 use crate::report::statistics::mean;
 use crate::report::tables::{AttackLine, Table};
 use crate::report::{RowSpec, Status, TableSpec};
+use crate::train::sha256;
 
 /// The page's file in a results folder. It shows the content of the other files, and images of the runs.
 pub const PAGE: &str = "report.html";

@@ -3,7 +3,7 @@
 
 use crate::base::{Error, Result};
 use crate::metrics::{
-    DEPTH_LEFT_OUT, DEPTH_LEFT_OUT_COMMON, DEPTH_MAE_COMMON, DEPTH_RMSE_COMMON, Metric, Needs, Scope,
+    DEPTH_LEFT_OUT, DEPTH_LEFT_OUT_COMMON, DEPTH_MAE_COMMON, DEPTH_RMSE_COMMON, Metric, Needs, Scope, mean,
 };
 use crate::report::{Record, Status, distinct};
 use crate::run::DepthErrors;
@@ -103,11 +103,6 @@ fn measured(errors: &DepthErrors, mask: &[Vec<bool>]) -> [(&'static str, Option<
         (DEPTH_RMSE_COMMON.key, mean_of(&|view| mean(view.iter().map(|error| error * error)).map(f64::sqrt))),
         (DEPTH_LEFT_OUT_COMMON.key, mean(left_out)),
     ]
-}
-
-fn mean(values: impl Iterator<Item = f64>) -> Option<f64> {
-    let (sum, count) = values.fold((0.0, 0u64), |(sum, count), value| (sum + value, count + 1));
-    (count > 0).then(|| sum / count as f64)
 }
 
 #[cfg(test)]

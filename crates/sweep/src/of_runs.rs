@@ -17,7 +17,7 @@ use crate::compare::{differing_settings, labels};
 use crate::metrics::{Metric, PSNR, PSNR_FLOAT, PSNR_OF_MEAN, Scope};
 use crate::report::tables::Table;
 use crate::report::{Record, RowSpec, Status, TableSpec, distinct};
-use crate::run::RunDir;
+use crate::run::{RunDir, cell};
 use crate::settings::Config;
 
 const ADVICE: &str = "`augnerf eval` writes it again";
@@ -92,7 +92,7 @@ impl RunsTable {
     }
 
     fn add(&mut self, id: String, row: String, config: Config, evaluated: Evaluated) {
-        let scene = evaluated.protocol.get("scene").map(text).unwrap_or_default();
+        let scene = evaluated.protocol.get("scene").map(cell).unwrap_or_default();
         let metrics: Vec<_> = evaluated.mean.iter().map(|(name, value)| (name.clone(), value.as_f64())).collect();
         let inactive = evaluated.attack.iter().filter(|site| site.inactive).map(|site| site.level.clone());
         let record = Record {
@@ -104,7 +104,7 @@ impl RunsTable {
             status: Status::Done,
             reason: String::new(),
             metrics,
-            protocol: evaluated.protocol.iter().map(|(name, value)| (name.clone(), text(value))).collect(),
+            protocol: evaluated.protocol.iter().map(|(name, value)| (name.clone(), cell(value))).collect(),
             inactive_levels: inactive.collect(),
         };
         self.outputs.records.push(record);
@@ -159,7 +159,7 @@ impl RunsTable {
 /// Returns why numbers of this protocol are not those of a run of this configuration: another seed or configuration, or
 /// training views. Earlier versions wrote fewer columns, and other revisions may hash other settings.
 pub(super) fn foreign(protocol: &Map<String, Value>, config: &Config) -> Option<String> {
-    let told = |column: &str| protocol.get(column).map(text).filter(|found| !found.is_empty());
+    let told = |column: &str| protocol.get(column).map(cell).filter(|found| !found.is_empty());
     let is_of_now = told("code_revision").is_some_and(|revision| revision == crate::revision::revision());
     for (column, own) in [("seed", config.seed.to_string()), ("config_hash", config.hash())] {
         if let Some(found) = told(column).filter(|found| *found != own && (column == "seed" || is_of_now)) {
@@ -168,15 +168,6 @@ pub(super) fn foreign(protocol: &Map<String, Value>, config: &Config) -> Option<
     }
     // They are no split that settings name, so that the hash is the same.
     (told("split")? == "train").then(|| "it is of training views".into())
-}
-
-/// Returns a value as text; empty for none.
-fn text(value: &Value) -> String {
-    match value {
-        Value::Null => String::new(),
-        Value::String(text) => text.clone(),
-        other => other.to_string(),
-    }
 }
 
 /// Returns the row of each run if no names are given. Runs that differ only in the seed are one row. A row's name is

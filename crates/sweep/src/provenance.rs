@@ -4,7 +4,6 @@ use std::collections::BTreeMap;
 use std::path::Path;
 
 use serde::{Deserialize, Serialize};
-use sha2::{Digest, Sha256};
 use toml::{Table, Value};
 
 use crate::base::files::write_atomic;
@@ -12,6 +11,7 @@ use crate::base::input::{TEXT_BYTES, read_text};
 use crate::base::{Error, Result};
 use crate::report::{Record, Status};
 
+use super::axes::text;
 use super::outputs::SweepOutputs;
 use super::words::check_name;
 use crate::report::tables::Constants;
@@ -151,17 +151,4 @@ pub(super) fn toml_of(constants: &Constants) -> Table {
         integer.into_iter().chain(others.into_iter().flatten()).find(|value| text(value) == cell).unwrap_or(cell.into())
     };
     constants.iter().map(|(name, cell)| (name.clone(), value(cell))).collect()
-}
-
-/// Returns a constant as the text of a cell.
-fn text(value: &Value) -> String {
-    match value {
-        Value::String(text) => text.clone(),
-        other => other.to_string(),
-    }
-}
-
-/// Returns a file's SHA-256 in hexadecimal digits.
-pub fn sha256(bytes: &[u8]) -> String {
-    Sha256::digest(bytes).iter().map(|byte| format!("{byte:02x}")).collect()
 }

@@ -12,6 +12,7 @@ use crate::metrics::{Metric, Scope};
 use crate::report::tables::{Table, points_csv};
 use crate::report::{AxisValue, Record, RowSpec, Status, TableSpec, distinct};
 use crate::run::{DepthErrors, RunDir};
+use crate::train::sha256;
 
 use super::collect::{Results, TableInputs};
 use super::common_depth::{add_common_depth, wants_depth};
@@ -20,7 +21,7 @@ use super::definition::{Definition, Row};
 use super::folder::{DEFINITION, SweepFolder};
 use super::outputs::SweepOutputs;
 use super::points::Point;
-use super::provenance::{sha256, toml_of};
+use super::provenance::toml_of;
 use super::scored::with_scored;
 use super::words::quoted;
 

@@ -1,38 +1,9 @@
 //! The values of tensors on the CPU, for custom operations.
 
-use std::ops::Deref;
-
-use candle_core::{CpuStorage, Layout, Result, Storage, Tensor, WithDType};
+use candle_core::WithDType;
 use rayon::prelude::*;
 
-/// A tensor's values, readable while this lives.
-pub(super) struct Values<'a> {
-    storage: Box<dyn Deref<Target = Storage> + 'a>,
-    layout: &'a Layout,
-}
-
-impl<'a> Values<'a> {
-    pub(super) fn of(tensor: &'a Tensor) -> Values<'a> {
-        let (storage, layout) = tensor.storage_and_layout();
-        Values { storage: Box::new(storage), layout }
-    }
-
-    /// Returns the values row by row.
-    pub(super) fn slice<T: WithDType>(&self) -> Result<&[T]> {
-        match &**self.storage {
-            Storage::Cpu(storage) => slice(storage, self.layout),
-            _ => candle_core::bail!("this operation needs tensors on the CPU"),
-        }
-    }
-}
-
-/// Returns the values of a contiguous argument.
-pub(super) fn slice<'a, T: WithDType>(storage: &'a CpuStorage, layout: &Layout) -> Result<&'a [T]> {
-    match layout.contiguous_offsets() {
-        Some((start, end)) => Ok(&T::cpu_storage_as_slice(storage)?[start..end]),
-        None => candle_core::bail!("this operation needs contiguous arguments, got {layout:?}"),
-    }
-}
+pub(super) use crate::base::tensors::{Values, slice};
 
 /// Runs a block with `T` as the number type, f32 or f64.
 macro_rules! each_kind {

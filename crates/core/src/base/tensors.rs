@@ -1,6 +1,8 @@
 //! Operations on tensors that may be missing, access to their values, and a ReLU that keeps NaN.
 
-use candle_core::{CpuStorage, Storage, Tensor};
+use std::ops::Deref;
+
+use candle_core::{CpuStorage, Layout, Storage, Tensor, WithDType};
 
 use super::Result;
 
@@ -23,6 +25,42 @@ pub fn with_values<R>(tensor: &Tensor, read: impl FnOnce(&[f32]) -> R) -> Option
     match (&*storage, layout.contiguous_offsets()) {
         (Storage::Cpu(CpuStorage::F32(values)), Some((start, end))) => Some(read(&values[start..end])),
         _ => None,
+    }
+}
+
+/// A tensor's values on the CPU, readable while this lives.
+pub struct Values<'a> {
+    storage: Box<dyn Deref<Target = Storage> + 'a>,
+    layout: &'a Layout,
+}
+
+impl<'a> Values<'a> {
+    /// Returns the values of a tensor.
+    pub fn of(tensor: &'a Tensor) -> Values<'a> {
+        let (storage, layout) = tensor.storage_and_layout();
+        Values { storage: Box::new(storage), layout }
+    }
+
+    /// Returns the values row by row.
+    ///
+    /// # Errors
+    /// The tensor is not on the CPU, not contiguous, or of another type.
+    pub fn slice<T: WithDType>(&self) -> candle_core::Result<&[T]> {
+        match &**self.storage {
+            Storage::Cpu(storage) => slice(storage, self.layout),
+            _ => candle_core::bail!("this operation needs tensors on the CPU"),
+        }
+    }
+}
+
+/// Returns the values of a contiguous argument of a custom operation.
+///
+/// # Errors
+/// The argument is not contiguous, or of another type.
+pub fn slice<'a, T: WithDType>(storage: &'a CpuStorage, layout: &Layout) -> candle_core::Result<&'a [T]> {
+    match layout.contiguous_offsets() {
+        Some((start, end)) => Ok(&T::cpu_storage_as_slice(storage)?[start..end]),
+        None => candle_core::bail!("this operation needs contiguous arguments, got {layout:?}"),
     }
 }
 

@@ -9,10 +9,10 @@ use std::sync::{Arc, Mutex, PoisonError};
 use candle_core::{CpuStorage, CustomOp1, CustomOp2, DType, Device, Layout, Result, Shape, Tensor, Var};
 
 use super::contiguous;
-use super::fused::Values;
 use super::hash::{Cotangents, Domain, HashGrid, Operator, Real, fetch_tables};
 use super::inside::Inside;
 use crate::base::place::is_ours;
+use crate::base::tensors::Values;
 use crate::base::tensors::with_values;
 use crate::settings::{Contraction, Encoding, FieldConfig};
 

@@ -3,9 +3,9 @@
 use candle_core::{CpuStorage, CustomOp1, DType, Device, Layout, Shape, Tensor};
 
 use crate::base::Result;
+use crate::base::tensors::Values;
 
 use super::activation::Cotangents;
-use super::fused::Values;
 use super::grid::{Grid, TableRecord};
 use super::hash::Operator;
 use super::{Field, contiguous, encoded_channels};

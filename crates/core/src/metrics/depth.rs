@@ -73,7 +73,8 @@ pub fn depth_errors(rendered: &[f32], acc: &[f32], reference: &[f32]) -> Vec<f32
     (0..reference.len()).filter(|&i| reference[i].is_finite()).map(error).collect()
 }
 
-fn mean(values: impl Iterator<Item = f64>) -> Option<f64> {
+/// Returns the mean of some values, or `None` without any.
+pub fn mean(values: impl Iterator<Item = f64>) -> Option<f64> {
     let (sum, count) = values.fold((0.0, 0u64), |(sum, count), value| (sum + value, count + 1));
     (count > 0).then(|| sum / count as f64)
 }

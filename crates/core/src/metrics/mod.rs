@@ -13,7 +13,7 @@ mod ssim;
 mod values;
 mod weights;
 
-pub use depth::{depth_errors, measure_depth};
+pub use depth::{depth_errors, mean, measure_depth};
 pub use floor::{Floor, OneColour, are_one_colour, no_better_than_one_colour};
 pub use lpips::{Backbone, Lpips};
 pub use masked::{share, unmasked_or};

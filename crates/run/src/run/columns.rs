@@ -12,7 +12,7 @@ pub fn columns(row: &impl Serialize) -> Vec<(String, String)> {
 }
 
 /// Returns a value as the text of a cell.
-pub(super) fn cell(value: &Value) -> String {
+pub fn cell(value: &Value) -> String {
     match value {
         Value::Null => String::new(),
         Value::String(text) => text.clone(),

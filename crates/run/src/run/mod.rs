@@ -35,7 +35,7 @@ mod tensorboard;
 mod trained;
 
 pub use balance::{BalancedWeight, balance};
-pub use columns::columns;
+pub use columns::{cell, columns};
 pub use corruption::write_corrupted;
 pub use coverage::Coverage;
 pub use depth_errors::DepthErrors;

@@ -31,6 +31,7 @@ pub use crate::optimizer::{Adam, AdamSettings, Moments, learning_rate};
 pub use memory::graphs_mib;
 pub use origin::Origin;
 pub use stats::StepStats;
+pub use sums::sha256;
 
 /// Seconds from which on a step is timed once.
 const LONG_STEP: f64 = 2.0;

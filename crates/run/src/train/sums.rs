@@ -17,7 +17,7 @@ pub(super) fn write(folder: &Path, files: &[(&str, &[u8])]) -> Result<()> {
     let mut lines = String::new();
     for (name, bytes) in files {
         write_atomic(&folder.join(name), bytes)?;
-        lines += &format!("{}  {name}\n", sum(bytes));
+        lines += &format!("{}  {name}\n", sha256(bytes));
     }
     write_atomic(&folder.join(SUMS), lines.as_bytes())
 }
@@ -31,7 +31,7 @@ pub(super) fn read(folder: &Path, name: &str) -> io::Result<std::result::Result<
         return Ok(Err("it is missing".into()));
     };
     let Some(sums) = absent_is_none(read_bytes(&folder.join(SUMS), TEXT_BYTES))? else { return Ok(Ok(bytes)) };
-    let expected = format!("{}  {name}", sum(&bytes));
+    let expected = format!("{}  {name}", sha256(&bytes));
     let known = sums.split(|byte| *byte == b'\n').any(|line| line == expected.as_bytes());
     Ok(if known { Ok(bytes) } else { Err(format!("its bytes do not match {SUMS}")) })
 }
@@ -44,6 +44,7 @@ fn absent_is_none(read: io::Result<Vec<u8>>) -> io::Result<Option<Vec<u8>>> {
     }
 }
 
-fn sum(bytes: &[u8]) -> String {
+/// Returns a file's SHA-256 in hexadecimal digits.
+pub fn sha256(bytes: &[u8]) -> String {
     Sha256::digest(bytes).iter().map(|byte| format!("{byte:02x}")).collect()
 }

@@ -12,10 +12,11 @@ use crate::base::{Error, Result};
 use crate::collect::{PAGE, TIMING};
 use crate::folder::{DEFINITION, PLAN, STEP_SECONDS};
 use crate::outputs::{SCALARS, optional};
-use crate::provenance::{Archived, PROVENANCE, sha256};
+use crate::provenance::{Archived, PROVENANCE};
 use crate::report::exporters::{Content, EXPORTERS, OF_LOGS};
 use crate::report::tables::{Constants, Table};
 use crate::scored::SCORED;
+use crate::train::sha256;
 
 /// What tables and figures are made of: read, never made.
 const KEPT: [&str; 7] = [DEFINITION, PLAN, STEP_SECONDS, SCALARS, SCORED, PROVENANCE, TIMING];

@@ -13,7 +13,7 @@ use crate::metrics::{DEPTH_LEFT_OUT, MSE, PSNR_OF_MEAN};
 use crate::of_runs::foreign;
 use crate::outputs::optional;
 use crate::report::tables::plain_field;
-use crate::run::{DepthErrors, RunDir};
+use crate::run::{DepthErrors, RunDir, cell as text};
 
 /// Run folders below a folder, by name.
 pub fn run_folders(folder: &Path) -> Result<Vec<PathBuf>> {
@@ -185,13 +185,4 @@ fn csv_lines(path: &Path) -> Result<Option<Vec<Line>>> {
 
 fn name(run: &Path) -> String {
     run.file_name().map(|name| name.to_string_lossy().into_owned()).unwrap_or_default()
-}
-
-/// A value as a CSV cell.
-fn text(value: &Value) -> String {
-    match value {
-        Value::Null => String::new(),
-        Value::String(text) => text.clone(),
-        other => other.to_string(),
-    }
 }

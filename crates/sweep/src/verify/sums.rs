@@ -7,7 +7,7 @@ use super::tree::{Tree, names_in};
 use crate::base::input::{TEXT_BYTES, read_text};
 use crate::base::{Error, Result};
 use crate::outputs::optional;
-use crate::provenance::sha256;
+use crate::train::sha256;
 
 /// The file's name, in the folder of all results.
 const SUMS: &str = "SHA256SUMS";

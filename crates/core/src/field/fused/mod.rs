@@ -15,13 +15,11 @@ mod pool;
 mod slope;
 
 use std::cell::RefCell;
-use std::ops::Deref;
 use std::sync::{Arc, Mutex, PoisonError};
 
-use candle_core::backend::BackendStorage;
-use candle_core::{CpuStorage, CustomOp3, DType, Device, Layout, Result, Shape, Storage, Tensor, Var};
+use candle_core::{CpuStorage, CustomOp3, DType, Device, Layout, Result, Shape, Tensor, Var};
 
-use crate::field::contiguous;
+use crate::base::tensors::{Values, slice};
 use crate::settings::FieldConfig;
 
 use backward::InputGradients;
@@ -162,33 +160,6 @@ impl Slope {
         let (cotangent, d_raw) = (cotangent.as_ref().map(Values::of), d_raw.as_ref().map(Values::of));
         let cotangent = cotangent.as_ref().map(Values::slice).transpose()?;
         Ok(self.network.slope_gradients(&self.tape, cotangent, d_raw.as_ref().map(Values::slice).transpose()?))
-    }
-}
-
-/// A tensor's values, readable while this lives.
-pub struct Values<'a> {
-    storage: Box<dyn Deref<Target = Storage> + 'a>,
-    layout: &'a Layout,
-}
-
-impl<'a> Values<'a> {
-    pub(crate) fn of(tensor: &'a Tensor) -> Values<'a> {
-        let (storage, layout) = tensor.storage_and_layout();
-        Values { storage: Box::new(storage), layout }
-    }
-
-    pub(crate) fn slice(&self) -> Result<&[f32]> {
-        match &**self.storage {
-            Storage::Cpu(storage) => slice(storage, self.layout),
-            _ => candle_core::bail!("the fused field needs a tensor on the CPU"),
-        }
-    }
-}
-
-fn slice<'a>(storage: &'a CpuStorage, layout: &Layout) -> Result<&'a [f32]> {
-    match storage {
-        CpuStorage::F32(values) => contiguous(values, layout),
-        other => candle_core::bail!("the fused field is for f32, got {:?}", other.dtype()),
     }
 }
 
