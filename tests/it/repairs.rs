@@ -16,6 +16,7 @@ use crate::common::assert_says;
 use crate::common::program::{demand, refuse, succeed};
 use crate::common::{files, program};
 use crate::strangers::{capture, check_folder, copy};
+use crate::verify::verify;
 
 const KEY: &str = "transform_matrix";
 
@@ -452,6 +453,29 @@ fn blender_folders_of_another_size_have_bounds_and_a_box_that_fit() {
     }
     let (scene, _) = load(&clear, as_it_is);
     assert!((scene.near - (6.0 - radius(6.0))).abs() < 1e-6);
+}
+
+/// Of a folder of another size, `verify` leaves out the numbers that hang on its bounds, and no others.
+#[test]
+fn what_hangs_on_bounds_is_named_by_itself() {
+    let dir = TempDir::new().unwrap();
+    for (name, distance) in [("usual", 4.0), ("large", 6.0)] {
+        let scene = export(distance, |x, _| if x < 12 { [255; 3] } else { [250, 255, 250] });
+        fs::rename(scene.keep(), dir.path().join(name)).unwrap();
+    }
+    let file = "title = \"t\"\npreset = \"smoke\"\nscenes = [\"usual\", \"large\"]\nseeds = [0]\nmetrics = [\"psnr\"]\n\
+                set = { \"data.downscale\" = 1, \"train.steps\" = 2, \"train.rays\" = 16, \"perturb.attack\" = \"calibrated\" }\n\
+                row = [{ name = \"NeRF\" }, { name = \"Aug\", set = { method = \"aug-nerf\" } }]\n";
+    fs::write(dir.path().join("both.toml"), file).unwrap();
+    let mut sweep = program::augnerf(&["sweep", "run", "both.toml", "--data-root", ".", "-q"]);
+    demand(sweep.current_dir(dir.path()), 0);
+    let said = verify(dir.path(), &[], 0);
+    assert_says(&said, &["perturb.density.epsilon of 1 points: it hangs on bounds"]);
+    assert!(!said.contains("attack_numbers"), "{said}");
+    let points = dir.path().join("results/both/points.csv");
+    let forged = fs::read_to_string(&points).unwrap().replacen("0.01568627450980392", "0.5", 9);
+    fs::write(&points, forged).unwrap();
+    assert_says(&verify(dir.path(), &["--update"], 10), &["attack_numbers of Aug · large"]);
 }
 
 /// A run of an earlier version keeps the bounds that it was trained with, and has no box.

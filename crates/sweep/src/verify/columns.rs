@@ -1,5 +1,7 @@
 //! Whether the protocol columns of `points.csv` say what the points' configurations and `provenance.toml` say.
 
+use std::collections::{BTreeMap, BTreeSet};
+
 use super::Verifier;
 use super::archive::Archive;
 use super::files::Collected;
@@ -9,31 +11,32 @@ use crate::data::{known_bounds, may_have_box};
 use crate::methods::{SiteSummary, logged_sites};
 use crate::points::Point;
 use crate::provenance::Provenance;
+use crate::report::tables::attack_numbers;
 use crate::report::{Record, Status};
 use crate::run::{Protocol, split_name};
+use crate::settings::columns::SETTING;
 use crate::settings::{BuiltinScene, Config, DataKind, Extent, Located, Split};
 use crate::varied::Varied;
 
 /// A column and what stands in it.
-type Text = (&'static str, String);
+type Text = (String, String);
 
 /// Compares every column that settings decide, the code's revision, and what logs say of inactive sites.
 pub fn check(_: &Verifier, sweep: &Collected, findings: &mut Findings) -> Result<()> {
     let archive = &sweep.archive;
-    let (mut wrong, mut open, mut count) = (Vec::new(), Vec::new(), 0);
+    let (mut wrong, mut open, mut count) = (Vec::new(), BTreeMap::<String, usize>::new(), 0);
     let varied = Varied::of(&archive.definition, &archive.points);
     // Points of several revisions may lack what the earlier ones did not write.
     let one_revision = !archive.provenance.code_revision.contains(", ");
     for record in archive.outputs.records.iter().filter(|record| record.status == Status::Done) {
         let Some(point) = archive.points.iter().find(|point| point.id == record.id) else { continue };
         let Decided { columns, unknown } = decided(point, record)?;
-        let columns = columns.into_iter().map(|(name, text)| (name.to_string(), text));
         let used = Some(record.protocol.as_slice());
-        let columns = columns.chain(varied.columns(point, &record.axes, used));
+        let columns = columns.into_iter().chain(varied.columns(point, &record.axes, used));
+        let is_known = |(name, _): &Text| !unknown.contains(name.strip_prefix(SETTING).unwrap_or(name));
+        let columns: Vec<Text> = columns.filter(is_known).collect();
         for name in unknown {
-            if !open.contains(&name) {
-                open.push(name);
-            }
+            *open.entry(name).or_default() += 1;
         }
         for (name, expected) in columns {
             // Columns that are younger than the points are not in their file.
@@ -49,8 +52,8 @@ pub fn check(_: &Verifier, sweep: &Collected, findings: &mut Findings) -> Result
         }
     }
     findings.of(format!("{count} cells of points.csv are those of the points' configurations"), wrong);
-    for name in open {
-        findings.not_checked(format!("{name}: it hangs on bounds that the scene's files say"));
+    for (name, points) in open {
+        findings.not_checked(format!("{name} of {points} points: it hangs on bounds that the scene's files say"));
     }
     revision(archive, findings);
     inactive(archive, findings);
@@ -63,11 +66,23 @@ fn found<'a>(record: &'a Record, name: &str) -> Option<&'a str> {
     record.protocol.iter().find(is_it).map(|(_, text)| text.as_str())
 }
 
+/// Returns PGD numbers in which those that differ in another scene are the found ones, and the names of these.
+fn known_numbers(numbers: &str, other: &str, found: &str) -> (String, Vec<String>) {
+    let [own, others, found] = [numbers, other, found].map(|text| text.split_inclusive(['/', ' ']));
+    let known =
+        own.zip(others).zip(found).map(|((own, other), found)| if own == other { own } else { found }).collect();
+    let pairs = attack_numbers(numbers).into_iter().zip(attack_numbers(other));
+    (known, pairs.filter(|(own, other)| own != other).map(|((name, _), _)| name).collect())
+}
+
+/// The column of PGD numbers, of which some may hang on a scene's bounds.
+const NUMBERS: &str = "attack_numbers";
+
 /// Columns that a configuration decides.
 struct Decided {
     columns: Vec<Text>,
     /// Names of those that hang on a scene's bounds, which are not known.
-    unknown: Vec<&'static str>,
+    unknown: BTreeSet<String>,
 }
 
 fn decided(point: &Point, record: &Record) -> Result<Decided> {
@@ -93,10 +108,10 @@ fn decided(point: &Point, record: &Record) -> Result<Decided> {
     let lacks_split = kind == DataKind::Blender && record.protocol("split").starts_with("every-");
     // The hash of a resolved configuration hangs on the settings that its revision had; points' names and scenes are
     // compared with their configurations elsewhere.
-    let keep = |columns: Vec<Text>| -> Vec<Text> {
+    let keep = |columns: Vec<(&'static str, String)>| -> Vec<Text> {
         let kept = columns.into_iter().filter(|(name, _)| !["config_hash", "scene"].contains(name));
-        kept.map(|(name, text)| (name, if name == "split" { split_name(&located, lacks_split) } else { text }))
-            .collect()
+        let text = |name, text| if name == "split" { split_name(&located, lacks_split) } else { text };
+        kept.map(|(name, found)| (name.to_string(), text(name, found))).collect()
     };
     let (bounds, own_box) = (known_bounds(&located.data), may_have_box(&located.data));
     // A Blender folder of another size than NeRF's scenes has bounds and a box of its own.
@@ -105,12 +120,18 @@ fn decided(point: &Point, record: &Record) -> Result<Decided> {
     let some_box = (own_box || may_differ).then_some([[-0.5; 3], [0.25; 3]]);
     let short = keep(at(&located, bounds.unwrap_or((0.0, 1.0)), None));
     let long = keep(at(&located, bounds.filter(|_| !may_differ).unwrap_or((0.0, 2.0)), some_box));
-    let mut decided = Decided { columns: Vec::new(), unknown: Vec::new() };
+    let mut decided = Decided { columns: Vec::new(), unknown: BTreeSet::new() };
     for ((name, text), (_, other)) in short.into_iter().zip(long) {
-        let is_usual = may_differ && found(record, name).is_none_or(|found| found.is_empty() || found == text);
-        match text == other || is_usual {
-            true => decided.columns.push((name, text)),
-            false => decided.unknown.push(name),
+        let found = found(record, &name);
+        let is_usual = may_differ && found.is_none_or(|found| found.is_empty() || found == text);
+        if text == other || is_usual {
+            decided.columns.push((name, text));
+        } else if let (NUMBERS, Some(found)) = (&*name, found) {
+            let (known, unknown) = known_numbers(&text, &other, found);
+            decided.columns.push((name, known));
+            decided.unknown.extend(unknown);
+        } else {
+            decided.unknown.insert(name);
         }
     }
     Ok(decided)
