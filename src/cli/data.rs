@@ -1,7 +1,7 @@
 //! `augnerf data`.
 
 use std::path::{Path, PathBuf};
-use std::sync::{Mutex, PoisonError};
+use std::sync::Mutex;
 
 use clap::{Args, Subcommand};
 use serde::Serialize;
@@ -194,11 +194,15 @@ impl CheckArguments {
         assignments.extend(set);
         let config = build(None, None, &assignments)?;
         let photos = if self.pixels { Photos::Read } else { Photos::Later };
-        let held = Held { events: &console, notes: Mutex::default() };
-        let loaded = load_scene_with(config, photos, &held);
+        // The table of a scene has the notes.
+        let notes = Mutex::new(Vec::<String>::new());
+        let hold = |event: Event| match event {
+            Event::Note(words) => notes.lock().expect("no thread panics while it holds them").push(words.into()),
+            other => console.on(other),
+        };
+        let loaded = load_scene_with(config, photos, &hold);
         if loaded.is_err() {
-            let notes = held.notes.into_inner().unwrap_or_else(PoisonError::into_inner);
-            notes.iter().for_each(|note| console.say(note));
+            notes.into_inner().expect("no thread panicked").iter().for_each(|note| console.say(note));
         }
         let (config, scene) = loaded?;
         let sizes = scene.train.iter().chain(&scene.test).map(|view| (view.camera.width, view.camera.height));
@@ -228,21 +232,6 @@ fn pixels_words(scene: &Scene) -> &'static str {
         false => {
             "headers are read, and pixels only until alpha tells the background: --pixels reads all, and finds damaged and wholly \
              transparent photos"
-        }
-    }
-}
-
-/// Holds notes back: the table of a scene has them.
-struct Held<'a> {
-    events: &'a dyn Listener,
-    notes: Mutex<Vec<String>>,
-}
-
-impl Listener for Held<'_> {
-    fn on(&self, event: Event<'_>) {
-        match event {
-            Event::Note(words) => self.notes.lock().unwrap_or_else(PoisonError::into_inner).push(words.into()),
-            other => self.events.on(other),
         }
     }
 }

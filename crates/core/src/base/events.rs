@@ -74,6 +74,13 @@ pub trait Listener: Sync {
     fn on(&self, event: Event<'_>);
 }
 
+/// A closure receives the events.
+impl<F: Fn(Event<'_>) + Sync> Listener for F {
+    fn on(&self, event: Event<'_>) {
+        self(event);
+    }
+}
+
 /// Ignores all events.
 impl Listener for () {
     fn on(&self, _event: Event<'_>) {}

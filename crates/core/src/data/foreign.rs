@@ -69,6 +69,25 @@ const QUATERNIONS: &str = "turn each line (time, position, quaternion x y z w; c
 const NPZ: &str = "write its cameras into a transforms.json: decompose the first three rows of world_mat_N into intrinsics and \
     pose; .npz files are not read";
 
+/// Folders that this program writes, like [`LAYOUTS`].
+pub(super) const OWN: &[(&str, &str, &str)] = &[
+    (
+        "config.toml checkpoints",
+        "a run of augnerf, not a scene",
+        "use `augnerf view HERE`, `augnerf eval HERE` or `augnerf render HERE`",
+    ),
+    (
+        "sweep.toml provenance.toml",
+        "the results of a sweep of augnerf, not a scene",
+        "use `augnerf sweep best HERE` or `augnerf verify HERE`",
+    ),
+    (
+        "sweep.toml points",
+        "a sweep of augnerf, not a scene",
+        "use `augnerf sweep status HERE`, `augnerf sweep best HERE` or `augnerf compare HERE`",
+    ),
+];
+
 /// Layouts of other programs that are not read: entries that are all there, a name, and what to do. Of several that fit, the
 /// first one counts.
 ///

@@ -5,7 +5,7 @@ use std::collections::BTreeSet;
 use std::ffi::OsStr;
 use std::path::{Path, PathBuf};
 
-use super::foreign::{ARCHIVES, LAYOUTS, UNREAD, VIDEOS};
+use super::foreign::{ARCHIVES, LAYOUTS, OWN, UNREAD, VIDEOS};
 use super::formats::{FORMATS, Format};
 use super::{images, json};
 use crate::base::input::{TEXT_BYTES, read_text};
@@ -53,11 +53,17 @@ pub(super) fn unknown(dir: &Path) -> Error {
     let holds = |endings: &[&str], kind: &str, advice: &dyn Fn(&Path) -> String| {
         one_of(dir, &entries, endings).map(|file| format!("{} is {kind}; {}", file.display(), advice(&file)))
     };
-    let known = inside_a_scene(dir)
+    // A part of a run, such as its renders, too.
+    let own = |above: &Path| layout(above, &self::entries(above), OWN);
+    let known = dir
+        .ancestors()
+        .take(ABOVE)
+        .find_map(own)
+        .or_else(|| inside_a_scene(dir))
         .or_else(|| without_training_file(dir))
         .or_else(|| misnamed(dir, &entries))
         .or_else(|| model_below(dir, &paths))
-        .or_else(|| layout(dir, &paths))
+        .or_else(|| layout(dir, &paths, LAYOUTS))
         .or_else(|| entries.iter().find_map(|name| json::other_frames(&dir.join(name))))
         .or_else(|| photos(dir, &entries, &paths))
         .or_else(|| holds(&VIDEOS, "a video", &of_video))
@@ -163,8 +169,8 @@ fn misnamed(dir: &Path, entries: &[String]) -> Option<String> {
     Some(format!("{} is probably a scene's {marker}; rename it to {marker}", dir.join(name).display()))
 }
 
-/// A layout of another program of [`LAYOUTS`]: one of the ways to write each of its entries is there.
-fn layout(dir: &Path, paths: &[String]) -> Option<String> {
+/// The first of `layouts` of which one of the ways to write each of its entries is there.
+fn layout(dir: &Path, paths: &[String], layouts: &[(&str, &str, &str)]) -> Option<String> {
     let one = |entry: &str| {
         let (name, begin) = entry.split_once(':').unwrap_or((entry, ""));
         let holds = |path: &str| begin.is_empty() || beginning(&dir.join(path)).to_lowercase().contains(begin);
@@ -174,7 +180,7 @@ fn layout(dir: &Path, paths: &[String]) -> Option<String> {
         let found: Option<Vec<&String>> = entries.split(' ').map(|entry| entry.split('|').find_map(one)).collect();
         found?.first().copied()
     };
-    let (file, (_, name, advice)) = LAYOUTS.iter().find_map(|layout| Some((first_of(layout.0)?, layout)))?;
+    let (file, (_, name, advice)) = layouts.iter().find_map(|layout| Some((first_of(layout.0)?, layout)))?;
     let advice = match advice.starts_with("ns-process-data") {
         true => format!("convert it with `{advice} --output-dir SCENE`, then check SCENE"),
         false => advice.to_string(),
@@ -388,6 +394,15 @@ mod tests {
             ),
             (&[("images/0.jpg", ""), ("PHOTOS.csv", "#name,x,y,alt\n")], "--csv DIR/PHOTOS.csv --output-dir SCENE`"),
             (&[("my clip.mp4", "")], "--data 'DIR/my clip.mp4' --output-dir SCENE`"),
+            (
+                &[("config.toml", ""), ("checkpoints/", ""), ("renders/a.png", "")],
+                "DIR looks like a run of augnerf, not a scene; use `augnerf view DIR`, `augnerf eval DIR`",
+            ),
+            (
+                &[("sweep.toml", ""), ("points/", ""), ("a.png", "")],
+                "`augnerf sweep status DIR`, `augnerf sweep best DIR`",
+            ),
+            (&[("sweep.toml", ""), ("provenance.toml", ""), ("a.png", "")], "`augnerf verify DIR`"),
             (&[("a.jpg", ""), ("scan.nvm", "NVM_V3")], "VisualSFM; write its cameras"),
             (&[("scan.xml", "<?xml?>\n<document><chunk/></document>"), ("a.jpg", "")], "--xml DIR/scan.xml"),
             (
