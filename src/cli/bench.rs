@@ -7,10 +7,10 @@ use crate::base::Result;
 use crate::bench::{self, Workload};
 use crate::settings::parse_assignment;
 
-use super::Compute;
 use super::answer::Answer;
 use super::experiment::say_without_effect;
 use super::progress::print;
+use super::{Compute, whole};
 
 pub const EXAMPLES: &str = "Examples:
   augnerf bench                            # NeRF, 1,024 rays of 64 + 64 samples
@@ -24,19 +24,19 @@ pub struct BenchArguments {
     #[arg(long, default_value = "nerf", value_parser = methods())]
     method: String,
     /// Rays per step [default: 1024]
-    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=4096))]
+    #[arg(long, value_name = "N", value_parser = whole::<u16>(1..=4096))]
     rays: Option<u16>,
     /// Samples per ray of the coarse pass [default: 64]
-    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(3..=4096))]
+    #[arg(long, value_name = "N", value_parser = whole::<u16>(3..=4096))]
     coarse: Option<u16>,
     /// Further samples per ray of the fine pass (MipNeRF: all its intervals) [default: 64]
-    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(..=4096))]
+    #[arg(long, value_name = "N", value_parser = whole::<u16>(0..=4096))]
     fine: Option<u16>,
     /// Width of both networks (8 layers), or of SRN's layers [default: 256]
-    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(4..=4096))]
+    #[arg(long, value_name = "N", value_parser = whole::<u16>(4..=4096))]
     width: Option<u16>,
     /// Timed steps, after two untimed ones
-    #[arg(long, value_name = "N", default_value_t = 5, value_parser = clap::value_parser!(u16).range(1..))]
+    #[arg(long, value_name = "N", default_value_t = 5, value_parser = whole::<u16>(1..=u16::MAX.into()))]
     steps: u16,
     /// Any setting, over the defaults: --set field.core=plain
     #[arg(long, value_name = "FIELD=VALUE")]

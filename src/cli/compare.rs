@@ -12,13 +12,13 @@ use crate::draw::SVG_ALONE;
 use crate::report::label;
 use crate::run::{OpenOptions, RunDir, Trained, Viewer};
 use crate::runtime::Runtime;
-use crate::sweep::{Point, SweepFolder, split_names};
+use crate::sweep::{Point, SweepFolder, check_text, split_names};
 use crate::train::checkpoint;
 
 use super::answer::Answer;
 use super::progress::{Console, open_next};
 use super::spread::RowSeeds;
-use super::{Compute, numbers};
+use super::{Compute, numbers, whole};
 
 /// Flags for runs and the held-out view that they show.
 #[derive(Args)]
@@ -90,6 +90,7 @@ impl Runs {
                 self.runs[0].display()
             )));
         }
+        self.labels.iter().try_for_each(|label| check_text("--label", label)).map_err(Error::Config)?;
         let given: Vec<String> = match self.labels.as_slice() {
             [] => named.iter().map(|run| run.label.clone()).collect(),
             labels => labels.to_vec(),
@@ -210,7 +211,7 @@ pub struct CompareArguments {
     #[arg(long, value_name = "X,Y,WIDTH,HEIGHT", conflicts_with = "box_width", help_heading = "Output")]
     zoom: Option<String>,
     /// Width of the searched box in pixels [default: a fifth of the view's]
-    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..), help_heading = "Output")]
+    #[arg(long, value_name = "N", value_parser = whole::<u32>(1..=u32::MAX.into()), help_heading = "Output")]
     box_width: Option<u32>,
     /// Write a GIF, too, that fades between two runs
     #[arg(long, help_heading = "Output")]

@@ -9,12 +9,12 @@ use toml::Value;
 use crate::base::{Error, Result};
 use crate::data::{self, Format};
 use crate::settings::{
-    BuiltinScene, Config, Encoding, Method, Preset, REGULARIZERS, build, check_assignment, data_section,
-    parse_assignment,
+    BuiltinScene, Config, Encoding, Method, Preset, build, check_assignment, data_section, parse_assignment,
+    regularizer_hint,
 };
 
-use super::LpipsWeights;
 use super::progress::Console;
+use super::{LpipsWeights, whole};
 
 /// Scene and settings of one experiment.
 #[derive(Args)]
@@ -35,8 +35,8 @@ pub struct Experiment {
     #[arg(long, value_name = "METHOD")]
     method: Option<String>,
     /// Seed of all random numbers [default: 0]
-    #[arg(long, value_name = "N")]
-    seed: Option<u64>,
+    #[arg(long, value_name = "N", value_parser = whole::<i64>(0..=i64::MAX as u64))]
+    seed: Option<i64>,
     /// Any setting, over everything else: --set train.steps=2000
     #[arg(long, value_name = "FIELD=VALUE")]
     set: Vec<String>,
@@ -222,8 +222,6 @@ impl Experiment {
             assign(&["method"], Value::String(method.clone()));
         }
         if let Some(seed) = self.seed {
-            let seed = i64::try_from(seed)
-                .map_err(|_| Error::Config(format!("--seed {seed}: out of range; choose at most 2^63 - 1")))?;
             assign(&["seed"], Value::Integer(seed));
         }
         for text in &self.set {
@@ -251,10 +249,9 @@ fn check_method(name: &str) -> Result<()> {
     if methods.contains(&name) {
         return Ok(());
     }
-    Err(Error::Config(match REGULARIZERS.iter().any(|term| term.name() == name) {
-        true => format!("--method {name}: {name} is a regularizer; use --set regularizer.kind={name}"),
-        false => format!("--method {name}: no such method; choose one of {}", methods.join(", ")),
-    }))
+    let unknown = || format!("no such method; choose one of {}", methods.join(", "));
+    let found = regularizer_hint(name, "--set ").unwrap_or_else(unknown);
+    Err(Error::Config(format!("--method {name}: {found}")))
 }
 
 /// Returns whether the named method, if any, has fields on hash grids.

@@ -17,11 +17,11 @@ use crate::settings::MESH_SIDES;
 use crate::settings::registry::{check_flag, numbers};
 use crate::space::{self, Lattice, Normals, Paint, Score};
 
-use super::Compute;
 use super::answer::Answer;
 use super::compare::pictures_folder;
 use super::measure::{csv_line, parse_box};
 use super::progress::{Console, open_next, print, report};
+use super::{Compute, whole};
 
 #[derive(Args)]
 #[command(next_help_heading = "Experiment")]
@@ -109,7 +109,7 @@ struct PictureArguments {
     #[arg(long, value_enum, default_value = "clay", requires = "picture")]
     paint: PaintName,
     /// Width of each view in pixels [default: the scene's, at least 400]
-    #[arg(long, value_name = "N", requires = "picture", value_parser = clap::value_parser!(u16).range(8..=4096))]
+    #[arg(long, value_name = "N", requires = "picture", value_parser = whole::<u16>(8..=4096))]
     columns: Option<u16>,
 }
 

@@ -1,6 +1,7 @@
 //! The command line: arguments, devices and progress on the screen. No other module prints.
 
 use std::io::Write;
+use std::ops::RangeInclusive;
 use std::path::PathBuf;
 use std::process::ExitCode;
 use std::str::FromStr;
@@ -212,7 +213,7 @@ struct Compute {
     #[arg(long, value_name = "DEVICE", help = DEVICES)]
     device: Option<String>,
     /// CPU threads [default: RAYON_NUM_THREADS, or all cores]
-    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=i64::from(MOST_THREADS)))]
+    #[arg(long, value_name = "N", value_parser = whole::<u16>(1..=MOST_THREADS.into()))]
     threads: Option<u16>,
     /// Print errors and results only
     #[arg(long, short, help_heading = "Output")]
@@ -304,6 +305,15 @@ impl Compute {
     }
 }
 
+/// Returns a parser of whole numbers of a range.
+fn whole<T: TryFrom<u64>>(range: RangeInclusive<u64>) -> impl Fn(&str) -> std::result::Result<T, String> + Clone {
+    move |text| {
+        let number =
+            text.parse().ok().filter(|number| range.contains(number)).and_then(|number| number.try_into().ok());
+        number.ok_or_else(|| format!("give a whole number from {} to {}", range.start(), range.end()))
+    }
+}
+
 /// Parses exactly `N` numbers with commas between them.
 fn numbers<T: FromStr, const N: usize>(text: &str) -> Option<[T; N]> {
     let numbers: Option<Vec<T>> = text.split(',').map(|part| part.trim().parse().ok()).collect();
@@ -318,10 +328,13 @@ pub fn command() -> clap::Command {
 /// Flags from which on a command's help groups them.
 const MANY_FLAGS: usize = 7;
 
-/// Removes the groups from the help of commands with few flags.
+/// Removes the groups from the help of commands with few flags, and takes `-1` as the value of a flag, not as a flag.
 fn grouped(command: clap::Command) -> clap::Command {
     let flags = command.get_arguments().filter(|flag| !flag.is_positional() && !flag.is_hide_set()).count();
-    let command = command.mut_subcommands(grouped);
+    let command = command.mut_subcommands(grouped).mut_args(|flag| {
+        let takes_value = !flag.is_positional() && flag.get_action().takes_values();
+        flag.allow_negative_numbers(takes_value)
+    });
     if flags >= MANY_FLAGS { command } else { command.mut_args(|flag| flag.help_heading(None::<&str>)) }
 }
 

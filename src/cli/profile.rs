@@ -15,7 +15,7 @@ use crate::runtime::Runtime;
 use super::answer::Answer;
 use super::compare::{NamedRun, Runs, pictures_folder};
 use super::progress::Console;
-use super::{Compute, numbers};
+use super::{Compute, numbers, whole};
 
 #[derive(Args)]
 pub struct ProfileArguments {
@@ -29,7 +29,7 @@ pub struct ProfileArguments {
         long,
         value_name = "N",
         default_value_t = 8,
-        value_parser = clap::value_parser!(u8).range(1..=16),
+        value_parser = whole::<u8>(1..=16),
         help_heading = "Experiment"
     )]
     patch: u8,

@@ -16,7 +16,7 @@ use crate::runtime::{Runtime, free_memory_mib};
 use super::answer::Answer;
 use super::compare::pictures_folder;
 use super::progress::{Console, duration, open_next};
-use super::{Compute, Moved};
+use super::{Compute, Moved, whole};
 
 mod serve;
 
@@ -54,7 +54,7 @@ pub struct RenderArguments {
     #[command(flatten)]
     sources: Moved,
     /// Frames of the path, evenly spaced [default: all]
-    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..), help_heading = "Output")]
+    #[arg(long, value_name = "N", value_parser = whole::<u16>(1..=u16::MAX.into()), help_heading = "Output")]
     frames: Option<u16>,
     /// Columns and rows of an image; the vertical field of view stays [default: those of the run or camera file]
     #[arg(long, value_name = "WxH", help_heading = "Output")]

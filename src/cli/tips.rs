@@ -1,6 +1,7 @@
 //! Tips for command lines with unknown flags, words or commands.
 
 use std::ffi::OsString;
+use std::num::IntErrorKind;
 
 use clap::error::{ContextKind, ContextValue, ErrorKind};
 
@@ -23,6 +24,11 @@ pub fn with_tips(mut error: clap::Error, words: &[OsString]) -> clap::Error {
             words.iter().filter(|word| word.to_str().is_none()).map(|word| format!("{word:?}")).collect();
         let text = format!("not UTF-8: {}; only paths may have such bytes\n", odd.join(", "));
         return meant_command(words).error(ErrorKind::InvalidUtf8, text);
+    }
+    if error.kind() == ErrorKind::ValueValidation
+        && let Some(wrong) = wrong_value(&error)
+    {
+        return clap::Error::raw(ErrorKind::ValueValidation, wrong);
     }
     if let Some(ContextValue::String(command)) = error.get(ContextKind::InvalidSubcommand)
         && let Some((_, ours)) = OTHER_COMMANDS.iter().find(|(other, _)| other == command)
@@ -53,6 +59,21 @@ pub fn with_tips(mut error: clap::Error, words: &[OsString]) -> clap::Error {
         error.insert(ContextKind::Suggested, ContextValue::StyledStrs(tips));
     }
     error
+}
+
+/// Returns one sentence for a value that a flag cannot have: the flag, the value, and what is allowed.
+fn wrong_value(error: &clap::Error) -> Option<String> {
+    let told =
+        |kind| error.get(kind).and_then(|told| if let ContextValue::String(text) = told { Some(text) } else { None });
+    let (flag, value, source) =
+        (told(ContextKind::InvalidArg)?, told(ContextKind::InvalidValue)?, std::error::Error::source(error)?);
+    let allowed = match source.downcast_ref::<std::num::ParseIntError>().map(|error| error.kind()) {
+        Some(IntErrorKind::PosOverflow) => "too large a number".into(),
+        Some(_) => "give a whole number from 0".into(),
+        None if source.is::<std::num::ParseFloatError>() => "give a number".into(),
+        None => source.to_string(),
+    };
+    Some(format!("{} {value}: {allowed}\n", flag.split(' ').next()?))
 }
 
 /// Returns where a flag belongs that stands before the command which has it.
@@ -89,54 +110,4 @@ fn meant_command(words: &[OsString]) -> clap::Command {
         command = inner;
     }
     command
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    fn said(line: &str) -> String {
-        let words: Vec<OsString> = line.split(' ').map(OsString::from).collect();
-        let program = std::iter::once(OsString::from("augnerf"));
-        let error = crate::cli::command().try_get_matches_from(program.chain(words.clone())).unwrap_err();
-        with_tips(error, &words).to_string()
-    }
-
-    #[test]
-    fn a_flag_that_is_a_setting_is_told_how_it_is_set() {
-        for (line, tip) in [
-            ("train --steps 100", "'--set train.steps=100'"),
-            ("train --steps=100 --seed 3", "'--set train.steps=100'"),
-            ("train --learning-rate 1e-3", "'--set train.learning_rate=1e-3'"),
-            ("train --train.steps", "'--set train.steps=VALUE'"),
-            ("sweep run a.toml --width --seeds 1", "'--set data.width=VALUE'"),
-            ("train fern", "'--data fern'"),
-            ("--threads 1 train", "it belongs after the command: 'augnerf train --threads'"),
-        ] {
-            let said = said(line);
-            assert!(said.contains(tip), "{line}: {said}");
-            assert!(!said.contains("-- --") && !said.contains("similar"), "{line}: {said}");
-        }
-    }
-
-    #[test]
-    fn commands_of_other_programs_are_answered_with_those_here() {
-        let view = said("viewer runs/a");
-        assert!(view.contains("use 'view'") && view.contains("use 'render'") && !view.contains("similar"), "{view}");
-        assert!(said("trian").contains("'train'"));
-        for (_, ours) in OTHER_COMMANDS {
-            assert!(ours.iter().all(|name| crate::cli::command().find_subcommand(name).is_some()), "{ours:?}");
-        }
-    }
-
-    #[test]
-    fn other_flags_are_told_what_is_alike_and_nothing_wrong() {
-        assert!(said("train --presett fast").contains("'--preset'"));
-        for line in ["sweep status runs/a --rows A", "eval RUN --steps 100", "chamfer A B --rows 1", "train --nothing"]
-        {
-            let said = said(line);
-            assert!(said.contains("unexpected argument") && !said.contains("-- --"), "{line}: {said}");
-            assert!(!said.contains("it is a setting"), "{line}: {said}");
-        }
-    }
 }

@@ -16,7 +16,7 @@ use crate::view::{Server, ShownRun};
 
 use super::progress::{Console, print, report};
 use super::signals::catch_signals_of_server;
-use super::{Compute, Moved};
+use super::{Compute, Moved, whole};
 
 pub const EXAMPLES: &str = "Examples:
   augnerf view RUN                         # open the address that it prints
@@ -54,7 +54,7 @@ pub struct ViewArguments {
 #[command(next_help_heading = "Page")]
 pub struct Place {
     /// Port of the page; 0 takes a free one [default: 7007, or a free one if that is taken]
-    #[arg(long, value_name = "N")]
+    #[arg(long, value_name = "N", value_parser = whole::<u16>(0..=u16::MAX.into()))]
     port: Option<u16>,
     /// Address or name of the interface; others than 127.0.0.1 let other computers in [default: 127.0.0.1]
     #[arg(long, value_name = "ADDRESS", value_parser = address)]

@@ -285,6 +285,15 @@ fn a_scene_that_is_not_here_is_looked_for_below_the_data_folder() {
         &["--data nowhere: no such folder", "omit --data for the built-in scene"],
     );
     refuse(&["train", "--method", "tv"], 2, &["tv is a regularizer", "--set regularizer.kind=tv"]);
+    refuse(
+        &["train", "--preset", "fast", "--method", "mip-nerf"],
+        2,
+        &[
+            "preset fast sets field.encoding = \"hash\", which method mip-nerf cannot use; choose",
+            "presets smoke, cpu",
+            "methods nerf, aug-nerf",
+        ],
+    );
     refuse(&["train", "--method", "nerv"], 2, &["--method nerv", "aug-nerf"]);
     std::fs::create_dir_all(root.join("other/small")).unwrap();
     let several = check("small", 3);

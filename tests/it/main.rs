@@ -67,6 +67,7 @@ mod sweep_run;
 mod sweep_tables;
 mod sweep_views;
 mod sweep_words;
+mod tips;
 mod training;
 mod typeset;
 mod verify;

@@ -8,6 +8,7 @@ use serde_json::json;
 use crate::base::{Error, Result};
 use crate::cli::answer::Answer;
 use crate::cli::progress::print_shown;
+use crate::cli::whole;
 use crate::metrics::{Metric, PSNR};
 use crate::report::power::{LEAST_SEEDS, MOST_SEEDS, POWER, Spread, spreads};
 use crate::sweep::{Selection, Source, View};
@@ -33,7 +34,7 @@ pub struct PowerArguments {
     #[arg(long, value_name = "ROW")]
     baseline: Option<String>,
     /// Comparisons that p is corrected over [default: those of the scene's table]
-    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..))]
+    #[arg(long, value_name = "N", value_parser = whole::<u16>(1..=u16::MAX.into()))]
     tests: Option<u16>,
     /// Folder of the scenes
     #[arg(long, env = "AUGNERF_DATA", value_name = "DIR")]

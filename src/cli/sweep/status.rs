@@ -10,6 +10,7 @@ use serde_json::json;
 use crate::base::{Error, Result, shown};
 use crate::cli::answer::Answer;
 use crate::cli::progress::{print_shown, print_to_reader};
+use crate::cli::whole;
 use crate::metrics::PSNR;
 use crate::report::{Record, Status};
 use crate::sweep::slurm::{Queue, Slurm};
@@ -33,7 +34,7 @@ pub struct StatusArguments {
     #[arg(long, env = "AUGNERF_DATA", value_name = "DIR")]
     data_root: Option<PathBuf>,
     /// Show the points again every N seconds until all have ended
-    #[arg(long, value_name = "SECONDS", value_parser = clap::value_parser!(u16).range(1..))]
+    #[arg(long, value_name = "SECONDS", value_parser = whole::<u16>(1..=u16::MAX.into()))]
     watch: Option<u16>,
     /// List each point of a large sweep, not only those that run or failed
     #[arg(long)]

@@ -7,8 +7,8 @@ use toml::{Table, Value};
 use super::identity::value_at;
 use super::registry::{REGISTRY, Setting, meant};
 use super::site::forget_passes;
-use super::types::number_text;
-use super::{Config, DataConfig, Method, over_run};
+use super::types::{number_text, word};
+use super::{Config, DataConfig, Encoding, Method, REGULARIZERS, over_run};
 use crate::base::input::{TEXT_BYTES, read_named};
 use crate::base::{Error, Result};
 
@@ -72,6 +72,31 @@ impl Preset {
             Preset::Smoke => &["small", "smoke"],
             Preset::PaperLlff | Preset::PaperBlender | Preset::ReleasedLlff | Preset::ReleasedBlender => &["paper"],
         }
+    }
+
+    /// Returns the preset's encoding if the method has no field of it.
+    fn unsuited(self, method: Method) -> Option<Encoding> {
+        let encoding = value_at(&self.table(), "field.encoding")?.clone().try_into().ok()?;
+        method.representation(encoding).is_none().then_some(encoding)
+    }
+
+    /// Returns an error if the named method has no field of the preset's encoding.
+    fn check_method(self, named: Option<&Value>) -> Result<()> {
+        let Some(method) = named.and_then(|named| named.clone().try_into::<Method>().ok()) else { return Ok(()) };
+        let Some(encoding) = self.unsuited(method) else { return Ok(()) };
+        let presets = |fits: &dyn Fn(Preset) -> bool| -> String {
+            let fitting = Preset::ALL.iter().filter(|(_, preset)| fits(*preset)).map(|(name, _)| *name);
+            fitting.collect::<Vec<&str>>().join(", ")
+        };
+        let methods = Method::ALL.into_iter().filter(|other| other.has_fields() && self.unsuited(*other).is_none());
+        Err(Error::Config(format!(
+            "preset {} sets field.encoding = \"{}\", which method {} cannot use; choose one of the presets {}, or one of the methods {}",
+            presets(&|preset| preset == self),
+            word(encoding),
+            method.name(),
+            presets(&|preset| preset.unsuited(method).is_none()),
+            methods.map(Method::name).collect::<Vec<&str>>().join(", ")
+        )))
     }
 
     /// Returns the settings of the preset.
@@ -200,6 +225,9 @@ pub fn build(preset: Option<Preset>, file: Option<&Path>, assignments: &[(Vec<St
         lay_over(&mut base, layer);
     }
     over_run::forget_term(&mut base, &table);
+    if let Some(preset) = preset.filter(|_| value_at(&table, "field.encoding").is_none()) {
+        preset.check_method(value_at(&table, "method"))?;
+    }
     lay_over(&mut base, table);
     let text = toml::to_string(&base).expect("a table of settings is plain data");
     Config::from_toml(&text, "settings")
@@ -276,9 +304,19 @@ fn layer_of(origin: &str, path: &[String], value: Value) -> Result<Table> {
     }
     check_keys(&layer, &origin)?;
     // Checked alone first, so that the message can name the assignment.
-    toml::from_str::<Config>(&toml::to_string(&layer).expect("plain data"))
-        .map_err(|e| Error::Config(format!("{origin}: {}", refusal(&name, &shown, e.message()))))?;
+    toml::from_str::<Config>(&toml::to_string(&layer).expect("plain data")).map_err(|e| {
+        let set = if origin.starts_with("--") { "--set " } else { "" };
+        let hint = regularizer_hint(&shown, set).filter(|_| name == "method");
+        Error::Config(format!("{origin}: {}", hint.unwrap_or_else(|| refusal(&name, &shown, e.message()))))
+    })?;
     Ok(layer)
+}
+
+/// Returns how the regularizer of a name is set that stands in the place of a method, or `None` if there is none. `set`
+/// stands before the setting.
+pub fn regularizer_hint(name: &str, set: &str) -> Option<String> {
+    let is_named = REGULARIZERS.iter().any(|term| term.name() == name);
+    is_named.then(|| format!("{name} is a regularizer; use {set}regularizer.kind={name}"))
 }
 
 /// Says that a value has the wrong type, and what is allowed; otherwise what the check of the setting says.
@@ -372,6 +410,7 @@ mod tests {
             ("data.near=close", "'close' is not a number"),
             ("sampling.jitter=yes", "'yes' is not true or false"),
             ("method=nerv", "'nerv' is not one of nerf, aug-nerf, "),
+            ("method=tv", "--set method: tv is a regularizer; use --set regularizer.kind=tv"),
             ("train.steps=1e30", "'1e30' is not a whole number"),
             ("train.learning_rate=-1e300", "train.learning_rate = -1e300 is out of range"),
             ("regularizer.kind=none", "orientation or sparse-depth, nor a list of them; [] is none"),

@@ -43,7 +43,7 @@ pub use eval::{EvalConfig, MESH_SIDES, MeshConfig, NO_REFERENCE};
 pub use field::{Core, DensityActivation, Encoding, FieldConfig, Init, Precision};
 pub use hash::{Contraction, HashConfig, Interpolation};
 pub use identity::{scene_name, short_hash, value_at};
-pub use layers::{Preset, build, check_assignment, data_section, parse_assignment};
+pub use layers::{Preset, build, check_assignment, data_section, parse_assignment, regularizer_hint};
 pub use method::{Capability, Method, Representation};
 pub use perturb::{ChangedEntries, Objective, OutputPlace, PerturbConfig, PerturbField, Resample, ResolvedPerturb};
 pub use planes::{PlanesConfig, PlanesLoss};

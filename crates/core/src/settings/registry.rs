@@ -203,11 +203,22 @@ pub fn check_flag(flag: &str, path: &str, value: &impl Settable) -> Result<(), S
 /// Largest number of settings that are suggested for a mistaken name.
 const MOST_MEANT: usize = 3;
 
-/// Returns the settings whose last part is that of `name`, in the fewest sections. `steps` gives `train.steps`, and
-/// `width` both `data.width` and `field.width`.
+/// Returns the settings whose last part is that of `name`, or what it is short for, in the fewest sections. `steps` gives
+/// `train.steps`, `lr` gives `train.learning_rate`, and `width` both `data.width` and `field.width`.
 pub fn settings_called(name: &str) -> Vec<&'static str> {
-    let last = last_part(name);
-    shallowest(REGISTRY.settings.iter().map(|setting| setting.path.as_str()).filter(|path| last_part(path) == last))
+    shallowest(REGISTRY.settings.iter().map(|setting| setting.path.as_str()).filter(|path| is_called(path, name)))
+}
+
+/// Returns whether the last part of `name` is that of `path`, its initials, or the beginnings of its words.
+fn is_called(path: &str, name: &str) -> bool {
+    let (own, short) = (last_part(path), last_part(name).to_lowercase());
+    let words: Vec<&str> = own.split('_').collect();
+    let begin = |parts: &[&str]| {
+        let pairs = || words.iter().zip(parts);
+        words.len() == parts.len() && pairs().all(|(word, part)| !part.is_empty() && word.starts_with(part))
+    };
+    let initials = || words.iter().filter_map(|word| word.chars().next()).eq(short.chars());
+    own == short || words.len() > 1 && (initials() || begin(&short.split('_').collect::<Vec<&str>>()))
 }
 
 /// Returns what a mistaken name may have meant, in words: settings of that last part, otherwise the nearest by Levenshtein's
@@ -218,7 +229,9 @@ pub(super) fn meant(name: &str) -> String {
 
 /// Returns the same for a word that need not be a name: `None` if no setting is near.
 pub(super) fn nearly(word: &str) -> Option<String> {
-    let near = |path: &&'static str| levenshtein(path, word).min(levenshtein(last_part(path), word)) <= word.len() / 3;
+    let near = |path: &&'static str| {
+        is_called(path, word) || levenshtein(path, word).min(levenshtein(last_part(path), word)) <= word.len() / 3
+    };
     let near: Vec<&str> = candidates(word).into_iter().filter(near).collect();
     (!near.is_empty()).then(|| in_words(&near))
 }
@@ -236,7 +249,7 @@ fn candidates(name: &str) -> Vec<&'static str> {
         return vec![same];
     }
     let nearest = |among: &[&'static str]| among.iter().copied().min_by_key(|path| levenshtein(path, name));
-    let called: Vec<&str> = known().filter(|path| last_part(path) == last_part(name)).collect();
+    let called: Vec<&str> = known().filter(|path| is_called(path, name)).collect();
     let section = |path: &str| path.rsplit_once('.').map(|(section, _)| section.to_string());
     let beside = known().filter(|path| name.contains('.') && section(path) == section(name));
     let beside: Vec<&str> = beside.filter(|path| levenshtein(last_part(path), last_part(name)) <= TYPOS).collect();
@@ -330,12 +343,15 @@ mod tests {
             ("perturb.q.epsilon", "'perturb.t.epsilon'"),
             ("perturb.rgb.epsilom", "'perturb.rgb.epsilon'"),
             ("trian.steps", "'train.steps'"),
-            ("train.step", "'train.steps'"),
+            ("train.lr", "'train.learning_rate'"),
+            ("lr", "'train.learning_rate'"),
+            ("optim.LR", "'train.learning_rate'"),
+            ("train.learn_rate", "'train.learning_rate'"),
         ] {
             assert_eq!(meant(mistake), right, "{mistake}");
         }
         assert_eq!(nearly("train.stepz").as_deref(), Some("'train.steps'"));
-        assert_eq!(nearly("sigma"), None);
+        assert_eq!((nearly("sigma"), nearly("lr").as_deref()), (None, Some("'train.learning_rate'")));
         assert_eq!(settings_called("train.steps"), ["train.steps", "srn.steps"]);
         assert!(settings_called("rows").is_empty());
     }
