@@ -225,12 +225,26 @@ impl ResumeArguments {
         config.eval.lpips_weights = self.sources.weights.or(&config);
         let lpips = load_lpips(&config.eval.lpips_weights, runtime.device())?;
         let (config, scene) = load_scene_of(&run, config, Photos::Read, console)?;
+        let steps = config.train.steps;
         let setup = Setup { config, scene: &scene, lpips: &lpips, runtime: runtime.clone() };
         let views = Views::of(&setup);
         let page = self.live.open(&setup, &self.run)?;
         let job = Job::resume(run, setup)?;
-        console.say(&format!("{} resumes at step {}", self.run.display(), job.step_count()));
+        console.say(&how_it_resumes(&self.run, (job.step_count(), steps)));
         train(job, views, &self.run, console, page.as_ref(), self.answer)
+    }
+}
+
+/// Says where a run resumes, or that it has ended and what trains it further.
+fn how_it_resumes(run: &Path, (step, steps): (u64, u64)) -> String {
+    let run = run.display();
+    match step < steps {
+        true => format!("{run} resumes at step {step}"),
+        false => format!(
+            "{run} has ended at step {step}, the last: it is only measured again, as by `augnerf eval {run}`; more steps are \
+             another run: augnerf train --from {run} --set train.steps={}",
+            2 * steps
+        ),
     }
 }
 

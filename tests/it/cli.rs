@@ -287,7 +287,8 @@ fn killed_and_resumed(preset: &str, step: u64, further: &[&str]) {
     succeed(&["resume", "--quiet", killed.to_str().unwrap()]);
     assert_same(&straight, &killed);
     // A finished run is only evaluated again.
-    succeed(&["resume", "--quiet", killed.to_str().unwrap()]);
+    let said = demand(&mut augnerf(&["resume", killed.to_str().unwrap()]), 0);
+    assert_says(&said, &["has ended at step", "the last", "held-out views: PSNR", "augnerf train --from"]);
     assert_same(&straight, &killed);
 }
 

@@ -88,7 +88,17 @@ fn a_scene_that_has_changed_is_refused_whatever_reads_the_run() {
     // Another pose moves all of them.
     let sound = text(&folder.path().join("transforms.json"));
     fs::write(folder.path().join("transforms.json"), sound.replacen("0.5]", "0.75]", 1)).unwrap();
-    refused(&["other coordinates"]);
+    refused(&["other coordinates", "restore its files, name their folder"]);
+    // An earlier version may have read the same files otherwise.
+    let checkpoint = run.join("checkpoints/step_000000002");
+    let mut state = read_json(&checkpoint.join("state.json"));
+    state["revisions"][0] = "0a1b2c3d4e5f".into();
+    fs::write(checkpoint.join("state.json"), state.to_string()).unwrap();
+    fs::remove_file(checkpoint.join("SHA256SUMS")).unwrap();
+    refused(&[
+        "other coordinates",
+        "revision 0a1b2c3d4e5f, which trained the run, may have read the same files otherwise",
+    ]);
 }
 
 /// A capture's own file has the capture's cameras, whatever the axes of its matrices. Files that are written have OpenGL's.

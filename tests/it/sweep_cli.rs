@@ -215,6 +215,11 @@ fn a_scene_that_is_missing_and_a_definition_that_changed_are_said() {
     let args = |further: &[&'static str]| [&["sweep", "run", "tiny.toml"], &quick[..], further].concat();
     let message = demand(&args(&["--scenes", "builtin,orchids"]), dir.path(), 8);
     assert_says(&message, &["2 of 4 points have no data", "2 are done", "orchids", "AUGNERF_DATA"]);
+    // Without any scene there is no table.
+    let message = demand(&args(&["--scenes", "orchids,ferns", "--name", "gone"]), dir.path(), 8);
+    assert_says(&message, &["4 of 4 points have no data", "scenes are missing: ferns, orchids", "--data-root"]);
+    demand(&["sweep", "collect", "runs/gone"], dir.path(), 8);
+    assert!(!dir.path().join("results/gone").exists() && !message.contains("tables: "), "{message}");
     let message = demand(&args(&[]), dir.path(), 2);
     assert_says(
         &message,

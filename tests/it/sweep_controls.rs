@@ -220,7 +220,7 @@ fn seconds_beside_the_tables_are_used_again() {
     std::fs::create_dir(&results).unwrap();
     let start = |folder: &Path, costs: &dyn StepCosts| {
         let costs = PublishedCosts::beside(&results, costs)?;
-        let points = begin(&SweepFolder::new(folder), &definition, None, false, &costs, &|_| Ok(()))?;
+        let points = begin(&SweepFolder::new(folder), &definition, None, false, &costs, &|_, _| Ok(()))?;
         Ok::<_, Error>(points.into_iter().map(|point| point.id).collect::<Vec<_>>())
     };
     let slower = Slower::default();

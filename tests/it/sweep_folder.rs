@@ -132,7 +132,7 @@ fn claims_and_leftovers_of_finished_points_go() {
     note_from_elsewhere(point.path());
     std::fs::write(point.path().join(".augnerf-tmp-1-0-result.json"), "half").unwrap();
     std::fs::write(dir.path().join(".augnerf-tmp-1-0-points.json"), "half").unwrap();
-    begin(&folder, &parse(BASE).unwrap(), None, false, &Costs, &|_| Ok(())).unwrap();
+    begin(&folder, &parse(BASE).unwrap(), None, false, &Costs, &|_, _| Ok(())).unwrap();
     run(&folder, &points, &Fake::default(), OPTIONS).unwrap();
     assert_eq!(names(), undisturbed);
     assert!(!dir.path().join(".augnerf-tmp-1-0-points.json").exists());
@@ -162,7 +162,7 @@ fn a_damaged_list_of_points_is_refused_and_touches_nothing_outside() {
     for (damaged, words) in cases {
         assert_ne!(damaged, text);
         std::fs::write(&file, &damaged).unwrap();
-        let error = begin(&folder, &parse(BASE).unwrap(), None, false, &Costs, &|_| Ok(())).unwrap_err();
+        let error = begin(&folder, &parse(BASE).unwrap(), None, false, &Costs, &|_, _| Ok(())).unwrap_err();
         assert_eq!(error.exit_code(), 5, "{error}");
         assert_says(&error.to_string(), &[words[0], words[1], "points.json", "delete it"]);
     }

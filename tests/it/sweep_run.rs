@@ -105,7 +105,7 @@ pub const OPTIONS: Options =
 pub fn sweep(dir: &Path, text: &str) -> (SweepFolder, Definition, Vec<Point>) {
     let folder = SweepFolder::new(dir);
     let definition = parse(text).unwrap();
-    let points = begin(&folder, &definition, None, false, &Costs, &|_| Ok(())).unwrap();
+    let points = begin(&folder, &definition, None, false, &Costs, &|_, _| Ok(())).unwrap();
     (folder, definition, points)
 }
 
@@ -600,9 +600,9 @@ fn a_changed_definition_is_noticed() {
     let mut more = definition.clone();
     more.apply(Overrides { seeds: Some(vec![0, 1, 2]), ..Overrides::default() }).unwrap();
     assert_eq!(folder.compare(&more).unwrap(), Change::Changed);
-    let message = begin(&folder, &more, None, false, &Costs, &|_| Ok(())).unwrap_err().to_string();
+    let message = begin(&folder, &more, None, false, &Costs, &|_, _| Ok(())).unwrap_err().to_string();
     assert!(message.contains("differs in seeds; 2 points are new, and 0 of the old ones are gone"), "{message}");
-    assert_eq!(begin(&folder, &more, None, true, &Costs, &|_| Ok(())).unwrap().len(), 6);
+    assert_eq!(begin(&folder, &more, None, true, &Costs, &|_, _| Ok(())).unwrap().len(), 6);
     assert_eq!(folder.points(None).unwrap().unwrap().len(), 6);
     let fresh = TempDir::new().unwrap();
     assert_eq!(SweepFolder::new(fresh.path()).compare(&more).unwrap(), Change::New);
@@ -618,21 +618,21 @@ fn a_definition_in_other_words_goes_on_with_its_points() {
         ["feature", "rgb", "density"].map(|site| format!("\"perturb.{site}.passes\" = \"off\"")).into();
     let (folder, _, before) = sweep(dir.path(), &row(&off.join(", ")));
     let now = parse(&row("\"perturb.levels\" = [\"input\"]")).unwrap();
-    let points = begin(&folder, &now, None, false, &Costs, &|_| Ok(())).unwrap();
+    let points = begin(&folder, &now, None, false, &Costs, &|_, _| Ok(())).unwrap();
     assert_eq!(labels(&points), labels(&before));
     assert_eq!(folder.compare(&now).unwrap(), Change::None);
     let other = parse(&row("\"perturb.levels\" = [\"output\"]")).unwrap();
-    assert!(begin(&folder, &other, None, false, &Costs, &|_| Ok(())).unwrap_err().to_string().contains("--extend"));
+    assert!(begin(&folder, &other, None, false, &Costs, &|_, _| Ok(())).unwrap_err().to_string().contains("--extend"));
     // What makes no other experiment is as the definition says it now.
     let mut seldom = now.clone();
     seldom.set.insert("train.eval_every".into(), 7.into());
-    begin(&folder, &seldom, None, true, &Costs, &|_| Ok(())).unwrap();
+    begin(&folder, &seldom, None, true, &Costs, &|_, _| Ok(())).unwrap();
     let points = folder.points(None).unwrap().unwrap();
     assert_eq!(labels(&points), labels(&before));
     assert!(points.iter().all(|point| point.config.train.eval_every == 7));
     let mut renamed = now;
     renamed.title = "another question".into();
-    let message = begin(&folder, &renamed, None, false, &Costs, &|_| Ok(())).unwrap_err().to_string();
+    let message = begin(&folder, &renamed, None, false, &Costs, &|_, _| Ok(())).unwrap_err().to_string();
     assert!(message.contains("no point is new, so that --extend costs no training"), "{message}");
 }
 
@@ -667,7 +667,7 @@ fn points_are_fixed_when_a_sweep_begins() {
     let folder = SweepFolder::new(dir.path());
     let costs = Slower::default();
     let ids = |points: Vec<Point>| points.into_iter().map(|point| point.id).collect::<Vec<_>>();
-    let start = || ids(begin(&folder, &definition, None, false, &costs, &|_| Ok(())).unwrap());
+    let start = || ids(begin(&folder, &definition, None, false, &costs, &|_, _| Ok(())).unwrap());
     let (a, b) = std::thread::scope(|scope| {
         let (a, b) = (scope.spawn(start), scope.spawn(start));
         (a.join().unwrap(), b.join().unwrap())
@@ -690,11 +690,11 @@ fn a_budget_waits_for_its_scene() {
     let definition = parse(&text).unwrap();
     let dir = TempDir::new().unwrap();
     let folder = SweepFolder::new(dir.path());
-    let nowhere = begin(&folder, &definition, Some(Path::new("/nowhere")), false, &Costs, &|_| Ok(())).unwrap();
+    let nowhere = begin(&folder, &definition, Some(Path::new("/nowhere")), false, &Costs, &|_, _| Ok(())).unwrap();
     assert_eq!(nowhere.len(), 6);
     assert!(nowhere.iter().all(|point| point.no_data.is_some()));
     assert_eq!(nowhere.iter().filter(|point| point.without_budget).count(), 2);
-    let here = begin(&folder, &definition, Some(&data), false, &Costs, &|_| Ok(())).unwrap();
+    let here = begin(&folder, &definition, Some(&data), false, &Costs, &|_, _| Ok(())).unwrap();
     assert!(here.iter().all(|point| point.no_data.is_none() && !point.without_budget));
     assert_eq!(here[2].config.train.steps, 4 * here[0].config.train.steps);
     // Read back without the data: the same points.

@@ -247,6 +247,14 @@ fn the_best_row_is_told_with_its_settings_and_folders() {
     let words =
         ["builtin: A, long, psnr 21.3", "mean of 3 seeds (next: B", "method = \"aug-nerf\"", &own.id, "split test"];
     assert_says(&told, &words);
+    assert_says(&told, &["the difference of A, long to NeRF is distinguishable from zero: +0.999 ["]);
+    // A label that pandas and R read as a missing value is none.
+    for label in ["NA", "None", "nan"] {
+        let refused = format!("--label '{label}' is one that pandas and R read as a missing value");
+        let across = ["sweep", "across", "runs/one", "--row", "B", "--out", "both", "--label", &format!("one={label}")];
+        assert_says(&demand(dir.path(), &across, 2), &[&refused]);
+        assert_says(&demand(dir.path(), &["compare", "a", "b", "--label", label, "--label", "b"], 2), &[&refused]);
+    }
     // A row without one of its points is not looked at, however good the others are.
     std::fs::remove_file(SweepFolder::new(&folder).point(&own.id).path().join("result.json")).unwrap();
     let told = demand(dir.path(), &["sweep", "best", "runs/one"], 0);

@@ -361,37 +361,59 @@ fn a_plan_stops_by_the_clock() {
     assert!(stopped.iter().all(|cost| cost.1 > 0.0) && stopped[0].1 != stopped[1].1, "{stopped:?}");
 }
 
-/// Rows are refused together: those of wrong settings, and else those that do not suit the scene.
+/// Rows are refused together: those of wrong settings, and those that do not suit the scene. LPIPS is not the point.
 #[test]
 fn rows_that_cannot_run_are_named_together() {
     let dir = workplace();
     let file = dir.path().join("sweeps/tiny.toml");
-    let cases = [
+    let cases: [(&str, &[&str]); 5] = [
+        (
+            r#"{ name = "A", set = { "train.lr" = 1 } }, { name = "B", set = { "train.rays" = 20000 } },
+               { name = "C", set = { "train.steps" = 7 } }, { name = "D", set = { "train.steps" = 7 } }"#,
+            &[
+                "rows that cannot run: A (builtin): its set: train.lr: unknown key 'train.lr'; did you mean 'train.learning_rate'?",
+                "; D (builtin): rows 'C' and 'D' have the same configuration",
+                "; B (builtin): train.rays = 20000",
+            ],
+        ),
+        (
+            r#"{ name = "A", set = { method = "tv" } }, { name = "B", preset = "fast", set = { method = "mip-nerf" } }"#,
+            &[
+                "A (builtin): its set: method: tv is a regularizer; use regularizer.kind=tv",
+                "; B (builtin): preset fast sets field.encoding = \"hash\", which method mip-nerf cannot use; choose one of the presets smoke, cpu",
+            ],
+        ),
         (
             r#"{ name = "A", set = { "train.stps" = 1 } }, { name = "B", set = { "field.width" = 7 } }"#,
-            ["rows that cannot run: A (builtin): its set: train.stps", "; B (builtin): field.width = 7"],
+            &["rows that cannot run: A (builtin): its set: train.stps", "; B (builtin): field.width = 7"],
         ),
         // 40 views of 16 x 16 pixels, whose rays end 6 from the cameras.
         (
             r#"{ name = "A", set = { "train.rays" = 20000 } }, { name = "B", set = { "regularizer.kind" = "l1",
                "regularizer.domain" = [[90.0, 90.0, 90.0], [91.0, 91.0, 91.0]] } }"#,
-            ["rows that cannot run: A (builtin): train.rays = 20000", "; B (builtin): regularizer.domain: the box"],
+            &["rows that cannot run: A (builtin): train.rays = 20000", "; B (builtin): regularizer.domain: the box"],
         ),
         (
             r#"{ name = "A", set = { "train.rays" = 20000 } }, { name = "B", set = { "train.rays" = 20000,
                "train.steps" = 3 } }"#,
-            ["rows that cannot run: A (builtin), B (builtin): train.rays = 20000", "at most 64"],
+            &["rows that cannot run: A (builtin), B (builtin): train.rays = 20000", "at most 64"],
         ),
     ];
+    let measured = TINY.replace("\"psnr\"", "\"psnr\", \"lpips_squeeze\"");
     for (rows, words) in cases {
-        fs::write(&file, TINY.replace("row = [", &format!("row = [{}, ", rows.replace("\n", "")))).unwrap();
+        fs::write(&file, measured.replace("row = [", &format!("row = [{}, ", rows.replace("\n", "")))).unwrap();
         for command in ["begin", "plan", "run"] {
             let said = run(dir.path(), &["sweep", command, "sweeps/tiny.toml"], 2);
-            assert_says(&said, &words);
-            assert!(!said.contains("NeRF (") && !dir.path().join("runs").exists(), "{said}");
+            assert_says(&said, words);
+            assert!(!said.contains("NeRF (") && !said.contains("LPIPS") && !dir.path().join("runs").exists(), "{said}");
             assert!(!said.contains("timing some steps"), "{said}");
         }
     }
+    // A folder that is extended has one list, too.
+    fs::write(&file, TINY).unwrap();
+    run(dir.path(), &["sweep", "begin", "sweeps/tiny.toml"], 0);
+    fs::write(&file, TINY.replace("row = [", &format!("row = [{}, ", cases[0].0.replace("\n", "")))).unwrap();
+    assert_says(&run(dir.path(), &["sweep", "begin", "sweeps/tiny.toml", "--extend"], 2), cases[0].1);
     fs::write(&file, TINY.replace("field.width", "field.widht")).unwrap();
     let said = run(dir.path(), &["sweep", "begin", "sweeps/tiny.toml"], 2);
     assert_says(&said, &["no row can run: [set] field.widht: unknown key"]);

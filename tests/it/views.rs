@@ -200,6 +200,7 @@ fn a_first_picture_comes_early_and_leaves_a_run_as_it_was() {
         fn on(&self, event: Event<'_>) {
             if let Event::Note(line) = event {
                 assert!(line.starts_with("step 2: ") && line.contains(self.0.to_str().unwrap()), "{line}");
+                assert!(line.ends_with("_beside.png in the end"), "{line}");
                 self.1.store(15, Ordering::SeqCst);
             }
         }
@@ -239,6 +240,8 @@ fn a_first_picture_comes_early_and_leaves_a_run_as_it_was() {
         signal.store(0, Ordering::SeqCst);
         let resumed = Job::resume(RunDir::take(&path).unwrap(), setup()).unwrap().with_previews(0.0);
         resumed.train(&(), &signal).unwrap();
+        let last = picture.with_file_name(format!("{}_beside.png", scene.test[0].name));
+        assert!(!picture.exists() && last.is_file(), "{}", last.display());
         assert_same_files(&plain, &path, &["timing.json", "run.lock", "tensorboard"]);
     }
 }

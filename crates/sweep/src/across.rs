@@ -15,7 +15,7 @@ use super::collect::holds_files;
 use super::folder::DEFINITION;
 use super::over_scenes::OVER_SCENES;
 use super::view::{Origin, Selection, Source, VIEW, View};
-use super::words::{check_name, quoted};
+use super::words::{check_name, check_text, quoted};
 
 /// What a folder of such comparisons has instead of a sweep's definition.
 pub const ACROSS: &str = "across.toml";
@@ -78,7 +78,7 @@ impl AcrossRequest {
         let mut across = Across::new(row, baseline, &tables);
         let mut sweep: Vec<Origin> = sources.iter().map(Origin::of).collect();
         for (name, label) in labels {
-            check_name("a label", label).map_err(Error::Config)?;
+            check_name("a label", label).and_then(|()| check_text("--label", label)).map_err(Error::Config)?;
             let Some(origin) = sweep.iter_mut().find(|origin| origin.name == *name) else {
                 let names: Vec<&str> = sources.iter().map(|source| source.name.as_str()).collect();
                 return Err(Error::Config(format!("--label {name}: the sweeps are {}", names.join(", "))));
@@ -86,6 +86,9 @@ impl AcrossRequest {
             origin.label = Some(label.clone());
             across.call(name, label);
         }
+        let mut unlabelled = sweep.iter().filter(|origin| origin.label.is_none());
+        let named = unlabelled.try_for_each(|origin| check_text("the sweep's name", &origin.name));
+        named.map_err(Error::Config)?;
         let request = AcrossRequest { row: row.into(), baseline: baseline.into(), metric: metric.into(), sweep };
         Ok((request, across))
     }

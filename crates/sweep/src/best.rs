@@ -6,7 +6,9 @@ use serde::Serialize;
 
 use crate::base::{Error, Result};
 use crate::metrics::{Direction, Metric};
-use crate::report::tables::{Line, Table};
+use crate::report::statistics::p_text;
+use crate::report::tables::text::interval_of;
+use crate::report::tables::{Line, Table, Verdict};
 use crate::report::{TableSpec, distinct};
 use crate::settings::registry::REGISTRY;
 use crate::settings::{Config, value_at};
@@ -32,6 +34,9 @@ pub struct Best {
     pub settings: Vec<(String, String)>,
     /// The second-best line, with its mean.
     pub next: Option<(String, f64)>,
+    /// The difference of this line to its baseline, or of the second-best line if this one is the baseline, and whether it
+    /// is distinguishable from zero. `None` without a baseline, or seeds that both have.
+    pub against_baseline: Option<String>,
     /// Number of candidate lines, this one included.
     pub candidates: usize,
     /// Lines without a number for every seed; they were not considered.
@@ -103,6 +108,7 @@ pub fn best(
             seeds: seeds(folder, outputs, line, metric),
             settings: settings(points, line),
             next: ranked.get(1).map(|(line, mean)| (line.label.clone(), *mean)),
+            against_baseline: ranked.iter().take(2).find_map(|(line, _)| against_baseline(line, known.unit)),
             candidates: ranked.len(),
             unfinished: lines.iter().filter(missing).map(|line| line.label.clone()).collect(),
             on_validation: splits.iter().all(is_validation),
@@ -119,6 +125,21 @@ pub fn best(
         )));
     }
     Ok(found)
+}
+
+/// Returns a sentence on a line's difference to its baseline, by the comparison of the table.
+fn against_baseline(line: &Line, unit: &str) -> Option<String> {
+    let (baseline, cell) = (line.baseline.as_ref()?, &line.cells[0]);
+    let comparison = cell.comparison.as_ref()?;
+    let (label, p) = (&line.label, comparison.p_holm.map_or(String::new(), |p| format!(", p {}", p_text(p))));
+    let said = match (comparison.interval, comparison.verdict()) {
+        (None, _) => "has no interval: one seed is too few",
+        (_, Some(Verdict::NotDistinguishable)) => "is not distinguishable from zero",
+        (_, Some(_)) => "is distinguishable from zero",
+        (_, None) => "has an interval without zero, but is not significant after Holm's correction",
+    };
+    let unit = if unit.is_empty() { String::new() } else { format!(" {unit}") };
+    Some(format!("the difference of {label} to {baseline} {said}: {}{unit}{p}", interval_of(cell)))
 }
 
 /// Returns the mean of a line if all of its points have the metric.

@@ -1,7 +1,8 @@
 //! From a definition to configurations. Each is built and checked, and its scene is located, before anything is
 //! measured.
 
-use std::collections::HashSet;
+use std::collections::BTreeSet;
+use std::fmt::Display;
 use std::path::{Path, PathBuf};
 
 use serde::{Deserialize, Serialize};
@@ -50,8 +51,19 @@ pub struct PlannedRun {
 /// # Errors
 /// Rows have wrong settings; the error names all of these rows.
 pub fn lay_out(definition: &Definition, data_root: Option<&Path>) -> Result<Vec<PlannedRun>> {
+    let mut refused = Refused::default();
+    let planned = lay_out_others(definition, data_root, &mut refused)?;
+    refused.check().map(|()| planned)
+}
+
+/// Does the same for the other rows, and adds those of wrong settings to `refused`.
+pub(super) fn lay_out_others(
+    definition: &Definition,
+    data_root: Option<&Path>,
+    refused: &mut Refused,
+) -> Result<Vec<PlannedRun>> {
     let preset = Preset::parse(&definition.preset)?;
-    let (mut planned, mut refused) = (Vec::new(), Refused::default());
+    let mut planned = Vec::new();
     for &seed in &definition.seeds {
         for scene in &definition.scenes {
             let builder = Builder { definition, preset, scene, folder: scene_folder(scene, data_root), seed };
@@ -63,17 +75,15 @@ pub fn lay_out(definition: &Definition, data_root: Option<&Path>) -> Result<Vec<
             }
         }
     }
-    refused.check()?;
     Ok(planned)
 }
 
-/// Rows that cannot run, with their scenes, by the reason.
-#[derive(Default)]
-pub(super) struct Refused {
+/// Rows that cannot run, with their scenes, by the reason. One list for all checks of a sweep.
+#[derive(Clone, Default)]
+pub struct Refused {
     reasons: Vec<(String, Vec<String>)>,
-    known: HashSet<(String, String)>,
-    /// Another row is not refused.
-    others: bool,
+    /// Rows that passed some check.
+    passed: BTreeSet<String>,
 }
 
 /// Most rows that are named with a reason.
@@ -81,31 +91,35 @@ const MOST_NAMED: usize = 20;
 
 impl Refused {
     /// Returns what is there of rows on a scene. A wrong setting refuses the rows; any other error is returned.
-    pub fn unless<T>(&mut self, made: Result<T>, rows: &[&str], scene: impl std::fmt::Display) -> Result<Option<T>> {
+    pub(super) fn unless<T>(&mut self, made: Result<T>, rows: &[&str], scene: impl Display) -> Result<Option<T>> {
+        let rows = rows.iter().map(|row| format!("{row} ({scene})"));
         let reason = match made {
             Err(error) if error.is_of_settings() => error.to_string(),
             made => {
-                self.others = true;
+                self.passed.extend(rows);
                 return made.map(Some);
             }
         };
-        for row in rows.iter().map(|row| format!("{row} ({scene})")) {
-            if !self.known.insert((reason.clone(), row.clone())) {
-                continue;
-            }
+        for row in rows {
             match self.reasons.iter_mut().find(|(known, _)| *known == reason) {
-                Some((_, rows)) => rows.push(row),
+                Some((_, known)) if known.contains(&row) => {}
+                Some((_, known)) => known.push(row),
                 None => self.reasons.push((reason.clone(), vec![row])),
             }
         }
         Ok(None)
     }
 
+    /// Returns whether no row is refused.
+    pub(super) fn is_empty(&self) -> bool {
+        self.reasons.is_empty()
+    }
+
     /// Returns the error that names all refused rows, if there are any.
-    pub fn check(self) -> Result<()> {
+    pub(super) fn check(self) -> Result<()> {
         match &self.reasons[..] {
             [] => return Ok(()),
-            [(reason, rows)] if !self.others && rows.len() > 1 => {
+            [(reason, rows)] if rows.len() > 1 && self.passed.iter().all(|row| rows.contains(row)) => {
                 return Err(Error::Config(format!("no row can run: {reason}")));
             }
             _ => {}

@@ -60,7 +60,7 @@ pub use claim::{Claim, Claimed, Progress, Sharing};
 pub use collect::{Collector, PAGE, Results, check_results_place};
 pub use definition::{Budget, BudgetKind, Combine, Definition, Overrides, Row};
 pub use folder::{Change, SweepFolder};
-pub use layout::TablePosition;
+pub use layout::{Refused, TablePosition};
 pub use of_runs::RunsTable;
 pub use outputs::{Scalars, SweepOutputs};
 pub use over_scenes::{OVER_SCENES, OVER_SCENES_CSV, OVER_SCENES_PAGE, ScenesRequest};

@@ -11,30 +11,35 @@ use super::budget::{StepCosts, evaluations_per_step};
 use super::definition::Definition;
 use super::differences::differences;
 use super::folder::{Change, SweepFolder};
-use super::layout::{PlannedRun, lay_out};
+use super::layout::{PlannedRun, Refused, lay_out, lay_out_others};
 use super::pace::Pace;
-use super::points::{Point, apply_budgets};
+use super::points::{Point, apply_budgets, apply_budgets_to_others};
 use super::step_seconds::{KeptCosts, Unknown};
 use super::training::{Cost, Trainings};
 
 /// Returns the points of `folder`. A new folder is created with those of `definition`. A folder of another definition
 /// is an error, unless `extend` is set or its points are the same. `measure` gives the seconds of steps for budgets in
-/// seconds. `check` is called with new points before anything is written.
+/// seconds. `check` is called with new points and the rows that are refused so far, before anything is written. It names
+/// these rows with those that it refuses.
 pub fn begin(
     folder: &SweepFolder,
     definition: &Definition,
     data_root: Option<&Path>,
     extend: bool,
     measure: &dyn StepCosts,
-    check: &dyn Fn(&[Point]) -> Result<()>,
+    check: &dyn Fn(&[Point], Refused) -> Result<()>,
 ) -> Result<Vec<Point>> {
-    let planned = lay_out(definition, data_root)?;
-    let tried = apply_budgets(&planned, &Unmeasured)?;
+    let (planned, tried, refused) = try_out(definition, data_root)?;
     // A wrong definition must leave no folder.
-    if folder.compare(definition)? == Change::New {
-        definition.check_texts()?;
-        check(&tried)?;
+    match folder.compare(definition)? {
+        Change::New => {
+            definition.check_texts()?;
+            check(&tried, refused.clone())?;
+        }
+        Change::Changed if extend && !refused.is_empty() => check(&tried, refused.clone())?,
+        _ => {}
     }
+    refused.check()?;
     let _lock = folder.lock()?;
     let change = folder.compare(definition)?;
     let begun = folder.points(data_root)?;
@@ -48,7 +53,7 @@ pub fn begin(
             Err(refusal) if !extend => return Err(refusal),
             Err(_) => {
                 definition.check_texts()?;
-                check(&tried)?;
+                check(&tried, Refused::default())?;
             }
         },
         _ => {}
@@ -68,7 +73,15 @@ pub fn check_unchanged(folder: &SweepFolder, definition: &Definition, data_root:
     reworded(folder, definition, &lay_out(definition, data_root)?, &before)?.map(|_| ())
 }
 
-/// Returns the points that a definition's folder would get. `check` is called with them before anything is measured.
+/// Returns the configurations of a definition, its points with arbitrary budgets in seconds, and the rows of wrong settings.
+fn try_out(definition: &Definition, data_root: Option<&Path>) -> Result<(Vec<PlannedRun>, Vec<Point>, Refused)> {
+    let mut refused = Refused::default();
+    let planned = lay_out_others(definition, data_root, &mut refused)?;
+    let tried = apply_budgets_to_others(&planned, &Unmeasured, &mut refused)?;
+    Ok((planned, tried, refused))
+}
+
+/// Returns the points that a definition's folder would get. `check` is called as by [`begin`], before anything is measured.
 ///
 /// # Errors
 /// Those of the definition and of `check`.
@@ -76,11 +89,12 @@ pub fn plan(
     definition: &Definition,
     data_root: Option<&Path>,
     costs: &dyn StepCosts,
-    check: &dyn Fn(&[Point]) -> Result<()>,
+    check: &dyn Fn(&[Point], Refused) -> Result<()>,
 ) -> Result<Vec<Point>> {
     definition.check_texts()?;
-    let planned = lay_out(definition, data_root)?;
-    check(&apply_budgets(&planned, &Unmeasured)?)?;
+    let (planned, tried, refused) = try_out(definition, data_root)?;
+    check(&tried, refused.clone())?;
+    refused.check()?;
     apply_budgets(&planned, costs)
 }
 

@@ -92,29 +92,46 @@ pub fn expand(definition: &Definition, data_root: Option<&Path>, costs: &dyn Ste
 /// # Errors
 /// Two rows are the same configuration, or the steps of rows do not suit their settings.
 pub(super) fn apply_budgets(planned: &[PlannedRun], costs: &dyn StepCosts) -> Result<Vec<Point>> {
+    let mut refused = Refused::default();
+    let points = apply_budgets_to_others(planned, costs, &mut refused)?;
+    refused.check().map(|()| points)
+}
+
+/// Does the same for the other rows, and adds those with wrong settings to `refused`.
+pub(super) fn apply_budgets_to_others(
+    planned: &[PlannedRun],
+    costs: &dyn StepCosts,
+    refused: &mut Refused,
+) -> Result<Vec<Point>> {
     costs.prepare(&timed(planned))?;
-    let (mut points, mut refused) = (Vec::<Point>::new(), Refused::default());
+    let mut points = Vec::<Point>::new();
     let mut known: HashMap<String, (usize, Vec<&PlannedRun>)> = HashMap::new();
     for planned in planned {
-        let (point, TablePosition { row, axes }) = (point(planned, costs)?, &planned.place);
-        if refused.unless(point.config.validate(), &[&label(row, axes)], &planned.scene)?.is_none() {
-            continue;
-        }
-        let Some((index, others)) = known.get_mut(&point.id) else {
-            known.insert(point.id.clone(), (points.len(), vec![planned]));
-            points.push(point);
-            continue;
+        let valid = |point: Point| {
+            point.config.validate()?;
+            let others = known.get(&point.id).into_iter().flat_map(|(_, others)| others);
+            match others.into_iter().find(|other| is_same_row(other, planned)) {
+                Some(same) => Err(Error::Config(format!(
+                    "rows '{}' and '{}' have the same configuration; change or remove one",
+                    same.place.row, planned.place.row
+                ))),
+                None => Ok(point),
+            }
         };
-        if let Some(same) = others.iter().find(|other| is_same_row(other, planned)) {
-            return Err(Error::Config(format!(
-                "rows '{}' and '{}' have the same configuration; change or remove one",
-                same.place.row, planned.place.row
-            )));
+        let TablePosition { row, axes } = &planned.place;
+        let point = point(planned, costs).and_then(valid);
+        let Some(point) = refused.unless(point, &[&label(row, axes)], &planned.scene)? else { continue };
+        match known.get_mut(&point.id) {
+            Some((index, others)) => {
+                others.push(planned);
+                points[*index].places.push(planned.place.clone());
+            }
+            None => {
+                known.insert(point.id.clone(), (points.len(), vec![planned]));
+                points.push(point);
+            }
         }
-        others.push(planned);
-        points[*index].places.push(planned.place.clone());
     }
-    refused.check()?;
     Ok(points)
 }
 

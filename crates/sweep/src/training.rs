@@ -120,12 +120,12 @@ impl<'a> Trainings<'a> {
     }
 
     /// Checks that points with data can start: settings that depend on each other or on the scene, such as the rays of a
-    /// step. Configurations that differ by the seed alone are checked once.
+    /// step. Configurations that differ by the seed alone are checked once. `refused` has the rows that already cannot.
     ///
     /// # Errors
-    /// [`Error::Config`], for all points that cannot. [`Error::Data`], if no scene can be read. If others can, it is
+    /// [`Error::Config`], for all rows that cannot. [`Error::Data`], if no scene can be read. If others can, it is
     /// said: its points fail, and no other is lost.
-    pub fn check_points(&self, points: &[Point]) -> Result<()> {
+    pub fn check_points(&self, points: &[Point], mut refused: Refused) -> Result<()> {
         let mut configs = Vec::new();
         let mut known = BTreeSet::new();
         for point in points.iter().filter(|point| point.no_data.is_none()) {
@@ -144,7 +144,7 @@ impl<'a> Trainings<'a> {
             let note = format!("checking {} configurations of {} points on {scenes}", configs.len(), points.len());
             self.events.on(Event::Note(&note));
         }
-        let (mut readable, mut unreadable, mut refused) = (false, BTreeMap::new(), Refused::default());
+        let (mut readable, mut unreadable) = (false, BTreeMap::new());
         for (point, config) in configs {
             let rows: Vec<String> = point.places.iter().map(|place| label(&place.row, &place.axes)).collect();
             let rows: Vec<&str> = rows.iter().map(String::as_str).collect();
@@ -390,7 +390,15 @@ impl Work for Trainings<'_> {
             }
             Job::resume(run, setup)?
         };
-        let finished = job.train(&Noting { events: self.events, progress }, stop)?;
+        let noting = |event: Event| {
+            match event {
+                Event::TrainingStarted { first, steps, .. } => progress.begin(first, steps),
+                Event::Stepped { step, .. } => progress.stepped(step),
+                _ => {}
+            }
+            self.events.on(event);
+        };
+        let finished = job.train(&noting, stop)?;
         // Such a training ends here with an error, unless its numbers are wanted.
         if let Err(lost) = finished.report.check_learned(&path) {
             self.events.on(Event::Note(&format!("{lost}; it counts, because train.collapse_steps is 0")));
@@ -434,23 +442,6 @@ fn numbers(row: &impl serde::Serialize) -> Vec<(String, Option<f64>)> {
         unreachable!("rows are structs")
     };
     fields.into_iter().map(|(name, value)| (name, value.as_f64())).collect()
-}
-
-/// Passes everything on and keeps the point's progress.
-struct Noting<'a> {
-    events: &'a dyn Listener,
-    progress: &'a Progress,
-}
-
-impl Listener for Noting<'_> {
-    fn on(&self, event: Event<'_>) {
-        match event {
-            Event::TrainingStarted { first, steps, .. } => self.progress.begin(first, steps),
-            Event::Stepped { step, .. } => self.progress.stepped(step),
-            _ => {}
-        }
-        self.events.on(event);
-    }
 }
 
 #[cfg(test)]

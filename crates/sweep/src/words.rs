@@ -31,11 +31,10 @@ pub fn check_text(what: &str, name: &str) -> Checked {
     }
     let advice = match what.contains("scene") {
         true => format!("a scene has its folder's name: rename the folder, such as to 'scene {name}'"),
+        false if what.contains("sweep") => format!("give another with --label, such as --label {name}='sweep {name}'"),
         false => format!("choose another, such as 'row {name}'"),
     };
-    Err(format!(
-        "{what} '{name}' is one that pandas and R read as a missing value in points.csv and table.csv; {advice}"
-    ))
+    Err(format!("{what} '{name}' is one that pandas and R read as a missing value in CSV files; {advice}"))
 }
 
 /// Lists names in quotes, since a name may have a comma.

@@ -56,6 +56,7 @@ fn text(best: &Best) -> String {
         metric.with_unit(best.mean),
         best.seeds.len()
     )];
+    lines.extend(best.against_baseline.iter().map(|sentence| format!("  {sentence}")));
     let settings: Vec<String> = best.settings.iter().map(|(name, value)| format!("{name} = {value}")).collect();
     if !settings.is_empty() {
         lines.push(format!("  {}", settings.join(", ")));

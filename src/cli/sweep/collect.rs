@@ -13,7 +13,8 @@ use crate::sweep::{Selection, View, check_name};
 
 use super::opened::Opened;
 use super::{
-    How, PointState, RESULTS, RUNS, check_done, collect, name_of, states_of_records, table_json, terminal_width,
+    How, PointState, RESULTS, RUNS, check_any_data, check_done, collect, name_of, states_of_records, table_json,
+    terminal_width,
 };
 
 pub const EXAMPLES: &str = "Examples:
@@ -76,6 +77,7 @@ impl CollectArguments {
                 let results = self.results(&sweep.name)?;
                 let how = How { force: self.force, with_timing: self.with_timing };
                 let states = sweep.states()?;
+                check_any_data(&states)?;
                 (
                     collect((&sweep.folder, &sweep.definition, &sweep.points), &sweep.name, &results, how)?,
                     results,

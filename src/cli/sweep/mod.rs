@@ -1,6 +1,6 @@
 //! `augnerf sweep`: flags and steps that its commands share; each command has a file.
 
-use std::collections::HashSet;
+use std::collections::{BTreeSet, HashSet};
 use std::io::IsTerminal;
 use std::ops::RangeInclusive;
 use std::path::{Path, PathBuf};
@@ -22,9 +22,9 @@ use crate::sweep::{
     SweepOutputs, Trainings, begin, check_name, check_results_place, plan,
 };
 
-use super::LpipsWeights;
 use super::progress::{Console, duration, report};
 use super::train::LONG;
+use super::{LpipsWeights, whole};
 
 mod across;
 mod begin;
@@ -210,7 +210,7 @@ impl Changes {
 /// A flag of older versions.
 #[derive(Args)]
 struct MaxDeaths {
-    #[arg(long, value_name = "N", hide = true, value_parser = clap::value_parser!(u32).range(1..))]
+    #[arg(long, value_name = "N", hide = true, value_parser = whole::<u32>(1..=u32::MAX.into()))]
     max_deaths: Option<u32>,
 }
 
@@ -268,7 +268,7 @@ fn begin_folder(
     // Before hours of training rather than after.
     check_results_place(&results, &location.name()?, &folder)?;
     let costs = PublishedCosts::beside(&results, measure)?;
-    let check = |points: &[Point]| trainings.check_points(points);
+    let check = |points: &[Point], refused| trainings.check_points(points, refused);
     let begun = begin(&folder, definition, location.data_root.as_deref(), extend, &costs, &check);
     let points = begun.map_err(elsewhere)?;
     costs.note().iter().for_each(|note| console.say(note));
@@ -292,7 +292,7 @@ fn planned_points(
         }
         _ => {
             let costs = PublishedCosts::beside(&location.results()?, measure)?;
-            let check = |points: &[Point]| trainings.check_points(points).map(|()| checked());
+            let check = |points: &[Point], refused| trainings.check_points(points, refused).map(|()| checked());
             let points = plan(definition, data_root, &costs, &check)?;
             costs.note().iter().for_each(|note| console.say(note));
             Ok(points)
@@ -300,26 +300,29 @@ fn planned_points(
     }
 }
 
-/// Returns the trainings of a definition, and its metrics that can be measured with the available LPIPS weights. Other metrics
-/// are printed.
+/// Returns the trainings of a definition, with the available LPIPS weights.
 fn trainings<'a>(
     definition: &Definition,
     weights: &LpipsWeights,
     runtime: &Runtime,
     console: &'a Console,
-) -> Result<(Trainings<'a>, Vec<String>)> {
+) -> Result<Trainings<'a>> {
     let weights = weights.lpips_weights.as_ref().map(std::path::absolute).transpose();
     let weights = weights.map_err(|e| Error::Config(format!("--lpips-weights: {e}")))?;
     let weights = weights.map_or(String::new(), |dir| dir.to_string_lossy().into_owned());
     let lpips = load_lpips(&weights, runtime.device())?;
-    let (measured, missing): (Vec<_>, Vec<_>) =
-        definition.metrics.iter().cloned().partition(|metric| measurable(metric, &lpips));
-    say_what_is_missing(&missing, console);
     let smoothness = definition.metric_in(Scope::Lattice).is_some();
-    Ok((Trainings::new(runtime.clone(), (lpips, weights), smoothness, console), measured))
+    Ok(Trainings::new(runtime.clone(), (lpips, weights), smoothness, console))
 }
 
-fn say_what_is_missing(metrics: &[String], console: &Console) {
+/// Returns a definition's metrics that can be measured with the LPIPS weights of its trainings, and the others.
+fn by_weights(definition: &Definition, trainings: &Trainings) -> (Vec<String>, Vec<String>) {
+    definition.metrics.iter().cloned().partition(|metric| measurable(metric, &trainings.lpips))
+}
+
+/// Prints the metrics that cannot be measured for want of LPIPS weights, when trainings start.
+fn say_what_is_missing(definition: &Definition, trainings: &Trainings, console: &Console) {
+    let (_, metrics) = by_weights(definition, trainings);
     if !metrics.is_empty() {
         console.say(&format!(
             "not measured without LPIPS weights (--lpips-weights, AUGNERF_LPIPS_WEIGHTS): {}; `augnerf sweep run \
@@ -354,6 +357,7 @@ fn link_by_name(folder: &SweepFolder, points: &[Point]) {
 /// How a point stands.
 struct PointState {
     label: String,
+    scene: String,
     status: Status,
     /// Why it failed or has no data.
     reason: String,
@@ -363,7 +367,7 @@ struct PointState {
 fn states_of(folder: &SweepFolder, points: &[Point]) -> Result<Vec<PointState>> {
     let of_point = |point: &Point| {
         let state = folder.point(&point.id).state(point)?;
-        Ok(PointState { label: point.label(), status: state.status, reason: state.reason })
+        Ok(PointState { label: point.label(), scene: point.scene.clone(), status: state.status, reason: state.reason })
     };
     points.iter().map(of_point).collect()
 }
@@ -378,6 +382,7 @@ fn one_of_each(records: &[Record]) -> impl Iterator<Item = &Record> {
 fn states_of_records(records: &[Record]) -> Vec<PointState> {
     let of_record = |record: &Record| PointState {
         label: record.point_label(),
+        scene: record.scene.clone(),
         status: record.status,
         reason: record.reason.clone(),
     };
@@ -439,14 +444,25 @@ fn check_done(states: &[PointState]) -> Result<()> {
         )));
     }
     if no_data > 0 {
-        let first = states.iter().find(|state| state.status == Status::NoData).expect("counted");
+        let missing: Vec<&PointState> = states.iter().filter(|state| state.status == Status::NoData).collect();
+        let scenes: BTreeSet<&str> = missing.iter().map(|state| state.scene.as_str()).collect();
         return Err(Error::PointsWithoutData(format!(
-            "{no_data} of {all} points have no data here ({done} are done): {}; put the scenes into --data-root (AUGNERF_DATA) \
-             and run the sweep again",
-            first.reason
+            "{no_data} of {all} points have no data here ({done} are done), because scenes are missing: {} ({}); put them into \
+             --data-root (AUGNERF_DATA) and run the sweep again",
+            scenes.into_iter().collect::<Vec<_>>().join(", "),
+            missing[0].reason
         )));
     }
     Ok(())
+}
+
+/// Checks that not all points lack their scenes: such a sweep has no table.
+///
+/// # Errors
+/// [`Error::PointsWithoutData`].
+fn check_any_data(states: &[PointState]) -> Result<()> {
+    let is_lost = states.iter().all(|state| state.status == Status::NoData);
+    if is_lost { check_done(states) } else { Ok(()) }
 }
 
 /// Lists the reasons of failed points, each once with the points that it is of.

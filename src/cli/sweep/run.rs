@@ -8,7 +8,7 @@ use crate::base::{Error, Result};
 use crate::cli::answer::Answer;
 use crate::cli::progress::{Console, print, report};
 use crate::cli::signals::catch_signals;
-use crate::cli::{Compute, LpipsWeights};
+use crate::cli::{Compute, LpipsWeights, whole};
 use crate::draw::SVG_ALONE;
 use crate::report::Status;
 use crate::report::tables::table_terminal;
@@ -16,8 +16,8 @@ use crate::runtime::{Runtime, with_own_variables};
 use crate::sweep::{Options, Runner, Sharing, Unmeasured};
 
 use super::{
-    Changes, How, Location, MaxDeaths, PointState, begin_folder, check_done, collect, reasons, say_how_long, states_of,
-    table_json, terminal_width, trainings,
+    Changes, How, Location, MaxDeaths, PointState, begin_folder, by_weights, check_any_data, check_done, collect,
+    reasons, say_how_long, say_what_is_missing, states_of, table_json, terminal_width, trainings,
 };
 
 pub const EXAMPLES: &str = "Examples:
@@ -41,7 +41,7 @@ pub struct RunArguments {
         long,
         value_name = "N",
         default_value_t = 1,
-        value_parser = clap::value_parser!(u16).range(1..=1024),
+        value_parser = whole::<u16>(1..=1024),
         help_heading = "Hardware"
     )]
     jobs: u16,
@@ -90,15 +90,20 @@ impl RunArguments {
         let console = if self.jobs == 1 { Console::new(quiet) } else { Console::without_bars(quiet) };
         self.max_deaths.warn(&console);
         let definition = self.changes.definition(&self.location)?;
-        let (trainings, measured) = trainings(&definition, &self.weights, runtime, &console)?;
+        let trainings = trainings(&definition, &self.weights, runtime, &console)?;
         let (name, results) = (self.location.name()?, self.location.results()?);
         let (folder, points) =
             begin_folder(&self.location, &definition, self.extend, (&trainings, &trainings), &console)?;
+        let states = states_of(&folder, &points)?;
+        check_any_data(&states)?;
+        if self.remeasure || states.iter().any(|state| state.status != Status::Done) {
+            say_what_is_missing(&definition, &trainings, &console);
+        }
         let options = Options {
             jobs: usize::from(self.jobs),
             fail_fast: self.fail_fast,
             retry_failed: self.retry_failed,
-            remeasure: if self.remeasure { measured } else { Vec::new() },
+            remeasure: if self.remeasure { by_weights(&definition, &trainings).0 } else { Vec::new() },
             sharing: Sharing::Locks,
         };
         if !quiet && !self.answer.json {
@@ -147,6 +152,7 @@ fn check_remeasured(unmeasured: Vec<Unmeasured>, all: usize) -> Result<()> {
     let state = |Unmeasured { label, failure }| PointState {
         label,
         status: Status::Failed,
+        scene: String::new(),
         reason: failure.reason.lines().next().unwrap_or_default().into(),
     };
     let states: Vec<PointState> = unmeasured.into_iter().map(state).collect();

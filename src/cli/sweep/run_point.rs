@@ -16,7 +16,7 @@ use crate::report::Status;
 use crate::runtime::Runtime;
 use crate::sweep::{Claim, Options, Point, Runner, Sharing, SweepFolder};
 
-use super::{MaxDeaths, begun, trainings};
+use super::{MaxDeaths, begun, say_what_is_missing, trainings};
 
 pub const EXAMPLES: &str = "Examples:
   augnerf sweep run-point runs/smoke --index 3      # after `augnerf sweep begin`
@@ -106,7 +106,9 @@ impl RunPointArguments {
         console: &Console,
         stop: &AtomicUsize,
     ) -> Result<()> {
-        let (trainings, _) = trainings(&folder.definition()?, &self.weights, runtime, console)?;
+        let definition = folder.definition()?;
+        let trainings = trainings(&definition, &self.weights, runtime, console)?;
+        say_what_is_missing(&definition, &trainings, console);
         let options = Options {
             jobs: 1,
             fail_fast: false,

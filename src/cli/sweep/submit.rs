@@ -6,15 +6,15 @@ use clap::{Args, ValueEnum};
 use serde_json::json;
 
 use crate::base::{Error, Result};
-use crate::cli::LpipsWeights;
 use crate::cli::answer::Answer;
 use crate::cli::progress::{Console, print};
+use crate::cli::{LpipsWeights, whole};
 use crate::runtime::Runtime;
 use crate::settings::Config;
 use crate::sweep::slurm::{Chosen, Request, Script, Slurm, Submitted, array, check_installed};
 use crate::sweep::{Point, StepCosts, SweepFolder, Trainings, check_unchanged};
 
-use super::{Changes, Location, MaxDeaths, begin_folder, planned_points, say_how_long, trainings};
+use super::{Changes, Location, MaxDeaths, begin_folder, planned_points, say_how_long, say_what_is_missing, trainings};
 
 pub const EXAMPLES: &str = "Examples:
   augnerf sweep submit sweeps/checks/smoke.toml --dry-run  # prints the scripts
@@ -52,7 +52,7 @@ pub struct SubmitArguments {
     #[arg(
         long,
         value_name = "N",
-        value_parser = clap::value_parser!(u16).range(1..=1024),
+        value_parser = whole::<u16>(1..=1024),
         help_heading = "Hardware"
     )]
     cpus: Option<u16>,
@@ -60,7 +60,7 @@ pub struct SubmitArguments {
     #[arg(long, value_name = "LIST", help_heading = "Hardware")]
     gres: Option<String>,
     /// Most tasks that run at once [default: no limit]
-    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..), help_heading = "Hardware")]
+    #[arg(long, value_name = "N", value_parser = whole::<u32>(1..=u32::MAX.into()), help_heading = "Hardware")]
     array_limit: Option<u32>,
     /// Further option of sbatch: --sbatch=--account=lab
     #[arg(long, value_name = "OPTION", allow_hyphen_values = true, help_heading = "Hardware")]
@@ -104,7 +104,7 @@ impl SubmitArguments {
         self.device.as_deref().map_or(Ok(()), Runtime::check_name)?;
         // Unreadable weights are an error here, not in every task.
         let runtime = Runtime::new("cpu", Some(1))?;
-        let (trainings, _) = trainings(&definition, &self.weights, &runtime, &console)?;
+        let trainings = trainings(&definition, &self.weights, &runtime, &console)?;
         let costs: (&Trainings, &dyn StepCosts) = (&trainings, &Elsewhere);
         if self.dry_run {
             if !self.extend {
@@ -118,6 +118,7 @@ impl SubmitArguments {
             check_numbers(&folder, &points)?;
         }
         let (folder, points) = begin_folder(&self.location, &definition, self.extend, costs, &console)?;
+        say_what_is_missing(&definition, &trainings, &console);
         if !self.quiet && !self.answer.json {
             say_how_long((&folder, &points), (&definition, &trainings), 1, &console)?;
         }

@@ -444,8 +444,9 @@ impl Watcher<'_> {
         preview.spent += seconds;
         match drawn {
             Ok(true) if is_first => self.events.on(Event::Note(&format!(
-                "step {step}: a first picture is in {}; newer ones replace it, and the evaluation's images in the end",
-                pictures.preview_path().display()
+                "step {step}: a first picture is in {}; newer ones replace it, and the evaluation's {} in the end",
+                pictures.preview_path().display(),
+                renders.join(format!("{}_beside.png", scene.test[0].name)).display()
             ))),
             // The session stops after this step.
             Ok(_) | Err(Error::Interrupted { .. }) => {}

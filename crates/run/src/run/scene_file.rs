@@ -9,6 +9,7 @@ use crate::base::files::{read_json, write_json};
 use crate::base::{Error, Result, first_names};
 use crate::data::formats::{blender, transforms};
 use crate::data::{Scene, View, WorldToScene};
+use crate::revision::revision;
 use crate::settings::{DataConfig, DataKind};
 use crate::train::checkpoint;
 
@@ -112,6 +113,8 @@ pub(super) struct RecordedScene {
     /// An earlier version trained the run and wrote no such file. A run that was killed before writing it has no
     /// checkpoint either.
     early: bool,
+    /// The revision that the run started with, if it is not this one.
+    other_revision: Option<String>,
 }
 
 impl RecordedScene {
@@ -119,8 +122,12 @@ impl RecordedScene {
     pub(super) fn of(run: &RunDir) -> Result<RecordedScene> {
         let file = run.scene_file();
         let recorded = read_json(&file, "restore a copy, or delete it to accept the scene as it is now")?;
-        let early = recorded.is_none() && !checkpoint::list(&run.checkpoints())?.is_empty();
-        Ok(RecordedScene { file, recorded, early })
+        let newest = checkpoint::list(&run.checkpoints())?.pop();
+        let early = recorded.is_none() && newest.is_some();
+        // A damaged checkpoint is an error where it is used.
+        let state = newest.and_then(|(_, folder)| checkpoint::load_state(&folder).ok());
+        let first = state.and_then(|state| state.revisions.into_iter().next());
+        Ok(RecordedScene { file, recorded, early, other_revision: first.filter(|first| first != revision()) })
     }
 
     /// Returns the ends of its rays, or `None` if the scene's files still give the same.
@@ -163,9 +170,15 @@ impl RecordedScene {
     pub(super) fn check(&self, scene: &Scene, data: &DataConfig, evaluated: bool) -> Result<()> {
         let from = if data.dir.is_empty() { &scene.name } else { &data.dir };
         let refuse = |what: String| {
+            let advice = match &self.other_revision {
+                None => "restore its files, name their folder with --data, or train again".into(),
+                Some(revision) => format!(
+                    "revision {revision}, which trained the run, may have read the same files otherwise: if they are as they were, \
+                     use the run with that revision or train again; else restore them, or name their folder with --data"
+                ),
+            };
             Err(Error::Data(format!(
-                "{from}: the scene differs from the one that the run started with ({}): {what}; restore its files, name \
-                 their folder with --data, or train again",
+                "{from}: the scene differs from the one that the run started with ({}): {what}; {advice}",
                 self.file.display()
             )))
         };
