@@ -209,20 +209,14 @@ impl CheckArguments {
         images::check_memory_of(&sizes.collect::<Vec<_>>())?;
         say_without_effect(named.into_iter(), |setting| config.without_effect(setting), &console);
         let split = split_name(&config, scene.lacks_split);
-        let said: Vec<(String, String)> = scene
-            .describe()
-            .into_iter()
-            .chain([("split", &*split), ("pixels", pixels_words(&scene))].map(owned))
-            .collect();
+        let further = [("split", &*split), ("pixels", pixels_words(&scene))];
+        let further = further.map(|(label, value)| (label.to_string(), value.to_string()));
+        let said: Vec<(String, String)> = scene.describe().into_iter().chain(further).collect();
         self.picture.as_ref().map_or(Ok(()), |file| draw(&config, &scene, file))?;
         self.answer.give(&CheckedScene::new(&config, &scene, split, &said), || {
             said.iter().try_for_each(|(label, value)| print_shown(&format!("{label:>16}  {value}")))
         })
     }
-}
-
-fn owned((label, value): (&str, &str)) -> (String, String) {
-    (label.into(), value.into())
 }
 
 /// Returns how much of the photos was read.

@@ -10,7 +10,7 @@ use clap::{Args, Subcommand};
 use serde_json::{Map, Value, json};
 
 use crate::base::{Error, Result};
-use crate::metrics::{Lpips, Metric, Needs, Scope};
+use crate::metrics::{Metric, Needs, Scope};
 use crate::report::tables::{Table, table_columns};
 use crate::report::{Record, Status};
 use crate::run::load_lpips;
@@ -317,7 +317,10 @@ fn trainings<'a>(
 
 /// Returns a definition's metrics that can be measured with the LPIPS weights of its trainings, and the others.
 fn by_weights(definition: &Definition, trainings: &Trainings) -> (Vec<String>, Vec<String>) {
-    definition.metrics.iter().cloned().partition(|metric| measurable(metric, &trainings.lpips))
+    definition.metrics.iter().cloned().partition(|metric| match Metric::find(metric).map(|metric| metric.needs) {
+        Some(Needs::Lpips(backbone)) => trainings.lpips.iter().any(|lpips| lpips.backbone() == backbone),
+        _ => true,
+    })
 }
 
 /// Prints the metrics that cannot be measured for want of LPIPS weights, when trainings start.
@@ -329,14 +332,6 @@ fn say_what_is_missing(definition: &Definition, trainings: &Trainings, console: 
              --remeasure` can measure them later",
             metrics.join(", ")
         ));
-    }
-}
-
-/// Returns whether a metric can be measured with these LPIPS backbones.
-fn measurable(metric: &str, lpips: &[Lpips]) -> bool {
-    match Metric::find(metric).map(|metric| metric.needs) {
-        Some(Needs::Lpips(backbone)) => lpips.iter().any(|lpips| lpips.backbone() == backbone),
-        _ => true,
     }
 }
 
