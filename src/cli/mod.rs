@@ -140,7 +140,7 @@ enum Command {
     #[command(subcommand)]
     Sweep(sweep::SweepCommand),
     /// Check that tables, figures and quoted numbers follow from their points
-    #[command(after_help = verify::after_help())]
+    #[command(after_help = verify::EXAMPLES)]
     Verify(verify::VerifyArguments),
     /// Measure a trained run again, on held-out or other views
     #[command(after_help = eval::EXAMPLES)]

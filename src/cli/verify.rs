@@ -10,27 +10,19 @@ use crate::base::{Error, Result};
 use crate::run::load_lpips;
 use crate::runtime::Runtime;
 use crate::sweep::Trainings;
-use crate::sweep::verify::{CHECKS, Finding, Findings, Outcome, SceneHashes, Verifier};
+use crate::sweep::verify::{Finding, Findings, Outcome, Verifier};
 
 use super::answer::Answer;
 use super::progress::{Console, print};
 use super::signals::catch_signals;
 use super::{Compute, LpipsWeights};
 
-const EXAMPLES: &str = "Examples:
+pub const EXAMPLES: &str = "Examples:
   augnerf verify                                  # all of results/
   augnerf verify results/checks/smoke --retrain 2  # and trains two points again
   augnerf verify results/paper --update            # writes a group's tables and kept figures again
 
-Exit codes: 0 every check holds, 10 a check fails. Checks that cannot be made are listed with the reason.
-
-";
-
-/// Examples, and each check.
-pub fn after_help() -> String {
-    let checks = CHECKS.iter().map(|check| format!("{}: {}. Left out: {}.", check.name, check.what, check.left_out));
-    EXAMPLES.to_string() + &checks.collect::<Vec<_>>().join("\n")
-}
+Exit codes: 0 all of it holds, 10 something does not. What cannot be checked is listed with the reason.";
 
 #[derive(Args)]
 pub struct VerifyArguments {
@@ -52,9 +44,6 @@ pub struct VerifyArguments {
     /// With --retrain: accept another revision than that of the points
     #[arg(long, requires = "retrain")]
     any_revision: bool,
-    /// Do not read scenes, whose hashes are then not compared
-    #[arg(long)]
-    no_scenes: bool,
     /// Folder of the scenes
     #[arg(long, env = "AUGNERF_DATA", value_name = "DIR", help_heading = "Experiment")]
     data_root: Option<PathBuf>,
@@ -70,14 +59,7 @@ pub struct VerifyArguments {
 #[derive(Serialize)]
 struct Verified {
     folder: String,
-    findings: Vec<Checked>,
-}
-
-#[derive(Serialize)]
-struct Checked {
-    check: &'static str,
-    outcome: &'static str,
-    what: String,
+    findings: Vec<Finding>,
 }
 
 impl VerifyArguments {
@@ -95,7 +77,6 @@ impl VerifyArguments {
             data_root: self.data_root.as_deref(),
             trainings: &trainings,
             runtime,
-            scenes: (!self.no_scenes).then(SceneHashes::default),
             update: self.update,
             all: self.all,
             retrain: self.retrain,
@@ -110,17 +91,11 @@ impl VerifyArguments {
                 wrong.push(folder.clone());
             }
             if self.answer.json {
-                let checked = |line: &Finding| Checked {
-                    check: line.check,
-                    outcome: line.outcome.key(),
-                    what: line.text.clone(),
-                };
-                verified.push(Verified { folder, findings: findings.lines.iter().map(checked).collect() });
+                verified.push(Verified { folder, findings: findings.lines.clone() });
                 return Ok(());
             }
             print(&folder)?;
-            let shown = |line: &Finding| format!("  {:11}  {:7}  {}", line.outcome.name(), line.check, line.text);
-            findings.lines.iter().try_for_each(|line| print(&shown(line)))
+            findings.lines.iter().try_for_each(|line| print(&format!("  {:11}  {}", line.outcome.name(), line.text)))
         };
         for path in &self.results {
             verifier.verify(path, &mut show)?;

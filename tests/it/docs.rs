@@ -581,10 +581,3 @@ fn every_metric_and_exit_code_is_described() {
         assert!(codes.contains(&format!("| {} |", class.exit_code())), "docs/exit-codes.md lacks {class:?}");
     }
 }
-
-/// Without the file `verify` would have nothing to compare, and no finding.
-#[test]
-fn quoted_numbers_keep_their_traces() {
-    let quotes = std::fs::read_to_string(root().join("results/quotes.toml")).unwrap();
-    assert!(quotes.matches("[[quote]]").count() >= 340, "results/quotes.toml lost quotes");
-}

@@ -28,13 +28,18 @@ fn tool(name: &str) -> Option<Command> {
 /// Changes a CSV file's lines; those for which `change` returns false are left out.
 fn rewrite(from: &Path, to: &Path, mut change: impl FnMut(&dyn Fn(&str) -> usize, &mut Vec<String>) -> bool) {
     let mut reader = csv::Reader::from_path(from).unwrap();
-    let head = reader.headers().unwrap().clone();
+    let mut head = reader.headers().unwrap().clone();
+    // Points that all ended have no reasons.
+    let is_added = from.ends_with("points.csv") && !head.iter().any(|name| name == "reason");
+    if is_added {
+        head.push_field("reason");
+    }
     let column = |name: &str| head.iter().position(|known| known == name).unwrap();
     let lines: Vec<StringRecord> = reader.records().map(Result::unwrap).collect();
     let mut writer = csv::Writer::from_path(to).unwrap();
     writer.write_record(&head).unwrap();
     for line in lines {
-        let mut cells: Vec<String> = line.iter().map(String::from).collect();
+        let mut cells: Vec<String> = line.iter().chain(is_added.then_some("")).map(String::from).collect();
         if change(&column, &mut cells) {
             writer.write_record(&cells).unwrap();
         }

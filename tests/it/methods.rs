@@ -6,7 +6,8 @@ use crate::common::{assert_says, tiny_scene};
 use augnerf::base::Result;
 use augnerf::report::tables::{Table, table_latex, table_markdown};
 use augnerf::report::{Record, RowSpec, Status, TableSpec};
-use augnerf::run::{Protocol, check_measurable, surface_threshold};
+use augnerf::run::{check_measurable, surface_threshold};
+use augnerf::settings::columns::find;
 use augnerf::settings::{Capability, Config, DataKind, Extent, Preset, Representation, build, parse_assignment};
 use augnerf::sweep::{Definition, StepCosts, expand};
 use tempfile::TempDir;
@@ -162,28 +163,22 @@ fn columns_of_other_methods_are_empty() {
         "density_noise",
         "spacing",
     ];
-    let decided = |method: &str| {
-        let config = draft(&[method]).unwrap().resolve(DataKind::Blender, augnerf::bench::EXTENT).unwrap();
-        Protocol::of_configuration(&config)
+    let applies = |method: &str, column: &str| {
+        let config = draft(&[&format!("method={method}")]).unwrap();
+        (find(column).unwrap_or_else(|| panic!("{column}")).applies)(&config)
     };
-    let nerf = decided("method=nerf");
     for (method, _) in BASELINES {
-        let own = decided(&format!("method={method}"));
-        let value = |columns: &[(&str, String)], name: &str| {
-            columns.iter().find(|(known, _)| *known == name).unwrap_or_else(|| panic!("{name}")).1.clone()
-        };
-        assert_eq!(value(&nerf, method), "");
+        assert!(!applies("nerf", method));
         for (other, _) in BASELINES {
-            assert_eq!(value(&own, other).is_empty(), other != method, "{method} {other}");
+            assert_eq!(applies(method, other), other == method, "{method} {other}");
         }
         for column in OF_FIELDS {
-            assert_eq!(value(&own, column), "", "{method} {column}");
-            assert_ne!(value(&nerf, column), "", "{column}");
+            assert_eq!([applies(method, column), applies("nerf", column)], [false, true], "{method} {column}");
         }
         for column in ["rays", "batching", "chunk"] {
-            assert_eq!(value(&own, column).is_empty(), method == "llff", "{method} {column}");
+            assert_eq!(applies(method, column), method != "llff", "{method} {column}");
         }
-        assert_ne!(value(&own, "learning_rate"), "");
+        assert!(applies(method, "learning_rate"));
     }
 }
 

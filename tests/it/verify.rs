@@ -5,16 +5,15 @@ use std::path::{Path, PathBuf};
 use crate::common::assert_says;
 use crate::common::files::{assert_same_files, points_of, rows, text};
 use crate::common::program::{self, augnerf};
-use augnerf::run::DepthErrors;
 use sha2::{Digest, Sha256};
 use tempfile::TempDir;
 
 const ROOT: &str = env!("CARGO_MANIFEST_DIR");
 
-/// Verifies in a folder, without anything of this machine and without scenes, and returns everything said.
+/// Verifies in a folder, without anything of this machine, and returns everything said.
 #[track_caller]
 pub fn verify(dir: &Path, arguments: &[&str], code: i32) -> String {
-    let mut command = augnerf(&[&["verify", "--no-scenes"], arguments].concat());
+    let mut command = augnerf(&[&["verify"], arguments].concat());
     program::demand(command.current_dir(dir).env_remove("AUGNERF_DATA").env_remove("AUGNERF_LPIPS_WEIGHTS"), code)
 }
 
@@ -38,15 +37,6 @@ pub fn results(name: &str) -> (TempDir, PathBuf) {
     let folder = dir.path().join(place(name));
     copy(&Path::new(ROOT).join(place(name)), &folder);
     (dir, folder)
-}
-
-/// Writes a page of one sentence below `dir` and what traces its number; returns the page.
-pub fn quote(dir: &Path, page: &str, number: &str, folder: &str, cell: &str) -> PathBuf {
-    let traced =
-        format!("page = {page:?}\ntext = \"reaches {number}\"\nfolder = {folder:?}\ncells = [\"{number} = {cell}\"]\n");
-    std::fs::write(dir.join("results/quotes.toml"), format!("[[quote]]\n{traced}")).unwrap();
-    std::fs::write(dir.join(page), format!("NeRF reaches {number} dB.\n")).unwrap();
-    dir.join(page)
 }
 
 /// Changes a file of results that hold, and demands that the change is found.
@@ -73,18 +63,6 @@ fn what_is_changed_is_found() {
     assert_found(dir.path(), &at("points.csv"), &psnr, &wrong, &["WRONG", "table.csv, line 2"]);
     assert_found(dir.path(), &at("table.md"), "23.57", "23.58", &["table.md, line", "23.58", "23.57"]);
     assert_found(dir.path(), &at("rows_builtin_psnr.svg"), "NeRF", "NerF", &["rows_builtin_psnr.svg, line"]);
-    // What the points are.
-    let id = first("id").trim_start_matches('h').to_string();
-    assert_found(dir.path(), &at("points.json"), "\"steps\":3000", "\"steps\":3001", &["its configuration makes"]);
-    assert_found(dir.path(), &at("sweep.toml"), "3000", "3001", &["sweep.toml makes"]);
-    let other = format!("{}0", &id[..11]);
-    assert_found(
-        dir.path(),
-        &at("points.json"),
-        &id,
-        &if other == id { id.replace('0', "1") } else { other },
-        &["points"],
-    );
     // Files that nothing makes again: one that is kept, one that a commit has and somebody put there.
     assert_found(dir.path(), &at("mesh_density.csv"), "0", "1", &["SHA-256", "mesh_density.csv"]);
     std::fs::write(at("curves_builtin_psnr.svg"), "<svg/>").unwrap();
@@ -94,49 +72,17 @@ fn what_is_changed_is_found() {
     assert_says(&verify(dir.path(), &[], 10), &["rows_builtin_ssim.svg: the points do not make it"]);
 }
 
-/// A run's depth errors are of the views that were measured.
-#[test]
-fn depth_errors_of_other_views_are_found() {
-    let dir = TempDir::new().unwrap();
-    let run = dir.path().join("results/runs/nerf");
-    copy(&Path::new(ROOT).join("results/paper/regularizers/builtin_nerf"), &run);
-    verify(dir.path(), &[], 0);
-    let metrics = text(&run.join("metrics.json"));
-    let views = metrics.matches("\"psnr\"").count() - 1;
-    // As if every view had a depth.
-    std::fs::write(run.join("metrics.json"), metrics.replace("\"psnr\"", "\"depth_left_out\": 0.5, \"psnr\"")).unwrap();
-    DepthErrors { views: vec![vec![0.5]; views] }.write(&run.join("depth_errors.gz")).unwrap();
-    verify(dir.path(), &[], 0);
-    DepthErrors { views: vec![vec![0.5]; views - 1] }.write(&run.join("depth_errors.gz")).unwrap();
-    let words = format!("depths of {} views, metrics.json has {views}", views - 1);
-    assert_says(&verify(dir.path(), &[], 10), &["depth_errors.gz", &words]);
-}
-
-/// Sets cells of a column of `points.csv`, in the lines that `of` picks by row and seed, or the constant of this name.
-fn forge(folder: &Path, column: &str, value: &str, of: impl Fn(&str, &str) -> bool) {
+/// Empties a column of `points.csv`.
+fn empty(folder: &Path, column: &str) {
     let file = &folder.join("points.csv");
     let mut reader = csv::Reader::from_path(file).unwrap();
     let head = reader.headers().unwrap().clone();
-    let place = |column: &str| head.iter().position(|name| name == column);
-    let Some(at) = place(column) else {
-        let file = folder.join("provenance.toml");
-        let mut table: toml::Table = text(&file).parse().unwrap();
-        let before = table["constants"].as_table_mut().unwrap().insert(column.into(), value.into());
-        assert!(before.is_some(), "{column}");
-        return std::fs::write(file, table.to_string()).unwrap();
-    };
     let mut writer = csv::Writer::from_writer(Vec::new());
     writer.write_record(&head).unwrap();
-    let mut changed = 0;
     for row in reader.records() {
         let row = row.unwrap();
-        let is_meant = of(&row[place("row").unwrap()], &row[place("seed").unwrap()]) && row[at] != *value;
-        changed += usize::from(is_meant);
-        writer
-            .write_record(row.iter().enumerate().map(|(i, cell)| if is_meant && i == at { value } else { cell }))
-            .unwrap();
+        writer.write_record(head.iter().zip(&row).map(|(name, cell)| if name == column { "" } else { cell })).unwrap();
     }
-    assert!(changed > 0, "{column}");
     std::fs::write(file, writer.into_inner().unwrap()).unwrap();
 }
 
@@ -151,7 +97,6 @@ fn forged_tables_are_not_held_to_their_own_hash() {
             Sha256::digest(std::fs::read(folder.join(name)).unwrap()).iter().map(|b| format!("{b:02x}")).collect();
         format!("\"{name}\" = \"{hash}\"\n")
     };
-    let page = "results/checks/surfaces.md";
     let names = ["table.csv", "table.md", "table.tex"];
     for name in names {
         let file = folder.join(name);
@@ -159,9 +104,8 @@ fn forged_tables_are_not_held_to_their_own_hash() {
     }
     let pins: String = names.into_iter().map(pin).collect();
     std::fs::write(&provenance, before.replace("[pinned]\n", &format!("[pinned]\n{pins}"))).unwrap();
-    quote(dir.path(), page, "33.57", "geometry", "psnr_mean of NeRF");
     let said = verify(dir.path(), &[], 10);
-    assert_says(&said, &["table.csv, line", "'33.57' is quoted as psnr_mean of NeRF, which is 23.5"]);
+    assert_says(&said, &["table.csv, line"]);
     assert_says(&said, &["table.tex: provenance.toml has its hash under [pinned], but the points make it"]);
     // Curves are held to theirs where it is said why their logs are gone.
     let (start, rest) = before.split_once("[archived]").unwrap();
@@ -177,70 +121,18 @@ fn forged_tables_are_not_held_to_their_own_hash() {
     assert_says(&verify(dir.path(), &[], 10), &["rows_builtin_other.svg", "the points do not make it"]);
 }
 
-/// Tables and figures written anew from it do not make a changed `points.csv` right.
-#[test]
-fn forged_columns_are_held_to_what_decides_them() {
-    // Column, what is written there, what is said of it.
-    type Forged = [(&'static str, &'static str, &'static str)];
-    let of_nerf: &Forged = &[
-        ("steps", "6000", "steps of NeRF · builtin · seed 0 is '6000', its configuration says '3000'"),
-        ("learning_rate", "1", "learning_rate of NeRF"),
-        ("set.sampling.fine", "128", "samples_fine of NeRF"),
-        ("ssim", "", "ssim of NeRF · builtin · seed 0 is empty, which others have"),
-        ("lpips_squeeze", "", "lpips_squeeze of NeRF · fern · seed 0 is empty, which others have"),
-    ];
-    let of_aug: &Forged = &[
-        ("levels", "xyz", "levels of Aug-NeRF"),
-        ("perturb.xyz.steps", "9", "attack_numbers of Aug-NeRF"),
-        ("norms", "xyz l2", "norms of Aug-NeRF"),
-        ("inactive_levels", "rgb", "inactive_levels of Aug-NeRF"),
-        ("laplacian", "", "laplacian of Aug-NeRF"),
-    ];
-    let waits: &Forged = &[("status", "waiting", "is 'waiting', and no [[missing]]")];
-    let revision: &Forged = &[("code_revision", "deadbeef", "provenance.toml has '")];
-    for (name, forged, is_aug) in [
-        ("geometry", &of_nerf[..4], false),
-        ("smoke", of_aug, true),
-        ("tab4_fern", &of_nerf[4..], false),
-        ("geometry", waits, false),
-        ("geometry", revision, false),
-    ] {
-        let (dir, folder) = results(name);
-        for (column, value, _) in forged {
-            let of =
-                |row: &str, seed: &str| if is_aug { row.starts_with("Aug-NeRF") } else { row == "NeRF" && seed == "0" };
-            forge(&folder, column, value, of);
-        }
-        let words: Vec<&str> = forged.iter().map(|(.., words)| *words).collect();
-        assert_says(&verify(dir.path(), &["--update"], 10), &words);
-    }
-}
-
 #[test]
 fn folders_that_nothing_checks_are_wrong() {
     let (dir, _) = results("geometry");
     let foo = dir.path().join("results/foo");
     std::fs::create_dir(&foo).unwrap();
     std::fs::write(foo.join("table.csv"), "scene,row,axes,psnr_mean\nfern,NeRF,,34.10\n").unwrap();
-    let neither = "foo: neither a sweep's";
-    let quote = |page: &str, folder: &str| quote(dir.path(), page, "34.10", folder, "psnr_mean of NeRF");
-    let page = quote("results/checks/surfaces.md", "foo");
-    assert_says(&verify(dir.path(), &[], 10), &["WRONG", neither, "there is no results folder 'foo'"]);
-    // A page beside what the program makes is no folder of pages; by itself it is, and what it quotes has to be somewhere.
-    quote("results/foo/README.md", "foo");
-    assert_says(&verify(dir.path(), &[], 10), &["WRONG", neither]);
+    assert_says(&verify(dir.path(), &[], 10), &["results/foo", "WRONG", "neither a sweep's"]);
+    // A page beside what the program makes is no folder of pages; by itself it is.
+    std::fs::write(foo.join("README.md"), "A page.\n").unwrap();
+    assert_says(&verify(dir.path(), &[], 10), &["WRONG", "neither a sweep's"]);
     std::fs::remove_file(foo.join("table.csv")).unwrap();
-    std::fs::remove_file(&page).unwrap();
-    let said = verify(dir.path(), &[], 10);
-    assert!(!said.contains(neither), "{said}");
-    assert_says(&said, &["quotes.toml: there is no results folder 'foo'"]);
-    std::fs::remove_dir_all(&foo).unwrap();
-    quote("results/checks/surfaces.md", "geometry/");
-    assert_says(&verify(dir.path(), &[], 10), &["there is no results folder 'geometry/'"]);
-    // A name is that of one folder.
-    quote("results/checks/surfaces.md", "geometry");
-    copy(&dir.path().join(place("geometry")), &dir.path().join("results/a/b/geometry"));
-    assert_says(&verify(dir.path(), &[], 10), &["several results folders are called 'geometry'"]);
+    verify(dir.path(), &[], 0);
 }
 
 #[test]
@@ -289,82 +181,6 @@ fn what_is_not_kept_is_said() {
     assert_says(&verify(dir.path(), &[], 10), &["table.tex, line 1"]);
 }
 
-#[test]
-fn quoted_numbers_are_read_again() {
-    let (dir, _) = results("geometry");
-    let page = "results/checks/surfaces.md";
-    let traced = |number: &str, folder: &str| quote(dir.path(), page, number, folder, "psnr_mean of NeRF");
-    traced("23.57", "geometry");
-    assert_says(&verify(dir.path(), &[], 0), &["results/checks/surfaces.md: 1 quoted numbers"]);
-    assert_says(&verify(dir.path(), &["results/checks/geometry"], 0), &["surfaces.md: 1 quoted numbers"]);
-    assert_says(&verify(dir.path(), &["results/checks"], 0), &["surfaces.md: 1 quoted numbers"]);
-    let file = traced("23.58", "geometry");
-    for path in ["results", "results/checks", "results/checks/geometry"] {
-        let said = verify(dir.path(), &[path], 10);
-        assert_says(&said, &["results/checks/surfaces.md, line 1", "'23.58' is quoted as psnr_mean"]);
-    }
-    traced("23.57", "geometrie");
-    assert_says(&verify(dir.path(), &[], 10), &["no results folder 'geometrie'"]);
-    // A text stands on its page once.
-    traced("23.57", "geometry");
-    for (text, words) in [
-        ("NeRF has 23.57 dB.\n", ["'reaches 23.57' does not stand there", "no quote is about 1 of its numbers"]),
-        ("It reaches 23.57, it reaches 23.57.\n", ["stands there 2 times", "no quote is about 2 of its numbers"]),
-        ("", ["does not stand there", "does not stand there"]),
-    ] {
-        std::fs::write(&file, text).unwrap();
-        assert_says(&verify(dir.path(), &[], 10), &words);
-    }
-    std::fs::remove_file(&file).unwrap();
-    assert_says(&verify(dir.path(), &[], 10), &["surfaces.md: No such file"]);
-}
-
-/// Numbers that nothing traces are counted, and their count is held to.
-#[test]
-#[ignore = "slow"]
-fn a_number_does_not_lose_its_trace_in_silence() {
-    let (dir, _) = results("geometry");
-    let (page, quotes) = (dir.path().join("results/checks/surfaces.md"), dir.path().join("results/quotes.toml"));
-    std::fs::write(&page, "NeRF reaches 23.57 dB.\n").unwrap();
-    assert_says(&verify(dir.path(), &[], 0), &["not checked", "1 numbers with decimals that no quote is about"]);
-    std::fs::write(&quotes, "").unwrap();
-    let said = verify(dir.path(), &[], 10);
-    assert_says(
-        &said,
-        &["no quote is about 1 of its numbers with decimals, [untraced] of quotes.toml says 0", "Add a [[quote]]"],
-    );
-    std::fs::write(&quotes, "[untraced]\n\"results/checks/surfaces.md\" = 1\n").unwrap();
-    assert_says(&verify(dir.path(), &[], 0), &["surfaces.md: 1 numbers with decimals"]);
-    // The README above is a page, too; comments of an earlier time trace nothing.
-    std::fs::write(dir.path().join("README.md"), "NeRF reaches 23.57 dB.\n").unwrap();
-    assert_says(&verify(dir.path(), &[], 10), &["README.md: no quote is about 1"]);
-    std::fs::write(dir.path().join("README.md"), "No number.\n<!-- numbers geometry: 23.57 = a of b -->\n").unwrap();
-    assert_says(
-        &verify(dir.path(), &[], 10),
-        &["README.md, line 2: quotes.toml traces numbers; comments no longer do"],
-    );
-    std::fs::write(dir.path().join("README.md"), "").unwrap();
-    for (wrong, words) in [
-        ("[untraced]\n\"results/checks/nothing.md\" = 1\n", "nothing.md"),
-        ("[untraced]\n\"../../etc/passwd\" = 1\n", "is no page of these results"),
-    ] {
-        std::fs::write(&quotes, wrong).unwrap();
-        assert_says(&verify(dir.path(), &[], 10), &[words]);
-    }
-    std::fs::write(&quotes, "[[quotes]]").unwrap();
-    assert_says(&verify(dir.path(), &[], 3), &["quotes.toml", "unknown field"]);
-}
-
-/// The list of checks is that of the page on them.
-#[test]
-fn docs_describe_every_check() {
-    let page = text(&Path::new(ROOT).join("docs/verify.md"));
-    for check in &augnerf::sweep::verify::CHECKS {
-        let row = format!("| `{}` | {} | {} |", check.name, check.what, check.left_out);
-        assert!(page.contains(&row), "docs/verify.md lacks\n{row}");
-    }
-}
-
 /// Rows over the scenes of two committed sweeps: a scene counts once, and the files are made again.
 #[test]
 fn a_comparison_over_scenes_is_made_again() {
@@ -410,9 +226,6 @@ fn a_comparison_over_scenes_is_made_again() {
     let mean = scenes.iter().map(|row| number(row, "difference")).sum::<f64>() / 3.0;
     assert!((number(&over[0], "difference") - mean).abs() < 1e-12 && over[0]["scenes"] == "3", "{over:?}");
     assert_says(&verify(dir.path(), &["results/over"], 0), &["comparisons of 2 sweeps", "over_scenes.toml"]);
-    let right = format!("{mean:+.3}");
-    quote(dir.path(), "results/over/README.md", &right, "over", "difference of Aug-NeRF");
-    assert_says(&verify(dir.path(), &["results/over"], 0), &["over/README.md: 1 quoted numbers"]);
     // One folder, one comparison.
     let folders = ["precision", "precision_chair"].map(|name| place(name).display().to_string());
     let by_sweep = ["sweep", "across", &folders[0], &folders[1], "--row", "Aug-NeRF", "--out", "results/over"];
@@ -426,7 +239,7 @@ fn a_comparison_over_scenes_is_made_again() {
     assert_eq!(text(&csv), before);
 }
 
-/// One question to two committed sweeps: p values over the two, files that are made again, a page in the folder that quotes them.
+/// One question to two committed sweeps: p values over the two, and files that are made again.
 #[test]
 fn a_comparison_across_sweeps_is_made_again() {
     let (dir, _) = results("few_views_chair");
@@ -475,16 +288,7 @@ fn a_comparison_across_sweeps_is_made_again() {
     let p = |row: usize, column: &str| blocks[row][column].parse::<f64>().unwrap();
     assert!(blocks[2]["p_holm"].is_empty() && blocks[2]["simultaneous_low"].is_empty());
     assert_eq!(p(0, "p_holm").min(p(1, "p_holm")), 2.0 * p(0, "p").min(p(1, "p")));
-    let quote = |number: &str| quote(dir.path(), "results/both/README.md", number, "both", "difference of mip_chair");
-    let right = format!("{:+.2}", p(1, "difference"));
-    quote(&right);
-    assert_says(
-        &verify(dir.path(), &["results/both"], 0),
-        &["comparisons of 3 sweeps", "both/README.md: 1 quoted numbers"],
-    );
-    quote("+9.99");
-    assert_says(&verify(dir.path(), &["results/both"], 10), &["both/README.md, line 1", "'+9.99' is quoted"]);
-    quote(&right);
+    assert_says(&verify(dir.path(), &["results/both"], 0), &["comparisons of 3 sweeps"]);
     let csv = folder.join("across.csv");
     let (before, difference) = (text(&csv), &blocks[1]["difference"]);
     std::fs::write(&csv, before.replace(difference, "0.5")).unwrap();
@@ -527,8 +331,7 @@ fn a_comparison_across_sweeps_is_made_again() {
 #[test]
 fn what_is_not_at_hand_is_said() {
     let (dir, _) = results("mip_fern");
-    let said = verify(dir.path(), &[], 0);
-    assert_says(&said, &["scene fern: it is not below --data-root", "not checked  files    scalars.csv.gz"]);
+    assert_says(&verify(dir.path(), &[], 0), &["not checked  scalars.csv.gz"]);
     assert_says(&verify(dir.path(), &["nowhere"], 3), &["nowhere"]);
     std::fs::create_dir(dir.path().join("empty")).unwrap();
     assert_says(&verify(dir.path(), &["empty"], 3), &["holds no results"]);
@@ -537,7 +340,7 @@ fn what_is_not_at_hand_is_said() {
     assert_says(&verify(Path::new(ROOT), &["results/baselines/mip_fern", "--retrain", "1"], 2), &["git worktree add"]);
 }
 
-/// What the attack did comes out of the points' logs, is held to them, and may be quoted.
+/// What the attack did comes out of the points' logs, and is held to them.
 #[track_caller]
 fn assert_attack(dir: &Path, folder: &Path) {
     let lines = rows(&text(&folder.join("attack.csv")));
@@ -563,13 +366,6 @@ fn assert_attack(dir: &Path, folder: &Path) {
     let other = shift[..shift.len() - 1].to_string() + if shift.ends_with('1') { "2" } else { "1" };
     assert_found(dir, &folder.join("attack.csv"), shift, &other, &["WRONG", "attack.csv, line 2"]);
     assert_found(dir, &folder.join("attack_builtin.svg"), "density", "densitY", &["attack_builtin.svg, line"]);
-    let quote = |number: &str| quote(dir, "results/page.md", number, "tiny", "last.shift.xyz of Aug-NeRF");
-    let page = quote(shift);
-    assert_says(&verify(dir, &[], 0), &["page.md: 1 quoted numbers"]);
-    quote(&other);
-    assert_says(&verify(dir, &[], 10), &["is quoted as last.shift.xyz of Aug-NeRF"]);
-    std::fs::remove_file(page).unwrap();
-    std::fs::remove_file(dir.join("results/quotes.toml")).unwrap();
 }
 
 /// A sweep of a second, collected, verified, trained again.
@@ -591,12 +387,11 @@ row = [{ name = "NeRF" }, { name = "equal", set = { "field.depth" = 3 }, budget 
     let folder = dir.path().join("results/tiny");
     let said = verify(dir.path(), &["--retrain", "2"], 0);
     assert_says(&said, &["tables and figures from 6 points", "trained again, every number to the last digit"]);
-    assert!(!said.contains("step times are not kept"), "{said}");
     assert!(folder.join("curves_builtin_psnr.svg").exists() && folder.join("scalars.csv.gz").exists());
     // A measurement that is empty is none that was left out.
     let points = folder.join("points.csv");
     let kept = text(&points);
-    forge(&folder, "psnr", "", |_, _| true);
+    empty(&folder, "psnr");
     assert_says(&verify(dir.path(), &["--retrain", "2", "--update"], 10), &["psnr is '", "points.csv has ''"]);
     std::fs::write(&points, kept).unwrap();
     assert_says(&verify(dir.path(), &["--update"], 0), &["written anew"]);
@@ -610,9 +405,4 @@ row = [{ name = "NeRF" }, { name = "equal", set = { "field.depth" = 3 }, budget 
     std::fs::remove_file(folder.join("scalars.csv.gz")).unwrap();
     assert_says(&verify(dir.path(), &[], 10), &["curves_builtin_psnr.svg: the points do not make it"]);
     assert_says(&verify(dir.path(), &[], 10), &["attack.csv: the points do not make it", "attack_builtin.svg: the"]);
-    // So does the number of steps of a budget from the step times.
-    program::demand(augnerf(&["sweep", "collect", "runs/tiny"]).current_dir(dir.path()), 0);
-    verify(dir.path(), &[], 0);
-    std::fs::remove_file(folder.join("step_seconds.json")).unwrap();
-    assert_says(&verify(dir.path(), &[], 0), &["step times are not kept"]);
 }

@@ -68,17 +68,6 @@ pub fn evaluations_per_step(config: &Config) -> f64 {
     }
 }
 
-/// Counts [`evaluations_per_step`] as revisions up to 8c7f6dc did: a pass that only places samples counts as a trained
-/// one.
-pub(super) struct PlacingCountedAsTrained;
-
-impl StepCosts for PlacingCountedAsTrained {
-    fn seconds_per_step(&self, config: &Config) -> Result<f64> {
-        let (coarse, fine) = config.samples();
-        Ok(evaluations(config, 0, coarse + fine))
-    }
-}
-
 /// Returns the evaluations of a step with `placing` samples a ray that only place others, and `trained` samples.
 fn evaluations(config: &Config, placing: usize, trained: usize) -> f64 {
     let points = |samples: usize| (config.train.rays * samples) as f64;

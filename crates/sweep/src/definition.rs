@@ -260,20 +260,6 @@ impl Definition {
         if self.changed.contains_key(name) { "--set" } else { "[set]" }
     }
 
-    /// Applies the changes of the command line that another definition was made with.
-    pub(super) fn repeat_changes(&mut self, other: &Definition) -> Result<()> {
-        let of = |name: &str| other.changed.contains_key(name);
-        let set = other.changed.iter().filter(|(name, _)| ![PRESET, SCENES, SEEDS].contains(&name.as_str()));
-        self.apply(Overrides {
-            preset: of(PRESET).then(|| other.preset.clone()),
-            scenes: of(SCENES).then(|| other.scenes.clone()),
-            seeds: of(SEEDS).then(|| other.seeds.clone()),
-            set: set.map(|(name, value)| (name.split('.').map(String::from).collect(), value.clone())).collect(),
-        })?;
-        self.changed.clone_from(&other.changed);
-        Ok(())
-    }
-
     /// Returns the title with the command line's changes: `Ablation, 3,000 steps (with train.steps = 20)`.
     pub(super) fn full_title(&self) -> String {
         match self.changed_text().as_str() {

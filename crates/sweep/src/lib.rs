@@ -11,7 +11,7 @@
 
 #![warn(missing_docs)]
 
-pub(crate) use augnerf_core::{augment, base, data, methods, metrics, runtime, settings, space};
+pub(crate) use augnerf_core::{augment, base, data, metrics, runtime, settings, space};
 pub(crate) use augnerf_report::{draw, report};
 pub(crate) use augnerf_run::{compare, revision, run, train};
 

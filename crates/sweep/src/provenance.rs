@@ -27,12 +27,6 @@ pub struct Provenance {
     pub name: String,
     /// Revision of the code that made its points.
     pub code_revision: String,
-    /// Settings that this revision did not have; they are not part of the points' names.
-    #[serde(default, skip_serializing_if = "Vec::is_empty")]
-    pub settings_since: Vec<String>,
-    /// Settings whose default has changed since, with the old default.
-    #[serde(default, skip_serializing_if = "Table::is_empty")]
-    pub defaults_then: Table,
     /// Files that tables are made of and nothing makes again, with the SHA-256 that they had when they were collected.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     pub inputs: BTreeMap<String, String>,

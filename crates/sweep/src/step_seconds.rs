@@ -117,11 +117,6 @@ impl<'a> KeptCosts<'a> {
     }
 }
 
-/// Returns the step times that a folder keeps; any other is an error.
-pub fn kept_step_seconds(folder: &SweepFolder) -> Result<impl StepCosts> {
-    KeptCosts::new(folder, &Unknown)
-}
-
 impl StepCosts for KeptCosts<'_> {
     /// Measures new shapes together with the kept ones, and converts them to seconds of the kept clock.
     fn prepare(&self, configs: &[&Config]) -> Result<()> {

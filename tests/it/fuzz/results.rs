@@ -8,7 +8,7 @@ use augnerf::base::{Error, Result};
 use augnerf::report::tables::Table;
 use augnerf::run::{DepthErrors, RunDir};
 use augnerf::settings::Method;
-use augnerf::sweep::verify::{Archive, Outcome, SceneHashes, Verifier};
+use augnerf::sweep::verify::{Archive, Outcome, Verifier};
 use augnerf::sweep::{
     Collector, Definition, Point, PointFolder, PointResult, PublishedCosts, Results, StepCosts, SweepFolder,
     SweepOutputs, Trainings, expand,
@@ -23,8 +23,7 @@ use crate::sweep_run::Costs;
 
 /// All of them, their files in folders below `folder`.
 pub fn all(folder: &Path) -> Vec<Reader> {
-    let mut all = single_runs(folder);
-    all.extend(collected(folder));
+    let mut all = collected(folder);
     all.extend(points(folder));
     all.extend([depth_errors(folder), step_seconds(folder), run_lock(folder), sums(folder), extended(folder)]);
     all
@@ -44,7 +43,6 @@ fn verify(results: &Path) -> Result<()> {
         data_root: None,
         trainings: &trainings,
         runtime: runtime(),
-        scenes: Some(SceneHashes::default()),
         update: false,
         all: false,
         retrain: 0,
@@ -52,35 +50,17 @@ fn verify(results: &Path) -> Result<()> {
         any_revision: false,
         stop: &AtomicUsize::new(0),
     };
-    let findings = verifier.folder(results)?;
+    let mut lines = Vec::new();
+    verifier.verify(results, &mut |_, findings| {
+        lines.extend(findings.lines.clone());
+        Ok(())
+    })?;
     let stray = |text: &str| text.chars().any(|character| character.is_control() && !['\n', '\t'].contains(&character));
-    for line in &findings.lines {
+    for line in &lines {
         assert!(!stray(&line.text) && line.text.len() < 20_000, "no line for people: {:?}", line.text);
     }
-    let wrong = findings.lines.into_iter().find(|line| line.outcome == Outcome::Wrong);
+    let wrong = lines.into_iter().find(|line| line.outcome == Outcome::Wrong);
     wrong.map_or(Ok(()), |line| Err(Error::Mismatch(line.text)))
-}
-
-/// The files of a folder of single runs, with a page that quotes them.
-fn single_runs(folder: &Path) -> Vec<Reader> {
-    const FILES: [(&str, &str, &str); 6] = [
-        ("runs, metrics.json", "runs/a/metrics.json", seeds::METRICS),
-        ("runs, metrics.csv", "runs/a/metrics.csv", seeds::METRICS_CSV),
-        ("runs, smoothness.csv", "runs/a/smoothness.csv", "step,l1,tv\n40,0.5,0.25\n"),
-        ("runs, summary.csv", "runs/summary.csv", "run,psnr,scene,tv\na,21.5,builtin,0.25\n"),
-        ("page of results", "page.md", seeds::PAGE),
-        ("quotes of pages", "quotes.toml", seeds::QUOTES),
-    ];
-    let of_file = |(name, file, seed): (&'static str, &'static str, &'static str)| {
-        let dir = own(folder, &name.replace(' ', "_")).join("results");
-        fs::create_dir_all(dir.join("runs/a")).unwrap();
-        FILES.iter().for_each(|(_, file, content)| write(&dir.join(file), content.as_bytes()));
-        reader(name, Format::Text, vec![seed.into()], move |bytes| {
-            write(&dir.join(file), bytes);
-            verify(&dir.join("runs"))
-        })
-    };
-    FILES.map(of_file).into()
 }
 
 /// A sweep whose points are done, each with the files of its run.

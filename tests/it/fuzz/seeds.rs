@@ -283,27 +283,6 @@ pub const TIMING: &str = r#"{
 pub const CURVES: &str =
     "step,loss,psnr,test_psnr,train_psnr\n10,0.5,12.5,,\n20,0.25,15,14.5,15.5\n40,0.125,18,17.25,18.5\n";
 
-/// A run's `metrics.json` and `metrics.csv`.
-pub const METRICS: &str = r#"{
-  "mean": {"psnr": 21.5, "psnr_of_mean": 20.0, "lpips_vgg": null},
-  "views": [
-    {"name": "r_0", "psnr": 21.0, "mse": 0.015, "lpips_vgg": null},
-    {"name": "r_8", "psnr": 22.0, "mse": 0.005, "lpips_vgg": null}
-  ],
-  "protocol": {"protocol": 1, "scene": "builtin", "ndc": true}
-}
-"#;
-pub const METRICS_CSV: &str = "name,psnr,mse,lpips_vgg,scene\nr_0,21.0,0.015,,builtin\nr_8,22.0,0.005,,builtin\n";
-
-/// A page that quotes `runs`.
-pub const PAGE: &str = "# Runs\n\nNeRF reaches 21.50 dB here,\nand -21.5 elsewhere.\n\n| row | PSNR | share |\n|---|---:|---:|\n| a \u{2020} | 21.50 | 1.00 \
-    |\n";
-
-/// What traces it.
-pub const QUOTES: &str = "[untraced]\n\"results/page.md\" = 0\n\n[[quote]]\npage = \"results/page.md\"\ntext = \"reaches 21.50 dB here, and -21.5\"\n\
-    folder = \"runs\"\ncells = [\"21.50 = psnr of a\", \"-21.5 = -psnr of a\"]\n\n[[quote]]\npage = \"results/page.md\"\n\
-    text = \"| row | PSNR |\"\nfolder = \"runs\"\ncolumns = \"row | psnr | psnr / psnr of a\"\n";
-
 /// Files of cameras.
 pub const CAMERAS: [&str; 2] = [
     r#"{"camera_type": "perspective", "render_height": 12, "render_width": 16, "fps": 24, "seconds": 1, "camera_path": [

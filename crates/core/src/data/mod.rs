@@ -183,18 +183,6 @@ fn brief(number: f64) -> String {
     if plain { number.to_string() } else { format!("{number:e}") }
 }
 
-/// Returns start and end of a ray's interval as [`load`] will find them, or `None` if the scene's files state them. A Blender
-/// folder of another size than NeRF's scenes has others.
-pub fn known_bounds(config: &DataConfig) -> Option<(f64, f64)> {
-    let usual = match config.kind {
-        DataKind::Blender | DataKind::BuiltinBlender => Some((2.0, 6.0)),
-        kind if kind.forward_facing() && config.ndc => Some((0.0, 1.0)),
-        _ => None,
-    };
-    let (near, far) = (usual.map(|(near, _)| near), usual.map(|(_, far)| far));
-    config.near.or(near).zip(config.far.or(far))
-}
-
 /// Returns whether [`load`] may find a box that most cameras look at, which a hash grid then fills.
 pub fn may_have_box(config: &DataConfig) -> bool {
     match config.kind {

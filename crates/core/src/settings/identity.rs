@@ -13,11 +13,6 @@ impl Config {
         self.portable().text_hash()
     }
 
-    /// Returns the hash from a revision whose configurations did not have `settings` yet.
-    pub fn hash_without(&self, settings: &[String]) -> String {
-        self.portable().text_hash_without(settings)
-    }
-
     /// Returns everything that can change a weight or a rendered held-out view, with the rest at its defaults. The scene
     /// counts by its name, not by its folder. How often a run logs, evaluates or saves does not count, nor do surfaces and the
     /// number of training views that it measures. Neither do section `perturb` without a perturbed pass, regularizers of weight 0, and settings that the field does not read.
@@ -71,10 +66,6 @@ impl Config {
 
     /// Returns a 12-digit hash of all settings. It omits settings that are newer than old runs and at their defaults.
     pub fn text_hash(&self) -> String {
-        self.text_hash_without(&[])
-    }
-
-    fn text_hash_without(&self, settings: &[String]) -> String {
         let mut read = self.clone();
         // Every N-th was the only split of captures before the setting existed.
         read.data.split = read.data.split.filter(|split| *split != Split::Every);
@@ -88,7 +79,6 @@ impl Config {
                 remove(&mut table, path);
             }
         }
-        settings.iter().for_each(|path| remove(&mut table, path));
         short_hash(Sha256::new_with_prefix(table.to_string()))
     }
 

@@ -68,24 +68,6 @@ impl Protocol {
         OF_VIEWS.into_iter().filter_map(|name| Some((name, known(name)?))).collect()
     }
 
-    /// Returns as text the columns that a configuration decides alone, for a run that trained to its end on a scene with the
-    /// split's photos.
-    pub fn of_configuration(config: &Resolved) -> Vec<(&'static str, String)> {
-        let table = config.to_table();
-        let mut own = of_settings(config);
-        own.extend([("steps", config.train.steps.into()), ("split", split_name(config, false).into())]);
-        let decided = COLUMNS.iter().filter_map(|column| {
-            let set = column.setting().and_then(|setting| value_at(&table, &setting.path));
-            let set = set.map(|value| serde_json::to_value(value).expect("plain data"));
-            let known = own.iter().find(|(name, _)| *name == column.name).map(|(_, value)| value.clone());
-            let is_here = known.is_some() || column.setting().is_some();
-            let value = set.or(known).filter(|_| (column.applies)(config)).unwrap_or_default();
-            // The program is not a setting.
-            (is_here && column.name != "program").then(|| (column.name, cell(&value)))
-        });
-        decided.collect()
-    }
-
     /// Adds the LPIPS backbones of an evaluation.
     pub fn with_lpips(mut self, lpips: &[Lpips]) -> Protocol {
         let named = lpips.iter().map(|lpips| format!("{} {}", lpips.backbone().name(), lpips.weights_hash()));

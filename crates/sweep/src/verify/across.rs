@@ -7,7 +7,7 @@ use super::Verifier;
 use super::archive::Archive;
 use super::files::{Compared, is_spare, not_kept};
 use super::findings::Findings;
-use super::tree::{Tree, root_of};
+use super::tree::sweeps_named;
 use crate::across::{ACROSS, AcrossRequest};
 use crate::base::{Error, Result};
 use crate::folder::DEFINITION;
@@ -41,20 +41,11 @@ impl Comparison {
         let files = request.files(&across)?;
         Ok(Comparison { path: path.into(), request: (ACROSS, request.sweep.len()), files })
     }
-
-    /// The tables that pages may quote.
-    pub fn tables(&self) -> impl Iterator<Item = (&str, &[u8])> {
-        let tables = self.files.iter().filter(|(name, _)| name.ends_with(".csv"));
-        tables.filter_map(|(name, content)| match content {
-            Content::Bytes(bytes) => Some((name.as_str(), bytes.as_slice())),
-            Content::Png(_) => None,
-        })
-    }
 }
 
 /// Compares a folder's files with what the sweeps make, or, with `update`, writes what differs.
-pub fn check(verifier: &Verifier, comparison: &Comparison, findings: &mut Findings) -> Result<()> {
-    let Comparison { path, request: (request, sweeps), files } = comparison;
+pub fn check(verifier: &Verifier, path: &Path, findings: &mut Findings) -> Result<()> {
+    let Comparison { path, request: (request, sweeps), files } = &Comparison::read(path, verifier.data_root)?;
     let made: BTreeMap<String, Content> = files.iter().cloned().collect();
     let compared = Compared::new(verifier, path, made.iter(), |name| is_spare(path, name), findings)?;
     compared.report(&format!("from comparisons of {sweeps} sweeps, of which {request} has the hashes"), findings);
@@ -85,13 +76,13 @@ fn folder_of(path: &Path, request: &str, name: &str) -> Result<PathBuf> {
         return Err(Error::Data(format!("{request}: sweep '{name}' is not the name of a folder of results")));
     }
     let absolute = std::path::absolute(path).map_err(|e| Error::unreadable(path, &e))?;
-    let above = absolute.parent().unwrap_or(&absolute);
-    let beside = above.join(name);
-    let root = root_of(above)?.filter(|_| !beside.join(DEFINITION).exists());
-    let Some(tree) = root.map(|root| Tree::below(&root)).transpose()? else { return Ok(beside) };
-    match tree.named(name)[..] {
+    let beside = absolute.parent().unwrap_or(&absolute).join(name);
+    if beside.join(DEFINITION).exists() {
+        return Ok(beside);
+    }
+    match &sweeps_named(path, name)?[..] {
         [] => Ok(beside),
-        [one] => Ok(one.to_path_buf()),
+        [one] => Ok(one.clone()),
         [one, other, ..] => Err(Error::Data(format!(
             "{request}: sweep '{name}' has results in {} and in {}",
             one.display(),

@@ -47,17 +47,6 @@ impl Collected {
         })?;
         Ok(Collected { archive, table, made })
     }
-
-    /// A table as the points make it, whatever stands in the folder; as it is there, where it is held to its hash.
-    pub fn text(&self, name: &str) -> Result<Vec<u8>> {
-        match self.made.get(name) {
-            Some(content) => Ok(content.bytes()?.into_owned()),
-            None if self.archive.provenance.pinned.contains_key(name) => {
-                Ok(optional(&self.archive.path.join(name))?.unwrap_or_default())
-            }
-            None => Ok(Vec::new()),
-        }
-    }
 }
 
 /// Compares all files of a results' folder with what its points make, or, with `update`, writes what differs.

@@ -2,10 +2,13 @@
 
 use std::fmt::Display;
 
+use serde::Serialize;
+
 use crate::base::shown;
 
 /// What became of a check.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "snake_case")]
 pub enum Outcome {
     /// It holds.
     Holds,
@@ -24,42 +27,26 @@ impl Outcome {
             Outcome::Wrong => "WRONG",
         }
     }
-
-    /// The word in files for other programs.
-    pub fn key(self) -> &'static str {
-        match self {
-            Outcome::Holds => "holds",
-            Outcome::NotChecked => "not_checked",
-            Outcome::Wrong => "wrong",
-        }
-    }
 }
 
 /// One line.
-#[derive(Clone, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 pub struct Finding {
-    /// Name of the check; empty where none was made.
-    pub check: &'static str,
     /// What became of it.
     pub outcome: Outcome,
     /// What was checked, what was found, fit for a terminal.
+    #[serde(rename = "what")]
     pub text: String,
 }
 
 /// All lines of a folder.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Findings {
-    /// In the order of the checks.
+    /// In the order in which they were found.
     pub lines: Vec<Finding>,
-    check: &'static str,
 }
 
 impl Findings {
-    /// What is added from now on is found by the check of this name.
-    pub(super) fn begin(&mut self, check: &'static str) {
-        self.check = check;
-    }
-
     /// Something that holds.
     pub fn holds(&mut self, text: impl Display) {
         self.add(Outcome::Holds, text);
@@ -89,6 +76,6 @@ impl Findings {
     }
 
     fn add(&mut self, outcome: Outcome, text: impl Display) {
-        self.lines.push(Finding { check: self.check, outcome, text: shown(&text.to_string()).into_owned() });
+        self.lines.push(Finding { outcome, text: shown(&text.to_string()).into_owned() });
     }
 }

@@ -2,7 +2,6 @@
 
 use super::Verifier;
 use super::archive::Archive;
-use super::files::Collected;
 use super::findings::Findings;
 use crate::base::csv::csv_number;
 use crate::base::rng::{Random, Stream};
@@ -23,8 +22,8 @@ const OF_THE_PROGRAM: [&str; 3] = ["program", "code_revision", "device"];
 ///
 /// # Errors
 /// This program is another revision than the points', unless `any_revision`.
-pub fn check(verifier: &Verifier, sweep: &Collected, findings: &mut Findings) -> Result<()> {
-    let (archive, Verifier { runtime, stop, any_revision, retrain_seed, .. }) = (&sweep.archive, verifier);
+pub fn check(verifier: &Verifier, archive: &Archive, findings: &mut Findings) -> Result<()> {
+    let Verifier { runtime, stop, any_revision, retrain_seed, .. } = verifier;
     if verifier.retrain == 0 {
         return Ok(());
     }
