@@ -1,7 +1,6 @@
 //! `augnerf bench`.
 
 use clap::Args;
-use clap::builder::{PossibleValue, PossibleValuesParser};
 
 use crate::base::Result;
 use crate::bench::{self, Workload};
@@ -21,7 +20,7 @@ pub const EXAMPLES: &str = "Examples:
 #[command(next_help_heading = "Experiment")]
 pub struct BenchArguments {
     /// Method, as in train, or nerf with one regularizer
-    #[arg(long, default_value = "nerf", value_parser = methods())]
+    #[arg(long, default_value = "nerf", value_parser = bench::methods())]
     method: String,
     /// Rays per step [default: 1024]
     #[arg(long, value_name = "N", value_parser = whole::<u16>(1..=4096))]
@@ -67,10 +66,4 @@ impl BenchArguments {
         // Scripts rely on JSON, with or without the flag.
         self.answer.give(&timed, || print(&serde_json::to_string(&timed).expect("plain data")))
     }
-}
-
-/// Returns the names of methods; earlier names are hidden aliases.
-fn methods() -> PossibleValuesParser {
-    let names = bench::methods().into_iter();
-    names.map(|(name, before)| PossibleValue::new(name).aliases(before)).collect::<Vec<_>>().into()
 }

@@ -68,13 +68,6 @@ fn values_are_those_of_a_picture() {
     assert!(correlation.abs() < 4.0 / (shared.len() as f64).sqrt(), "{correlation} of {}", shared.len());
 }
 
-/// The settings of a run from before corruptions and MipNeRF: fields that came later must not change its hash.
-#[test]
-fn an_early_run_keeps_its_hash() {
-    let config = augnerf::settings::Config::from_toml(include_str!("../fixtures/early_config.toml"), "early").unwrap();
-    assert_eq!(config.hash(), "e574c28e283d");
-}
-
 /// Numbers that a kind does not use must not make two equal corruptions different.
 #[test]
 fn unused_numbers_have_no_say() {

@@ -17,26 +17,18 @@ use crate::train::Trainer;
 /// Steps before the timing starts.
 const WARM_UP: usize = 2;
 
-/// Former names of methods.
-const BEFORE: [(&str, &str); 2] = [("aug", "aug-nerf"), ("mip", "mip-nerf")];
-
-/// Returns the names that can be timed, each with its former name: methods, and NeRF with one regularizer.
-pub fn methods() -> Vec<(&'static str, Option<&'static str>)> {
-    let names = Method::ALL.map(Method::name).into_iter().chain(REGULARIZERS.map(Regularizer::name));
-    names.map(|name| (name, BEFORE.iter().find(|(_, now)| *now == name).map(|(before, _)| *before))).collect()
+/// Returns the names that can be timed: methods, and NeRF with one regularizer.
+pub fn methods() -> Vec<&'static str> {
+    Method::ALL.map(Method::name).into_iter().chain(REGULARIZERS.map(Regularizer::name)).collect()
 }
 
 /// Returns the setting that a name stands for.
 fn setting_of(name: &str) -> Result<String> {
-    let name = BEFORE.iter().find(|(before, _)| *before == name).map_or(name, |(_, now)| now);
     let one_of = |names: &[&str]| names.contains(&name);
     match () {
         () if one_of(&Method::ALL.map(Method::name)) => Ok(format!("method={name}")),
         () if one_of(&REGULARIZERS.map(Regularizer::name)) => Ok(format!("regularizer.kind={name}")),
-        () => {
-            let names: Vec<&str> = methods().into_iter().map(|(name, _)| name).collect();
-            Err(Error::Config(format!("--method {name} cannot be timed; choose one of {}", names.join(", "))))
-        }
+        () => Err(Error::Config(format!("--method {name} cannot be timed; choose one of {}", methods().join(", ")))),
     }
 }
 

@@ -13,7 +13,6 @@ use super::outputs::SweepOutputs;
 use super::points::Point;
 use super::provenance::Provenance;
 use super::scored::with_scored;
-use super::view::VIEW;
 use crate::report::exporters::{Collected, Content, EXPORTERS};
 use crate::report::plots::{Curve, Seeds, Shifts, Surface};
 use crate::report::statistics::mean;
@@ -57,16 +56,11 @@ pub fn check_results_place(results: &Path, name: &str, folder: &SweepFolder) -> 
     if !results.is_dir() {
         return Ok(());
     }
-    // Early versions wrote no provenance, and always into a folder of this name.
-    let is_early = || {
-        let is_named = is_inside || results.file_name().is_some_and(|own| own == name);
-        is_named && results.join("points.csv").is_file() && !results.join(VIEW).exists()
-    };
     let holds = match Provenance::read(results)? {
         Some(earlier) if is_inside || earlier.name == name => return Ok(()),
         Some(earlier) => format!("results of the sweep '{}', which those of '{name}' would replace", earlier.name),
         // Seconds of steps are taken over from there.
-        None if is_early() || !holds_files(results, &[STEP_SECONDS]) => return Ok(()),
+        None if !holds_files(results, &[STEP_SECONDS]) => return Ok(()),
         None => "files that are not results of a sweep".into(),
     };
     Err(Error::Output(format!("{} holds {holds}; name another folder with --out", results.display())))

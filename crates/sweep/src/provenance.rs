@@ -67,18 +67,7 @@ pub struct Missing {
 impl Missing {
     /// Returns whether it gives the reason why a point is not done.
     pub(super) fn names(&self, record: &Record) -> bool {
-        record.status != Status::Done && self.what.contains(&record.id) && self.is_reason()
-    }
-
-    /// Returns whether a person gives a reason.
-    pub(super) fn is_reason(&self) -> bool {
-        !self.is_of_program() && !self.why.trim().is_empty()
-    }
-
-    /// Returns whether `collect` of an earlier version wrote it: a status, which is no reason.
-    pub(super) fn is_of_program(&self) -> bool {
-        let begins = |status: &Status| self.why.starts_with(status.name());
-        self.what.starts_with("the numbers of ") && Status::ALL.iter().any(begins)
+        record.status != Status::Done && self.what.contains(&record.id) && !self.why.trim().is_empty()
     }
 }
 

@@ -18,29 +18,17 @@ use super::folder::{STEP_SECONDS, SweepFolder};
 /// Content of the file.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 struct StepSeconds {
-    /// What they were measured on, or `None` in files of earlier versions, which hold only the seconds.
+    /// What they were measured on, or `None` before anything is.
     #[serde(flatten)]
     clock: Option<Clock>,
     /// Seconds by the shapes of steps.
     seconds: BTreeMap<String, f64>,
 }
 
-/// The file in any version.
-#[derive(Deserialize)]
-#[serde(untagged)]
-enum AnyVersion {
-    Now(StepSeconds),
-    Early(BTreeMap<String, f64>),
-}
-
 impl StepSeconds {
     /// Reads the file; empty if it does not exist.
     fn read(path: &Path) -> Result<StepSeconds> {
-        let file = match read_json(path, "delete it")? {
-            Some(AnyVersion::Now(file)) => file,
-            Some(AnyVersion::Early(seconds)) => StepSeconds { clock: None, seconds },
-            None => StepSeconds::default(),
-        };
+        let file: StepSeconds = read_json(path, "delete it")?.unwrap_or_default();
         if let Some((shape, seconds)) =
             file.seconds.iter().find(|(_, seconds)| !(seconds.is_finite() && **seconds > 0.0))
         {

@@ -370,35 +370,35 @@ section! {
         pub eval_split: EvalSplit = EvalSplit::Test, numbers().columns(SPLIT);
         /// Number of views before the first held-out view, below `holdout` (LLFF, transforms, COLMAP, built-in forward
         /// scene).
-        pub holdout_offset: usize = 0, numbers().columns(SPLIT).later().same_time();
+        pub holdout_offset: usize = 0, numbers().columns(SPLIT).same_time();
         /// Of the views that are not held out, the middle one of every N becomes a validation view (0 = none).
         /// Validation views are never trained on, and are evaluated only with `eval_split = "val"`. Blender scenes come
         /// with a validation split and ignore this.
-        pub validation: usize = 0, numbers().columns(&["validation", "views_trained", "views_seen"]).later().same_time();
+        pub validation: usize = 0, numbers().columns(&["validation", "views_trained", "views_seen"]).same_time();
         /// Split of a capture with `transforms.json`: `own` (the split that its files name) or `every` (every N-th view
         /// is held out). Empty = its own split if it has one.
-        pub split: Option<Split> = None, numbers().columns(SPLIT).later().same_time();
+        pub split: Option<Split> = None, numbers().columns(SPLIT).same_time();
         /// For few-view studies: the number of training views to keep, drawn with `views_seed` (a smaller number keeps a
         /// subset of a larger one); a number and a rule, `3 even` (evenly from the first to the last, as RegNeRF) or
         /// `8 disjoint` (part number `views_seed` of a fixed order, so that two seeds share no view); or a list of
         /// names. Empty = all.
         pub train_views: Option<TrainViews> = None,
-            numbers().allowing("at least 1, such a number with even or disjoint, or a list of names, each once").columns(TRAINED).later().same_time();
+            numbers().allowing("at least 1, such a number with even or disjoint, or a list of names, each once").columns(TRAINED).same_time();
         /// Seed of the choices among views: those of `train_views`, and those that `eval.train_views` measures. It is
         /// not the run's seed, so that runs of all seeds use the same views.
         pub views_seed: u64 = 0,
-            numbers().whole(0, i64::MAX as u64, "at most 2^63 - 1").column("views_seed").later().same_time();
+            numbers().whole(0, i64::MAX as u64, "at most 2^63 - 1").column("views_seed").same_time();
         /// Background behind transparent pixels of RGBA images.
         pub background: Background = Background::White, numbers().columns(&["background"]);
         /// transforms.json and Blender: the axes of the cameras' matrices, `opengl` (y up, z back) or `opencv` (y down, z
         /// ahead).
-        pub axes: Axes = Axes::Opengl, numbers().later();
+        pub axes: Axes = Axes::Opengl, numbers();
         /// COLMAP: the model below the scene's folder that is read: `sparse/1`. Empty = the one with the most photos.
-        pub colmap_model: String = String::new(), numbers().later();
+        pub colmap_model: String = String::new(), numbers();
         /// Masks of photos: a folder below the scene's (`masks`) with an image of the photo's name, where black does not
         /// count; `beside` for instant-ngp's `dynamic_mask_NAME.png`, where white does not count; `none`. Empty = those that
         /// the capture's file names.
-        pub masks: String = String::new(), numbers().later();
+        pub masks: String = String::new(), numbers();
         /// LLFF: use rays in normalized device coordinates (NDC). For captures that go around an object see
         /// `recognise_orbits`.
         pub ndc: bool = true, numbers().columns(&["ndc"]);
@@ -408,7 +408,7 @@ section! {
         /// Captures: move and scale the scene so that the box that most cameras look at is around the origin and 3 wide, as in
         /// a Blender scene. Weights and sets with units of length then carry over from scene to scene. NDC and Blender's scenes
         /// have such units already, and stay.
-        pub rescale: bool = false, numbers().later();
+        pub rescale: bool = false, numbers();
         /// LLFF: scale poses and bounds by 1 / (bound_factor * nearest bound). 0 = do not scale.
         pub bound_factor: f64 = 0.75, numbers().real(|factor| factor >= 0.0, "0 (not scaled) or positive");
         /// LLFF: map poses to a sphere around the point they look at (for inward-facing captures).
@@ -416,7 +416,7 @@ section! {
         /// LLFF: recognize captures that go around an object. If cameras are beyond the near plane, or turn by more
         /// than 40 degrees from their mean, `ndc` is switched off and `spherify` on, and a note says so. With `false`
         /// both stay as they are set.
-        pub recognise_orbits: bool = true, numbers().columns(&["ndc"]).later().same_time();
+        pub recognise_orbits: bool = true, numbers().columns(&["ndc"]).same_time();
         /// Start of a ray's interval in scene units (0 to 1 in NDC). Empty = the scene's own: from the format (LLFF's
         /// depth bounds, 2 for Blender if that fits), or from COLMAP's points or the point that the cameras look at (`augnerf
         /// data check` prints which).
@@ -429,7 +429,7 @@ section! {
     }
     sections {
         /// Corruption of the training views.
-        pub corruption: CorruptionConfig, true;
+        pub corruption: CorruptionConfig;
     }
 }
 

@@ -17,7 +17,7 @@ section! {
         /// Number of training views that every evaluation measures as well: columns `train_psnr`, `gap` and the like (0
         /// = none). They are drawn with `data.views_seed`, and each takes as long as a held-out view. Empty = as many
         /// as held-out views.
-        pub train_views: Option<usize> = None, output().columns(&["views_seen"]).later();
+        pub train_views: Option<usize> = None, output().columns(&["views_seen"]);
         /// Folder with LPIPS weights. Empty = LPIPS is not measured.
         pub lpips_weights: String = String::new(), path().columns(&["lpips_weights"]);
         /// Number of held-out views that `train` saves as images (0 = none). Metrics always cover all views.
@@ -25,7 +25,7 @@ section! {
     }
     sections {
         /// The surface that is compared with a reference mesh.
-        pub mesh: MeshConfig, true;
+        pub mesh: MeshConfig;
     }
 }
 

@@ -81,18 +81,18 @@ section! {
         pub skips: Vec<usize> = vec![5], numbers().column("skips");
         /// How positions are encoded: `positional` (NeRF), `integrated` (MipNeRF) or `hash` (NeRF on a hash grid,
         /// section `field.hash`: one field, which places its samples by its own density).
-        pub encoding: Encoding = Encoding::Positional, numbers().column("encoding").later();
+        pub encoding: Encoding = Encoding::Positional, numbers().column("encoding");
         /// Octaves of the position's encoding (10: 63 channels; integrated, 16: 96 channels). Hash grids have none.
         pub position_octaves: usize = 10, numbers().whole(0, 20, "0 to 20").column("position_octaves");
         /// Octaves of the view direction's encoding (4: 27 channels).
         pub view_octaves: usize = 4, numbers().whole(0, 20, "0 to 20").column("view_octaves");
         /// Number of layers between the trunk and colour, which read the view direction.
-        pub view_depth: usize = 1, numbers().whole(1, 8, "1 to 8 layers").column("view_depth").later();
+        pub view_depth: usize = 1, numbers().whole(1, 8, "1 to 8 layers").column("view_depth");
         /// Width of these layers. Empty = half of `field.width`.
-        pub view_width: Option<usize> = None, numbers().whole(2, 4096, "2 to 4096 neurons").column("view_width").later();
+        pub view_width: Option<usize> = None, numbers().whole(2, 4096, "2 to 4096 neurons").column("view_width");
         /// Number of first steps in which the encodings open from low to high frequencies (FreeNeRF): octave by octave, of a
         /// hash grid level by level (0 = all open from the start).
-        pub frequency_steps: u64 = 0, numbers().column("frequency_steps").later().same_time();
+        pub frequency_steps: u64 = 0, numbers().column("frequency_steps").same_time();
         /// How weights are initialized.
         pub init: Init = Init::Glorot, numbers().column("init");
         /// The function from raw density to density.
@@ -101,12 +101,12 @@ section! {
         /// Colours reach from minus this to 1 plus this, so that 0 and 1 do not need an infinite raw colour (MipNeRF:
         /// 0.001).
         pub rgb_padding: f64 = 0.0,
-            numbers().real(|padding| (0.0..=0.5).contains(&padding), "0 to 0.5").column("rgb_padding").later();
+            numbers().real(|padding| (0.0..=0.5).contains(&padding), "0 to 0.5").column("rgb_padding");
         /// Raw colours count as at most this, and at least minus this (0 = as they are). Beyond it they keep the gradient by
         /// which they come back, and no other: colours that ran off to black or white return, and none runs off. 8 changes a
         /// colour by less than a tenth of an 8-bit step.
         pub rgb_limit: f64 = 0.0,
-            numbers().real(|limit| limit == 0.0 || (1.0..=80.0).contains(&limit), "0, or 1 to 80").column("rgb_limit").later();
+            numbers().real(|limit| limit == 0.0 || (1.0..=80.0).contains(&limit), "0, or 1 to 80").column("rgb_limit");
         /// Implementation of the networks: `fused` (if there is one for the device) or `plain` (the reference). They
         /// differ by rounding.
         pub core: Core = Core::Fused, numbers().columns(&["core"]);
@@ -114,11 +114,11 @@ section! {
         /// layers' products are f16, their sums f32. `bf16` rounds the values between layers, and the weights
         /// that multiply them, to bf16. Sums, the encoding with its products, heads and everything else stay f32. The
         /// layers' products have the same bits on every CPU; with AVX-512 BF16 they are twice as fast as in `f32`.
-        pub precision: Precision = Precision::F32, numbers().columns(&["precision"]).later();
+        pub precision: Precision = Precision::F32, numbers().columns(&["precision"]);
     }
     sections {
         /// The hash grid of a field with `encoding = "hash"`. Other encodings ignore it.
-        pub hash: HashConfig, true;
+        pub hash: HashConfig;
     }
 }
 

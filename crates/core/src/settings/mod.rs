@@ -75,26 +75,26 @@ section! {
     }
     sections {
         /// The scene.
-        pub data: DataConfig, false;
+        pub data: DataConfig;
         /// The network of a method with fields (NeRF, MipNeRF).
-        pub field: FieldConfig, false;
+        pub field: FieldConfig;
         /// Samples along a ray of a method with fields.
-        pub sampling: SamplingConfig, false;
+        pub sampling: SamplingConfig;
         /// Optimization.
-        pub train: TrainConfig, false;
+        pub train: TrainConfig;
         /// The perturbed pass. Methods without one ignore it.
-        pub perturb: PerturbConfig, false;
+        pub perturb: PerturbConfig;
         /// Terms of the loss next to the colour loss: smoothness of density, compactness along rays. Every method with
         /// a field supports them.
-        pub regularizer: RegularizerConfig, false;
+        pub regularizer: RegularizerConfig;
         /// Evaluation and its images.
-        pub eval: EvalConfig, false;
+        pub eval: EvalConfig;
         /// Scene Representation Networks. Only `method = "srn"` reads it.
-        pub srn: SrnConfig, true;
+        pub srn: SrnConfig;
         /// Neural Volumes. Only `method = "nv"` reads it.
-        pub nv: VolumeConfig, true;
+        pub nv: VolumeConfig;
         /// Local Light Field Fusion. Only `method = "llff"` reads it.
-        pub llff: PlanesConfig, true;
+        pub llff: PlanesConfig;
     }
 }
 

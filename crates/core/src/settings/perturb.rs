@@ -97,13 +97,13 @@ section! {
         /// How `lambda` moves: `constant`, `from 0 in 5000 steps` (from there to it) or `halved every 5000 steps`.
         pub lambda_schedule: WeightSchedule = WeightSchedule::Constant,
             numbers().allowing("constant, from WEIGHT (at least 0) in N steps, or halved every N steps (N at least 1)")
-                .column("lambda_schedule").later().same_time();
+                .column("lambda_schedule").same_time();
         /// Combination of the losses: `paper` (clean + lambda * perturbed) or `released`
         /// ((1 - lambda) * clean + lambda * perturbed).
         pub objective: Objective = Objective::Paper, numbers().column("objective");
         /// Entries of a hash grid that the second pass's gradient changes: `all`, or `clean` (those that the step's clean pass
         /// changes, too).
-        pub entries: ChangedEntries = ChangedEntries::All, numbers().column("entries").later();
+        pub entries: ChangedEntries = ChangedEntries::All, numbers().column("entries");
         /// Network of the perturbed pass: `shared` (the evaluated ones) or `separate` (one additional network, as in
         /// the released code).
         pub field: PerturbField = PerturbField::Shared, numbers().column("perturb_field");
@@ -124,7 +124,7 @@ section! {
         /// Samples, pixels and width that define the length of an epsilon: `sampling` (the run's own) or `paper` (those
         /// of the paper's runs, so that any run searches sets of the paper's absolute size).
         pub geometry: Geometry = Geometry::Sampling,
-            numbers().column("attack_geometry").columns(&["step_over_radius"]).later().same_time();
+            numbers().column("attack_geometry").columns(&["step_over_radius"]).same_time();
     }
     sections {}
     flat {

@@ -34,8 +34,6 @@ pub struct SectionRow {
     pub path: String,
     /// Its text.
     pub doc: String,
-    /// Newer than runs whose hash must stay. It counts in a hash only if any of it is not at its default.
-    pub later: bool,
 }
 
 /// All settings and sections, in the order of a configuration file.
@@ -52,19 +50,13 @@ impl Registry {
         self.settings.push(Setting { path, doc: one_line(doc), kind: T::kind(), optional: T::OPTIONAL, rule });
     }
 
-    pub(super) fn add_section(&mut self, path: String, doc: &[&str], later: bool) {
-        self.sections.push(SectionRow { path, doc: one_line(doc), later });
+    pub(super) fn add_section(&mut self, path: String, doc: &[&str]) {
+        self.sections.push(SectionRow { path, doc: one_line(doc) });
     }
 
     /// Returns the setting of that name.
     pub fn get(&self, path: &str) -> Option<&Setting> {
         self.settings.iter().find(|setting| setting.path == path)
-    }
-
-    /// Iterates over what is newer than runs whose hash must stay: settings, and sections as a whole.
-    pub fn later(&self) -> impl Iterator<Item = &str> {
-        let settings = self.settings.iter().filter(|setting| setting.rule.later).map(|setting| setting.path.as_str());
-        settings.chain(self.sections.iter().filter(|row| row.later).map(|row| row.path.as_str()))
     }
 
     /// Returns whether a file may hold the key: a setting or a section.
@@ -95,7 +87,7 @@ pub trait Section {
 macro_rules! describe {
     (
         $Section:ident { $($(#[doc = $doc:literal])+ $field:ident: $Type:ty, $rule:expr;)* }
-        sections { $($(#[doc = $about:literal])+ $inner:ident: $Inner:ty, $later:expr;)* }
+        sections { $($(#[doc = $about:literal])+ $inner:ident: $Inner:ty;)* }
         $(flat { $flat:ident: $Flat:ty })?
     ) => {
         impl $crate::settings::registry::Section for $Section {
@@ -107,7 +99,7 @@ macro_rules! describe {
                 })*
                 $({
                     let path = format!("{prefix}{}", stringify!($inner));
-                    registry.add_section(path.clone(), &[$($about),+], $later);
+                    registry.add_section(path.clone(), &[$($about),+]);
                     <$Inner as $crate::settings::registry::Section>::list(&format!("{path}."), registry);
                 })*
                 $(<$Flat as $crate::settings::registry::Section>::list(prefix, registry);)?
@@ -141,7 +133,6 @@ macro_rules! describe {
 }
 
 /// Declares a section: a struct whose fields have documentation, type, default and [`Rule`], then its inner sections.
-/// Each inner section says whether it is newer than runs whose hash must stay.
 macro_rules! section {
     (
         $(#[$outer:meta])*
@@ -152,7 +143,7 @@ macro_rules! section {
                 pub $field:ident: $Type:ty = $default:expr, $rule:expr;
             )*
         }
-        sections { $($(#[doc = $about:literal])+ pub $inner:ident: $Inner:ty, $later:expr;)* }
+        sections { $($(#[doc = $about:literal])+ pub $inner:ident: $Inner:ty;)* }
         $(flat {
             $(#[doc = $note:literal])+
             $(#[serde($($flatten:tt)*)])?
@@ -176,7 +167,7 @@ macro_rules! section {
 
         $crate::settings::registry::describe! {
             $Section { $($(#[doc = $doc])+ $field: $Type, $rule;)* }
-            sections { $($(#[doc = $about])+ $inner: $Inner, $later;)* }
+            sections { $($(#[doc = $about])+ $inner: $Inner;)* }
             $(flat { $flat: $Flat })?
         }
     };

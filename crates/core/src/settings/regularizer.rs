@@ -233,7 +233,7 @@ section! {
         #[serde(deserialize_with = "schedules")]
         pub schedule: Vec<WeightSchedule> = Vec::new(),
             numbers().allowing("constant, from WEIGHT (at least 0) in N steps, or halved every N steps (N at least 1)")
-                .columns(&["regularizers"]).later().same_time();
+                .columns(&["regularizers"]).same_time();
         /// Lower and upper corner of the box, in the units of the points (NDC if the scene uses it).
         pub domain: [[f64; 3]; 2] = [[-1.0; 3], [1.0; 3]], numbers().corners().columns(&["regularizer_domain"]);
         /// Cells along each side of the box (N).
@@ -251,18 +251,18 @@ section! {
         pub fields: RegularizedFields = RegularizedFields::Both, numbers().column("regularizer_fields");
         /// Share of near..far in which `occlusion` counts density. Default: 20 of 128 even samples, as FreeNeRF.
         pub occlusion_share: f64 = 0.15625,
-            numbers().real(|share| share > 0.0 && share <= 1.0, "over 0, at most 1").columns(&["regularizers"]).later().same_time();
+            numbers().real(|share| share > 0.0 && share <= 1.0, "over 0, at most 1").columns(&["regularizers"]).same_time();
         /// The rays of `distortion`, `occlusion`, `entropy`, `cauchy`, `opacity-prior` and `orientation`: `training` (the step's own), or
         /// `unseen` (`unseen_rays` of cameras without photographs).
-        pub rays: TermRays = TermRays::Training, numbers().columns(&["regularizers"]).later();
+        pub rays: TermRays = TermRays::Training, numbers().columns(&["regularizers"]);
         /// Number of unseen rays in a step, for each of single rays, pairs (`information-gain`), patches of 64
         /// (`depth-smoothness`) and rays to points (`sparse-depth`) that a term needs. Empty = `train.rays`, in whole pairs and patches.
         pub unseen_rays: Option<usize> = None,
-            numbers().whole(1, 1 << 20, "1 to 2^20, in whole pairs and patches of 64").columns(&["unseen"]).later();
+            numbers().whole(1, 1 << 20, "1 to 2^20, in whole pairs and patches of 64").columns(&["unseen"]);
         /// Cameras of unseen rays, from the training cameras alone: `box` (in the box around them, looking at what they
         /// look at), `sphere` (around that, as far and at least as high as they are) or `between` (between two of them).
         /// Empty = box for forward-facing scenes, sphere for Blender's, between for captures.
-        pub unseen_poses: Option<UnseenPoses> = None, numbers().columns(&["unseen"]).later().same_time();
+        pub unseen_poses: Option<UnseenPoses> = None, numbers().columns(&["unseen"]).same_time();
     }
     sections {}
 }

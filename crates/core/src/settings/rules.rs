@@ -41,8 +41,6 @@ pub struct Rule {
     pub column: Option<&'static str>,
     /// Other columns of the protocol that depend on it.
     pub columns: &'static [&'static str],
-    /// Newer than runs whose hash must stay. It counts in a hash only if it is not at its default.
-    pub later: bool,
     /// It does not change the time of a step.
     pub same_time: bool,
     /// Its key, if this is not the field's name.
@@ -50,16 +48,7 @@ pub struct Rule {
 }
 
 const fn rule(effect: Effect) -> Rule {
-    Rule {
-        effect,
-        range: Range::Any,
-        allowed: "",
-        column: None,
-        columns: &[],
-        later: false,
-        same_time: false,
-        key: None,
-    }
+    Rule { effect, range: Range::Any, allowed: "", column: None, columns: &[], same_time: false, key: None }
 }
 
 /// Returns the rule of a setting that can change a weight or a metric.
@@ -122,11 +111,6 @@ impl Rule {
     /// Iterates over all columns of the protocol that depend on the setting.
     pub fn all_columns(&self) -> impl Iterator<Item = &'static str> {
         self.column.into_iter().chain(self.columns.iter().copied())
-    }
-
-    /// Marks the setting as newer than runs whose hash must stay.
-    pub const fn later(self) -> Rule {
-        Rule { later: true, ..self }
     }
 
     /// Marks the setting as one that does not change the time of a step.

@@ -44,19 +44,19 @@ section! {
         /// MipNeRF and hash grids: added to the blurred weights from which the fine pass draws its intervals.
         pub resample_padding: f64 = 0.01,
             numbers().real(|padding| padding > 0.0, "positive: where all weights are 0, intervals are drawn from it alone")
-                .column("resample_padding").later().same_time();
+                .column("resample_padding").same_time();
         /// The quantity in which the coarse samples are evenly spaced: `depth`, or `disparity` (1 / depth) for bounds
         /// that are far apart without NDC.
-        pub spacing: Spacing = Spacing::Depth, numbers().column("spacing").later().same_time();
+        pub spacing: Spacing = Spacing::Depth, numbers().column("spacing").same_time();
         /// Number of first steps in which the samples of training spread from a part of the ray to all of it (RegNeRF; 0 =
         /// all from the start).
-        pub anneal_steps: u64 = 0, numbers().columns(ANNEAL).later().same_time();
+        pub anneal_steps: u64 = 0, numbers().columns(ANNEAL).same_time();
         /// The part's share of the ray in the first step.
         pub anneal_start: f64 = 0.5,
-            numbers().real(is_share_above_0, "above 0, at most 1").columns(ANNEAL).later().same_time();
+            numbers().real(is_share_above_0, "above 0, at most 1").columns(ANNEAL).same_time();
         /// Where the part is: the place from near (0) to far (1) that it grows from.
         pub anneal_middle: f64 = 0.5,
-            numbers().real(|place| (0.0..=1.0).contains(&place), "0 (near) to 1 (far)").columns(ANNEAL).later().same_time();
+            numbers().real(|place| (0.0..=1.0).contains(&place), "0 (near) to 1 (far)").columns(ANNEAL).same_time();
         /// Jitter samples in training.
         pub jitter: bool = true, numbers().column("jitter");
         /// Standard deviation of the noise on raw density in training. Empty = 1 for forward-facing scenes, 0

@@ -44,7 +44,6 @@ enum Kind {
     Uniform,
     BestCase,
     Permuted,
-    #[serde(alias = "clean")]
     FreshJitter,
 }
 

@@ -111,7 +111,7 @@ impl Section for PerSite<SiteConfig> {
         registry.add::<Option<Vec<Level>>>(format!("{prefix}levels"), &[doc], numbers().columns(&["levels"]));
         for site in Site::ALL {
             let (about, path) = (site.about(), format!("{prefix}{}", site.name()));
-            registry.add_section(path.clone(), &[&format!("Site: {}; epsilon in {}.", about.what, about.unit)], false);
+            registry.add_section(path.clone(), &[&format!("Site: {}; epsilon in {}.", about.what, about.unit)]);
             SiteConfig::list(&format!("{path}."), registry);
         }
     }

@@ -79,43 +79,42 @@ section! {
         /// Initial learning rate of Adam.
         pub learning_rate: f64 = 5e-4, numbers().real(is_positive, "positive").columns(RATE).same_time();
         /// Adam's beta 2, the decay of squared gradients (0.99 for hash grids).
-        pub adam_beta2: f64 = 0.999, numbers().real(is_memory, "at least 0, below 1").columns(&["adam"]).later().same_time();
+        pub adam_beta2: f64 = 0.999, numbers().real(is_memory, "at least 0, below 1").columns(&["adam"]).same_time();
         /// Adam's epsilon, added to the divisor (1e-15 for hash grids, whose gradients are small).
-        pub adam_epsilon: f64 = 1e-8, numbers().real(is_positive, "positive").columns(&["adam"]).later().same_time();
+        pub adam_epsilon: f64 = 1e-8, numbers().real(is_positive, "positive").columns(&["adam"]).same_time();
         /// Decay of layers' weights, apart from Adam's step (AdamW): each update multiplies them by 1 minus this times the
         /// learning rate. Tables of hash grids have `regularizer.kind = "hash-decay"`.
-        pub weight_decay: f64 = 0.0, numbers().real(is_limit, "0 (off) or positive").columns(&["adam"]).later().same_time();
+        pub weight_decay: f64 = 0.0, numbers().real(is_limit, "0 (off) or positive").columns(&["adam"]).same_time();
         /// Largest absolute value of an entry of the gradient (0 = no limit).
-        pub clip_value: f64 = 0.0, numbers().real(is_limit, "0 (off) or positive").columns(CLIP).later();
+        pub clip_value: f64 = 0.0, numbers().real(is_limit, "0 (off) or positive").columns(CLIP);
         /// Largest norm of the gradient over all parameters, after `clip_value` (0 = no limit).
-        pub clip_norm: f64 = 0.0, numbers().real(is_limit, "0 (off) or positive").columns(CLIP).later();
+        pub clip_norm: f64 = 0.0, numbers().real(is_limit, "0 (off) or positive").columns(CLIP);
         /// Sharpness-aware steps: the gradient is taken at parameters that moved this far (0 = off; 0.05 is usual). A step
         /// then takes about twice as long.
-        pub sam_radius: f64 = 0.0, numbers().real(is_limit, "0 (off) or positive").columns(SAM).later();
+        pub sam_radius: f64 = 0.0, numbers().real(is_limit, "0 (off) or positive").columns(SAM);
         /// Where the parameters move: up the step's `gradient`, or as far in a `random` direction.
-        pub sam_direction: SamDirection = SamDirection::Gradient, numbers().columns(SAM).later().same_time();
+        pub sam_direction: SamDirection = SamDirection::Gradient, numbers().columns(SAM).same_time();
         /// Gradients of samples closer to the camera than one scene unit are multiplied by their distance squared
         /// (Philip and Deschaintre 2023). Not with NDC, where t is no distance.
-        pub gradient_scaling: bool = false, numbers().column("gradient_scaling").later();
+        pub gradient_scaling: bool = false, numbers().column("gradient_scaling");
         /// Weight of the coarse pass's loss; the fine pass's is 1 (1 for NeRF, 0.1 for MipNeRF; hash grids have no
         /// coarse loss).
         pub coarse_weight: f64 = 1.0,
-            numbers().real(is_positive, "positive").column("coarse_weight").later().same_time();
+            numbers().real(is_positive, "positive").column("coarse_weight").same_time();
         /// How the learning rate falls: `exponential` or `log-linear`.
-        pub schedule: Schedule = Schedule::Exponential, numbers().columns(RATE).later().same_time();
+        pub schedule: Schedule = Schedule::Exponential, numbers().columns(RATE).same_time();
         /// `log-linear`: the learning rate at the last step.
         pub final_learning_rate: f64 = 5e-6,
-            numbers().real(is_positive, "positive").columns(RATE).later().same_time();
+            numbers().real(is_positive, "positive").columns(RATE).same_time();
         /// `log-linear`: share of the steps in which the rate warms up.
         pub warmup_share: f64 = 0.0025,
             numbers()
                 .real(|share| (0.0..=1.0).contains(&share), "0 (no warm-up) to 1")
                 .column("warmup_share")
-                .later()
                 .same_time();
         /// `log-linear`: factor on the rate at the first step.
         pub warmup_from: f64 = 0.01,
-            numbers().real(is_share_above_0, "above 0, at most 1").column("warmup_from").later().same_time();
+            numbers().real(is_share_above_0, "above 0, at most 1").column("warmup_from").same_time();
         /// `exponential`: factor on the learning rate per `decay_steps`, applied continuously.
         pub decay_rate: f64 = 0.1, numbers().real(is_positive, "positive").columns(RATE).same_time();
         /// Steps per factor of `decay_rate`. Empty = 250,000 for forward-facing scenes, 500,000 otherwise.
@@ -131,7 +130,7 @@ section! {
         /// Steps between two evaluations during training (0 = only at the end).
         pub eval_every: u64 = 0, work();
         /// Evaluations during training render every N-th pixel of a view in each direction (1 = all).
-        pub eval_stride: usize = 1, work().whole(1, 1000, "1 to 1000").later().same_time();
+        pub eval_stride: usize = 1, work().whole(1, 1000, "1 to 1000").same_time();
         /// Steps between two checkpoints (0 = by time only).
         pub checkpoint_every: u64 = 10_000, work();
         /// Minutes between two checkpoints (0 = by steps only).
@@ -143,7 +142,7 @@ section! {
             numbers().real(|share| (0.0..1.0).contains(&share), "0 (off) to below 1").column("dead_start_share");
         /// The origin of the initial weights, if they are not random: another run's hash and step, or the hash of a
         /// file. `train --from` and `import` set it; it cannot be set otherwise.
-        pub parent: Option<String> = None, numbers().column("parent").later().same_time();
+        pub parent: Option<String> = None, numbers().column("parent").same_time();
         /// Number of steps after which a run counts as collapsed if every ray accumulates less than 1e-3, or all rays have
         /// one colour and their photos have not (0 = never; a point of a sweep then counts with the PSNR that it has).
         pub collapse_steps: u64 = 200, numbers();

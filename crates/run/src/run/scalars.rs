@@ -19,8 +19,6 @@ const STEP: &str = "step";
 pub struct Scalars {
     path: PathBuf,
     columns: Vec<String>,
-    /// Columns newer than the program that started the table; their values are not kept.
-    later: Vec<String>,
     writer: csv::Writer<File>,
 }
 
@@ -34,28 +32,24 @@ impl Scalars {
     }
 
     /// Continues a table at `step`, the step of the checkpoint. Later rows and an unfinished last line are cut off. A
-    /// missing file is created. A table of an older program keeps its columns if they are some of `columns` in the
-    /// same order; otherwise it is an error.
+    /// missing file is created. Other columns are an error.
     pub fn resume(path: &Path, columns: &[&str], step: u64) -> Result<Scalars> {
         if !path.exists() {
             return Scalars::create(path, columns);
         }
         check_columns(path, columns)?;
         let bytes = read_bytes(path, TABLE_BYTES).map_err(|error| Error::unreadable(path, &error))?;
-        let found = columns_of(&bytes, columns);
-        let known = found.as_deref().unwrap_or(columns);
-        let kept = rows_up_to(&bytes, &header(known), known.len(), step)
+        let kept = rows_up_to(&bytes, &header(columns), columns.len(), step)
             .map_err(|reason| Error::Checkpoint(format!("cannot continue {}: {reason}", path.display())))?;
         write_atomic(path, &kept)?;
-        let later = columns.iter().filter(|column| !known.contains(column)).map(|column| column.to_string()).collect();
-        Ok(Scalars { later, ..Scalars::open(path, known)? })
+        Scalars::open(path, columns)
     }
 
     fn open(path: &Path, columns: &[&str]) -> Result<Scalars> {
         let file = File::options().append(true).open(path).map_err(|error| Error::unwritable(path, &error))?;
         let writer = csv::WriterBuilder::new().has_headers(false).from_writer(file);
         let columns = columns.iter().map(|column| column.to_string()).collect();
-        Ok(Scalars { path: path.to_path_buf(), columns, later: Vec::new(), writer })
+        Ok(Scalars { path: path.to_path_buf(), columns, writer })
     }
 
     /// Appends the row of `step`. Columns that `values` does not name stay empty. A number that is not finite is an
@@ -63,7 +57,7 @@ impl Scalars {
     pub fn append(&mut self, step: u64, values: &[(&str, f64)]) -> Result<()> {
         let mut cells = vec![String::new(); self.columns.len() + 1];
         cells[0] = step.to_string();
-        for &(name, value) in values.iter().filter(|(name, _)| !self.later.iter().any(|later| later == name)) {
+        for &(name, value) in values {
             let column = self.columns.iter().position(|column| column == name).ok_or_else(|| {
                 Error::Output(format!(
                     "cannot write {}: it has no column '{name}', only {}",
@@ -112,15 +106,6 @@ fn check_columns(path: &Path, columns: &[&str]) -> Result<()> {
 fn header(columns: &[&str]) -> String {
     let names: Vec<&str> = std::iter::once(STEP).chain(columns.iter().copied()).collect();
     names.join(",") + "\n"
-}
-
-/// Returns the columns of a table if they are some of `columns` in the same order. Returns `None` for other columns or
-/// an incomplete first line.
-fn columns_of<'a>(bytes: &[u8], columns: &[&'a str]) -> Option<Vec<&'a str>> {
-    let line = &bytes[..bytes.iter().position(|&byte| byte == b'\n')?];
-    let found: Vec<&str> = std::str::from_utf8(line).ok()?.split(',').skip(1).collect();
-    let kept: Vec<&str> = columns.iter().copied().filter(|column| found.contains(column)).collect();
-    (kept == found && !kept.is_empty()).then_some(kept)
 }
 
 /// Returns the bytes of a table without rows after step `last` and without an unfinished line.
@@ -191,17 +176,6 @@ mod tests {
             write_steps(&mut Scalars::resume(&broken, &COLUMNS, 10).unwrap(), 11..=20);
             assert_eq!(fs::read(&broken).unwrap(), fs::read(&straight).unwrap(), "killed after {length} bytes");
         }
-    }
-
-    #[test]
-    fn a_table_that_an_older_program_began_goes_on_with_its_own_columns() {
-        let dir = tempfile::tempdir().unwrap();
-        let path = dir.path().join("scalars.csv");
-        write_steps(&mut Scalars::create(&path, &COLUMNS).unwrap(), 1..=3);
-        let mut table = Scalars::resume(&path, &["loss", "later", "psnr/train", "shift.t"], 2).unwrap();
-        table.append(3, &[("loss", 0.5), ("later", 7.0), ("shift.t", 8.0), ("psnr/train", 20.0)]).unwrap();
-        assert!(table.append(4, &[("lost", 1.0)]).is_err());
-        assert_eq!(fs::read_to_string(&path).unwrap(), "step,loss,psnr/train\n1,1,\n2,0.5,\n3,0.5,20\n");
     }
 
     #[test]

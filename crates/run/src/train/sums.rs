@@ -1,5 +1,4 @@
-//! `SHA256SUMS`: checksums of a checkpoint's files, readable by `sha256sum -c`. Checkpoints of earlier versions have
-//! none and are read without the check.
+//! `SHA256SUMS`: checksums of a checkpoint's files, readable by `sha256sum -c`.
 
 use std::io;
 use std::path::Path;
@@ -30,7 +29,9 @@ pub(super) fn read(folder: &Path, name: &str) -> io::Result<std::result::Result<
     let Some(bytes) = absent_is_none(read_bytes(&folder.join(name), TENSORS_BYTES))? else {
         return Ok(Err("it is missing".into()));
     };
-    let Some(sums) = absent_is_none(read_bytes(&folder.join(SUMS), TEXT_BYTES))? else { return Ok(Ok(bytes)) };
+    let Some(sums) = absent_is_none(read_bytes(&folder.join(SUMS), TEXT_BYTES))? else {
+        return Ok(Err(format!("{SUMS} is missing")));
+    };
     let expected = format!("{}  {name}", sha256(&bytes));
     let known = sums.split(|byte| *byte == b'\n').any(|line| line == expected.as_bytes());
     Ok(if known { Ok(bytes) } else { Err(format!("its bytes do not match {SUMS}")) })
