@@ -223,7 +223,11 @@ mod tests {
             assert_eq!(set(preset, texts).hash(), hash, "{preset:?} {texts:?}");
         }
         let defaults = Config::default().to_table().to_string();
-        assert_eq!(short_hash(Sha256::new_with_prefix(defaults)), "c844a152488c", "raise SCHEME, unless a setting was only added");
+        assert_eq!(
+            short_hash(Sha256::new_with_prefix(defaults)),
+            "c844a152488c",
+            "raise SCHEME, unless a setting was only added"
+        );
     }
 
     #[test]
