@@ -174,11 +174,6 @@ pub fn settings_file(toml: &str) -> Result<NamedTempFile> {
 }
 
 impl Experiment {
-    /// Returns whether `--data` names a scene.
-    pub fn names_scene(&self) -> bool {
-        self.data.is_some()
-    }
-
     /// Returns whether the command line says how long to train: by a preset, a file or a number of steps.
     pub fn names_length(&self) -> bool {
         let steps = |text: &String| text.split_once('=').is_some_and(|(path, _)| path.trim() == "train.steps");

@@ -12,7 +12,6 @@ use crate::data::{Photos, seen_views};
 use crate::metrics::{Backbone, FLOOR_PSNR, LPIPS, PSNR, SSIM};
 use crate::run::{
     Estimate, Existing, Finished, Job, RunDir, Setup, check_replaceable, load_lpips, load_scene, load_scene_of,
-    settings_to_go_on,
 };
 use crate::runtime::Runtime;
 use crate::settings::Config;
@@ -94,8 +93,7 @@ impl TrainArguments {
 
     fn train(&self, runtime: &Runtime, console: &Console) -> Result<()> {
         // Restarted weights on another scene bring none of their own scene's settings.
-        let elsewhere = self.restart && self.experiment.names_scene();
-        let parent = self.from.as_deref().map(|run| Parent::open(run, elsewhere)).transpose()?;
+        let parent = self.from.as_deref().map(Parent::open).transpose()?;
         let base = parent.as_ref().map_or_else(Base::default, |parent| parent.base(self.restart));
         let config = self.experiment.config_over(base, &self.weights, console)?;
         if let Some(parent) = parent.as_ref().filter(|_| !self.restart && !self.print_config) {
@@ -177,14 +175,14 @@ struct Parent {
 }
 
 impl Parent {
-    /// Opens a run; `elsewhere` says that its weights go to another scene.
-    fn open(run: &Path, elsewhere: bool) -> Result<Parent> {
+    /// Opens a run.
+    fn open(run: &Path) -> Result<Parent> {
         let run = RunDir::take_to_read(run)?;
         let checkpoint = checkpoint::latest(&run.checkpoints())?;
         let state = checkpoint::load_state(&checkpoint)?;
         let own = run.read_config()?;
         checkpoint::check_config(&checkpoint, &state, &own)?;
-        let config = settings_file(&if elsewhere { own } else { settings_to_go_on(&run)? }.to_toml())?;
+        let config = settings_file(&own.to_toml())?;
         Ok(Parent { run, config, checkpoint, state })
     }
 

@@ -5,44 +5,14 @@ use std::path::{Path, PathBuf};
 
 use augnerf::data::npy::read_array;
 use augnerf::data::pose::Pose;
-use augnerf::data::{Photos, Scene, View};
-use augnerf::run::{RunDir, load_scene, load_scene_of, settings_to_go_on};
-use augnerf::settings::{Axes, Config, DataKind, Extent, PixelOrigin, Resolved, Split, scene_name};
+use augnerf::data::{Scene, View};
+use augnerf::settings::Axes;
 use serde_json::{Value, json};
 use tempfile::TempDir;
 
 use crate::captures::Folder;
-use crate::colmap::arc;
 use crate::common::files::{json as read_json, text};
 use crate::common::program::{refuse, succeed};
-
-/// A draft for a scene's folder.
-fn draft(dir: &Path) -> Config {
-    let mut config = Config::default();
-    config.data.dir = dir.display().to_string();
-    config.data.downscale = Some(1);
-    config
-}
-
-/// What version 0.1.0 made of it: bounds are not filled in, pixels count from their corners.
-fn early(dir: &Path, kind: DataKind, [near, far]: [f64; 2]) -> Config {
-    let mut config = draft(dir);
-    (config.data.name, config.data.pixel_origin) = (scene_name(&config.data), Some(PixelOrigin::Corner));
-    config.resolve(kind, Extent { near, far, domain: None, pixels: 16 }).unwrap().into_draft()
-}
-
-/// The folder of a run of these settings that has a checkpoint, and no `scene.json`: version 0.1.0 wrote none.
-fn begun(config: &Config) -> (TempDir, RunDir) {
-    let dir = TempDir::new().unwrap();
-    fs::write(dir.path().join("config.toml"), config.to_toml()).unwrap();
-    fs::create_dir_all(dir.path().join("checkpoints/step_000000002")).unwrap();
-    let run = RunDir::open(dir.path()).unwrap();
-    (dir, run)
-}
-
-fn again(run: &RunDir) -> (Resolved, Scene) {
-    load_scene_of(run, run.read_config().unwrap(), Photos::Read, &()).unwrap()
-}
 
 fn train(data: &Path, out: &Path, further: &[&str]) {
     let sets =
@@ -173,36 +143,6 @@ fn a_photograph_that_is_gone_moves_no_other() {
     assert!(name(&folder.load(|_| {})));
     fs::remove_file(folder.path().join("other/2.png")).unwrap();
     assert!(name(&folder.load(|_| {})));
-}
-
-/// Version 0.1.0 knew no bounds from cameras, no author's split and no orbits.
-#[test]
-fn runs_of_earlier_versions_keep_their_coordinates() {
-    let folder = Folder::new(17).with("test_filenames", json!(["images/3.png"]));
-    folder.load(|_| {});
-    let old = early(folder.path(), DataKind::Transforms, [0.05, 6.0]);
-    let (_dir, run) = begun(&old);
-    let (config, scene) = again(&run);
-    assert_eq!((scene.bounds(), scene.test.len(), config.hash()), ((0.05, 6.0), 3, old.hash()));
-    let (today, now) = load_scene(draft(folder.path()), &()).unwrap();
-    assert!(today.data.split == Some(Split::Own) && now.test.len() == 1 && now.bounds() != (0.05, 6.0));
-    // Of one that was killed before its first checkpoint nothing was trained.
-    let (killed, none) = begun(&old);
-    fs::remove_dir_all(killed.path().join("checkpoints")).unwrap();
-    assert_eq!(again(&none).1.bounds(), now.bounds());
-    // So does a run that goes on from it.
-    let next = settings_to_go_on(&run).unwrap();
-    assert_eq!((next.data.split, next.data.near, next.data.far), (Some(Split::Every), Some(0.05), Some(6.0)));
-    assert_eq!(load_scene(next, &()).unwrap().1.hash(), scene.hash());
-
-    let orbit = TempDir::new().unwrap();
-    arc(orbit.path(), 90.0);
-    let old = early(orbit.path(), DataKind::Llff, [0.0, 1.0]);
-    let (_dir, run) = begun(&old);
-    let (config, scene) = again(&run);
-    assert!(config.data.ndc && !config.data.spherify && scene.ndc.is_some() && config.hash() == old.hash());
-    assert!(load_scene(draft(orbit.path()), &()).unwrap().1.ndc.is_none());
-    assert!(load_scene(settings_to_go_on(&run).unwrap(), &()).unwrap().1.ndc.is_some());
 }
 
 /// What others are given tells nothing of where things lie here, and they name the scene.

@@ -12,7 +12,7 @@ use crate::base::files::{
 use crate::base::input::{TEXT_BYTES, read_text};
 use crate::base::{Error, Result};
 use crate::runtime::Timing;
-use crate::settings::{Config, DataKind, Split};
+use crate::settings::Config;
 use crate::train::checkpoint;
 
 use super::lock::{LOCK, RunLock};
@@ -164,12 +164,7 @@ impl RunDir {
                 path.display()
             )));
         }
-        let mut config = Config::from_toml(&text, &path.display().to_string())?;
-        if config.data.kind == DataKind::Transforms {
-            // The files' own split was settled when the run started; earlier versions had none.
-            config.data.split.get_or_insert(Split::Every);
-        }
-        Ok(config)
+        Config::from_toml(&text, &path.display().to_string())
     }
 
     /// Reads the time of earlier sessions, or returns `None` before the first checkpoint.

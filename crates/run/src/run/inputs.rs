@@ -9,9 +9,9 @@ use crate::data::formats::llff::settle_orbit;
 use crate::data::formats::transforms;
 use crate::data::{self, Photos, Scene};
 use crate::metrics::{Backbone, Lpips};
-use crate::settings::{Config, DataConfig, DataKind, Located, NO_REFERENCE, Resolved, Spacing, Split, scene_name};
+use crate::settings::{Config, DataKind, Located, NO_REFERENCE, Resolved, Spacing, Split, scene_name};
 
-use super::scene_file::{RecordedScene, is_early};
+use super::scene_file::RecordedScene;
 use super::{RunDir, builtin_surface};
 
 /// Finds kind and location of the scene, and fills the settings that depend on them.
@@ -86,13 +86,12 @@ pub fn load_scene(config: Config, events: &dyn Listener) -> Result<(Resolved, Sc
 pub fn load_scene_with(config: Config, photos: Photos, events: &dyn Listener) -> Result<(Resolved, Scene)> {
     let (located, orbit) = locate(config)?;
     orbit.iter().for_each(|words| events.on(Event::Note(words)));
-    let mut scene = load(&located, &located.data, photos, events)?;
+    let mut scene = load(&located, photos, events)?;
     scene.space.notes.extend(orbit.map(|words| ("orbit", words)));
     Ok((located.resolve(scene.extent()), scene))
 }
 
-/// Loads the scene of a run's own settings as it was at the run's start. What was settled then, maybe by an earlier
-/// version, is not settled again. `config` may name another folder or other views to evaluate.
+/// Loads the scene of a run's own settings as it was at the run's start. What was settled then is not settled again. `config` may name another folder or other views to evaluate.
 ///
 /// # Errors
 /// Those of [`load_scene`]; the scene has changed since ([`Error::Data`]).
@@ -101,35 +100,14 @@ pub fn load_scene_of(run: &RunDir, config: Config, photos: Photos, events: &dyn 
     let config = find(config)?;
     let kind = config.data.kind;
     let located = config.locate(kind)?;
-    let mut as_begun = located.data.clone();
-    seen.keep_early_bounds(&mut as_begun);
-    let mut scene = load(&located, &as_begun, photos, events)?;
-    seen.restore_bounds(&mut scene, &located.data);
+    let scene = load(&located, photos, events)?;
     seen.check(&scene, &located.data, begun.eval_split == located.data.eval_split)?;
     Ok((located.resolve(scene.extent()), scene))
 }
 
-/// Returns a run's settings for another run that continues in its coordinates. Values that an earlier version settled
-/// differently are set.
-///
-/// # Errors
-/// Settings or `scene.json` cannot be read.
-pub fn settings_to_go_on(run: &RunDir) -> Result<Config> {
-    let mut config = run.read_config()?;
-    let bounds = RecordedScene::of(run)?.bounds(&config.data);
-    if let Some((near, far)) = bounds.filter(|bounds| config.data.kind == DataKind::Transforms && is_early(*bounds)) {
-        config.data.near.get_or_insert(near);
-        config.data.far.get_or_insert(far);
-    }
-    if settle_orbit(&mut config.data.clone()).is_some() {
-        config.data.recognise_orbits = false;
-    }
-    Ok(config)
-}
-
-/// Loads a located scene by its settings, or by those that a run began with.
-fn load(located: &Located, settings: &DataConfig, photos: Photos, events: &dyn Listener) -> Result<Scene> {
-    let mut scene = data::load_with(settings, located.seed, photos, events)?;
+/// Loads a located scene.
+fn load(located: &Located, photos: Photos, events: &dyn Listener) -> Result<Scene> {
+    let mut scene = data::load_with(&located.data, located.seed, photos, events)?;
     scene.name.clone_from(&located.data.name);
     check_spacing(located, &scene)?;
     Ok(scene)

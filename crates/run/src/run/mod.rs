@@ -43,7 +43,7 @@ pub use evaluate::{EVALUATING, RenderedView, Viewer};
 pub use exchange::{Foreign, Networks, export};
 pub use first_view::{FirstView, read_picture};
 pub use folder::{Existing, RunDir, check_replaceable};
-pub use inputs::{load_lpips, load_scene, load_scene_of, load_scene_with, locate_scene, settings_to_go_on};
+pub use inputs::{load_lpips, load_scene, load_scene_of, load_scene_with, locate_scene};
 pub use job::watch_memory;
 pub use job::{Audience, Estimate, Finished, Job, Setup};
 pub use mesh::{MeshFormat, MeshOptions, MeshReport, MeshUnits};

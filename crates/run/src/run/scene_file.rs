@@ -7,10 +7,9 @@ use serde::{Deserialize, Serialize};
 
 use crate::base::files::{read_json, write_json};
 use crate::base::{Error, Result, first_names};
-use crate::data::formats::{blender, transforms};
 use crate::data::{Scene, View, WorldToScene};
 use crate::revision::revision;
-use crate::settings::{DataConfig, DataKind};
+use crate::settings::DataConfig;
 use crate::train::checkpoint;
 
 use super::{RunDir, protocol};
@@ -53,17 +52,14 @@ struct SceneFile {
     near: f64,
     far: f64,
     ndc: bool,
-    /// The colour behind transparent pixels, as the protocol names it; missing in files of earlier versions.
-    #[serde(default)]
-    background: Option<String>,
+    /// The colour behind transparent pixels, as the protocol names it.
+    background: String,
     /// The box that most cameras look at, scene units; `null` if unknown.
     #[serde(rename = "box")]
     domain: Option<[[f64; 3]; 2]>,
     /// Choices of the reader, with reasons.
     notes: serde_json::Map<String, serde_json::Value>,
-    /// Names of the training and evaluated views; missing in files of earlier versions.
-    #[serde(default)]
-    views: Option<Views>,
+    views: Views,
 }
 
 /// Names of views.
@@ -88,10 +84,10 @@ pub(super) fn write(path: &Path, scene: &Scene) -> Result<()> {
             near: *near,
             far: *far,
             ndc: ndc.is_some(),
-            background: Some(protocol::background(scene).into()),
+            background: protocol::background(scene).into(),
             domain: space.domain,
             notes,
-            views: Some(Views { trained: names(&scene.train), evaluated: names(&scene.test) }),
+            views: Views { trained: names(&scene.train), evaluated: names(&scene.test) },
         },
     )
 }
@@ -100,19 +96,10 @@ fn names(views: &[View]) -> Vec<String> {
     views.iter().map(|view| view.name.clone()).collect()
 }
 
-/// Returns whether rays have the fixed ends of earlier versions, which captures with a `transforms.json` had before
-/// the cameras decided them.
-pub(super) fn is_early((near, far): (f64, f64)) -> bool {
-    [near, far] == transforms::BOUNDS
-}
-
 /// The scene as a run loaded it when it started.
 pub(super) struct RecordedScene {
     file: PathBuf,
     recorded: Option<SceneFile>,
-    /// An earlier version trained the run and wrote no such file. A run that was killed before writing it has no
-    /// checkpoint either.
-    early: bool,
     /// The revision that the run started with, if it is not this one.
     other_revision: Option<String>,
 }
@@ -123,46 +110,10 @@ impl RecordedScene {
         let file = run.scene_file();
         let recorded = read_json(&file, "restore a copy, or delete it to accept the scene as it is now")?;
         let newest = checkpoint::list(&run.checkpoints())?.pop();
-        let early = recorded.is_none() && newest.is_some();
         // A damaged checkpoint is an error where it is used.
         let state = newest.and_then(|(_, folder)| checkpoint::load_state(&folder).ok());
         let first = state.and_then(|state| state.revisions.into_iter().next());
-        Ok(RecordedScene { file, recorded, early, other_revision: first.filter(|first| first != revision()) })
-    }
-
-    /// Returns the ends of its rays, or `None` if the scene's files still give the same.
-    pub(super) fn bounds(&self, data: &DataConfig) -> Option<(f64, f64)> {
-        match &self.recorded {
-            Some(recorded) => Some((recorded.near, recorded.far)),
-            None if !self.early => None,
-            None => match data.kind {
-                DataKind::Transforms => Some(transforms::BOUNDS.into()),
-                DataKind::Blender => Some(blender::BOUNDS.into()),
-                _ => None,
-            },
-        }
-    }
-
-    /// Sets the bounds of a run on a Blender scene without a box: an earlier version gave any the same, whatever its cameras
-    /// look at.
-    pub(super) fn keep_early_bounds(&self, data: &mut DataConfig) {
-        let has_box = self.recorded.as_ref().is_some_and(|recorded| recorded.domain.is_some());
-        if let Some((near, far)) = self.bounds(data).filter(|_| data.kind == DataKind::Blender && !has_box) {
-            data.near.get_or_insert(near);
-            data.far.get_or_insert(far);
-        }
-    }
-
-    /// Restores the old ends of the scene's rays if no setting gives them and they have changed.
-    pub(super) fn restore_bounds(&self, scene: &mut Scene, data: &DataConfig) {
-        let Some((near, far)) = self.bounds(data) else { return };
-        // If only rounding differs, the run computes with the new numbers.
-        if data.near.is_none() && !is_close(near, scene.near) {
-            scene.near = near;
-        }
-        if data.far.is_none() && !is_close(far, scene.far) {
-            scene.far = far;
-        }
+        Ok(RecordedScene { file, recorded, other_revision: first.filter(|first| first != revision()) })
     }
 
     /// Returns an error for a scene with other coordinates, background or views. With `evaluated` false, other views may be
@@ -182,14 +133,13 @@ impl RecordedScene {
                 self.file.display()
             )))
         };
-        if let Some((near, far)) = self.bounds(data) {
-            let (near, far) = (data.near.unwrap_or(near), data.far.unwrap_or(far));
-            if !(is_close(near, scene.near) && is_close(far, scene.far)) {
-                let (now_near, now_far) = scene.bounds();
-                return refuse(format!("rays went from {near} to {far}, but now go from {now_near} to {now_far}"));
-            }
-        }
+        // A run that was killed before its first checkpoint has none.
         let Some(recorded) = &self.recorded else { return Ok(()) };
+        let (near, far) = (data.near.unwrap_or(recorded.near), data.far.unwrap_or(recorded.far));
+        if !(is_close(near, scene.near) && is_close(far, scene.far)) {
+            let (now_near, now_far) = scene.bounds();
+            return refuse(format!("rays went from {near} to {far}, but now go from {now_near} to {now_far}"));
+        }
         let now = WorldMatrix::of(&scene.space.world);
         if recorded.ndc != scene.ndc.is_some() || !recorded.world_to_scene.is_close(&now) {
             let what = "its poses give other coordinates than the weights have (world_to_scene, ndc)";
@@ -197,11 +147,11 @@ impl RecordedScene {
         }
         // It is there if any pixel is transparent, and rays then end on it.
         let background = protocol::background(scene);
-        if let Some(then) = recorded.background.as_deref().filter(|then| *then != background) {
-            let now = format!("but now is {background}, by the transparent pixels of its images");
-            return refuse(format!("its background was {then}, {now}"));
+        if recorded.background != background {
+            let (then, now) = (&recorded.background, "by the transparent pixels of its images");
+            return refuse(format!("its background was {then}, but now is {background}, {now}"));
         }
-        let Some(views) = &recorded.views else { return Ok(()) };
+        let views = &recorded.views;
         let lists = [("trained on", &views.trained, &scene.train), ("evaluated", &views.evaluated, &scene.test)];
         for (what, then, now) in lists.into_iter().take(if evaluated { 2 } else { 1 }) {
             if let Some(difference) = difference(then, &names(now)) {
