@@ -7,7 +7,10 @@ use serde_json::json;
 
 use crate::base::files::AtomicDir;
 use crate::base::{Error, Result};
-use crate::compare::{Comparison, RunView, Window, check_box, check_fade, labels, name_steps};
+use crate::compare::{
+    Comparison, Profile, Profiles, RunView, Window, check_box, check_overlay, check_profiled, labels, name_steps,
+};
+use crate::data::View;
 use crate::draw::SVG_ALONE;
 use crate::report::label;
 use crate::run::{OpenOptions, RunDir, Trained, Viewer};
@@ -17,19 +20,18 @@ use crate::train::checkpoint;
 
 use super::answer::Answer;
 use super::progress::{Console, open_next};
-use super::spread::RowSeeds;
 use super::{Compute, numbers, whole};
 
 /// Flags for runs and the held-out view that they show.
 #[derive(Args)]
 #[command(next_help_heading = "Experiment")]
-pub struct Runs {
+struct Runs {
     /// Run folders of one scene (newest checkpoints), or the folder of one sweep
     #[arg(required = true, value_name = "RUN")]
-    pub(super) runs: Vec<PathBuf>,
+    runs: Vec<PathBuf>,
     /// Rows of the sweep, in this order [default: all finished ones]
-    #[arg(long, value_name = "ROW,...", visible_alias = "row")]
-    pub(super) rows: Vec<String>,
+    #[arg(long, value_name = "ROW,...")]
+    rows: Vec<String>,
     /// Seed of the sweep's points [default: the first]
     #[arg(long, value_name = "N")]
     seed: Option<u64>,
@@ -41,27 +43,27 @@ pub struct Runs {
     labels: Vec<String>,
     /// Held-out view, by name or by number from 0
     #[arg(long, value_name = "VIEW", default_value = "0")]
-    pub(super) view: String,
+    view: String,
     /// Scene folder, if it has moved [default: the run's]
     #[arg(long, value_name = "DIR")]
-    pub(super) data: Option<PathBuf>,
+    data: Option<PathBuf>,
 }
 
 /// The result for each run, and the runs' folders, which stay locked.
-pub type Gathered<T> = (Vec<(RunView, T)>, Vec<RunDir>);
+type Gathered<T> = (Vec<(RunView, T)>, Vec<RunDir>);
 
 /// A run folder.
-pub struct NamedRun {
+struct NamedRun {
     /// The folder.
-    pub path: PathBuf,
+    path: PathBuf,
     /// The run's name.
-    pub label: String,
+    label: String,
     /// Place of its row in the sweep.
     row: Option<usize>,
 }
 
 /// Run folders with the runs' names.
-pub type Named = Vec<NamedRun>;
+type Named = Vec<NamedRun>;
 
 impl Runs {
     /// Returns the runs as a command line names them.
@@ -73,7 +75,7 @@ impl Runs {
     }
 
     /// Returns the named runs, or rows of a sweep with their names.
-    pub fn named(&self) -> Result<Named> {
+    fn named(&self) -> Result<Named> {
         let mut named: Named = match self.runs.iter().find(|path| SweepFolder::new(path).is_begun()) {
             Some(sweep) if self.runs.len() == 1 => self.rows_of(&SweepFolder::new(sweep))?,
             Some(sweep) => {
@@ -154,7 +156,7 @@ impl Runs {
     }
 
     /// Returns the scene of the sweep that the command line names, or its only one.
-    pub(super) fn scene_of(&self, points: &[Point]) -> Result<String> {
+    fn scene_of(&self, points: &[Point]) -> Result<String> {
         let mut scenes: Vec<&str> = Vec::new();
         for point in points {
             if !scenes.contains(&point.scene.as_str()) {
@@ -173,7 +175,7 @@ impl Runs {
     }
 
     /// Passes each run to `make`, one at a time, after checking that it shows the same view as the first.
-    pub fn gather<T>(
+    fn gather<T>(
         &self,
         runs: &[NamedRun],
         runtime: &Runtime,
@@ -213,13 +215,10 @@ pub struct CompareArguments {
     /// Width of the searched box in pixels [default: a fifth of the view's]
     #[arg(long, value_name = "N", value_parser = whole::<u32>(1..=u32::MAX.into()), help_heading = "Output")]
     box_width: Option<u32>,
-    /// Write a GIF, too, that fades between two runs
-    #[arg(long, help_heading = "Output")]
-    gif: bool,
-    /// Show one row's mean and standard deviation over its seeds, and how the deviation compares with the error
-    #[arg(long, conflicts_with_all = ["seed", "labels", "zoom", "box_width", "gif"], help_heading = "Output")]
-    spread: bool,
-    /// Output folder, new or empty [default: RUN/renders/compare (or spread) of the first run, replaced]
+    /// Plot density, transmittance, weight and colour along the ray of a pixel (column and row, from 0) instead
+    #[arg(long, value_name = "X,Y", conflicts_with_all = ["zoom", "box_width"], help_heading = "Output")]
+    ray: Option<String>,
+    /// Output folder, new or empty [default: RUN/renders/compare (or ray) of the first run, replaced]
     #[arg(long, value_name = "DIR", help_heading = "Output")]
     out: Option<PathBuf>,
     #[command(flatten)]
@@ -230,19 +229,17 @@ pub struct CompareArguments {
 
 impl CompareArguments {
     pub fn run(self) -> Result<()> {
-        if self.spread {
-            self.out.as_deref().map_or(Ok(()), AtomicDir::check_vacant)?;
-            let seeds = RowSeeds::of(&self.runs)?;
-            let (runs, out, answer) = (self.runs, self.out, self.answer);
-            return self.compute.run(|runtime, console| seeds.compare(&runs, out, answer, (runtime, console)));
-        }
         let runs = self.runs.named()?;
-        if self.gif {
-            check_fade(runs.len())?;
-        }
         let zoom = self.zoom.as_deref().map(parse_zoom).transpose()?;
+        let ray = self.ray.as_deref().map(parse_pixel).transpose()?;
         self.out.as_deref().map_or(Ok(()), AtomicDir::check_vacant)?;
-        self.compute.run(|runtime, console| self.compare(&runs, zoom, runtime, console))
+        match ray {
+            None => self.compute.run(|runtime, console| self.compare(&runs, zoom, runtime, console)),
+            Some(pixel) => {
+                check_overlay(runs.len())?;
+                self.compute.run(|runtime, console| self.profile(&runs, pixel, runtime, console))
+            }
+        }
     }
 
     fn compare(&self, runs: &[NamedRun], zoom: Option<Window>, runtime: &Runtime, console: &Console) -> Result<()> {
@@ -253,16 +250,46 @@ impl CompareArguments {
         };
         let (rendered, folders) = self.runs.gather(runs, runtime, console, render)?;
         let comparison = Comparison::new(rendered, zoom, box_width)?;
-        let (folder, pictures) = pictures_folder(self.out.as_deref(), folders[0].renders().join("compare"))?;
-        comparison.write(pictures.path(), self.gif)?;
-        pictures.commit()?;
-        SVG_ALONE.into_iter().for_each(|note| console.say(note));
-        let answer = json!({ "folder": folder.display().to_string(), "comparison": comparison.json() });
-        self.answer.give_place(&answer, &folder)?;
-        let ray = format!("augnerf profile {}", self.runs.words());
-        open_next(console, &[folder.join("compare.png"), folder.join("compare.svg"), folder.join("fade.gif")], &ray);
+        let folder = self.write("compare", &folders[0], |folder| comparison.write(folder))?;
+        self.answer(("comparison", comparison.json()), &folder, console)?;
+        let View { image, .. } = comparison.view();
+        let (x, y) = (image.width / 2, image.height / 2);
+        let ray = format!("augnerf compare {} --ray {x},{y}", self.runs.words());
+        open_next(console, &[folder.join("compare.png"), folder.join("compare.svg")], &ray);
         Ok(())
     }
+
+    fn profile(&self, runs: &[NamedRun], pixel: (usize, usize), runtime: &Runtime, console: &Console) -> Result<()> {
+        // Before anything is measured.
+        for NamedRun { path, label, .. } in runs {
+            check_profiled(label, &RunDir::open(path)?.read_config()?)?;
+        }
+        let measure = |viewer: &Viewer, run: &RunView| Profile::measure(viewer, run, pixel);
+        let (runs, folders) = self.runs.gather(runs, runtime, console, measure)?;
+        runs.iter().try_for_each(|(run, _)| run.check_same_interval(&runs[0].0))?;
+        let profiles = Profiles { runs, pixel };
+        let folder = self.write("ray", &folders[0], |folder| profiles.write(folder))?;
+        self.answer(("ray", profiles.json()), &folder, console)
+    }
+
+    /// Writes the files of the result into the output folder, or into a folder of the first run; returns it.
+    fn write(&self, name: &str, run: &RunDir, files: impl FnOnce(&Path) -> Result<()>) -> Result<PathBuf> {
+        let (folder, pictures) = pictures_folder(self.out.as_deref(), run.renders().join(name))?;
+        files(pictures.path())?;
+        pictures.commit()?;
+        Ok(folder)
+    }
+
+    fn answer(&self, (name, content): (&str, serde_json::Value), folder: &Path, console: &Console) -> Result<()> {
+        SVG_ALONE.into_iter().for_each(|note| console.say(note));
+        self.answer.give_place(&json!({ "folder": folder.display().to_string(), name: content }), folder)
+    }
+}
+
+fn parse_pixel(text: &str) -> Result<(usize, usize)> {
+    let [x, y] = numbers(text)
+        .ok_or_else(|| Error::Config(format!("--ray {text}: not two numbers; give column and row, such as 120,80")))?;
+    Ok((x, y))
 }
 
 fn parse_zoom(text: &str) -> Result<Window> {

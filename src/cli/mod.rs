@@ -26,14 +26,12 @@ mod experiment;
 mod manual;
 mod measure;
 mod mesh;
-mod profile;
 mod progress;
 mod render;
 mod report;
 mod score;
 mod settings;
 mod signals;
-mod spread;
 mod sweep;
 mod tips;
 mod train;
@@ -98,19 +96,11 @@ Each row is a weight at which a term's gradient norm is 0.1 %, 1 %, 10 %, 100 % 
 
 const COMPARE_EXAMPLES: &str = "Examples:
   augnerf compare runs/fern-nerf-* runs/fern-aug-nerf-*  # zoomed to where they differ most
-  augnerf compare runs/tab4_fern --rows NeRF,Aug-NeRF --zoom 120,80,100,75 --gif
-  augnerf compare runs/tab4_fern --row NeRF --spread     # mean and spread of the row's seeds
+  augnerf compare runs/tab4_fern --rows NeRF,Aug-NeRF --zoom 120,80,100,75
+  augnerf compare A B --view 2 --ray 240,96              # density and more along one pixel's ray
 
-Writes compare.png, compare.json (numbers and protocols) and, with --gif, fade.gif. With --spread it writes spread.png, \
-calibration.png and .svg, spread.csv and spread.json.";
-
-const PROFILE_EXAMPLES: &str = "Examples:
-  augnerf profile runs/fern-nerf-* runs/fern-aug-nerf-*  # the middle pixel of the first view
-  augnerf profile A B --view 2 --pixel 240,96 --patch 16 --out figures/ray
-  augnerf profile runs/tab4_fern --rows NeRF,Aug-NeRF    # rows of a sweep by name
-
-Writes profile.png and profile.svg, ray.csv (coarse, fine and even samples of the pixel's ray), patch.csv (even samples of \
-all rays of the patch) and profile.json (the smoothness of each run).";
+Writes compare.png and compare.json (numbers and protocols). With --ray it writes ray.png, ray.svg, ray.json and ray.csv \
+(coarse, fine and even samples of the pixel's ray) instead.";
 
 const MESH_EXAMPLES: &str = "Examples:
   augnerf mesh runs/builtin-nerf-*                # 256 cells per side of the scene's box
@@ -169,12 +159,9 @@ enum Command {
     /// Create a run from weights that nerf-pytorch or `export` wrote
     #[command(after_help = exchange::IMPORT_EXAMPLES)]
     Import(exchange::ImportArguments),
-    /// Draw one held-out view of several runs side by side
+    /// Draw one held-out view, or one ray, of several runs
     #[command(after_help = COMPARE_EXAMPLES)]
     Compare(compare::CompareArguments),
-    /// Plot density, weight and colour of several runs along a ray
-    #[command(after_help = PROFILE_EXAMPLES)]
-    Profile(profile::ProfileArguments),
     /// Extract a mesh from a run's density, as PLY or OBJ
     #[command(after_help = MESH_EXAMPLES)]
     Mesh(mesh::MeshArguments),
@@ -366,7 +353,6 @@ pub fn main() -> ExitCode {
         Command::Export(arguments) => arguments.run(),
         Command::Import(arguments) => arguments.run(),
         Command::Compare(arguments) => arguments.run(),
-        Command::Profile(arguments) => arguments.run(),
         Command::Mesh(arguments) => arguments.run(),
         Command::Chamfer(arguments) => arguments.run(),
         Command::Data(command) => command.run(),

@@ -20,7 +20,7 @@ const SWEEP: &str = "title = \"tiny\"\npreset = \"smoke\"\nscenes = [\"builtin\"
     \"train.chunk\" = 32\n\"train.steps\" = 4\n\"eval.pictures\" = 0\n\"regularizer.points_per_step\" = 64\n";
 
 /// The commands, in an order in which each finds what it works on; `TINY` stands for the settings of a run.
-const COMMANDS: [&str; 30] = [
+const COMMANDS: [&str; 29] = [
     "train --out a TINY",
     "train --out b --seed 1 TINY",
     "resume a",
@@ -31,7 +31,6 @@ const COMMANDS: [&str; 30] = [
     "measure a --lattice 8",
     "balance --steps 2 --set regularizer.points_per_step=64 TINY",
     "compare a b",
-    "profile a b --patch 2",
     "report a b",
     "mesh a --resolution 16 --threshold 0.01",
     "chamfer a builtin --points 2000",
@@ -207,7 +206,7 @@ fn what_a_command_leaves_is_printed_also_where_nothing_else_is() {
         ("render -q a --frames 2", "a/renders/path"),
         ("render -q a --write-cameras path.json", "path.json"),
         ("compare -q a b", "a/renders/compare"),
-        ("profile -q a b --patch 2 --out ray", "ray"),
+        ("compare -q a b --ray 2,2 --out ray", "ray"),
         ("mesh -q a --resolution 16 --threshold 0.01", "a/mesh"),
     ] {
         assert_eq!(say(line), format!("{left}\n"), "{line}");

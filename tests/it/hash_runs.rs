@@ -64,7 +64,7 @@ fn runs_on_a_grid_are_compared_and_profiled() {
         assert_eq!(run["protocol"]["hash_grid"], report["runs"][0]["protocol"]["hash_grid"]);
         assert!(run["protocol"]["hash_grid"].is_string(), "{run}");
     }
-    succeed(&["profile", "-q", a, b, "--pixel", "8,8", "--patch", "2", "--out", &ray]);
+    succeed(&["compare", "-q", a, b, "--ray", "8,8", "--out", &ray]);
     let table = rows(&text(&Path::new(&ray).join("ray.csv")));
     let density = |row: &std::collections::HashMap<String, String>| row["density"].parse::<f64>().unwrap();
     assert!(table.iter().any(|row| density(row) > 0.0) && table.iter().any(|row| density(row) == 0.0));

@@ -57,7 +57,6 @@ mod slurm;
 #[cfg(unix)]
 mod slurm_jobs;
 #[cfg(feature = "baselines")]
-mod spread;
 mod srn;
 mod strangers;
 mod sweep_cli;

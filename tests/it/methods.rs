@@ -285,7 +285,7 @@ fn runs_with_and_without_ndc_are_compared_in_scene_units() {
         let (unit, near, far) = compared(&runs, &path(name));
         assert!(unit == "scene units" && near > 0.5 && far > near && far.is_finite(), "{unit} {near} {far}");
     }
-    refuse(&["profile", &ndc, &world, "--out", &path("profile")], 2, &["one interval"]);
+    refuse(&["compare", &ndc, &world, "--ray", "8,8", "--out", &path("ray")], 2, &["one interval"]);
 }
 
 /// A run of a second refuses in the words of its method; what does not hang on fields is done.
@@ -305,7 +305,11 @@ fn runs_without_fields_refuse_what_needs_them() {
         }
         let why = no_density.unwrap_or("trilinear");
         refuse(&["measure", &run], 2, &[method, "no l1, TV or Laplacian", why]);
-        refuse(&["profile", &run], 2, &["a profile along a ray with method", method, "augnerf compare"]);
+        refuse(
+            &["compare", &run, "--ray", "8,8"],
+            2,
+            &["a profile along a ray with method", method, "augnerf compare"],
+        );
         if let Some(why) = no_density {
             refuse(&["chamfer", &run, "builtin"], 2, &[why]);
         }

@@ -1,4 +1,4 @@
-//! `augnerf compare` and `augnerf profile`: what they choose, measure, draw and refuse.
+//! `augnerf compare`, of a view and along a ray: what it chooses, measures, draws and refuses.
 
 use std::path::Path;
 use std::sync::Arc;
@@ -9,7 +9,7 @@ use crate::common::{assert_says, runtime, tiny_config, tiny_scene, trained};
 use augnerf::base::Image;
 use augnerf::base::rng::{Random, Stream};
 use augnerf::compare::{
-    Comparison, Profile, Profiles, RunView, Window, crop, differences, labels, most_different, name_steps, patch_around,
+    Comparison, Profile, Profiles, RunView, Window, crop, differences, labels, most_different, name_steps,
 };
 use augnerf::data::Scene;
 use augnerf::metrics::{psnr, quantise};
@@ -63,7 +63,7 @@ fn the_box_is_where_the_squared_errors_differ_most() {
 }
 
 #[test]
-fn boxes_and_patches_lie_within_the_view() {
+fn boxes_lie_within_the_view() {
     let window = |x, y, width, height| Window { x, y, width, height };
     assert!(window(0, 0, 16, 9).check(16, 9).is_ok() && window(15, 8, 1, 1).check(16, 9).is_ok());
     for outside in
@@ -72,11 +72,6 @@ fn boxes_and_patches_lie_within_the_view() {
         let message = outside.check(16, 9).unwrap_err().to_string();
         assert!(message.contains("--zoom") && message.contains("16 x 9"), "{message}");
     }
-    assert_eq!(patch_around((8, 8), 4, (16, 16)).unwrap(), window(6, 6, 4, 4));
-    assert_eq!(patch_around((0, 15), 4, (16, 16)).unwrap(), window(0, 12, 4, 4));
-    assert_eq!(patch_around((3, 2), 1, (16, 16)).unwrap(), window(3, 2, 1, 1));
-    assert!(patch_around((16, 0), 1, (16, 16)).unwrap_err().to_string().contains("0,0 to 15,15"));
-    assert!(patch_around((0, 0), 9, (16, 8)).unwrap_err().to_string().contains("1 to 8"));
 }
 
 /// A trained run in memory.
@@ -137,13 +132,11 @@ fn a_comparison_repeats_byte_for_byte_and_its_numbers_are_those_of_the_box() {
     let runs = pair();
     let [a, b] = [(); 2].map(|()| TempDir::new().unwrap());
     let comparison = compared(&runs, None);
-    comparison.write(a.path(), DRAWN).unwrap();
-    compared(&pair(), None).write(b.path(), DRAWN).unwrap();
+    comparison.write(a.path()).unwrap();
+    compared(&pair(), None).write(b.path()).unwrap();
     let written = files(a.path(), &[]);
     let names: Vec<&str> = written.iter().map(|(name, _)| name.to_str().unwrap()).collect();
-    let expected: &[&str] =
-        if DRAWN { &["compare.json", "compare.png", "fade.gif"] } else { &["compare.json", "compare.svg"] };
-    assert_eq!(names, expected);
+    assert_eq!(names, ["compare.json", if DRAWN { "compare.png" } else { "compare.svg" }]);
     assert!(written == files(b.path(), &[]), "equal runs give other bytes");
     let report = json(&a.path().join("compare.json"));
     let window = comparison.window();
@@ -190,7 +183,7 @@ fn the_picture_shows_the_pixels_themselves() {
     let runs = pair();
     let dir = TempDir::new().unwrap();
     let asked = Window { x: 15, y: 15, width: 1, height: 1 };
-    compared(&runs, Some(asked)).write(dir.path(), false).unwrap();
+    compared(&runs, Some(asked)).write(dir.path()).unwrap();
     let picture = image::open(dir.path().join("compare.png")).unwrap().to_rgb8();
     assert_eq!(picture.width(), 1740, "17 cm, whatever the views");
     let shown = |column: u32, image: &Image| {
@@ -221,40 +214,6 @@ fn the_picture_shows_the_pixels_themselves() {
         let other = Image { pixels: image.pixels.iter().map(|value| 1.0 - value).collect(), ..image };
         assert!(!shown(0, &other) && !shown(2, &other), "another picture is not there");
     }
-}
-
-#[test]
-#[cfg_attr(not(feature = "png-figures"), ignore = "needs the feature png-figures")]
-fn the_fade_goes_from_the_first_run_to_the_second_and_back() {
-    let runs = pair();
-    let dir = TempDir::new().unwrap();
-    compared(&runs, None).write(dir.path(), true).unwrap();
-    let mut options = gif::DecodeOptions::new();
-    options.set_color_output(gif::ColorOutput::RGBA);
-    let mut decoder = options.read_info(std::fs::File::open(dir.path().join("fade.gif")).unwrap()).unwrap();
-    let mut frames = Vec::new();
-    while let Some(frame) = decoder.read_next_frame().unwrap() {
-        frames.push((frame.delay, usize::from(frame.width), frame.buffer.to_vec()));
-    }
-    assert_eq!(frames.len(), 20);
-    let slow: Vec<usize> = (0..20).filter(|&i| frames[i].0 == 120).collect();
-    assert_eq!(slow, [0, 10], "the runs themselves stay");
-    assert!(frames.iter().all(|frame| frame.0 == 120 || frame.0 == 8));
-    // Mean difference between a frame's view, 16 pixels of 25 at its foot, and a rendering.
-    let images = [0, 1].map(|run| eight_bits(&runs[run].rendered("r").1.image));
-    let apart = |frame: usize, run: usize| {
-        let (_, width, buffer) = &frames[frame];
-        let top = buffer.len() / 4 / width - 400;
-        let at = |i: usize| &buffer[4 * ((top + 25 * (i / 16) + 12) * width + 25 * (i % 16) + 12)..][..3];
-        let sum: u32 = (0..256)
-            .flat_map(|i| (0..3).map(move |c| (i, c)))
-            .map(|(i, c)| u32::from(at(i)[c].abs_diff(images[run][i][c])))
-            .sum();
-        f64::from(sum) / 768.0
-    };
-    assert!(apart(0, 0) < 3.0 && apart(10, 1) < 3.0, "{} {}", apart(0, 0), apart(10, 1));
-    assert!(apart(0, 1) > 2.0 * apart(0, 0), "the runs can be told apart");
-    assert!(apart(3, 0) < apart(7, 0) && apart(13, 1) < apart(17, 1));
 }
 
 #[test]
@@ -342,12 +301,11 @@ fn given_labels_are_one_for_each_run() {
     assert!(labels(&["a", "a"].map(Into::into), &["x".into(), "y".into()]).is_err());
 }
 
-const PATCH: Window = Window { x: 6, y: 7, width: 3, height: 3 };
 const PIXEL: (usize, usize) = (7, 8);
 
 fn profiled(run: &Run, label: &str) -> (RunView, Profile) {
     let contender = run.run_view(label);
-    let profile = Profile::measure(&run.viewer(), &contender, PIXEL, PATCH).unwrap();
+    let profile = Profile::measure(&run.viewer(), &contender, PIXEL).unwrap();
     (contender, profile)
 }
 
@@ -372,7 +330,7 @@ fn a_profile_is_what_an_evaluation_sees() {
         let (contender, profile) = profiled(&run, "run");
         let rendered = run.viewer().render(&contender.view.camera).unwrap();
         let fine = profile.fine.as_ref().unwrap();
-        assert_eq!((profile.coarse.t.len(), fine.t.len(), profile.even.len()), (8, 16, 9));
+        assert_eq!((profile.coarse.t.len(), fine.t.len(), profile.even.t.len()), (8, 16, 1024));
         let at = PIXEL.1 * 16 + PIXEL.0;
         for c in 0..3 {
             let shown = rendered.image.pixels[3 * at + c];
@@ -382,7 +340,7 @@ fn a_profile_is_what_an_evaluation_sees() {
             assert!((1.0 + sum - shown).abs() < 1e-4, "{sum} {shown}");
         }
         assert!((profile.depth.unwrap() - rendered.depth[at]).abs() < 1e-3);
-        for samples in profile.even.iter().chain([&profile.coarse, fine]) {
+        for samples in [&profile.even, &profile.coarse, fine] {
             assert!(samples.t.windows(2).all(|pair| pair[0] <= pair[1]));
             let count = samples.t.len();
             for k in 0..count - 1 {
@@ -401,53 +359,38 @@ fn a_coarse_model_alone_has_no_fine_samples() {
     let (contender, profile) = profiled(&run, "coarse");
     assert!(profile.fine.is_none() && profile.coarse.t.len() == 8);
     let dir = TempDir::new().unwrap();
-    Profiles { runs: vec![(contender, profile)], pixel: PIXEL, patch: PATCH }.write(dir.path()).unwrap();
+    Profiles { runs: vec![(contender, profile)], pixel: PIXEL }.write(dir.path()).unwrap();
     let table = std::fs::read_to_string(dir.path().join("ray.csv")).unwrap();
     assert!(table.contains(",coarse,") && table.contains(",even,") && !table.contains(",fine,"));
 }
 
 #[test]
-fn a_profile_repeats_byte_for_byte_and_its_smoothness_is_that_of_its_table() {
+fn a_profile_repeats_byte_for_byte_and_its_variation_is_that_of_its_table() {
     let write = || {
         let dir = TempDir::new().unwrap();
         let runs = pair();
         let runs = vec![profiled(&runs[0], "first"), profiled(&runs[1], "second")];
-        Profiles { runs, pixel: PIXEL, patch: PATCH }.write(dir.path()).unwrap();
+        Profiles { runs, pixel: PIXEL }.write(dir.path()).unwrap();
         dir
     };
     let (dir, again) = (write(), write());
     let written = files(dir.path(), &[]);
     let names: Vec<&str> = written.iter().map(|(name, _)| name.to_str().unwrap()).collect();
-    let expected = ["patch.csv", "profile.json", "profile.png", "profile.svg", "ray.csv"];
-    assert!(names.into_iter().eq(expected.into_iter().filter(|name| DRAWN || *name != "profile.png")));
+    let expected = ["ray.csv", "ray.json", "ray.png", "ray.svg"];
+    assert!(names.into_iter().eq(expected.into_iter().filter(|name| DRAWN || *name != "ray.png")));
     assert!(written == files(again.path(), &[]), "equal runs give other bytes");
-    let report = json(&dir.path().join("profile.json"));
-    let mut table = csv::Reader::from_path(dir.path().join("patch.csv")).unwrap();
-    let rows: Vec<csv::StringRecord> = table.records().map(|row| row.unwrap()).collect();
-    assert_eq!(rows.len(), 2 * 9 * 1024);
+    let report = json(&dir.path().join("ray.json"));
+    let mut table = csv::Reader::from_path(dir.path().join("ray.csv")).unwrap();
     let headers = table.headers().unwrap().clone();
     let column = |name: &str| headers.iter().position(|known| known == name).unwrap();
-    let (density, x, y) = (column("density"), column("pixel_x"), column("pixel_y"));
-    for (index, rows) in rows.chunks(9 * 1024).enumerate() {
-        let value = |ray: usize, k: usize| f64::from(rows[ray * 1024 + k][density].parse::<f32>().unwrap());
-        let place = |ray: usize| [x, y].map(|axis| rows[ray * 1024][axis].parse::<i64>().unwrap());
-        let along: f64 = (0..9)
-            .flat_map(|ray| (1..1024).map(move |k| (ray, k)))
-            .map(|(ray, k)| (value(ray, k) - value(ray, k - 1)).abs())
-            .sum();
-        let neighbours = |a: usize, b: usize| {
-            let ([ax, ay], [bx, by]) = (place(a), place(b));
-            (ax - bx).abs() + (ay - by).abs() == 1
-        };
-        let pairs: Vec<(usize, usize)> =
-            (0..9).flat_map(|a| (a + 1..9).map(move |b| (a, b))).filter(|&(a, b)| neighbours(a, b)).collect();
-        assert_eq!(pairs.len(), 12);
-        let across: f64 =
-            pairs.iter().flat_map(|&(a, b)| (0..1024).map(move |k| (value(a, k) - value(b, k)).abs())).sum();
-        let told = |name: &str| report["runs"][index]["smoothness"][name].as_f64().unwrap();
-        assert!(along > 0.0, "the patch is empty");
-        assert!((told("density_tv_along") - along / 9.0).abs() < 1e-9 * along, "{along}");
-        assert!((told("density_tv_across") - across / (12.0 * 1024.0)).abs() < 1e-9 * across);
+    let rows: Vec<csv::StringRecord> = table.records().map(|row| row.unwrap()).collect();
+    for (index, run) in ["first", "second"].into_iter().enumerate() {
+        let of_run = rows.iter().filter(|row| &row[column("run")] == run && &row[column("samples")] == "even");
+        let density: Vec<f64> = of_run.map(|row| row[column("density")].parse::<f32>().unwrap().into()).collect();
+        assert_eq!(density.len(), 1024);
+        let along: f64 = density.windows(2).map(|pair| (pair[1] - pair[0]).abs()).sum();
+        let told = report["runs"][index]["density_variation"].as_f64().unwrap();
+        assert!(along > 0.0 && (told - along).abs() < 1e-5 * along, "{told} {along}");
     }
 }
 
@@ -467,55 +410,47 @@ fn the_commands_leave_what_they_promise_and_refuse_what_they_cannot_show() {
     let wide = train("wide", &["--set", "data.width=20"]);
     let forward = train("forward", &["--set", "data.kind=builtin-forward"]);
 
-    let fade: &[&str] = if DRAWN { &["--gif"] } else { &[] };
-    succeed(&[&["compare", "-q", &a, &b, "--view", "r_3"], fade].concat());
-    for file in ["compare.json", if DRAWN { "fade.gif" } else { "compare.svg" }] {
-        assert!(dir.path().join("a/renders/compare").join(file).is_file(), "{file}");
-    }
+    succeed(&["compare", "-q", &a, &b, "--view", "r_3"]);
     assert_eq!(json(&dir.path().join("a/renders/compare/compare.json"))["index"], 3);
     // An earlier comparison's files do not stay among the new ones.
+    std::fs::write(dir.path().join("a/renders/compare/compare.old"), "").unwrap();
     succeed(&["compare", "-q", &a, "--zoom", "1,2,3,4"]);
-    assert!(!dir.path().join("a/renders/compare/fade.gif").exists());
+    assert!(!dir.path().join("a/renders/compare/compare.old").exists());
     let report = json(&dir.path().join("a/renders/compare/compare.json"));
     assert_eq!(report["box"], serde_json::json!({"x": 1, "y": 2, "width": 3, "height": 4}));
     succeed(&["compare", "-q", &a, &b, "--label", "NeRF", "--label", "another seed"]);
     let report = json(&dir.path().join("a/renders/compare/compare.json"));
     assert_eq!((&report["runs"][0]["run"], &report["runs"][1]["run"]), (&"NeRF".into(), &"another seed".into()));
-    succeed(&["profile", "-q", &a, &b, "--pixel", "0,15", "--patch", "2", "--out", &path("ray")]);
-    assert_eq!(json(&dir.path().join("ray/profile.json"))["pixel"], serde_json::json!([0, 15]));
+    succeed(&["compare", "-q", &a, &b, "--ray", "0,15", "--out", &path("ray")]);
+    assert_eq!(json(&dir.path().join("ray/ray.json"))["pixel"], serde_json::json!([0, 15]));
     let again = path("again");
-    succeed(&["profile", "-q", &a, &b, "--pixel", "0,15", "--patch", "2", "--threads", "1", "--out", &again]);
+    succeed(&["compare", "-q", &a, &b, "--ray", "0,15", "--threads", "1", "--out", &again]);
     assert_same_files(Path::new(&path("ray")), Path::new(&again), &[]);
 
     // A person is told what to open and what comes next.
     let said = crate::common::program::demand(&mut crate::common::program::augnerf(&["compare", &a, &b]), 0);
-    assert_says(&said, &["open: ", "compare/compare.", &format!("next: augnerf profile {a} {b}")]);
+    assert_says(&said, &["open: ", "compare/compare.", &format!("next: augnerf compare {a} {b} --ray 8,8")]);
 
-    for command in ["compare", "profile"] {
-        refuse(
-            &[command, &a, &wide],
-            2,
-            &["a and wide do not match", "is 16 x 16 in the first and 20 x 20 in the second"],
-        );
-        refuse(&[command, &a, &forward], 2, &["forward", "builtin-forward"]);
-        refuse(&[command, &a, &b, "--view", "r_99"], 2, &["--view r_99", "0 to 7", "r_7"]);
-        refuse(&[command, &a, &b, "--view", "8"], 2, &["--view 8", "0 to 7"]);
-        refuse(&[command, &a, &a], 2, &["twice"]);
-        refuse(&[command, &a, &b, "--label", "NeRF"], 2, &["--label", "1 labels for 2 runs"]);
-        refuse(&[command, &path("nothing")], 5, &["nothing", "missing"]);
-        refuse(&[command, &a, &b, "--out", &path("ray")], 4, &["ray", "already holds files"]);
+    for further in [&[][..], &["--ray", "8,8"]] {
+        let refuse = |words: &[&str], code, expected: &[&str]| {
+            refuse(&[&["compare"], words, further].concat(), code, expected);
+        };
+        refuse(&[&a, &wide], 2, &["a and wide do not match", "is 16 x 16 in the first and 20 x 20 in the second"]);
+        refuse(&[&a, &forward], 2, &["forward", "builtin-forward"]);
+        refuse(&[&a, &b, "--view", "r_99"], 2, &["--view r_99", "0 to 7", "r_7"]);
+        refuse(&[&a, &b, "--view", "8"], 2, &["--view 8", "0 to 7"]);
+        refuse(&[&a, &a], 2, &["twice"]);
+        refuse(&[&a, &b, "--label", "NeRF"], 2, &["--label", "1 labels for 2 runs"]);
+        refuse(&[&path("nothing")], 5, &["nothing", "missing"]);
+        refuse(&[&a, &b, "--out", &path("ray")], 4, &["ray", "already holds files"]);
     }
-    if !DRAWN {
-        refuse(&["compare", &a, &b, "--gif"], 2, &["--gif", "without its feature png-figures"]);
-    }
-    refuse(&["compare", &a, "--gif"], 2, &["--gif", "two runs", "there are 1"]);
     refuse(&["compare", &a, &b, "--zoom", "10,0,8,8"], 2, &["--zoom", "8 x 8", "(10, 0)", "16 x 16"]);
     refuse(&["compare", &a, &b, "--zoom", "10,0,8"], 2, &["--zoom 10,0,8", "width and height"]);
     refuse(&["compare", &a, &b, "--box-width", "17"], 2, &["--box-width 17", "at most 16"]);
-    refuse(&["profile", &a, "--pixel", "16,0"], 2, &["--pixel 16,0", "0,0 to 15,15"]);
-    refuse(&["profile", &a, "--pixel", "1"], 2, &["--pixel 1", "column and row"]);
-    refuse(&["profile", &a, "--patch", "17"], 2, &["--patch", "17"]);
+    refuse(&["compare", &a, "--ray", "16,0"], 2, &["--ray 16,0", "0,0 to 15,15"]);
+    refuse(&["compare", &a, "--ray", "1"], 2, &["--ray 1", "column and row"]);
+    refuse(&["compare", &a, "--ray", "1,1", "--zoom", "0,0,8,8"], 2, &["--ray", "--zoom", "cannot be used"]);
     std::fs::remove_dir_all(dir.path().join("b/checkpoints")).unwrap();
     refuse(&["compare", &a, &b], 5, &["no checkpoint", "augnerf resume"]);
-    refuse(&["profile", &b], 5, &["no checkpoint"]);
+    refuse(&["compare", &b, "--ray", "8,8"], 5, &["no checkpoint"]);
 }

@@ -249,7 +249,7 @@ fn rows_of_a_sweep_are_compared_by_their_names() {
     assert!(text.find("\"Aug-NeRF\"").unwrap() < text.find("\"NeRF\"").unwrap(), "{text}");
     let seeds: Vec<&Value> = compared["runs"].as_array().unwrap().iter().map(|run| &run["protocol"]["seed"]).collect();
     assert_eq!(seeds, [&Value::from(1), &Value::from(1)]);
-    demand(dir, &["profile", "runs/tiny", "--out", "ray", "--quiet"], 0);
+    demand(dir, &["compare", "runs/tiny", "--ray", "8,8", "--out", "ray", "--quiet"], 0);
     assert_says(&demand(dir, &["compare", "runs/tiny", "--rows", "Nerf"], 2), &["'Nerf' is not a row", "Aug-NeRF"]);
     assert_says(&demand(dir, &["compare", "runs/tiny", "--seed", "7"], 2), &["--seed 7", "0, 1"]);
     assert_says(&demand(dir, &["compare", "runs/tiny", "--scene", "fern"], 2), &["--scene fern", "builtin"]);

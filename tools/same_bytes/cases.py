@@ -345,9 +345,9 @@ def use_cases():
     yield Case("render", uses + "augnerf render nerf --frames 2\naugnerf render mip --what views --out views\n")
     yield Case("eval", uses + "augnerf eval nerf\naugnerf eval aug --quiet\naugnerf eval mip\n")
     yield Case("measure", uses + "augnerf measure nerf aug --lattice 12\nexpect 2 measure mip\n")
-    yield Case("compare", uses + "augnerf compare nerf aug --gif --box-width 8\naugnerf compare nerf aug mip --out figure --view 1"
+    yield Case("compare", uses + "augnerf compare nerf aug --box-width 8\naugnerf compare nerf aug mip --out figure --view 1"
                " --zoom 2,3,8,8 --label A --label B --label C\n")
-    yield Case("profile", uses + "augnerf profile nerf aug mip --patch 4\naugnerf profile nerf --out figure --pixel 3,5 --view 1\n")
+    yield Case("ray", uses + "augnerf compare nerf aug mip --ray 8,8\naugnerf compare nerf --out figure --ray 3,5 --view 1\n")
     yield Case("mesh", uses + "augnerf mesh nerf --resolution 24 --threshold 0.5 --format ply,obj --density\n"
                "augnerf mesh aug --resolution 20 --threshold 0.5 --cap --largest --bbox -1,-1,-0.5,1,1,1\n"
                "augnerf mesh mip --resolution 16 --threshold 0.5 --quiet\n"
@@ -360,13 +360,13 @@ def use_cases():
     runs = "".join(f"augnerf train --quiet --out {name} {fern} {TINY} {settings}\n"
                    for name, settings in (("nerf", ""), ("mip", "--method mip-nerf")))
     yield Case("fern/uses", runs + "augnerf mesh nerf --resolution 16 --threshold 1\naugnerf mesh mip --resolution 16 --threshold 1\n"
-               "augnerf profile nerf mip --patch 2\naugnerf compare nerf mip\naugnerf render nerf --frames 2\naugnerf measure nerf --lattice 8\n",
+               "augnerf compare nerf mip --ray 8,8\naugnerf compare nerf mip\naugnerf render nerf --frames 2\naugnerf measure nerf --lattice 8\n",
                ("fern",))
     # The new program uses runs of the old one.
     yield Case("old-runs/resume", "cp -r $OLD/run run; rm -r run/checkpoints/step_000000020 run/metrics.*; augnerf resume run",
                old="train/builtin/aug-nerf-calibrated")
     yield Case("old-runs/use", "cp -r $OLD/run run; augnerf eval run; augnerf measure run --lattice 8;"
-               " augnerf mesh run --resolution 12 --threshold 0.5; augnerf profile run", old="train/variants/tv")
+               " augnerf mesh run --resolution 12 --threshold 0.5; augnerf compare run --ray 8,8", old="train/variants/tv")
     yield Case("old-runs/mip", "cp -r $OLD/run run; augnerf eval run; augnerf render run --frames 1", old="train/builtin/aug-mip-nerf")
     yield Case("old-runs/sweep", "cp -r $OLD/runs $OLD/tiny.toml .; augnerf sweep status runs/tiny; augnerf sweep run tiny.toml --quiet",
                old="sweep/run")

@@ -21,4 +21,4 @@ pub use pictures::{
     scale_colour, stripe, write_depth16, write_png8,
 };
 pub use raster::SVG_ALONE;
-pub use reel::{Reel, write_timed_gif};
+pub use reel::Reel;

@@ -65,22 +65,6 @@ impl<W: Write> Gif<W> {
     }
 }
 
-/// Writes frames of one size as a GIF, each with its own time in hundredths of a second.
-///
-/// # Errors
-/// There is no frame; frames have several sizes, or are too large for a GIF; the file cannot be written.
-pub fn write_timed_gif(path: &Path, frames: &[Image], delays: &[u16]) -> Result<()> {
-    let bytes = timed_gif(frames, delays).map_err(|reason| unwritable(path, &reason))?;
-    write_atomic(path, &bytes)
-}
-
-fn timed_gif(frames: &[Image], delays: &[u16]) -> Encoded<Vec<u8>> {
-    let first = frames.first().ok_or("no frames")?;
-    let mut gif = Gif::begin(Vec::new(), (first.width, first.height))?;
-    frames.iter().zip(delays).try_for_each(|(frame, &delay)| gif.add(frame, delay))?;
-    gif.finish()
-}
-
 /// Returns how many hundredths of a second frame `index` is shown, from the rounded times of its start and end. If
 /// `fps` does not divide 100, frames differ by one, so that the total length is right.
 fn delay(index: usize, fps: f64) -> u16 {
@@ -152,6 +136,14 @@ mod tests {
 
     fn plain(width: usize, height: usize) -> Image {
         Image { width, height, channels: 3, pixels: vec![0.0; 3 * width * height] }
+    }
+
+    /// Encodes frames, each with its own time in hundredths of a second.
+    fn timed_gif(frames: &[Image], delays: &[u16]) -> Encoded<Vec<u8>> {
+        let first = frames.first().ok_or("no frames")?;
+        let mut gif = Gif::begin(Vec::new(), (first.width, first.height))?;
+        frames.iter().zip(delays).try_for_each(|(frame, &delay)| gif.add(frame, delay))?;
+        gif.finish()
     }
 
     #[test]

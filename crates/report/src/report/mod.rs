@@ -1,7 +1,6 @@
 //! Tables, figures and a page of points: records, statistics, published numbers.
 
 mod across;
-pub mod calibration;
 pub mod exporters;
 mod over_scenes;
 mod over_units;

@@ -1,9 +1,16 @@
 //! A held-out view as several runs render it, with metrics.
 
-use super::differences::{Difference, differences};
+use std::path::Path;
+
+use serde::Serialize;
+
+use super::comparison_figure;
+use super::differences::{Difference, File, differences};
 use super::run_view::RunView;
 use super::window::{Window, crop, crop_mask, most_different};
+use crate::base::files::{write_atomic, write_json};
 use crate::base::{Error, Image, Result};
+use crate::data::View;
 use crate::draw::{depth_range, depth_range_of, pixel_errors};
 use crate::metrics::{MSE, PSNR, SSIM, ViewMetrics, measure_unmasked, unmasked_or};
 use crate::run::RenderedView;
@@ -109,6 +116,11 @@ impl Comparison {
         self.window
     }
 
+    /// Returns the held-out view.
+    pub fn view(&self) -> &View {
+        &self.first().view
+    }
+
     pub(super) fn first(&self) -> &RunView {
         &self.sides[0].run
     }
@@ -123,6 +135,57 @@ impl Comparison {
             (_, 1) => "largest squared error",
             _ => "largest difference of the runs' squared errors",
         }
+    }
+}
+
+/// What `compare.json` says of all runs, and of each.
+#[derive(Serialize)]
+struct ViewFacts {
+    #[serde(rename = "box")]
+    window: Window,
+    box_chosen_by: &'static str,
+    /// Ends of the errors' colour scale, in colour values of 0..=1.
+    error_colours: (f32, f32),
+    /// Nearest and farthest depth of the colour scale.
+    depth_colours: (f32, f32),
+    depth_unit: &'static str,
+}
+
+#[derive(Serialize)]
+struct RunFacts<'a> {
+    view: &'a ViewMetrics,
+    #[serde(rename = "box")]
+    in_box: &'a ViewMetrics,
+}
+
+impl Comparison {
+    /// Writes `compare.png` (`compare.svg` without the feature `png-figures`; either holds the pixels of images) and
+    /// `compare.json` into a folder.
+    pub fn write(&self, folder: &Path) -> Result<()> {
+        let figure = comparison_figure::draw(self)?;
+        match figure.png()? {
+            Some(png) => write_atomic(&folder.join("compare.png"), &png)?,
+            None => write_atomic(&folder.join("compare.svg"), figure.svg.as_bytes())?,
+        }
+        write_json(&folder.join("compare.json"), &self.file())
+    }
+
+    /// Returns the content of `compare.json`.
+    pub fn json(&self) -> serde_json::Value {
+        serde_json::to_value(self.file()).expect("plain data")
+    }
+
+    fn file(&self) -> File<'_, ViewFacts, RunFacts<'_>> {
+        let facts = ViewFacts {
+            window: self.window,
+            box_chosen_by: self.chosen_by(),
+            error_colours: (0.0, self.error_top),
+            depth_colours: self.depths,
+            depth_unit: self.first().depth_unit(),
+        };
+        let runs =
+            self.sides.iter().map(|side| (&side.run, RunFacts { view: &side.metrics, in_box: &side.metrics_in_box }));
+        File::new(facts, runs)
     }
 }
 

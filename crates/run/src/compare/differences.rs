@@ -4,7 +4,7 @@ use serde::Serialize;
 
 use super::run_view::{RunView, settings};
 use crate::draw::numbers::rounded;
-use crate::run::columns;
+use crate::run::{Protocol, columns};
 use crate::settings::Config;
 use crate::settings::columns::{Column, find};
 use crate::settings::registry::REGISTRY;
@@ -16,6 +16,42 @@ pub struct Difference {
     pub name: String,
     /// Each run's value; empty if it has none.
     pub values: Vec<String>,
+}
+
+/// The JSON file of runs that are shown together: what they share, what `T` says of all, and what `R` says of each.
+#[derive(Serialize)]
+pub(super) struct File<'a, T, R> {
+    scene: String,
+    view: &'a str,
+    index: usize,
+    #[serde(flatten)]
+    facts: T,
+    differences: Vec<Difference>,
+    runs: Vec<Line<'a, R>>,
+}
+
+#[derive(Serialize)]
+struct Line<'a, R> {
+    run: &'a str,
+    #[serde(flatten)]
+    facts: R,
+    protocol: &'a Protocol,
+}
+
+impl<'a, T, R> File<'a, T, R> {
+    pub(super) fn new(facts: T, runs: impl Iterator<Item = (&'a RunView, R)>) -> File<'a, T, R> {
+        let (shown, facts_of): (Vec<&RunView>, Vec<R>) = runs.unzip();
+        let line = |(run, facts): (&&'a RunView, R)| Line { run: &run.label, facts, protocol: &run.protocol };
+        let first = shown[0];
+        File {
+            scene: first.protocol.text("scene"),
+            view: &first.view.name,
+            index: first.index,
+            facts,
+            differences: differences(&shown),
+            runs: shown.iter().zip(facts_of).map(line).collect(),
+        }
+    }
 }
 
 /// Returns whether a protocol column shows the setting.

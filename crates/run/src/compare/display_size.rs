@@ -61,13 +61,6 @@ impl DisplaySize {
         self.margin + column as f64 * (self.width + self.gap)
     }
 
-    /// Returns the image at this size.
-    pub fn raster(&self, image: &Image) -> Result<Image> {
-        let mut canvas = Canvas::new(self.width, self.height);
-        self.draw(&mut canvas, (0.0, 0.0), image)?;
-        canvas.raster()
-    }
-
     pub fn draw(&self, canvas: &mut Canvas, at: (f64, f64), image: &Image) -> Result<()> {
         if self.shrink == 1 {
             return canvas.picture(at, (self.width, self.height), image);

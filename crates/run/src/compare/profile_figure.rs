@@ -1,31 +1,25 @@
-//! The figure of several runs along the same rays.
+//! The figure of several runs along the same ray.
 
 use super::differences::{difference_text, differences};
-use super::parts::{colour_bar, note, trained_on};
+use super::parts::{note, trained_on};
 use super::profile::{EVEN, Profile, Profiles, Samples};
 use super::run_view::RunView;
-use super::window::Window;
-use crate::base::{Error, Image, Result};
+use crate::base::{Error, Result};
 use crate::data::resample;
 use crate::draw::canvas::{
     Anchor, BLACK, Canvas, Colour, Figure, GRID, ORANGE, PALETTE, PAPER, Panel, SIDE, TEXT, Width, ticks,
 };
 use crate::draw::numbers::numbers;
-use crate::draw::scale_colour;
 
 const LEFT: f64 = 82.0;
-const RIGHT: f64 = 72.0;
+const RIGHT: f64 = 96.0;
 const WIDTH: f64 = Width::Page.units() - LEFT - RIGHT;
 /// Two pixels of the PNG for each even sample.
 const FINENESS: f64 = 2.0 * EVEN as f64 / WIDTH;
 /// Height of the view in the corner.
 const INSET: f64 = 72.0;
-/// Height of a patch's map.
-const MAP: f64 = 64.0;
-/// Fraction of the positive densities above the map's brightest colour.
-const OUTLIERS: f64 = 0.02;
 
-/// Draws curves of the pixel's ray, and maps of the patch's row below, all over the same t.
+/// Draws curves of the pixel's ray, all over the same t.
 pub fn draw(profiles: &Profiles) -> Result<Figure> {
     let first = &profiles.runs[0].0;
     let mut canvas = Canvas::new(Width::Page.units(), 0.0);
@@ -35,16 +29,15 @@ pub fn draw(profiles: &Profiles) -> Result<Figure> {
     let width = draw_inset(&mut canvas, profiles)? - 2.0 * SIDE;
     let y = canvas.lines((SIDE, 20.0), width, &title, BLACK) + 2.0;
     let y = note(&mut canvas, (SIDE, y), width, &first.title());
-    let mut y = legend(&mut canvas, profiles, y.max(16.0 + INSET + 16.0)) + 4.0;
+    let y = legend(&mut canvas, profiles, y.max(16.0 + INSET + 16.0)) + 4.0;
     let axis = Axis { bounds: first.bounds };
-    y = curves(&mut canvas, profiles, &axis, y);
-    y = axis.label(&mut canvas, y, first.depth_unit()) + 16.0;
-    canvas.height = maps(&mut canvas, profiles, &axis, first.depth_unit(), y)? + 8.0;
+    let y = curves(&mut canvas, profiles, &axis, y);
+    canvas.height = axis.label(&mut canvas, y, first.depth_unit()) + 8.0;
     canvas.caption(&caption(profiles));
     canvas.finish()
 }
 
-/// Draws the view with the patch in the upper right corner; returns its left end.
+/// Draws the view with the pixel in the upper right corner; returns its left end.
 fn draw_inset(canvas: &mut Canvas, profiles: &Profiles) -> Result<f64> {
     let image = &profiles.runs[0].0.view.image;
     // A small photo is drawn as it is, a larger one at the PNG's resolution.
@@ -54,9 +47,9 @@ fn draw_inset(canvas: &mut Canvas, profiles: &Profiles) -> Result<f64> {
     let (left, top) = (canvas.width - SIDE - image.width as f64 * unit, 14.0);
     canvas.picture((left, top), (image.width as f64 * unit, INSET), &resample::shrink(image, columns, rows))?;
     // Large enough to be visible.
-    let side = (profiles.patch.width as f64 * unit).max(6.0);
-    let middle = |start: usize| (start as f64 + 0.5 * profiles.patch.width as f64) * unit - 0.5 * side;
-    let at = (left + middle(profiles.patch.x), top + middle(profiles.patch.y));
+    let side = unit.max(6.0);
+    let middle = |pixel: usize| (pixel as f64 + 0.5) * unit - 0.5 * side;
+    let at = (left + middle(profiles.pixel.0), top + middle(profiles.pixel.1));
     canvas.outline(at, (side, side), PAPER, 3.0);
     canvas.outline(at, (side, side), ORANGE, 1.5);
     Ok(left)
@@ -90,7 +83,7 @@ impl Axis {
     }
 }
 
-/// Draws each run's colour, name, smoothness and differences.
+/// Draws each run's colour, name, differences and variation of density.
 fn legend(canvas: &mut Canvas, profiles: &Profiles, mut y: f64) -> f64 {
     const TEXT_LEFT: f64 = SIDE + 34.0;
     let width = canvas.width - TEXT_LEFT - SIDE;
@@ -100,18 +93,10 @@ fn legend(canvas: &mut Canvas, profiles: &Profiles, mut y: f64) -> f64 {
         canvas.line(&[(SIDE, y), (SIDE + 26.0, y)], colour(profiles, index), 3.0);
         y = canvas.lines((TEXT_LEFT, y), width, &run.caption(), BLACK);
         y = note(canvas, (TEXT_LEFT, y), width, &difference_text(&differences, index));
-        y = note(canvas, (TEXT_LEFT, y), width, &smoothness(profile)) + 6.0;
+        let variation = format!("total variation of density along the ray: {:.2}", profile.density_variation());
+        y = note(canvas, (TEXT_LEFT, y), width, &variation) + 6.0;
     }
     y
-}
-
-fn smoothness(profile: &Profile) -> String {
-    let smooth = &profile.smoothness;
-    let across = smooth.density_tv_across.map_or(String::new(), |tv| format!(", {tv:.3} from ray to ray"));
-    format!(
-        "patch: mean density {:.3}; total variation of density {:.2} along a ray{across}",
-        smooth.density_mean, smooth.density_tv_along
-    )
 }
 
 /// Returns an error if there are more runs than distinguishable colours.
@@ -120,7 +105,7 @@ pub fn check_overlay(runs: usize) -> Result<()> {
         return Ok(());
     }
     let most = PALETTE.len();
-    Err(Error::Config(format!("a profile overlays at most {most} runs, but there are {runs}; name fewer")))
+    Err(Error::Config(format!("--ray overlays at most {most} runs, but there are {runs}; name fewer")))
 }
 
 /// Returns a run's colour: its row's in the sweep's figures, unless two rows have one.
@@ -141,16 +126,17 @@ struct Curves {
     value: fn(&Samples, usize) -> f32,
 }
 
-/// Draws density, weight, red, green and blue over t; returns the foot of the last panel.
+/// Draws density, transmittance, weight, red, green and blue over t; returns the foot of the last panel.
 fn curves(canvas: &mut Canvas, profiles: &Profiles, axis: &Axis, mut y: f64) -> f64 {
     const GAP: f64 = 14.0;
-    let rgb = |name, value| Curves { name, height: 56.0, top: Some(1.0), evaluated: false, value };
+    let share = |name, value| Curves { name, height: 56.0, top: Some(1.0), evaluated: false, value };
     let panels = [
         Curves { name: "density", height: 130.0, top: None, evaluated: false, value: |s, k| s.density[k] },
+        share("transmittance", |s, k| s.transmittance[k]),
         Curves { name: "weight", height: 90.0, top: None, evaluated: true, value: |s, k| s.weights[k] },
-        rgb("red", |s, k| s.rgb[k][0]),
-        rgb("green", |s, k| s.rgb[k][1]),
-        rgb("blue", |s, k| s.rgb[k][2]),
+        share("red", |s, k| s.rgb[k][0]),
+        share("green", |s, k| s.rgb[k][1]),
+        share("blue", |s, k| s.rgb[k][2]),
     ];
     for panel in panels {
         panel.draw(canvas, profiles, axis, y);
@@ -160,19 +146,14 @@ fn curves(canvas: &mut Canvas, profiles: &Profiles, axis: &Axis, mut y: f64) -> 
 }
 
 impl Curves {
-    fn points(&self, profiles: &Profiles, profile: &Profile) -> Vec<(f64, f64)> {
-        let samples = match (self.evaluated, &profile.fine) {
-            (false, _) => profiles.own(profile),
-            (true, Some(fine)) => fine,
-            (true, None) => &profile.coarse,
-        };
+    fn points(&self, profile: &Profile) -> Vec<(f64, f64)> {
+        let samples = if self.evaluated { profile.evaluated() } else { &profile.even };
         let point = |k: usize| (f64::from(samples.t[k]), f64::from((self.value)(samples, k)));
         (0..samples.t.len()).map(point).collect()
     }
 
     fn draw(&self, canvas: &mut Canvas, profiles: &Profiles, axis: &Axis, y: f64) {
-        let runs: Vec<Vec<(f64, f64)>> =
-            profiles.runs.iter().map(|(_, profile)| self.points(profiles, profile)).collect();
+        let runs: Vec<Vec<(f64, f64)>> = profiles.runs.iter().map(|(_, profile)| self.points(profile)).collect();
         let greatest = runs.iter().flatten().map(|(_, value)| *value).fold(0.0, f64::max);
         // A ray through empty space has no density at all.
         let top = self.top.unwrap_or(if greatest > 0.0 { 1.05 * greatest } else { 1.0 });
@@ -190,69 +171,11 @@ impl Curves {
     }
 }
 
-/// Draws, for each run, density and colour of the patch's row through the pixel, and the density's colour bar; returns
-/// the foot of all.
-fn maps(canvas: &mut Canvas, profiles: &Profiles, axis: &Axis, unit: &str, mut y: f64) -> Result<f64> {
-    let top = density_top(profiles);
-    for (index, (run, profile)) in profiles.runs.iter().enumerate() {
-        canvas.line(&[(LEFT, y), (LEFT + 26.0, y)], colour(profiles, index), 3.0);
-        y = canvas.lines((LEFT + 34.0, y), WIDTH - 34.0, &run.caption(), BLACK) - 4.0;
-        let density = map(profiles, profile, |ray, k| scale_colour(ray.density[k] / top));
-        let rgb = map(profiles, profile, |ray, k| ray.rgb[k]);
-        for (name, picture) in [("density", density), ("colour", rgb)] {
-            canvas.picture((LEFT, y), (WIDTH, MAP), &picture)?;
-            canvas.text((LEFT + WIDTH + 8.0, y + MAP / 2.0), name, TEXT, Anchor::Left, BLACK);
-            draw_column_names(canvas, profiles, y);
-            y += MAP + 8.0;
-        }
-        y += 6.0;
-    }
-    y = axis.label(canvas, y - 14.0, unit) + 14.0;
-    colour_bar(canvas, (LEFT, y), WIDTH, (0.0, top), false, "density on the maps")
-}
-
-/// Draws the first and last column of the patch next to a map, and a mark at the pixel's own.
-fn draw_column_names(canvas: &mut Canvas, profiles: &Profiles, y: f64) {
-    let Window { x, width, .. } = profiles.patch;
-    let middle = |column: usize| y + MAP * ((column - x) as f64 + 0.5) / width as f64;
-    let own = middle(profiles.pixel.0);
-    canvas.line(&[(LEFT - 6.0, own), (LEFT, own)], BLACK, 2.0);
-    let ends = if width > 1 { vec![x, x + width - 1] } else { vec![x] };
-    for column in ends {
-        canvas.text((LEFT - 10.0, middle(column)), &format!("x = {column}"), TEXT, Anchor::Right, BLACK);
-    }
-}
-
-/// Returns the rays of the patch's row through the pixel, one below the other.
-fn row<'a>(profiles: &Profiles, profile: &'a Profile) -> &'a [Samples] {
-    let Window { y, width, .. } = profiles.patch;
-    &profile.even[(profiles.pixel.1 - y) * width..][..width]
-}
-
-fn map(profiles: &Profiles, profile: &Profile, colour: impl Fn(&Samples, usize) -> [f32; 3]) -> Image {
-    let rays = row(profiles, profile);
-    let pixels = rays.iter().flat_map(|ray| (0..EVEN).flat_map(|k| colour(ray, k)).collect::<Vec<f32>>()).collect();
-    Image { width: EVEN, height: rays.len(), channels: 3, pixels }
-}
-
-/// Returns the density of the brightest colour: of the positive densities on all maps, 98 % are below it.
-fn density_top(profiles: &Profiles) -> f32 {
-    let rays = profiles.runs.iter().flat_map(|(_, profile)| row(profiles, profile));
-    let mut positive: Vec<f32> = rays.flat_map(|ray| &ray.density).copied().filter(|&density| density > 0.0).collect();
-    positive.sort_by(f32::total_cmp);
-    positive.get((positive.len() as f64 * (1.0 - OUTLIERS)) as usize).copied().unwrap_or(1.0)
-}
-
 fn caption(profiles: &Profiles) -> String {
-    let Window { x, y, width, .. } = profiles.patch;
     let runs = || profiles.runs.iter().map(|(run, _)| run);
     let mut text = format!(
-        "Density and colour are the evaluated field's at {EVEN} even places along the ray, weights those of an \
-         evaluation at its own samples (dots). Maps: the rays of pixels {x} to {} in row {}; the mark is the ray \
-         above. The highest 2 % of the positive densities have the last colour. Patch: {width} x {width} pixels from \
-         ({x}, {y}). The smaller the variation, the smoother; it counts in units of density.",
-        x + width - 1,
-        profiles.pixel.1
+        "Weights are those of an evaluation at its own samples (dots); all else is the evaluated field's at {EVEN} even \
+         places along the ray. The smaller the variation of density, the smoother; it counts in units of density."
     );
     if runs().any(|run| run.queries_gaussians) {
         text += " MipNeRF's field is queried at Gaussians of these places' own short intervals, which no evaluation queries.";

@@ -79,15 +79,6 @@ impl RunView {
 
     /// Returns an error if the run shows another scene, view, resolution, camera or photo than `first`.
     pub fn check_alike(&self, first: &RunView) -> Result<()> {
-        self.check_view(first, |run| format!("{} ({})", run.view.name, run.protocol.text("split")))
-    }
-
-    /// Does the same for runs that may hold out other views besides this one.
-    pub(super) fn check_same_view(&self, first: &RunView) -> Result<()> {
-        self.check_view(first, |run| run.view.name.clone())
-    }
-
-    fn check_view(&self, first: &RunView, view_name: fn(&RunView) -> String) -> Result<()> {
         let differ = |what: &str, own: String, other: String| {
             Err(Error::Config(format!(
                 "{} and {} do not match: {what} is {other} in the first and {own} in the second; give runs that \
@@ -102,7 +93,7 @@ impl RunView {
                 ("the scene", run.protocol.text("scene")),
                 ("the kind of scene", run.protocol.text("dataset")),
                 ("the resolution", format!("{width} x {height}")),
-                ("the held-out view", view_name(run)),
+                ("the held-out view", format!("{} ({})", run.view.name, run.protocol.text("split"))),
                 ("the background", run.protocol.text("background")),
                 ("the focal length", format!("{focal:?}")),
                 ("the principal point", format!("{centre:?}")),
@@ -134,8 +125,8 @@ impl RunView {
         }
         let words = |run: &RunView| format!("{} to {}", run.bounds.0, run.bounds.1);
         Err(Error::Config(format!(
-            "rays of {} run from {}, but those of {} from {}: a profile needs one interval; give runs that agree in \
-             data.near and data.far (`augnerf compare` shows runs that differ)",
+            "rays of {} run from {}, but those of {} from {}: --ray needs one interval; give runs that agree in \
+             data.near and data.far (without --ray, runs may differ in them)",
             self.label,
             words(self),
             first.label,
@@ -171,7 +162,7 @@ impl RunView {
 }
 
 /// Returns the index of the view with that name, or else with that number.
-pub(super) fn find_view(label: &str, names: &[&str], view: &str) -> Result<usize> {
+fn find_view(label: &str, names: &[&str], view: &str) -> Result<usize> {
     let named = names.iter().position(|known| *known == view);
     let numbered = || view.parse().ok().filter(|&index: &usize| index < names.len());
     named.or_else(numbered).ok_or_else(|| {

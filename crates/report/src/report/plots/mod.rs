@@ -11,7 +11,6 @@ use crate::report::statistics::{mean, standard_deviation};
 
 mod across;
 mod axes;
-mod calibration;
 mod curves;
 mod differences;
 mod ends;
@@ -29,7 +28,6 @@ pub use crate::draw::Figure;
 pub use crate::draw::canvas::Width;
 pub use across::across_figure;
 pub use axes::axes_figure;
-pub use calibration::calibration_figure;
 pub use curves::{Curve, Seeds, curves_figure, seconds_figure};
 pub use heatmap::heatmap_figures;
 pub use over_scenes::over_scenes_figure;
