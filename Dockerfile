@@ -6,8 +6,6 @@ COPY . .
 RUN cargo build --release --locked && strip target/release/augnerf
 
 FROM debian:bookworm-slim
-# libstdc++: the encoder of MP4 videos is written in C++.
-RUN apt-get update && apt-get install -y --no-install-recommends libstdc++6 && rm -rf /var/lib/apt/lists/*
 COPY --from=build /source/target/release/augnerf /usr/local/bin/augnerf
 COPY --from=build /source/LICENSE-MIT /source/LICENSE-APACHE /usr/share/doc/augnerf/
 COPY --from=build /source/assets/fonts /usr/share/doc/augnerf/fonts

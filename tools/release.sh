@@ -16,13 +16,11 @@ rm -rf "$out"
 mkdir -p "$out/$name/completions" "$out/$name/man/man1"
 
 if [[ -z ${PROGRAM:-} ]]; then
-  # Links the compiler's library and the video encoder's C++ library statically: the linker's first folder has only archives.
+  # Links the compiler's library statically: the linker's first folder has only the archive.
   archives=$PWD/target/release-archives
   mkdir -p "$archives"
-  for of in gcc_s:gcc_eh stdc++:stdc++; do
-    archive=$(g++ -print-file-name="lib${of#*:}.a" 2> /dev/null || true)
-    [[ -e $archive ]] && ln -sf "$archive" "$archives/lib${of%:*}.a"
-  done
+  archive=$(cc -print-file-name=libgcc_eh.a 2> /dev/null || true)
+  [[ -e $archive ]] && ln -sf "$archive" "$archives/libgcc_s.a"
   export RUSTFLAGS="${RUSTFLAGS:-} -L native=$archives"
   cargo build --release --locked --target-dir target/release-build "$@"
   PROGRAM=target/release-build/release/augnerf
@@ -35,8 +33,7 @@ needed=$(objdump -p "$program" | awk '/NEEDED/ { print $2 }')
 own='^(lib(c|m|dl|rt|pthread|util)\.so\.[0-9]+|ld-linux.*)$'
 [[ " $* " == *cuda* ]] && own="$own|^lib(cu|nv)"
 if foreign=$(grep -Ev "$own" <<< "$needed"); then
-  echo "$program needs" $foreign "besides glibc, which other machines may lack; install g++ with libstdc++.a and libgcc_eh.a," \
-    "or build without videos: --no-default-features --features png-figures" >&2
+  echo "$program needs" $foreign "besides glibc, which other machines may lack; install gcc with libgcc_eh.a" >&2
   rm -rf "$out"
   exit 1
 fi

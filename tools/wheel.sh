@@ -2,8 +2,8 @@
 # wheel.sh [FEATURES]: builds the program for Linux systems with an older glibc, and packs it as a wheel into target/wheels.
 # FEATURES are cargo's: --features gpu. GLIBC=2.28 is the oldest glibc that the program must start on. Prints the glibc and the
 # libraries that the program needs.
-# Needs Rust with its linker, Python 3 and objdump, but no C++ compiler: zig compiles openh264 and links the program. The first
-# call installs maturin and zig from PyPI into target/wheel-tools.
+# Needs Rust with its linker, Python 3 and objdump, but no C compiler: zig links the program. The first call
+# installs maturin and zig from PyPI into target/wheel-tools.
 set -euo pipefail
 cd "$(dirname "$0")/.."
 
@@ -15,7 +15,7 @@ if [[ ! -x $tools/bin/maturin ]]; then
 fi
 export PATH=$tools/bin:$PATH CARGO_TARGET_DIR=${CARGO_TARGET_DIR:-$PWD/target/wheel-build}
 
-# zig links against the symbols of the named glibc, whatever this system has, and its C++ library statically.
+# zig links against the symbols of the named glibc, whatever this system has.
 target=$(rustc -vV | sed -n 's/^host: //p')
 out=target/wheels
 rm -rf "$out"

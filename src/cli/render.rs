@@ -9,7 +9,7 @@ use crate::base::files::AtomicDir;
 use crate::base::{Error, Event, Listener, Result};
 use crate::data::cameras::{self, Dataparser, MOST_PIXELS};
 use crate::data::{Camera, View};
-use crate::draw::without_mp4;
+use crate::draw::write_mp4;
 use crate::run::{OpenOptions, PathPictures, Pictures, Trained, Viewer};
 use crate::runtime::{Runtime, free_memory_mib};
 
@@ -21,7 +21,7 @@ use super::{Compute, Moved, whole};
 mod serve;
 
 pub const EXAMPLES: &str = "Examples:
-  augnerf render RUN --frames 30 --resolution 320x240  # the scene's camera path: PNG, GIF, MP4
+  augnerf render RUN --frames 30 --resolution 320x240  # the scene's camera path as GIF
   augnerf render RUN --cameras path.json               # your own path; --write-cameras writes one
   augnerf render RUN --serve --out DIR                 # cameras that another program asks for
 
@@ -135,10 +135,9 @@ impl RenderArguments {
             console.say(&format!("{} cameras", shots.cameras.len()));
             return self.tell(&trained, (None, file), shots.cameras.len(), console);
         }
-        let no_mp4 = match self.what {
-            What::Path => without_mp4(video_size(&shots)?),
-            What::Views => None,
-        };
+        if self.what == What::Path {
+            video_size(&shots)?;
+        }
         let renders = trained.run.renders();
         let default = match self.what {
             What::Path => renders.join("path"),
@@ -149,13 +148,13 @@ impl RenderArguments {
         if let Some(seconds) = viewer.estimate_seconds(&shots.cameras.iter().collect::<Vec<&Camera>>())? {
             console.say(&expected(&shots.cameras, seconds, self.what));
         }
-        match self.what {
-            What::Views => views(viewer, pictures.path(), console)?,
-            What::Path => path(viewer, &shots, pictures.path(), console)?,
-        }
+        let videos = match self.what {
+            What::Views => views(viewer, pictures.path(), console).map(|()| None)?,
+            What::Path => path(viewer, &shots, pictures.path(), console).map(Some)?,
+        };
         pictures.commit()?;
         console.on(Event::Finished);
-        no_mp4.iter().for_each(|note| console.say(note));
+        videos.iter().for_each(|videos| console.say(videos));
         self.tell(&trained, (Some(&folder), &folder), shots.cameras.len(), console)
     }
 
@@ -260,8 +259,8 @@ fn video_size(shots: &Shots) -> Result<(usize, usize)> {
     Ok(first)
 }
 
-/// Renders the frames of a video.
-fn path(viewer: Viewer, shots: &Shots, folder: &Path, console: &Console) -> Result<()> {
+/// Renders the frames of a video, and returns which videos it wrote.
+fn path(viewer: Viewer, shots: &Shots, folder: &Path, console: &Console) -> Result<String> {
     let Shots { cameras, fps } = shots;
     let mut pictures = PathPictures::begin(folder, viewer.scene, video_size(shots)?, cameras.len(), *fps)?;
     console.on(Event::Started { what: "rendering", parts: cameras.len() as u64 });
@@ -270,7 +269,12 @@ fn path(viewer: Viewer, shots: &Shots, folder: &Path, console: &Console) -> Resu
         pictures.add(viewer.render_with(&*renderer, camera)?)?;
         console.on(Event::Advanced);
     }
-    pictures.finish()
+    pictures.finish()?;
+    let written = ["rgb", "depth"].iter().try_for_each(|name| write_mp4(folder, name, *fps));
+    Ok(match written {
+        Ok(()) => "videos: rgb.gif, rgb.mp4, depth.gif and depth.mp4".into(),
+        Err(reason) => format!("videos: rgb.gif and depth.gif; {reason}"),
+    })
 }
 
 /// Returns whether a file of cameras keeps neither their size nor frames per second.

@@ -440,19 +440,52 @@ fn eval_and_render_read_a_run_back() {
     }
 }
 
-/// Frames that an MP4 cannot have, and more of them than memory has room for.
+/// GIFs are always written. MP4s are ffmpeg's; without it, or if it fails, the rest is written and the reason is told.
 #[test]
-fn large_pictures_are_rendered_without_mp4_and_refused_beyond_memory() {
+#[cfg(unix)]
+fn ffmpeg_writes_videos_as_mp4() {
+    use std::os::unix::fs::PermissionsExt;
+
     let dir = TempDir::new().unwrap();
-    let (out, wide) = (dir.path().join("run"), dir.path().join("wide"));
+    let (out, bin) = (dir.path().join("run"), dir.path().join("bin"));
     succeed(&tiny(&out, &["--set", "train.steps=2"]));
-    let (folder, pictures) = (out.to_str().unwrap(), wide.to_str().unwrap());
-    let said = succeed(&["render", folder, "--frames", "1", "--resolution", "3842x4", "--out", pictures]);
-    assert_says(&String::from_utf8_lossy(&said.stderr), &["no MP4"]);
-    for file in ["rgb_000.png", "depth_000.png", "depth16_000.png", "rgb.gif", "depth.gif", "depth.json"] {
-        assert!(wide.join(file).is_file(), "{file}");
+    std::fs::create_dir(&bin).unwrap();
+    let writes = "for last; do :; done; [ -f rgb_001.png ] && echo \"$@\" > \"$last\"";
+    let fails = "for last; do :; done; echo half > \"$last\"; echo 'no such encoder' >&2; exit 1";
+    let cases = [
+        (None, "rgb.gif and depth.gif; to get MP4 as well, install ffmpeg"),
+        (Some(writes), "rgb.gif, rgb.mp4, depth.gif and depth.mp4"),
+        (Some(fails), "rgb.gif and depth.gif; no MP4: ffmpeg failed (no such encoder)"),
+    ];
+    for (script, expected) in cases {
+        if let Some(script) = script {
+            let ffmpeg = bin.join("ffmpeg");
+            std::fs::write(&ffmpeg, format!("#!/bin/sh\n{script}\n")).unwrap();
+            std::fs::set_permissions(&ffmpeg, PermissionsExt::from_mode(0o755)).unwrap();
+        }
+        let mut render = augnerf(&["render", out.to_str().unwrap(), "--frames", "3", "--fps", "12.5"]);
+        let said = demand(render.env("PATH", &bin), 0);
+        assert_says(&said, &[expected]);
+        let path = out.join("renders/path");
+        for (name, found) in [("rgb", script == Some(writes)), ("depth", script == Some(writes))] {
+            assert!(path.join(name).with_extension("gif").is_file());
+            let video = path.join(name).with_extension("mp4");
+            assert_eq!(video.exists(), found, "{name}: {said}");
+            if found {
+                let arguments = std::fs::read_to_string(&video).unwrap();
+                assert_says(&arguments, &["-framerate 12.5", &format!("-i {name}_%03d.png"), "yuv420p"]);
+            }
+        }
     }
-    assert!(!wide.join("rgb.mp4").exists());
+}
+
+/// More frames than memory has room for.
+#[test]
+fn large_pictures_are_refused_beyond_memory() {
+    let dir = TempDir::new().unwrap();
+    let out = dir.path().join("run");
+    succeed(&tiny(&out, &["--set", "train.steps=2"]));
+    let folder = out.to_str().unwrap();
     let camera = serde_json::json!({"camera_to_world": [1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 4, 0, 0, 0, 1]});
     let film = serde_json::json!({"camera_path": vec![camera; 3000]});
     let cameras = dir.path().join("path.json");

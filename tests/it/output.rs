@@ -164,7 +164,7 @@ fn pictures_read_back() {
     let frames: Vec<Image> = (0..12)
         .map(|i| depth_colour(&ball_depth(size, i as f32 * 0.05), size, size, near, far, None).unwrap())
         .collect();
-    let mut reel = Reel::begin(&dir.join("video"), (size, size), frames.len(), 24.0).unwrap();
+    let mut reel = Reel::begin(&dir.join("video.gif"), (size, size), 24.0).unwrap();
     frames.iter().for_each(|frame| reel.add(frame).unwrap());
     reel.finish().unwrap();
     check_gif(&fs::read(dir.join("video.gif")).unwrap(), &frames);

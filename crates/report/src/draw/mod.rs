@@ -15,7 +15,7 @@ mod scripts;
 mod words;
 
 pub use canvas::Figure;
-pub use mp4::without_mp4;
+pub use mp4::write_mp4;
 pub use pictures::{
     SOLID, beside, depth_colour, depth_range, depth_range_of, encode_jpeg, encode_png8, pixel_errors, quantise,
     scale_colour, stripe, write_depth16, write_png8,

@@ -1,4 +1,4 @@
-//! Videos that grow frame by frame: GIF, and MP4 if possible. No frame stays in memory.
+//! GIFs that grow frame by frame. No frame stays in memory.
 
 use std::fs::File;
 use std::io::{BufWriter, Write};
@@ -6,7 +6,6 @@ use std::path::{Path, PathBuf};
 
 use rayon::prelude::*;
 
-use super::mp4;
 use super::pictures::{check, on_paper, quantise, unwritable};
 use crate::base::files::write_atomic;
 use crate::base::{Image, Result};
@@ -73,32 +72,26 @@ fn delay(index: usize, fps: f64) -> u16 {
     length.clamp(GIF_SHORTEST, u16::MAX as u64) as u16
 }
 
-/// A video as `NAME.gif` and, unless [`without_mp4`](super::without_mp4) gives a reason, `NAME.mp4`. A kill leaves a
-/// partial file, so write into a folder that appears as a whole.
+/// A video as a GIF. A kill leaves a partial file, so write into a folder that appears as a whole.
 pub struct Reel {
     path: PathBuf,
     gif: Gif<BufWriter<File>>,
-    mp4: Option<mp4::Mp4>,
     fps: f64,
     count: usize,
 }
 
 impl Reel {
-    /// Starts a video of `frames` frames of `size` (width, height), at `fps` frames a second; a GIF shows at most 50.
-    /// `path` has no extension.
+    /// Starts a video of frames of `size` (width, height), at `fps` frames a second; a GIF shows at most 50.
     ///
     /// # Errors
     /// The rate is not positive; frames are too large for a GIF; the file cannot be written.
-    pub fn begin(path: &Path, size: (usize, usize), frames: usize, fps: f64) -> Result<Reel> {
+    pub fn begin(path: &Path, size: (usize, usize), fps: f64) -> Result<Reel> {
         if !(fps.is_finite() && fps > 0.0) {
             return Err(unwritable(path, &format!("the frame rate is {fps}; it must be positive")));
         }
-        let file = path.with_extension("gif");
-        let writer = File::create(&file).map_err(|error| unwritable(&file, &error.to_string()))?;
-        let gif = Gif::begin(BufWriter::new(writer), size).map_err(|reason| unwritable(&file, &reason))?;
-        let mp4 = mp4::without_mp4(size).is_none().then(|| mp4::Mp4::begin(size, frames, fps)).transpose();
-        let mp4 = mp4.map_err(|reason| unwritable(&path.with_extension("mp4"), &reason))?;
-        Ok(Reel { path: path.to_path_buf(), gif, mp4, fps, count: 0 })
+        let writer = File::create(path).map_err(|error| unwritable(path, &error.to_string()))?;
+        let gif = Gif::begin(BufWriter::new(writer), size).map_err(|reason| unwritable(path, &reason))?;
+        Ok(Reel { path: path.to_path_buf(), gif, fps, count: 0 })
     }
 
     /// Adds the next frame.
@@ -106,27 +99,19 @@ impl Reel {
     /// # Errors
     /// The frame has another size; the file cannot be written.
     pub fn add(&mut self, frame: &Image) -> Result<()> {
-        let Reel { path, gif, mp4, fps, count } = self;
-        gif.add(frame, delay(*count, *fps)).map_err(|reason| unwritable(&path.with_extension("gif"), &reason))?;
-        if let Some(mp4) = mp4 {
-            mp4.add(frame).map_err(|reason| unwritable(&path.with_extension("mp4"), &reason))?;
-        }
-        *count += 1;
+        let delay = delay(self.count, self.fps);
+        self.gif.add(frame, delay).map_err(|reason| unwritable(&self.path, &reason))?;
+        self.count += 1;
         Ok(())
     }
 
-    /// Writes the rest and closes the files.
+    /// Writes the rest and closes the file.
     ///
     /// # Errors
-    /// A file cannot be written.
+    /// The file cannot be written.
     pub fn finish(self) -> Result<()> {
-        let [gif, mp4] = ["gif", "mp4"].map(|ending| self.path.with_extension(ending));
-        let mut writer = self.gif.finish().map_err(|reason| unwritable(&gif, &reason))?;
-        writer.flush().map_err(|error| unwritable(&gif, &error.to_string()))?;
-        match self.mp4 {
-            Some(video) => write_atomic(&mp4, &video.finish().map_err(|reason| unwritable(&mp4, &reason))?),
-            None => Ok(()),
-        }
+        let mut writer = self.gif.finish().map_err(|reason| unwritable(&self.path, &reason))?;
+        writer.flush().map_err(|error| unwritable(&self.path, &error.to_string()))
     }
 }
 
@@ -160,6 +145,6 @@ mod tests {
         assert!(timed_gif(&[], &[]).is_err());
         assert!(timed_gif(&[small.clone(), plain(2, 1)], &[10, 10]).unwrap_err().contains("2x1"));
         assert!(timed_gif(&[plain(70_000, 1)], &[10]).unwrap_err().contains("too many"));
-        assert!(Reel::begin(Path::new("never"), (1, 1), 1, 0.0).is_err());
+        assert!(Reel::begin(Path::new("never"), (1, 1), 0.0).is_err());
     }
 }

@@ -54,8 +54,7 @@ fn mask_picture(mask: &[bool], width: usize, height: usize) -> Image {
 }
 
 /// Frames of a path, written as they come: `rgb_000.png`, `depth_000.png` (colours), `depth16_000.png`, `rgb.gif`,
-/// `depth.gif`, `depth.json`, and `rgb.mp4` and `depth.mp4` if supported. Only depth stays in memory, since its
-/// colours depend on the range of all frames.
+/// `depth.gif` and `depth.json`. Only depth stays in memory, since its colours depend on the range of all frames.
 pub struct PathPictures<'a> {
     folder: &'a Path,
     scene: &'a Scene,
@@ -77,7 +76,7 @@ impl<'a> PathPictures<'a> {
 
     /// Starts `frames` frames of a size (width, height), at `fps` frames a second.
     pub fn begin(folder: &'a Path, scene: &'a Scene, size: (usize, usize), frames: usize, fps: f64) -> Result<Self> {
-        let rgb = Reel::begin(&folder.join("rgb"), size, frames, fps)?;
+        let rgb = Reel::begin(&folder.join("rgb.gif"), size, fps)?;
         Ok(PathPictures { folder, scene, size, fps, rgb, depths: Vec::with_capacity(frames) })
     }
 
@@ -100,7 +99,7 @@ impl<'a> PathPictures<'a> {
             depths.iter().map(|Depth { depth, acc }| (depth.as_slice(), Some(acc.as_slice()))).collect();
         let range = depth_range_of(&views);
         let (near, far) = range.unwrap_or((scene.near as f32, scene.far as f32));
-        let mut video = Reel::begin(&folder.join("depth"), size, depths.len(), fps)?;
+        let mut video = Reel::begin(&folder.join("depth.gif"), size, fps)?;
         for (index, Depth { depth, acc }) in depths.iter().enumerate() {
             let picture = depth_colour(depth, size.0, size.1, near, far, Some(acc))?;
             write_png8(&folder.join(format!("depth_{index:03}.png")), &picture)?;
