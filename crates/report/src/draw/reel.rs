@@ -7,7 +7,6 @@ use std::path::{Path, PathBuf};
 use rayon::prelude::*;
 
 use super::pictures::{check, on_paper, quantise, unwritable};
-use crate::base::files::write_atomic;
 use crate::base::{Image, Result};
 
 /// Sampling factor of the colour quantization: 1 is best and slowest, 30 worst.
