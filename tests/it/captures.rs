@@ -230,7 +230,7 @@ fn a_list_that_is_not_there_has_what_the_others_leave() {
 }
 
 #[test]
-fn the_split_s_name_stands_in_the_settings_and_old_runs_keep_theirs() {
+fn the_split_s_name_stands_in_the_settings() {
     let folder = Folder::new(9).with("test_filenames", json!(["images/0.png"]));
     folder.load(|_| {});
     let draft = || {
@@ -240,22 +240,12 @@ fn the_split_s_name_stands_in_the_settings_and_old_runs_keep_theirs() {
     };
     let (config, _) = load_scene(draft(), &()).unwrap();
     assert_eq!(config.data.split, Some(Split::Own));
-    // A run of before the setting held out every 8th view, and its hash, which its checkpoints are known by, stays.
-    let run = TempDir::new().unwrap();
-    let mut old = draft();
-    old.data.kind = DataKind::Transforms;
-    fs::write(run.path().join("config.toml"), old.to_toml()).unwrap();
-    let read = RunDir::open(run.path()).unwrap().read_config().unwrap();
-    assert_eq!((read.data.split, read.hash()), (Some(Split::Every), old.hash()));
-    assert_ne!(
-        config.hash(),
-        Config { data: DataConfig { split: None, ..config.data.clone() }, ..(**config).clone() }.hash()
-    );
-    old.data.split = Some(Split::Own);
+    let mut own = draft();
+    (own.data.kind, own.data.split) = (DataKind::Transforms, Some(Split::Own));
     let without = Folder::new(9);
     without.load(|_| {});
-    old.data.dir = without.path().display().to_string();
-    assert_says(&load_scene(old, &()).unwrap_err().to_string(), &["data.split = \"own\"", "train_filenames"]);
+    own.data.dir = without.path().display().to_string();
+    assert_says(&load_scene(own, &()).unwrap_err().to_string(), &["data.split = \"own\"", "train_filenames"]);
 }
 
 /// Writes `transforms_{split}.json` with four of the folder's photographs from `first` on.

@@ -749,7 +749,7 @@ fn bench_says_what_it_did() {
     let ask =
         |more: &[&'static str]| -> serde_json::Value { serde_json::from_slice(&succeed(&bench(more)).stdout).unwrap() };
     let work = |said: &serde_json::Value| said["multiply_adds_per_step"].as_f64().unwrap();
-    let [nerf, aug, tv] = ["nerf", "aug", "tv"].map(|method| ask(&["--method", method]));
+    let [nerf, aug, tv] = ["nerf", "aug-nerf", "tv"].map(|method| ask(&["--method", method]));
     assert!(nerf["seconds_per_step"].as_f64().unwrap() > 0.0, "{nerf}");
     assert!(nerf["threads"] == 1 && nerf["method"] == "nerf", "{nerf}");
     // Three forward units clean; twice three in the search and three perturbed besides.

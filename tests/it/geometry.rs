@@ -3,7 +3,7 @@
 use std::collections::HashMap;
 use std::path::Path;
 
-use crate::common::files::{json, newest, points_of, rows, text};
+use crate::common::files::{json, newest, points_of, rows, seal, text};
 use crate::common::needs::scene;
 use crate::common::program::{self, printed, refuse, succeed};
 use augnerf::data::vector::{cross, dot, sub};
@@ -216,13 +216,13 @@ fn broken_weights_are_named() {
     let dir = TempDir::new().unwrap();
     let run = trained(&dir, &[]);
     let checkpoint = newest(&Path::new(&run).join("checkpoints"));
-    // Broken by training, not on the disk: a checkpoint of before there were checksums.
-    std::fs::remove_file(checkpoint.join("SHA256SUMS")).unwrap();
     let file = checkpoint.join("state.safetensors");
     let mut tensors = candle_core::safetensors::load(&file, &candle_core::Device::Cpu).unwrap();
     let bias = tensors.get_mut("fine.density.bias").unwrap();
     *bias = (bias.clone() * f64::NAN).unwrap();
     candle_core::safetensors::save(&tensors, &file).unwrap();
+    // Broken by training, not on the disk.
+    seal(&checkpoint);
     refuse(&["mesh", &run, "--resolution", "16"], 6, &["the density at", "is NaN", "weights are broken"]);
 }
 

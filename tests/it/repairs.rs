@@ -455,55 +455,6 @@ fn blender_folders_of_another_size_have_bounds_and_a_box_that_fit() {
     assert!((scene.near - (6.0 - radius(6.0))).abs() < 1e-6);
 }
 
-/// Of a folder of another size, `verify` leaves out the numbers that hang on its bounds, and no others.
-#[test]
-fn what_hangs_on_bounds_is_named_by_itself() {
-    let dir = TempDir::new().unwrap();
-    for (name, distance) in [("usual", 4.0), ("large", 6.0)] {
-        let scene = export(distance, |x, _| if x < 12 { [255; 3] } else { [250, 255, 250] });
-        fs::rename(scene.keep(), dir.path().join(name)).unwrap();
-    }
-    let file = "title = \"t\"\npreset = \"smoke\"\nscenes = [\"usual\", \"large\"]\nseeds = [0]\nmetrics = [\"psnr\"]\n\
-                set = { \"data.downscale\" = 1, \"train.steps\" = 2, \"train.rays\" = 16, \"perturb.attack\" = \"calibrated\" }\n\
-                row = [{ name = \"NeRF\" }, { name = \"Aug\", set = { method = \"aug-nerf\" } }]\n";
-    fs::write(dir.path().join("both.toml"), file).unwrap();
-    let mut sweep = program::augnerf(&["sweep", "run", "both.toml", "--data-root", ".", "-q"]);
-    demand(sweep.current_dir(dir.path()), 0);
-    let said = verify(dir.path(), &[], 0);
-    assert_says(&said, &["perturb.density.epsilon of 1 points: it hangs on bounds"]);
-    assert!(!said.contains("attack_numbers"), "{said}");
-    let points = dir.path().join("results/both/points.csv");
-    let forged = fs::read_to_string(&points).unwrap().replacen("0.01568627450980392", "0.5", 9);
-    fs::write(&points, forged).unwrap();
-    assert_says(&verify(dir.path(), &["--update"], 10), &["attack_numbers of Aug · large"]);
-}
-
-/// A run of an earlier version keeps the bounds that it was trained with, and has no box.
-#[test]
-fn a_run_on_a_blender_folder_of_another_size_keeps_its_bounds() {
-    let dir = export(6.0, |x, _| if x < 12 { [255; 3] } else { [250, 255, 250] });
-    for near in [None, Some(1.0)] {
-        let run = dir.path().join(format!("run{}", near.is_some()));
-        let mut train = program::augnerf(&["train", "--data", dir.path().to_str().unwrap(), "--preset", "smoke"]);
-        train.args(["--quiet", "--out", run.to_str().unwrap()]);
-        for setting in ["data.downscale=1", "train.steps=2", "train.rays=64", "eval.train_views=0"] {
-            train.args(["--set", setting]);
-        }
-        if let Some(near) = near {
-            train.args(["--set", &format!("data.near={near}")]);
-        }
-        demand(&mut train, 0);
-        let file = run.join("scene.json");
-        let mut scene = files::json(&file);
-        assert!(scene["far"].as_f64().unwrap() > 8.0 && scene["box"].is_array(), "{scene}");
-        let near = near.unwrap_or(2.0);
-        (scene["near"], scene["far"], scene["box"]) = (near.into(), 6.0.into(), Value::Null);
-        fs::write(&file, scene.to_string()).unwrap();
-        let said = demand(&mut program::augnerf(&["eval", run.to_str().unwrap()]), 0);
-        assert_says(&said, &[&format!("outside of {near} to 6 (the bounds of this run)")]);
-    }
-}
-
 /// Files of splits share photos: each is one view with its own name.
 #[test]
 fn photos_that_two_splits_share_are_one_view() {

@@ -22,6 +22,17 @@ pub fn rows(csv: &str) -> Vec<HashMap<String, String>> {
     csv::Reader::from_reader(csv.as_bytes()).deserialize().map(|row| row.unwrap()).collect()
 }
 
+/// Gives a checkpoint that a test changed the checksums of its files.
+pub fn seal(checkpoint: &Path) {
+    let sums = checkpoint.join("SHA256SUMS");
+    let sum = |line: &str| {
+        let (_, name) = line.split_once("  ").unwrap();
+        format!("{}  {name}\n", augnerf::train::sha256(&std::fs::read(checkpoint.join(name)).unwrap()))
+    };
+    let sealed: String = text(&sums).lines().map(sum).collect();
+    std::fs::write(sums, sealed).unwrap();
+}
+
 /// A line of `points.csv` with what all lines share.
 #[derive(Clone, Debug, PartialEq)]
 pub struct PointCells(HashMap<String, String>);
