@@ -9,7 +9,7 @@ use crate::common::{assert_says, parameters, runtime, tiny_config, tiny_scene};
 use augnerf::base::{Event, Listener, Result};
 use augnerf::data::{self, Scene, View};
 use augnerf::metrics::{PSNR, measure_unmasked};
-use augnerf::run::{RunDir, Viewer, load_scene};
+use augnerf::run::{Viewer, load_scene};
 use augnerf::settings::{Config, DataConfig, DataKind, EvalSplit, Method, Split};
 use augnerf::train::Trainer;
 use candle_core::DType;

@@ -13,10 +13,9 @@ use tempfile::TempDir;
 
 use crate::captures::{Folder, all, names, read};
 use crate::common::assert_says;
-use crate::common::program::{demand, refuse, succeed};
-use crate::common::{files, program};
+use crate::common::files;
+use crate::common::program::{refuse, succeed};
 use crate::strangers::{capture, check_folder, copy};
-use crate::verify::verify;
 
 const KEY: &str = "transform_matrix";
 

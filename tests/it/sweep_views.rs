@@ -183,12 +183,6 @@ fn results_replace_only_those_of_their_sweep() {
     }
     collect(&["runs/one", "--name", "named"], 0);
     collect(&["runs/one", "--name", "named"], 0);
-    // Early versions wrote no provenance.
-    let provenance = at("results/named/provenance.toml");
-    let kept = text(&provenance);
-    std::fs::remove_file(&provenance).unwrap();
-    collect(&["runs/one", "--name", "named"], 0);
-    assert_eq!(text(&provenance), kept);
     // In the sweep's own folder its results may have any of its names.
     std::fs::rename(at("runs/two"), at("own")).unwrap();
     collect(&["own"], 0);

@@ -19,6 +19,7 @@ use candle_core::{DType, Device};
 
 use super::formats::Format;
 use super::{results, seeds};
+use crate::common::files::seal;
 use crate::common::{tiny_config, tiny_scene, trained};
 use crate::sweep_run::Costs;
 
@@ -361,8 +362,6 @@ fn sweeps(file: PathBuf) -> Reader {
 fn runs(dir: &Path) -> Vec<Reader> {
     let config = tiny_config(Method::Nerf, |_| {});
     let checkpoint = trained(&config, 2).save(&dir.join("checkpoints")).unwrap();
-    // Sums would refuse every change, and checkpoints of earlier versions have none.
-    let _ = fs::remove_file(checkpoint.join("SHA256SUMS"));
     write(&dir.join("config.toml"), config.to_toml().as_bytes());
     let sound = |name: &str| vec![fs::read(checkpoint.join(name)).unwrap()];
     let (state, tensors) = (checkpoint.clone(), checkpoint.clone());
@@ -385,10 +384,12 @@ fn runs(dir: &Path) -> Vec<Reader> {
         }),
         reader("checkpoint, state.json", Format::Text, sound("state.json"), move |bytes| {
             write(&state.join("state.json"), bytes);
+            seal(&state);
             checkpoint::check_config(&state, &checkpoint::load_state(&state)?, &config)
         }),
         reader("checkpoint, tensors", Format::Safetensors, sound("state.safetensors"), move |bytes| {
             write(&tensors.join("state.safetensors"), bytes);
+            seal(&tensors);
             checkpoint::load_model(&tensors, &with_tensors, DType::F32, &Device::Cpu).map(drop)
         }),
     ]

@@ -352,16 +352,6 @@ mod tests {
     }
 
     #[test]
-    fn the_second_clean_pass_keeps_its_name_in_files() {
-        let [old, new] =
-            ["fresh-jitter", "clean"].map(|name| set(&["method=aug-nerf", &format!("perturb.kind={name}")]).unwrap());
-        assert_eq!((old.perturb.second, old.perturb.source()), (SecondPass::Clean, None));
-        assert_eq!((&old, old.hash()), (&new, new.hash()));
-        assert!(new.to_toml().contains("kind = \"fresh-jitter\""));
-        assert_ne!(old.hash(), set(&["method=aug-nerf"]).unwrap().hash());
-    }
-
-    #[test]
     fn a_wrong_word_in_a_site_is_found_with_its_line_and_its_keys() {
         let read = |text: &str| toml::from_str::<Config>(text).unwrap_err().to_string();
         let choice = read("[perturb]\nlambda = 1.0\nt.passes = \"of\"\n");

@@ -445,7 +445,7 @@ mod tests {
         for taken in [
             &["method=aug-nerf", "perturb.t.passes=fine"][..],
             &["method=nerf", "perturb.t.passes=coarse"],
-            &["method=aug-nerf", "perturb.kind=clean", "perturb.t.passes=coarse"],
+            &["method=aug-nerf", "perturb.kind=fresh-jitter", "perturb.t.passes=coarse"],
         ] {
             assert_eq!(told(taken), "", "{taken:?}");
         }

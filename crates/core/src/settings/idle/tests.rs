@@ -102,7 +102,7 @@ fn settings_of_training_and_samples_count_where_they_are_read() {
 
 #[test]
 fn settings_of_a_perturbed_pass_count_where_it_has_such_deltas() {
-    let (aug, uniform, clean) = ("method=aug-nerf", "perturb.kind=uniform", "perturb.kind=clean");
+    let (aug, uniform, clean) = ("method=aug-nerf", "perturb.kind=uniform", "perturb.kind=fresh-jitter");
     let searched = "perturb.kind=worst-case";
     let off = |site: &str| format!("perturb.{site}.passes=off");
     let [xyz, feature, rgb, density] = ["xyz", "feature", "rgb", "density"].map(off);
