@@ -1,5 +1,5 @@
 #!/usr/bin/env bash
-# slurm_here.sh DIR: starts a real Slurm with two nodes on this machine, to try `augnerf sweep submit`. Debian's packages are
+# slurm_here.sh DIR: starts a real Slurm with two nodes on this machine, to try `augnerf sweep slurm`. Debian's packages are
 # downloaded and unpacked below DIR. Nothing is installed, and everything listens on 127.0.0.1 only.
 #
 #   tools/slurm_here.sh DIR && . DIR/env && sinfo      # sbatch, squeue, scancel, scontrol are on the PATH now

@@ -42,7 +42,7 @@ const COMMANDS: [&str; 29] = [
     "sweep new fresh.toml",
     "sweep plan tiny.toml",
     "sweep begin tiny.toml",
-    "sweep submit tiny.toml --dry-run",
+    "sweep slurm tiny.toml",
     "sweep run-point runs/tiny --index 0",
     "sweep run tiny.toml",
     "sweep status runs/tiny",
@@ -53,7 +53,7 @@ const COMMANDS: [&str; 29] = [
 ];
 
 /// Commands that print JSON in any case, or need more than this test sets up.
-const ELSEWHERE: [&str; 5] = ["bench", "score", "sweep across", "sweep best", "sweep cancel"];
+const ELSEWHERE: [&str; 4] = ["bench", "score", "sweep across", "sweep best"];
 
 /// A command line's words and the name of its command.
 fn words(line: &str) -> (Vec<String>, String) {

@@ -1,5 +1,5 @@
-//! `sweep run-point`, `submit`, `cancel` and the scripts that they make, without Slurm: its commands are stood in for by
-//! scripts that write down how they were called. `slurm_jobs.rs` has the real one.
+//! `sweep run-point`, and the script of `sweep slurm` without Slurm: two of its commands are stood in for by scripts that
+//! write down how they were called. `slurm_jobs.rs` has the real one.
 
 use std::os::unix::fs::PermissionsExt;
 use std::path::{Path, PathBuf};
@@ -173,67 +173,51 @@ fn a_point_that_another_runner_works_on_is_left_to_it() {
     child.wait().unwrap();
 }
 
-/// What Slurm's commands say, in a folder of its own; each call is written down.
+/// Slurm's commands that the script calls, in a folder of their own; each call is written down.
 struct Cluster {
     bin: TempDir,
 }
 
 impl Cluster {
-    /// `squeue` says what is in `queue`, `sbatch` numbers jobs from 12 on.
     fn new() -> Cluster {
         let cluster = Cluster { bin: TempDir::new().unwrap() };
-        std::fs::write(cluster.bin.path().join("queue"), "").unwrap();
+        cluster.says("");
         std::fs::write(cluster.bin.path().join("calls"), "").unwrap();
-        cluster.stand_in("sbatch", "n=$(grep -c ^sbatch \"$here/calls\"); echo \"welcome\"; echo $((11 + n))");
-        cluster.stand_in("squeue", "cat \"$here/queue\"");
-        cluster.stand_in("scancel", "true");
-        cluster.stand_in("scontrol", "true");
+        for (name, body) in [("squeue", "cat \"$here/queue\""), ("scontrol", "echo \"scontrol $*\" >> \"$here/calls\"")]
+        {
+            let path = cluster.bin.path().join(name);
+            std::fs::write(&path, format!("#!/bin/sh\nhere={}\n{body}\n", cluster.bin.path().display())).unwrap();
+            std::fs::set_permissions(&path, std::fs::Permissions::from_mode(0o755)).unwrap();
+        }
         cluster
     }
 
-    fn stand_in(&self, name: &str, body: &str) {
-        let path = self.bin.path().join(name);
-        let text =
-            format!("#!/bin/sh\nhere={}\necho \"{name} $*\" >> \"$here/calls\"\n{body}\n", self.bin.path().display());
-        std::fs::write(&path, text).unwrap();
-        std::fs::set_permissions(&path, std::fs::Permissions::from_mode(0o755)).unwrap();
+    /// What `squeue` says of a task's state.
+    fn says(&self, state: &str) {
+        std::fs::write(self.bin.path().join("queue"), state).unwrap();
     }
 
-    fn queue(&self, lines: &str) {
-        std::fs::write(self.bin.path().join("queue"), lines).unwrap();
-    }
-
-    /// What was called since the last time, but for questions.
     fn calls(&self) -> Vec<String> {
-        let path = self.bin.path().join("calls");
-        let calls = text(&path);
-        calls.lines().filter(|call| !call.starts_with("squeue")).map(String::from).collect()
-    }
-
-    fn path(&self) -> String {
-        format!("{}:{}", self.bin.path().display(), std::env::var("PATH").unwrap())
-    }
-
-    #[track_caller]
-    fn demand(&self, arguments: &[&str], dir: &Path, code: i32) -> String {
-        program::demand(command(arguments, dir).env("PATH", self.path()), code)
+        text(&self.bin.path().join("calls")).lines().map(String::from).collect()
     }
 }
 
 #[test]
-fn a_dry_run_prints_the_script_and_writes_nothing() {
+fn the_script_asks_for_what_the_flags_say() {
     let dir = workplace(TINY);
-    let submit = ["sweep", "submit", "tiny.toml", "--dry-run", "--quiet"];
+    let slurm = ["sweep", "slurm", "tiny.toml", "--quiet"];
     let asked = ["--partition=gpu", "--time=12:00:00", "--mem=8G", "--cpus=4", "--gres=gpu:1", "--array-limit=2"];
     let further = ["--device=cuda", "--sbatch=--account=lab", "--sbatch", "--qos=low"];
-    // No command of Slurm is needed, and none is called.
-    let arguments = [&submit[..], &asked, &further].concat();
+    // No command of Slurm is needed.
+    let arguments = [&slurm[..], &asked, &further].concat();
     let said = program::demand(command(&arguments, dir.path()).env("PATH", "/nowhere"), 0);
+    assert_eq!(said.trim(), "runs/tiny/slurm/points.sbatch");
     let folder = dir.path().canonicalize().unwrap().join("runs/tiny");
-    let lines: Vec<&str> = said.lines().collect();
+    assert!(folder.join("slurm/log").is_dir(), "Slurm writes no log where there is no folder");
+    let script = text(&folder.join("slurm/points.sbatch"));
+    let lines: Vec<&str> = script.lines().collect();
     let starts = |start: &str| lines.iter().position(|line| line.starts_with(start));
     let directives: Vec<&str> = lines.iter().filter_map(|line| line.strip_prefix("#SBATCH ")).collect();
-    let (array, tables) = directives.split_at(directives.iter().position(|line| line.ends_with("-tables")).unwrap());
     for expected in [
         "--job-name=tiny",
         "--array=0-2%2",
@@ -247,157 +231,71 @@ fn a_dry_run_prints_the_script_and_writes_nothing() {
         "--requeue",
         "--open-mode=append",
         "--signal=B:USR1@120",
+        &format!("--output={}/slurm/log/%A_%a.out", folder.display()),
     ] {
-        assert!(array.contains(&expected), "{expected}: {array:?}");
+        assert!(directives.contains(&expected), "{expected}: {directives:?}");
     }
-    assert!(array.contains(&format!("--output={}/slurm/log/%A_%a.out", folder.display()).as_str()), "{array:?}");
-    for expected in ["--partition=gpu", "--account=lab", "--mem=8G"] {
-        assert!(tables.contains(&expected), "{expected}: {tables:?}");
-    }
-    assert!(!tables.iter().any(|line| line.contains("gres") || line.contains("array")), "{tables:?}");
     // Slurm reads no option behind the first command.
-    assert!(starts("#SBATCH --signal").unwrap() < starts("trap ").unwrap());
+    assert!(starts("#SBATCH --signal").unwrap() < starts("points=(").unwrap());
     let run = format!("augnerf sweep run-point {} --device cuda \\", folder.display());
-    assert!(lines.iter().any(|line| line.ends_with(&run)), "{said}");
-    let collect = format!(
-        "augnerf sweep collect {} --results {}",
-        folder.display(),
-        dir.path().canonicalize().unwrap().join("results/tiny").display()
-    );
-    assert!(lines.iter().any(|line| line.ends_with(&collect)), "{said}");
-    assert!(lines.last().unwrap().contains("3 of 3 points: 0-2"), "{said}");
-    assert_eq!(entries(dir.path()).len(), 1, "only the sweep's file");
+    assert!(lines.iter().any(|line| line.ends_with(&run)), "{script}");
+}
+
+/// Points that have ended are in no array, and a task keeps its point whatever numbers points get.
+#[test]
+fn the_script_names_the_points_that_are_left() {
+    let dir = workplace(TINY);
+    let dir = dir.path();
+    let slurm = |further: &[&str]| demand(&[&["sweep", "slurm", "tiny.toml"], further].concat(), dir, 0);
+    let named = || {
+        let script = text(&dir.join("runs/tiny/slurm/points.sbatch"));
+        let lines = script.lines().skip_while(|line| *line != "points=(").skip(1);
+        lines.take_while(|line| *line != ")").map(|line| line.trim().to_string()).collect::<Vec<_>>()
+    };
+    assert_says(&slurm(&[]), &["3 of 3 points", "sbatch runs/tiny/slurm/points.sbatch", "sweep collect"]);
+    let all: Vec<String> =
+        points(dir).iter().map(|point| point.file_name().unwrap().to_str().unwrap().to_string()).collect();
+    assert_eq!(named(), all);
+    demand(&point("0"), dir, 0);
+    demand(&point("1"), dir, 7);
+    assert_says(&slurm(&[]), &["1 of 3 points"]);
+    assert_eq!(named(), all[2..]);
+    slurm(&["--retry-failed"]);
+    assert_eq!(named(), all[1..]);
+    demand(&point("2"), dir, 0);
+    assert_says(&slurm(&[]), &["no script: of 3 points", "--retry-failed", "sweep collect"]);
+    let other = TINY.replace("1e30", "2e30");
+    std::fs::write(dir.join("tiny.toml"), other).unwrap();
+    assert_says(&demand(&["sweep", "slurm", "tiny.toml"], dir, 2), &["another definition", "--extend"]);
 }
 
 #[test]
 fn what_slurm_cannot_take_is_refused_in_a_sentence() {
     let dir = workplace(TINY);
-    let submit = |further: &[&str], code| {
-        demand(&[&["sweep", "submit", "tiny.toml", "--dry-run"], further].concat(), dir.path(), code)
-    };
+    let submit =
+        |further: &[&str], code| demand(&[&["sweep", "slurm", "tiny.toml"], further].concat(), dir.path(), code);
     assert_says(&submit(&["--time", "soon"], 2), &["--time soon", "HOURS:MINUTES:SECONDS"]);
     assert_says(&submit(&["--time", "00:05:00"], 2), &["--time 00:05:00", "at least 10 minutes"]);
     assert_says(&submit(&["--partition", "a b"], 2), &["--partition", "spaces or line breaks"]);
     assert_says(&submit(&["--mem", "8G\n#SBATCH --begin=now"], 2), &["--mem", "line breaks"]);
     assert_says(&submit(&["--sbatch", "account=lab"], 2), &["--sbatch account=lab", "--sbatch=--account=lab"]);
     assert_says(&submit(&["--out", "it's"], 2), &["quotes", "--out"]);
-    assert_says(&submit(&["--scheduler", "pbs"], 2), &["pbs", "slurm"]);
     // Every task would end with it. Whether a CUDA is there, this machine does not know.
     assert_says(&submit(&["--device", "cudaa"], 2), &["device cudaa", "cuda:N"]);
-    assert_says(&submit(&["--device", "cuda:1"], 0), &["--device cuda:1"]);
-    assert_says(&submit(&["--device", "gpu:1"], 0), &["--device gpu:1"]);
+    submit(&["--device", "cuda:1"], 0);
+    submit(&["--device", "gpu:1"], 0);
     let seconds = TINY.to_string()
         + "\n[[row]]\nname = \"equal\"\nset = { \"regularizer.kind\" = \"tv\" }\nbudget = { kind = \"seconds\", like = \"NeRF\" }\n";
     std::fs::write(dir.path().join("tiny.toml"), seconds).unwrap();
-    assert_says(&submit(&[], 2), &["budgets in seconds", "augnerf sweep begin"]);
-}
-
-#[test]
-fn without_sbatch_or_with_its_refusal_the_user_is_told_what_to_do() {
-    let dir = workplace(TINY);
-    let submit = ["sweep", "submit", "tiny.toml", "--quiet"];
-    let said = program::demand(command(&submit, dir.path()).env("PATH", "/nowhere"), 2);
-    assert_says(&said, &["cannot find `sbatch`", "login node", "augnerf sweep run-point"]);
-    assert!(!dir.path().join("runs").exists(), "refused before anything is written");
-    let cluster = Cluster::new();
-    cluster.stand_in("sbatch", "echo 'sbatch: error: invalid partition specified: nowhere' >&2; exit 1");
-    let said = cluster.demand(&submit, dir.path(), 2);
-    assert_says(&said, &["sbatch rejected", "points.sbatch: invalid partition specified: nowhere"]);
-    cluster.stand_in("sbatch", "echo Submitted");
-    assert_says(&cluster.demand(&submit, dir.path(), 2), &["named no job", "Submitted"]);
-    // The points are in the queue, what collects them is not.
-    cluster.stand_in("sbatch", "case $* in *afterany*) echo 'sbatch: error: too many jobs' >&2; exit 1;; esac; echo 5");
-    let said = cluster.demand(&submit, dir.path(), 2);
-    assert_says(&said, &["job 5", "the job that collects was not", "too many jobs", "sweep collect"]);
-    assert_eq!(json(&dir.path().join("runs/tiny/slurm/jobs.json"))["jobs"][0]["points"], "5");
-    // Another sweep's folder.
-    std::fs::write(dir.path().join("tiny.toml"), TINY.replace("1e30", "2e30")).unwrap();
-    for further in [&[][..], &["--dry-run"]] {
-        let said = cluster.demand(&[&submit[..], further].concat(), dir.path(), 2);
-        assert_says(&said, &["another definition", "--extend"]);
-    }
-}
-
-#[test]
-fn submitted_points_are_seen_in_the_queue_and_not_submitted_twice() {
-    let (dir, cluster) = (workplace(TINY), Cluster::new());
-    let dir = dir.path();
-    let submit = ["sweep", "submit", "tiny.toml"];
-    demand(&["sweep", "begin", "tiny.toml"], dir, 0);
-    demand(&point("0"), dir, 0);
-    let said = cluster.demand(&[&submit[..], &["--array-limit", "1"]].concat(), dir, 0);
-    assert_says(&said, &["2 of 3 points (1 done): 1-2", "job 12", "job 13", "results/tiny", "sweep status"]);
-    assert!(said.ends_with("\n12\n"), "the number alone is printed: {said}");
-    let folder = dir.canonicalize().unwrap().join("runs/tiny/slurm");
-    let expected = [
-        format!("sbatch --parsable {}", "runs/tiny/slurm/points.sbatch"),
-        format!("sbatch --parsable --dependency=afterany:12 {}", "runs/tiny/slurm/tables.sbatch"),
-    ];
-    assert_eq!(cluster.calls(), expected);
-    assert!(text(&folder.join("points.sbatch")).contains("#SBATCH --array=1-2%1\n"));
-
-    cluster.queue("12|1|RUNNING|None\n12|2|PENDING|JobArrayTaskLimit\n13|N/A|PENDING|Dependency\n");
-    let status = cluster.demand(&["sweep", "status", "runs/tiny"], dir, 11);
-    let line = |word: &str| status.lines().find(|line| line.contains(word)).unwrap_or_else(|| panic!("{status}"));
-    assert!(line("Aug-NeRF").ends_with("job 12_2 PENDING (JobArrayTaskLimit)"), "{status}");
-    assert!(line("broken").ends_with("job 12_1 RUNNING") && line("done  ").contains("dB"), "{status}");
-    assert_says(&status, &["tables: job 13 PENDING (Dependency)"]);
-    let said = cluster.demand(&submit, dir, 0);
-    assert_says(&said, &["nothing to submit", "1 done, 2 in the queue already"]);
-    assert_eq!(cluster.calls().len(), 2, "nothing was submitted");
-    let said = cluster.demand(&[&submit[..], &["--dry-run"]].concat(), dir, 0);
-    assert!(said.contains("nothing to submit") && !said.contains("--array="), "{said}");
-    let answer = |code: &str| -> serde_json::Value {
-        serde_json::from_str(code.lines().find(|line| line.starts_with('{')).unwrap())
-            .unwrap_or_else(|_| panic!("{code}"))
-    };
-    let status = answer(&cluster.demand(&["sweep", "status", "runs/tiny", "--json"], dir, 11));
-    assert_eq!(status["tables"][0], "job 13 PENDING (Dependency)");
-    assert!(status["queue_error"].is_null());
-    // Running tasks know their points by numbers, which a row in front would give to others.
-    let head = TINY.replacen("[[row]]", "[[row]]\nname = \"wide\"\nset = { \"field.width\" = 32 }\n\n[[row]]", 1);
-    std::fs::write(dir.join("tiny.toml"), head).unwrap();
-    let said = cluster.demand(&[&submit[..], &["--extend"]].concat(), dir, 2);
-    assert_says(&said, &["tasks 1, 2", "sweep cancel"]);
-    // Behind them it moves nothing.
-    let last = "\n[[row]]\nname = \"wide\"\nset = { \"field.width\" = 32 }\n";
-    std::fs::write(dir.join("tiny.toml"), TINY.to_string() + last).unwrap();
-    let said = cluster.demand(&[&submit[..], &["--extend", "--dry-run"]].concat(), dir, 0);
-    assert_says(&said, &["1 of 4 points", ": 3"]);
-    std::fs::write(dir.join("tiny.toml"), TINY).unwrap();
-
-    cluster.stand_in("scancel", "[ $1 != 13 ] || { echo 'Access denied' >&2; exit 1; }");
-    let said = cluster.demand(&["sweep", "cancel", "runs/tiny"], dir, 2);
-    assert_says(&said, &["scancel rejected job 13: Access denied"]);
-    assert_eq!(cluster.calls()[2..], ["scancel 13", "scancel 12"], "one refusal keeps no other job in the queue");
-    cluster.stand_in("scancel", "true");
-    let said = cluster.demand(&["sweep", "cancel", "runs/tiny"], dir, 0);
-    assert_says(&said, &["1 points of job 12 RUNNING", "1 points of job 12 PENDING", "1 tables of job 13"]);
-    assert_eq!(cluster.calls()[4..], ["scancel 13", "scancel 12"]);
-    cluster.queue("");
-    assert_says(&cluster.demand(&["sweep", "cancel", "runs/tiny"], dir, 0), &["runs/tiny: nothing in the queue"]);
-    // Without an answer, files still say how far the points are.
-    cluster.stand_in("squeue", "echo 'slurm_load_jobs error: Unable to contact slurm controller' >&2; exit 1");
-    let status = cluster.demand(&["sweep", "status", "runs/tiny"], dir, 11);
-    assert_says(&status, &["queue not shown", "Unable to contact", "1 done, 2 waiting"]);
-    let status = answer(&cluster.demand(&["sweep", "status", "runs/tiny", "--json"], dir, 11));
-    assert!(status["queue_error"].as_str().unwrap().contains("Unable to contact"), "{status}");
-    cluster.stand_in("squeue", "echo 'slurm_load_jobs error: Invalid job id specified' >&2; exit 1");
-    let status = cluster.demand(&["sweep", "status", "runs/tiny"], dir, 11);
-    assert_says(&status, &["2 waiting points are not in the queue", "augnerf sweep submit"]);
-    assert!(!status.contains("not shown"), "{status}");
-    std::fs::write(folder.join("jobs.json"), r#"{"jobs": [{"points": "1 --user=root", "tables": null}]}"#).unwrap();
-    assert_says(
-        &cluster.demand(&["sweep", "cancel", "runs/tiny"], dir, 5),
-        &["jobs.json", "is not the number of a job"],
-    );
+    assert_says(&submit(&["--name", "timed"], 2), &["budgets in seconds", "augnerf sweep begin"]);
 }
 
 /// The script as Slurm starts it: `task` of job 12, of which the queue says `state`.
 fn task(cluster: &Cluster, dir: &Path, task: &str, state: &str) -> Command {
-    cluster.queue(state);
+    cluster.says(state);
+    let path = format!("{}:{}", cluster.bin.path().display(), std::env::var("PATH").unwrap());
     let mut bash = Command::new("bash");
-    bash.arg("runs/tiny/slurm/points.sbatch").current_dir(dir).env("PATH", cluster.path());
+    bash.arg("runs/tiny/slurm/points.sbatch").current_dir(dir).env("PATH", path);
     bash.env("SLURM_ARRAY_JOB_ID", "12").env("SLURM_ARRAY_TASK_ID", task);
     bash.env_remove("AUGNERF_LPIPS_WEIGHTS").env_remove("AUGNERF_DATA");
     bash
@@ -407,7 +305,7 @@ fn task(cluster: &Cluster, dir: &Path, task: &str, state: &str) -> Command {
 fn the_script_puts_back_what_was_stopped_and_nothing_else() {
     let (dir, cluster) = (workplace(&long().replace("2000", "1000")), Cluster::new());
     let dir = dir.path();
-    cluster.demand(&["sweep", "submit", "tiny.toml", "--quiet"], dir, 0);
+    demand(&["sweep", "slurm", "tiny.toml", "--quiet"], dir, 0);
     let requeued = || cluster.calls().iter().filter(|call| *call == "scontrol requeue 12_0").count();
     let own = points(dir)[0].clone();
     // Preempted, cancelled by somebody, killed for memory, in turn; then left alone.

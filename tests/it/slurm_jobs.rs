@@ -1,4 +1,5 @@
-//! `sweep submit` with the Slurm of this machine: tasks at once on its nodes, kills, preemptions, failures, a cancelled sweep.
+//! The script of `sweep slurm` with the Slurm of this machine: tasks at once on its nodes, kills, preemptions, failures, a
+//! cancelled sweep.
 //!
 //! ```sh
 //! tools/slurm_here.sh DIR && . DIR/env      # where there is none: two nodes on this machine
@@ -56,9 +57,14 @@ fn slurm(program: &str, arguments: &[&str]) -> String {
     String::from_utf8(output.stdout).unwrap()
 }
 
-/// Tasks of the jobs in the queue: task, state, node.
-fn queue(name: &str) -> Vec<(String, String, String)> {
-    let said = slurm("squeue", &["-h", "-r", "--name", name, "-o", "%K %T %N"]);
+/// Submits the sweep's script with `sbatch`, and returns the job's number.
+fn submit(dir: &Path) -> String {
+    slurm("sbatch", &["--parsable", dir.join("runs/tiny/slurm/points.sbatch").to_str().unwrap()]).trim().to_string()
+}
+
+/// Tasks of the job in the queue: task, state, node.
+fn queue() -> Vec<(String, String, String)> {
+    let said = slurm("squeue", &["-h", "-r", "--name", "tiny", "-o", "%K %T %N"]);
     let line = |line: &str| {
         let mut words = line.split(' ').map(String::from);
         let mut next = || words.next().unwrap_or_default();
@@ -74,7 +80,7 @@ fn wait_for(what: &str, dir: &Path, holds: impl Fn() -> bool) {
         if started.elapsed() > PATIENCE {
             let logs = entries(&dir.join("runs/tiny/slurm/log"));
             let logs: Vec<String> = logs.iter().map(|log| format!("{}:\n{}", log.display(), text(log))).collect();
-            panic!("{what}: not within {PATIENCE:?}; {:?}\n{}", queue("tiny,tiny-tables"), logs.join("\n"));
+            panic!("{what}: not within {PATIENCE:?}; {:?}\n{}", queue(), logs.join("\n"));
         }
         std::thread::sleep(Duration::from_millis(200));
     }
@@ -103,22 +109,19 @@ fn a_sweep_on_a_cluster_equals_one_at_home_whatever_befalls_its_tasks() {
     let _turn = alone();
     let (home, cluster) = (workplace(), workplace());
     let dir = cluster.path();
-    let said = demand(&["sweep", "submit", "tiny.toml", "--cpus", "1", "--mem", "200", "--time", "20"], dir, 0);
-    assert_says(&said, &["6 of 6 points: 0-5", "writes the tables"]);
-    let job = said.lines().last().unwrap().to_string();
+    let said = demand(&["sweep", "slurm", "tiny.toml", "--cpus", "1", "--mem", "200", "--time", "20"], dir, 0);
+    assert_says(&said, &["6 of 6 points", "sbatch runs/tiny/slurm/points.sbatch"]);
+    let job = submit(dir);
     let all = points(dir);
     // Of each seed the first, broken, and the last row.
     let good = [0, 2, 3, 5];
     wait_for("four points at once", dir, || good.iter().all(|&index| in_training(&all[index])));
-    let running = queue("tiny");
+    let running = queue();
     let mut nodes: Vec<&str> = running.iter().filter(|task| task.1 == "RUNNING").map(|task| task.2.as_str()).collect();
     assert!(nodes.len() >= 4, "{running:?}");
     nodes.sort_unstable();
     nodes.dedup();
     assert_eq!(nodes.len(), 2, "{running:?}");
-    let status = demand(&["sweep", "status", "runs/tiny"], dir, 11);
-    assert_says(&status, &[&format!("job {job}_0 RUNNING"), "PENDING (Dependency)"]);
-    assert_says(&demand(&["sweep", "submit", "tiny.toml"], dir, 0), &["nothing to submit", "in the queue already"]);
 
     // A job that takes a node's place, a signal before the end of the time, a kill.
     let node = |index: usize| running.iter().find(|task| task.0 == index.to_string()).map(|task| task.2.as_str());
@@ -133,7 +136,7 @@ fn a_sweep_on_a_cluster_equals_one_at_home_whatever_befalls_its_tasks() {
     slurm("scancel", &["--signal=USR1", "--batch", &format!("{job}_{}", others[0])]);
     let pid = json(&all[others[1]].join("claim.json"))["pid"].to_string();
     assert!(Command::new("kill").args(["-9", &pid]).status().unwrap().success());
-    wait_for("the end of all jobs", dir, || queue("tiny,tiny-tables").is_empty());
+    wait_for("the end of all jobs", dir, || queue().is_empty());
     let logs: Vec<String> = entries(&dir.join("runs/tiny/slurm/log")).iter().map(|log| text(log)).collect();
     let stopped = logs.iter().filter(|log| log.contains("stopping with a checkpoint")).count();
     assert_eq!(stopped, preempted.len() + 1, "{logs:#?}");
@@ -143,7 +146,7 @@ fn a_sweep_on_a_cluster_equals_one_at_home_whatever_befalls_its_tasks() {
     }
     let status = demand(&["sweep", "status", "runs/tiny"], dir, 7);
     assert_says(&status, &["4 done, 2 failed", "not a number"]);
-    assert_says(&demand(&["sweep", "submit", "tiny.toml"], dir, 0), &["nothing to submit", "4 done, 2 failed"]);
+    demand(&["sweep", "collect", "runs/tiny"], dir, 7);
 
     demand(&["sweep", "run", "tiny.toml", "--quiet"], home.path(), 7);
     assert_same_files(&home.path().join("results/tiny"), &dir.join("results/tiny"), &["timing.csv"]);
@@ -158,18 +161,16 @@ fn a_cancelled_sweep_stays_cancelled_and_goes_on_at_home() {
     let _turn = alone();
     let cluster = workplace();
     let dir = cluster.path();
-    let submit = ["sweep", "submit", "tiny.toml", "--quiet", "--set", "train.steps=8000", "--seeds", "0"];
-    let said = demand(&[&submit[..], &["--partition", "nowhere"]].concat(), dir, 2);
-    assert_says(&said, &["sbatch rejected", "invalid partition"]);
-    demand(&[&submit[..], &["--array-limit", "1"]].concat(), dir, 0);
+    let limited = ["--set", "train.steps=8000", "--seeds", "0", "--array-limit", "1"];
+    demand(&[&["sweep", "slurm", "tiny.toml", "--quiet"], &limited[..]].concat(), dir, 0);
+    let job = submit(dir);
     let own = points(dir)[0].clone();
     wait_for("a step", dir, || in_training(&own));
-    let said = demand(&["sweep", "cancel", "runs/tiny"], dir, 0);
-    assert_says(&said, &["1 points of job", "RUNNING", "2 points of job", "PENDING", "1 tables of job"]);
-    wait_for("an empty queue", dir, || queue("tiny,tiny-tables").is_empty());
+    slurm("scancel", &[&job]);
+    wait_for("an empty queue", dir, || queue().is_empty());
     // As long as a task that was put back would wait.
     std::thread::sleep(Duration::from_secs(10));
-    assert_eq!(queue("tiny,tiny-tables"), []);
+    assert_eq!(queue(), []);
     let log = entries(&dir.join("runs/tiny/slurm/log")).iter().map(|log| text(log)).collect::<String>();
     assert_says(&log, &["stopping with a checkpoint", "CANCELLED"]);
     assert!(!own.join("result.json").exists() && !own.join("claim.json").exists());

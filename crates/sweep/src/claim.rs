@@ -204,7 +204,7 @@ fn accept(held: io::Result<bool>, sharing: Sharing, folder: &Path) -> Result<Opt
         Ok(held) => Ok(held.then_some(true)),
         Err(_) if sharing == Sharing::Scheduler => Ok(Some(false)),
         Err(error) => Err(Error::Output(format!(
-            "cannot lock {}: {error}; without locks two workers could train one point, so use `augnerf sweep submit` or \
+            "cannot lock {}: {error}; without locks two workers could train one point, so use `augnerf sweep slurm` or \
              `augnerf sweep run-point`, or --out on a local disk (with --seeds or --scenes of its own for each machine)",
             folder.display()
         ))),
@@ -260,7 +260,7 @@ mod tests {
         assert_eq!(attempt(Sharing::Scheduler).unwrap(), Some(false));
         let error = attempt(Sharing::Locks).unwrap_err();
         assert_eq!(error.exit_code(), 4);
-        for word in ["points/a", "unsupported", "sweep submit", "run-point", "--out", "--seeds", "--scenes"] {
+        for word in ["points/a", "unsupported", "sweep slurm", "run-point", "--out", "--seeds", "--scenes"] {
             assert!(error.to_string().contains(word), "{word}: {error}");
         }
     }

@@ -66,7 +66,7 @@ pub use outputs::{Scalars, SweepOutputs};
 pub use over_scenes::{OVER_SCENES, OVER_SCENES_CSV, OVER_SCENES_PAGE, ScenesRequest};
 pub use pace::Pace;
 pub use page::check_page_place;
-pub use planning::{CostGroup, Estimate, begin, check_unchanged, plan, plan_costs};
+pub use planning::{CostGroup, Estimate, begin, plan, plan_costs};
 pub use point_folder::{Failure, PointFolder, PointResult, PointState};
 pub use points::{Point, expand};
 pub use provenance::{Missing, Provenance};

@@ -11,7 +11,7 @@ use super::budget::{StepCosts, evaluations_per_step};
 use super::definition::Definition;
 use super::differences::differences;
 use super::folder::{Change, SweepFolder};
-use super::layout::{PlannedRun, Refused, lay_out, lay_out_others};
+use super::layout::{PlannedRun, Refused, lay_out_others};
 use super::pace::Pace;
 use super::points::{Point, apply_budgets, apply_budgets_to_others};
 use super::step_seconds::{KeptCosts, Unknown};
@@ -62,15 +62,6 @@ pub fn begin(
     let points = apply_budgets(&planned, &costs)?;
     folder.begin(definition, &points, data_root)?;
     Ok(points)
-}
-
-/// Returns an error if the folder was created with another definition, as [`begin`] does without `extend`.
-pub fn check_unchanged(folder: &SweepFolder, definition: &Definition, data_root: Option<&Path>) -> Result<()> {
-    if folder.compare(definition)? != Change::Changed {
-        return Ok(());
-    }
-    let before = folder.points(data_root)?.unwrap_or_default();
-    reworded(folder, definition, &lay_out(definition, data_root)?, &before)?.map(|_| ())
 }
 
 /// Returns the configurations of a definition, its points with arbitrary budgets in seconds, and the rows of wrong settings.

@@ -309,7 +309,7 @@ impl Runner<'_> {
         Ok((stops >= MOST_SHORT_TURNS).then(|| Failure {
             reason: format!(
                 "the training is done, and {stops} turns were stopped before its evaluation was: give a turn more time \
-                 (sweep submit --time) and try again with --retry-failed"
+                 (sweep slurm --time) and try again with --retry-failed"
             ),
             exit_code: Class::Internal.exit_code(),
         }))

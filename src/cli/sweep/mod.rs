@@ -29,7 +29,6 @@ use super::{LpipsWeights, whole};
 mod across;
 mod begin;
 mod best;
-mod cancel;
 mod collect;
 mod new;
 mod opened;
@@ -38,8 +37,8 @@ mod power;
 mod prune;
 mod run;
 mod run_point;
+mod slurm;
 mod status;
-mod submit;
 
 /// The folder of points: those of the sweep NAME are in `runs/NAME`.
 const RUNS: &str = "runs";
@@ -66,12 +65,9 @@ pub enum SweepCommand {
     /// Run one point of a sweep, for a job array
     #[command(after_help = run_point::EXAMPLES)]
     RunPoint(run_point::RunPointArguments),
-    /// Submit the points to Slurm, with a job that writes the tables
-    #[command(after_help = submit::EXAMPLES)]
-    Submit(submit::SubmitArguments),
-    /// Remove submitted points from the queue and stop running ones
-    #[command(after_help = cancel::EXAMPLES)]
-    Cancel(cancel::CancelArguments),
+    /// Write the script of a Slurm job array that runs the points
+    #[command(after_help = slurm::EXAMPLES)]
+    Slurm(slurm::SlurmArguments),
     /// Show the best row with its settings and folders
     #[command(after_help = best::EXAMPLES)]
     Best(best::BestArguments),
@@ -98,8 +94,7 @@ impl SweepCommand {
             SweepCommand::Collect(arguments) => arguments.run(),
             SweepCommand::Begin(arguments) => arguments.run(),
             SweepCommand::RunPoint(arguments) => arguments.run(),
-            SweepCommand::Submit(arguments) => arguments.run(),
-            SweepCommand::Cancel(arguments) => arguments.run(),
+            SweepCommand::Slurm(arguments) => arguments.run(),
             SweepCommand::Best(arguments) => arguments.run(),
             SweepCommand::Across(arguments) => arguments.run(),
             SweepCommand::Power(arguments) => arguments.run(),

@@ -13,7 +13,6 @@ use crate::cli::progress::{print_shown, print_to_reader};
 use crate::cli::whole;
 use crate::metrics::PSNR;
 use crate::report::{Record, Status};
-use crate::sweep::slurm::{Queue, Slurm};
 use crate::sweep::{Pace, Point, SweepFolder, SweepOutputs, last_words};
 
 use super::opened::Opened;
@@ -56,8 +55,6 @@ struct PointStatus<'a> {
     host: Option<String>,
     process: Option<u32>,
     psnr: Option<f64>,
-    /// The point's task in the Slurm queue, if there is one.
-    task: Option<String>,
 }
 
 impl PointStatus<'_> {
@@ -74,7 +71,6 @@ impl PointStatus<'_> {
             host: None,
             process: None,
             psnr: record.metric(PSNR.key),
-            task: None,
         }
     }
 }
@@ -130,9 +126,7 @@ impl StatusArguments {
         let counts = counts(&points);
         if self.answer.json {
             let folder = opened.folder.path().display().to_string();
-            let status =
-                json!({ "folder": folder, "counts": counts, "points": points, "tables": [], "queue_error": null });
-            self.answer.give_silently(&status)?;
+            self.answer.give_silently(&json!({ "folder": folder, "counts": counts, "points": points }))?;
             return check_done(&opened.states()?);
         }
         let listed = points.iter().filter(|point| is_listed(point.status, points.len(), self.all));
@@ -188,8 +182,7 @@ fn screen_lines(lines: &[String], (rows, columns): (u16, u16)) -> usize {
 /// Returns the points' states as JSON.
 fn statuses(folder: &SweepFolder, points: &[Point]) -> Result<serde_json::Value> {
     let mut statuses = Vec::new();
-    let queue = Slurm::of(folder).queue();
-    for (index, point) in points.iter().enumerate() {
+    for point in points {
         let state = folder.point(&point.id).state(point)?;
         let claim = state.claim.as_ref();
         statuses.push(PointStatus {
@@ -203,18 +196,10 @@ fn statuses(folder: &SweepFolder, points: &[Point]) -> Result<serde_json::Value>
             process: claim.map(|claim| claim.pid),
             psnr: state.result.metric(PSNR.key),
             reason: state.reason,
-            task: queue.iter().find_map(|queue| queue.task(index)).map(ToString::to_string),
         });
     }
     let counts = counts(&statuses);
-    let tables: Vec<String> = queue.iter().flat_map(Queue::tables).map(ToString::to_string).collect();
-    Ok(json!({
-        "folder": folder.path().display().to_string(),
-        "counts": counts,
-        "points": statuses,
-        "tables": tables,
-        "queue_error": queue.err().map(|error| error.to_string()),
-    }))
+    Ok(json!({ "folder": folder.path().display().to_string(), "counts": counts, "points": statuses }))
 }
 
 /// Most points that are listed one by one.
@@ -235,10 +220,7 @@ fn unlisted(points: usize, all: bool) -> Option<String> {
 fn states(folder: &SweepFolder, points: &[Point], all: bool) -> Result<(Vec<String>, usize)> {
     let (mut lines, mut running, mut trained) = (Vec::new(), 0, HashMap::new());
     let mut counts: BTreeMap<&str, usize> = BTreeMap::new();
-    let slurm = Slurm::of(folder);
-    let queue = slurm.queue();
-    let mut adrift = 0;
-    for (index, point) in points.iter().enumerate() {
+    for point in points {
         let state = folder.point(&point.id).state(point)?;
         *counts.entry(state.status.name()).or_default() += 1;
         let what = match (state.status, &state.claim) {
@@ -257,18 +239,12 @@ fn states(folder: &SweepFolder, points: &[Point], all: bool) -> Result<(Vec<Stri
             }
             _ => shortened(&state.reason),
         };
-        let task = queue.iter().find_map(|queue| queue.task(index)).filter(|_| state.status != Status::Done);
-        let task = task.map(ToString::to_string);
-        adrift += usize::from(state.status == Status::Waiting && task.is_none());
-        let what =
-            [Some(what).filter(|what| !what.is_empty()), task].into_iter().flatten().collect::<Vec<_>>().join("; ");
         if is_listed(state.status.name(), points.len(), all) {
             lines.push(format!("{:8} {} {}  {what}", state.status.name(), point.id, point.label()));
         }
     }
     lines.extend(unlisted(points.len(), all));
     lines.extend(by_row(folder, points)?);
-    lines.extend(of_queue(&slurm, &queue, adrift)?);
     if running == 0 && counts.contains_key(Status::Waiting.name()) {
         lines.extend(last_words(folder));
     }
@@ -320,20 +296,6 @@ fn by_row(folder: &SweepFolder, points: &[Point]) -> Result<Vec<String>> {
         format!("row {row}: {done} of {all} done{failed}")
     };
     Ok(if rows.len() > 1 { rows.iter().map(line).collect() } else { Vec::new() })
-}
-
-/// Returns further lines about the queue, which lacks `adrift` waiting points. If the queue cannot be read, only that is
-/// reported.
-fn of_queue(slurm: &Slurm, queue: &Result<Queue>, adrift: usize) -> Result<Vec<String>> {
-    let queue = match queue {
-        Ok(queue) => queue,
-        Err(error) => return Ok(vec![format!("queue not shown: {error}")]),
-    };
-    let mut lines: Vec<String> = queue.tables().map(|task| format!("tables: {task}")).collect();
-    if adrift > 0 && !slurm.jobs()?.is_empty() {
-        lines.push(format!("{adrift} waiting points are not in the queue; resume them with `augnerf sweep submit`"));
-    }
-    Ok(lines)
 }
 
 #[cfg(test)]

@@ -12,7 +12,6 @@ use augnerf::report::tables::{Table, points_csv};
 use augnerf::run::{Foreign, Matching, Networks, RunDir, Scalars, Truth, pictures as listed, score};
 use augnerf::settings::{Axes, Config, DataConfig, Method, Preset, build, parse_assignment};
 use augnerf::space::{read_mesh, sample};
-use augnerf::sweep::slurm::Slurm;
 use augnerf::sweep::{Definition, Failure, Point, PointResult, SweepFolder, SweepOutputs, expand};
 use augnerf::train::checkpoint;
 use candle_core::{DType, Device};
@@ -442,14 +441,6 @@ fn sweep_folders(dir: &Path) -> Vec<Reader> {
             records(&folder, &definition)
         }));
     }
-    let folder = begin("jobs");
-    let slurm = Slurm::of(&folder);
-    fs::create_dir_all(slurm.path()).unwrap();
-    let path = slurm.path().join("jobs.json");
-    readers.push(reader("sweep, slurm/jobs.json", Format::Text, vec![JOBS.into()], move |bytes| {
-        write(&path, bytes);
-        slurm.jobs().map(drop)
-    }));
     let (folder, own) = (begin("scored"), definition.clone());
     let path = folder.path().join("scored/a.json");
     fs::create_dir_all(path.parent().unwrap()).unwrap();
@@ -461,7 +452,6 @@ fn sweep_folders(dir: &Path) -> Vec<Reader> {
     readers
 }
 
-const JOBS: &str = r#"{"jobs": [{"points": "12", "tables": "13;gpu"}, {"points": "14", "tables": null}]}"#;
 const SCORED: &str = r#"{"row": "other", "scene": "builtin", "seed": 1, "predictions_sha256": "ab", "truth": "cd",
     "metrics": [["psnr", 20.5], ["ssim", null]], "protocol": [["width", "16"]]}"#;
 

@@ -1,8 +1,20 @@
-//! The scripts that are submitted. People may read and change them, and submit them by hand.
+//! Sweeps on a cluster: the script of a Slurm job array that trains the points. `sbatch`, `squeue` and `scancel` do the
+//! rest; the state of a point is read from its files only.
+//!
+//! ```text
+//! slurm/points.sbatch     the job array: each task runs one point
+//! slurm/log/              output of the tasks
+//! ```
 
-use std::path::Path;
+use std::fs;
+use std::path::{Path, PathBuf};
 
+use crate::base::files::write_atomic;
 use crate::base::{Error, Result, quoted};
+
+use super::folder::SweepFolder;
+
+pub(super) const FOLDER: &str = "slurm";
 
 /// Seconds before the time limit at which running points are told to write a checkpoint and stop.
 const STOP_BEFORE: u32 = 120;
@@ -28,7 +40,7 @@ pub struct Request {
     pub further: Vec<String>,
 }
 
-/// The inputs of both scripts.
+/// The inputs of the script.
 #[derive(Clone, Debug)]
 pub struct Script<'a> {
     /// The sweep's name.
@@ -37,6 +49,10 @@ pub struct Script<'a> {
     pub folder: &'a Path,
     /// The requested resources.
     pub request: Request,
+    /// The points to train, by their names. A task knows its point by name, so that `--extend` moves none.
+    pub points: Vec<&'a str>,
+    /// `augnerf sweep run-point FOLDER` with its options.
+    pub command: Vec<String>,
 }
 
 impl Request {
@@ -89,26 +105,6 @@ fn minutes(time: &str) -> Option<u64> {
     Some(days.unwrap_or(0) * 24 * 60 + within)
 }
 
-/// Formats sorted numbers as Slurm's `--array` expects: `0-3,7,9-12`.
-pub fn array(indices: &[usize]) -> String {
-    let mut spans: Vec<(usize, usize)> = Vec::new();
-    for &index in indices {
-        match spans.last_mut() {
-            Some((_, last)) if *last + 1 == index => *last = index,
-            _ => spans.push((index, index)),
-        }
-    }
-    let text = |(first, last): &(usize, usize)| {
-        if first == last { first.to_string() } else { format!("{first}-{last}") }
-    };
-    spans.iter().map(text).collect::<Vec<_>>().join(",")
-}
-
-/// Joins words to a command line.
-fn line(words: &[String]) -> String {
-    words.iter().map(|word| quoted(word)).collect::<Vec<_>>().join(" ")
-}
-
 impl Script<'_> {
     /// Returns an error for a folder that no line of a script can hold.
     pub fn check(&self) -> Result<()> {
@@ -123,15 +119,27 @@ impl Script<'_> {
         self.request.check()
     }
 
-    /// Returns the script of the job array. Its tasks run `command`, `augnerf sweep run-point FOLDER` with its
-    /// options, with their number.
-    pub fn points(&self, indices: &[usize], command: &[String]) -> String {
+    /// Writes the script into the sweep's folder, and returns its path.
+    ///
+    /// # Errors
+    /// The folder cannot be written.
+    pub fn write(&self, folder: &SweepFolder) -> Result<PathBuf> {
+        let own = folder.path().join(FOLDER);
+        // Slurm drops the output of tasks whose folder of logs is missing.
+        let log = own.join("log");
+        fs::create_dir_all(&log).map_err(|e| Error::unwritable(&log, &e))?;
+        let path = own.join("points.sbatch");
+        write_atomic(&path, self.text().as_bytes()).map(|()| path)
+    }
+
+    fn text(&self) -> String {
         let Request { partition, time, mem, cpus, gres, at_once, further } = &self.request;
         let limit = at_once.map_or(String::new(), |limit| format!("%{limit}"));
         let mut directives = vec![
             format!("--job-name={}", self.name),
-            format!("--array={}{limit}", array(indices)),
-            self.log("%A_%a"),
+            format!("--array=0-{}{limit}", self.points.len().saturating_sub(1)),
+            // Slurm replaces a % in the name of a log.
+            format!("--output={}/{FOLDER}/log/%A_%a.out", self.folder.display().to_string().replace('%', "%%")),
             "--open-mode=append".into(),
             "--requeue".into(),
             format!("--signal=B:USR1@{STOP_BEFORE}"),
@@ -142,52 +150,25 @@ impl Script<'_> {
         directives.extend(cpus.map(|cpus| format!("--cpus-per-task={cpus}")));
         directives.extend(further.iter().cloned());
         let head = format!(
-            "# Points of the sweep {}. Task N of this array runs point N of\n# {}/points.json\n# If the point is done, or \
+            "# Points of the sweep {}. Each task of this array runs one of the points below.\n# If the point is done, or \
              another worker has it, the task ends at once. A stopped or killed point\n# resumes from its last \
-             checkpoint. Written by `augnerf sweep submit`; you may change it and submit it by hand.",
-            self.name,
-            self.folder.display()
+             checkpoint. Written by `augnerf sweep slurm`; you may change it.",
+            self.name
         );
-        format!("#!/bin/bash\n{head}\n{}\n{}", sbatch_lines(&directives), POINTS.replace("COMMAND", &line(command)))
+        let directives: String = directives.iter().map(|option| format!("#SBATCH {}\n", quoted(option))).collect();
+        let command = self.command.iter().map(|word| quoted(word)).collect::<Vec<_>>().join(" ");
+        let points: String = self.points.iter().map(|point| format!("  {}\n", quoted(point))).collect();
+        format!("#!/bin/bash\n{head}\n{directives}\npoints=(\n{points})\n{}", TASK.replace("COMMAND", &command))
     }
-
-    /// Returns the script of the job that collects the tables with `command` after all points.
-    pub fn tables(&self, command: &[String]) -> String {
-        let Request { partition, mem, further, .. } = &self.request;
-        let mut directives = vec![
-            format!("--job-name={}-tables", self.name),
-            self.log("%j"),
-            "--open-mode=append".into(),
-            "--requeue".into(),
-            "--ntasks=1".into(),
-            "--time=30".into(),
-        ];
-        let options = [("partition", partition), ("mem", mem)];
-        directives.extend(options.iter().filter_map(|(name, value)| Some(format!("--{name}={}", value.as_ref()?))));
-        directives.extend(further.iter().cloned());
-        let head = format!("# Makes tables and figures of the sweep {} after its points have ended.", self.name);
-        format!("#!/bin/bash\n{head}\n{}\n{}\n", sbatch_lines(&directives), line(command))
-    }
-
-    /// Returns the path of a job's log; `pattern` is Slurm's name of the job.
-    fn log(&self, pattern: &str) -> String {
-        let folder = self.folder.display().to_string().replace('%', "%%");
-        format!("--output={folder}/slurm/log/{pattern}.out")
-    }
-}
-
-/// Formats options as lines of a script.
-fn sbatch_lines(options: &[String]) -> String {
-    options.iter().map(|option| format!("#SBATCH {}\n", quoted(option))).collect()
 }
 
 /// The commands of a task.
-const POINTS: &str = r#"# Preemption, the end of the time limit and scancel reach this script as TERM or USR1. At USR1, once or repeated, the point
+const TASK: &str = r#"# Preemption, the end of the time limit and scancel reach this script as TERM or USR1. At USR1, once or repeated, the point
 # writes a checkpoint and ends with 143.
 trap 'kill -USR1 "$point" 2> /dev/null' TERM USR1
 
 COMMAND \
-  --index "$SLURM_ARRAY_TASK_ID" --threads "${SLURM_CPUS_PER_TASK:-${SLURM_CPUS_ON_NODE:-1}}" &
+  --id "${points[$SLURM_ARRAY_TASK_ID]}" --threads "${SLURM_CPUS_PER_TASK:-${SLURM_CPUS_ON_NODE:-1}}" &
 point=$!
 # A signal ends `wait` early.
 while kill -0 "$point" 2> /dev/null; do wait "$point"; done
@@ -202,7 +183,7 @@ esac
 task=${SLURM_ARRAY_JOB_ID}_$SLURM_ARRAY_TASK_ID
 state=$(squeue --noheader --jobs="$task" --format=%T)
 if [ "$state" = RUNNING ]; then
-  scontrol requeue "$task" || echo "not requeued; 'augnerf sweep submit' submits the remaining points" >&2
+  scontrol requeue "$task" || echo "not requeued; submit this script again" >&2
 else
   echo "Slurm reports the state '${state:-unknown}' for this task; it is not requeued" >&2
 fi
@@ -212,13 +193,6 @@ exit "$code"
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    #[test]
-    fn arrays_are_spans() {
-        assert_eq!(array(&[3]), "3");
-        assert_eq!(array(&[0, 1, 2, 3, 7, 9, 10]), "0-3,7,9-10");
-        assert_eq!(array(&[]), "");
-    }
 
     #[test]
     fn time_limits_are_read_as_slurm_reads_them() {

@@ -1,0 +1,187 @@
+//! `augnerf sweep slurm`.
+
+use std::path::{Path, PathBuf};
+
+use clap::Args;
+use serde_json::json;
+
+use crate::base::{Error, Result};
+use crate::cli::answer::Answer;
+use crate::cli::progress::Console;
+use crate::cli::{LpipsWeights, whole};
+use crate::runtime::Runtime;
+use crate::settings::Config;
+use crate::sweep::slurm::{Request, Script};
+use crate::sweep::{Point, StepCosts, SweepFolder};
+
+use super::{Changes, Location, MaxDeaths, begin_folder, say_how_long, say_what_is_missing, trainings};
+
+pub const EXAMPLES: &str = "Examples:
+  augnerf sweep slurm sweeps/paper/tab1_llff.toml --time 12:00:00 --mem 8G --cpus 8
+  augnerf sweep slurm FILE --partition gpu --gres gpu:1 --device gpu --sbatch=--account=lab
+
+Prints the path of the script; `sbatch` submits it. All machines must see the sweep's folder. `squeue` shows the tasks, `scancel` stops them with a \
+checkpoint, and `augnerf sweep collect` writes the tables.";
+
+#[derive(Args)]
+pub struct SlurmArguments {
+    #[command(flatten)]
+    location: Location,
+    #[command(flatten)]
+    changes: Changes,
+    /// Partition [default: Slurm's]
+    #[arg(long, value_name = "NAME", help_heading = "Hardware")]
+    partition: Option<String>,
+    /// Time limit of a task: 90 (minutes), 12:00:00 or 2-00:00:00 [default: Slurm's]
+    #[arg(long, help_heading = "Hardware")]
+    time: Option<String>,
+    /// Memory of a task: 8G [default: Slurm's]
+    #[arg(long, help_heading = "Hardware")]
+    mem: Option<String>,
+    /// CPU cores and threads of a task [default: Slurm's, often 1]
+    #[arg(
+        long,
+        value_name = "N",
+        value_parser = whole::<u16>(1..=1024),
+        help_heading = "Hardware"
+    )]
+    cpus: Option<u16>,
+    /// Generic resources of a task: gpu:1
+    #[arg(long, value_name = "LIST", help_heading = "Hardware")]
+    gres: Option<String>,
+    /// Most tasks that run at once [default: no limit]
+    #[arg(long, value_name = "N", value_parser = whole::<u32>(1..=u32::MAX.into()), help_heading = "Hardware")]
+    array_limit: Option<u32>,
+    /// Further option of sbatch: --sbatch=--account=lab
+    #[arg(long, value_name = "OPTION", allow_hyphen_values = true, help_heading = "Hardware")]
+    sbatch: Vec<String>,
+    /// Run failed points, too
+    #[arg(long)]
+    retry_failed: bool,
+    /// Accept a changed sweep file; keep the old points on disk
+    #[arg(long)]
+    extend: bool,
+    #[command(flatten)]
+    max_deaths: MaxDeaths,
+    #[command(flatten)]
+    weights: LpipsWeights,
+    /// Device of a task: cpu, gpu, cuda, cuda-tf32 or metal [default: cpu]
+    #[arg(long, value_name = "DEVICE", help_heading = "Hardware")]
+    device: Option<String>,
+    /// Print errors and the script's path only
+    #[arg(long, short, help_heading = "Output")]
+    quiet: bool,
+    #[command(flatten)]
+    answer: Answer,
+}
+
+impl SlurmArguments {
+    pub fn run(self) -> Result<()> {
+        let console = Console::new(self.quiet);
+        self.max_deaths.warn(&console);
+        let definition = self.changes.definition(&self.location)?;
+        let (name, path) = (self.location.name()?, absolute(self.location.folder()?.path())?);
+        let mut script =
+            Script { name: &name, folder: &path, request: self.request(), points: vec![], command: vec![] };
+        script.check()?;
+        self.device.as_deref().map_or(Ok(()), Runtime::check_name)?;
+        // Unreadable weights are an error here, not in every task.
+        let runtime = Runtime::new("cpu", Some(1))?;
+        let trainings = trainings(&definition, &self.weights, &runtime, &console)?;
+        let (folder, points) =
+            begin_folder(&self.location, &definition, self.extend, (&trainings, &Elsewhere), &console)?;
+        say_what_is_missing(&definition, &trainings, &console);
+        if !self.quiet && !self.answer.json {
+            say_how_long((&folder, &points), (&definition, &trainings), 1, &console)?;
+        }
+        script.points = self.left(&points, &folder)?;
+        script.command = self.command(&path)?;
+        self.write(&script, &folder, points.len(), &console)
+    }
+
+    fn request(&self) -> Request {
+        Request {
+            partition: self.partition.clone(),
+            time: self.time.clone(),
+            mem: self.mem.clone(),
+            cpus: self.cpus,
+            gres: self.gres.clone(),
+            at_once: self.array_limit,
+            further: self.sbatch.clone(),
+        }
+    }
+
+    /// Returns the points that have not ended and have a scene here, by name.
+    fn left<'a>(&self, points: &'a [Point], folder: &SweepFolder) -> Result<Vec<&'a str>> {
+        let mut left = Vec::new();
+        for point in points {
+            let own = folder.point(&point.id);
+            let has_failed = own.failure()?.is_some() && !self.retry_failed;
+            if own.result()?.is_none() && !has_failed && point.no_data.is_none() {
+                left.push(point.id.as_str());
+            }
+        }
+        Ok(left)
+    }
+
+    fn write(&self, script: &Script, folder: &SweepFolder, all: usize, console: &Console) -> Result<()> {
+        let (count, shown) = (script.points.len(), folder.path().display());
+        let answer = |path: Option<&Path>| {
+            let path = path.map(|path| path.display().to_string());
+            json!({ "folder": shown.to_string(), "points": script.points, "script": path })
+        };
+        if count == 0 {
+            console.say(&format!(
+                "no script: of {all} points in {shown}, all have ended (--retry-failed runs failed ones again) or lack their scene \
+                 here; write the tables with `augnerf sweep collect {shown}`"
+            ));
+            return self.answer.give_silently(&answer(None));
+        }
+        let path = script.write(folder)?;
+        console.say(&format!("{count} of {all} points; submit them with `sbatch {}`", path.display()));
+        console.say(&format!("next: augnerf sweep collect {shown}, when they have ended"));
+        self.answer.give_place(&answer(Some(&path)), &path)
+    }
+
+    /// Returns the command of a task, without its point.
+    fn command(&self, folder: &Path) -> Result<Vec<String>> {
+        let program = std::env::current_exe()
+            .map_err(|e| Error::Output(format!("path of this program, which the jobs run: {e}")))?;
+        let shown = |path: &Path| path.display().to_string();
+        let mut command = vec![shown(&program), "sweep".into(), "run-point".into(), shown(folder)];
+        if let Some(root) = &self.location.data_root {
+            command.extend(["--data-root".into(), shown(&absolute(root)?)]);
+        }
+        if let Some(weights) = &self.weights.lpips_weights {
+            command.extend(["--lpips-weights".into(), shown(&absolute(weights)?)]);
+        }
+        if let Some(device) = &self.device {
+            command.extend(["--device".into(), device.clone()]);
+        }
+        if self.retry_failed {
+            command.push("--retry-failed".into());
+        }
+        Ok(command)
+    }
+}
+
+fn absolute(path: &Path) -> Result<PathBuf> {
+    std::path::absolute(path).map_err(|e| Error::unreadable(path, &e))
+}
+
+/// Step times on machines that train: they are unknown on this one.
+struct Elsewhere;
+
+impl StepCosts for Elsewhere {
+    fn seconds_per_step(&self, _: &Config) -> Result<f64> {
+        Err(Error::Config(
+            "budgets in seconds must be measured on a machine that trains; run `augnerf sweep begin FILE` there (with `srun`, and \
+             the tasks' --device and --threads), then write the script"
+                .into(),
+        ))
+    }
+
+    fn prepare(&self, configs: &[&Config]) -> Result<()> {
+        configs.first().map_or(Ok(()), |config| self.seconds_per_step(config).map(|_| ()))
+    }
+}
