@@ -767,7 +767,7 @@ fn bench_says_what_it_did() {
     for (flag, value) in
         [("--rays", "0"), ("--coarse", "1"), ("--width", "1"), ("--width", "9999999"), ("--steps", "0")]
     {
-        refuse(&["bench", flag, value], 2, &[flag, value, "not in"]);
+        refuse(&["bench", flag, value], 2, &[flag, value, "give a whole number from"]);
     }
 }
 

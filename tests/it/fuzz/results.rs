@@ -177,7 +177,7 @@ fn depth_errors(folder: &Path) -> Reader {
 
 fn step_seconds(folder: &Path) -> Reader {
     let (dir, config) = (own(folder, "seconds"), tiny_config(Method::Nerf, |_| {}));
-    let seed = format!("{{\n  \"{}\": 0.25,\n  \"0123456789ab\": 1e-3\n}}\n", config.step_shape());
+    let seed = format!("{{\"seconds\": {{\n  \"{}\": 0.25,\n  \"0123456789ab\": 1e-3\n}}}}\n", config.step_shape());
     reader("sweep, step_seconds.json", Format::Text, vec![seed.into_bytes()], move |bytes| {
         write(&dir.join("step_seconds.json"), bytes);
         let seconds = PublishedCosts::beside(&dir, &Costs)?.seconds_per_step(&config)?;
