@@ -336,7 +336,12 @@ impl View {
     /// # Errors
     /// [`Error::NotComparable`] if rows may not be in one table.
     pub fn table(&self) -> Result<Table> {
-        Table::new(&self.spec, &self.outputs.all_records(), false)
+        self.table_of(&self.records())
+    }
+
+    /// Returns the table of chosen records; errors as for [`View::table`].
+    pub(super) fn table_of(&self, records: &[Record]) -> Result<Table> {
+        Table::new(&self.spec, records, false)
     }
 
     /// Returns the records that are shown.

@@ -9,7 +9,7 @@ use crate::base::{Error, Result};
 use crate::cli::answer::Answer;
 use crate::cli::progress::{print, print_shown};
 use crate::metrics::PSNR;
-use crate::sweep::{AcrossRequest, ScenesRequest, Source};
+use crate::sweep::ComparisonRequest;
 
 use super::opened::Opened;
 
@@ -81,53 +81,39 @@ impl AcrossArguments {
         let open = |path: &PathBuf| Opened::read(path, self.data_root.as_deref());
         let sweeps = self.folders.iter().map(open).collect::<Result<Vec<_>>>()?;
         let sources = sweeps.iter().map(Opened::source).collect::<Result<Vec<_>>>()?;
-        match self.unit {
-            Unit::Sweep => self.by_sweep(&sources),
-            Unit::Scene => self.by_scene(&sources),
+        let asked = self.asked()?;
+        let (request, comparisons) = asked.answer(&sources, &self.labels)?;
+        request.write(&comparisons, &self.out)?;
+        let page = request.page(&comparisons);
+        let mut answer = json!({ "baseline": request.baseline, "metric": request.metric, "results": self.out });
+        if let Some(row) = &request.row {
+            answer["row"] = json!(row);
+        } else {
+            answer["rows"] = comparisons.lines.iter().map(|line| line.name.as_str()).collect();
+            answer["scenes"] = json!(comparisons.scenes);
         }
+        self.answer.give(&answer, || {
+            print_shown(page.trim_end())?;
+            print(&format!("files: {}", self.out.display()))
+        })
     }
 
-    fn by_sweep(&self, sources: &[Source]) -> Result<()> {
-        let row = self.row.as_deref().expect("required by clap");
-        let (request, across) = AcrossRequest::new(row, &self.baseline, &self.metric, sources, &self.labels)?;
-        request.write(&across, &self.out)?;
-        let answer =
-            json!({ "row": request.row, "baseline": request.baseline, "metric": request.metric, "results": self.out });
-        self.give(&answer, &across.markdown())
-    }
-
-    fn by_scene(&self, sources: &[Source]) -> Result<()> {
-        if self.row.is_some() {
+    fn asked(&self) -> Result<ComparisonRequest> {
+        let by_scene = self.unit == Unit::Scene;
+        if by_scene && self.row.is_some() {
             return Err(Error::Config("--row is for --unit sweep; over scenes, --rows names rows".into()));
         }
-        if !self.labels.is_empty() {
+        if by_scene && !self.labels.is_empty() {
             return Err(Error::Config("--label is for --unit sweep; over scenes, no file shows it".into()));
         }
-        let asked = ScenesRequest {
+        Ok(ComparisonRequest {
+            row: self.row.clone(),
             baseline: self.baseline.clone(),
             metric: self.metric.clone(),
             rows: self.rows.clone(),
             scenes: self.scenes.clone(),
             seeds: self.seeds.clone(),
             sweep: Vec::new(),
-        };
-        let (request, over) = asked.answer(sources)?;
-        request.write(&over, &self.out)?;
-        let rows: Vec<&str> = over.rows.iter().map(|row| row.row.as_str()).collect();
-        let answer = json!({
-            "rows": rows,
-            "scenes": over.scenes,
-            "baseline": request.baseline,
-            "metric": request.metric,
-            "results": self.out,
-        });
-        self.give(&answer, &request.page(&over))
-    }
-
-    fn give(&self, answer: &serde_json::Value, page: &str) -> Result<()> {
-        self.answer.give(answer, || {
-            print_shown(page.trim_end())?;
-            print(&format!("files: {}", self.out.display()))
         })
     }
 }

@@ -86,10 +86,11 @@ pub fn csv_text(rows: impl IntoIterator<Item = Vec<String>>) -> String {
 }
 
 /// Returns rows of named cells as CSV, with the names of the first row as head. Without rows the text is empty.
-pub fn csv_of_named(rows: impl IntoIterator<Item = Vec<(String, String)>>) -> String {
+pub fn csv_of_named<N: Into<String>>(rows: impl IntoIterator<Item = Vec<(N, String)>>) -> String {
     let mut head = true;
     let lines = rows.into_iter().flat_map(|row| {
-        let (names, values): (Vec<String>, Vec<String>) = row.into_iter().unzip();
+        let (names, values): (Vec<String>, Vec<String>) =
+            row.into_iter().map(|(name, value)| (name.into(), value)).unzip();
         let first = std::mem::take(&mut head).then_some(names);
         first.into_iter().chain(std::iter::once(values))
     });
@@ -109,7 +110,7 @@ mod tests {
     fn cells_are_quoted_and_missing_numbers_are_empty() {
         let row = |a: &str, b: Option<f64>| vec![("a,b".to_string(), a.to_string()), ("c".into(), csv_number(b))];
         assert_eq!(csv_of_named([row("x\"y", Some(0.1)), row("", None)]), "\"a,b\",c\n\"x\"\"y\",0.1\n,\n");
-        assert_eq!(csv_of_named([]), "");
+        assert_eq!(csv_of_named::<String>([]), "");
     }
 
     #[test]

@@ -1,8 +1,7 @@
 //! Tables, figures and a page of points: records, statistics, published numbers.
 
-mod across;
+mod comparisons;
 pub mod exporters;
-mod over_scenes;
 mod over_units;
 pub mod page;
 pub mod plots;
@@ -12,7 +11,6 @@ mod record;
 pub mod statistics;
 pub mod tables;
 
-pub use across::{Across, Block};
-pub use over_scenes::{OverScenes, RowOverScenes};
+pub use comparisons::{Compared, Comparisons, OverScenes, Unit};
 pub use published::{PUBLISHED_NOTE, PublishedProtocol, PublishedRow, published_rows};
 pub use record::{AxisParts, AxisValue, PublishedKey, Record, RowSpec, Status, TableSpec, distinct, label};

@@ -2,7 +2,7 @@
 
 use statrs::distribution::{Binomial, ContinuousCDF, DiscreteCDF};
 
-use super::statistics::{SIGNIFICANCE, centre_and_error, mean, standard_deviation, student};
+use super::statistics::{SIGNIFICANCE, centre_and_error, standard_deviation, student};
 
 /// How many differences are above and below 0, and whether a fair coin explains it.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -81,18 +81,27 @@ pub struct Components {
     pub within: f64,
 }
 
+/// The differences of a unit's seeds in short.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Seeds {
+    /// Number of seeds.
+    pub count: usize,
+    /// Mean of their differences.
+    pub mean: f64,
+    /// Standard deviation of the differences; `None` for one seed.
+    pub deviation: Option<f64>,
+}
+
 /// Splits differences by unit, by the analysis of variance of unweighted means. With as many seeds in each unit these are the
 /// estimates of restricted maximum likelihood where `between` is above 0. `None` for fewer than two units, or if no
 /// unit has two seeds.
-pub fn components(units: &[Vec<f64>]) -> Option<Components> {
-    let units: Vec<&Vec<f64>> = units.iter().filter(|unit| !unit.is_empty()).collect();
-    let means: Vec<f64> = units.iter().filter_map(|unit| mean(unit)).collect();
-    let squares: f64 =
-        units.iter().filter_map(|unit| Some(standard_deviation(unit)?.powi(2) * (unit.len() - 1) as f64)).sum();
-    let freedom: usize = units.iter().map(|unit| unit.len() - 1).sum();
+pub fn components(units: &[Seeds]) -> Option<Components> {
+    let means: Vec<f64> = units.iter().map(|unit| unit.mean).collect();
+    let squares: f64 = units.iter().filter_map(|unit| Some(unit.deviation?.powi(2) * (unit.count - 1) as f64)).sum();
+    let freedom: usize = units.iter().map(|unit| unit.count - 1).sum();
     let of_means = standard_deviation(&means)?.powi(2);
     let within = squares / freedom as f64;
-    let seeds = units.iter().map(|unit| 1.0 / unit.len() as f64).sum::<f64>() / units.len() as f64;
+    let seeds = units.iter().map(|unit| 1.0 / unit.count as f64).sum::<f64>() / units.len() as f64;
     (freedom > 0).then(|| Components { between: (of_means - within * seeds).max(0.0).sqrt(), within: within.sqrt() })
 }
 
@@ -125,6 +134,7 @@ pub fn to_best(rows: &[Vec<f64>]) -> Option<Vec<(f64, f64)>> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::report::statistics::mean;
 
     const SEEDS: [[f64; 2]; 8] = [
         [0.31, 0.52],
@@ -194,16 +204,19 @@ mod tests {
     #[test]
     fn components_are_those_of_a_mixed_model() {
         // lme4 1.1-31: lmer(y ~ 1 + (1 | scene), REML = TRUE), VarCorr
-        let units: Vec<Vec<f64>> = SEEDS.iter().map(|seeds| seeds.to_vec()).collect();
+        let unit = |values: &[f64]| Seeds {
+            count: values.len(),
+            mean: mean(values).unwrap(),
+            deviation: standard_deviation(values),
+        };
+        let units: Vec<Seeds> = SEEDS.iter().map(|seeds| unit(seeds)).collect();
         let Components { between, within } = components(&units).unwrap();
         close(between, 0.3269747699865243);
         close(within, 0.1860107522560633);
         // Seeds that spread more than their units.
-        let noisy = [vec![-1.0, 1.0], vec![-1.1, 1.1]];
+        let noisy = [unit(&[-1.0, 1.0]), unit(&[-1.1, 1.1])];
         assert_eq!(components(&noisy).unwrap().between, 0.0);
-        assert_eq!((components(&units[..1]), components(&[vec![1.0], vec![2.0]])), (None, None));
-        // A unit without seeds does not count.
-        assert_eq!(components(&[units.clone(), vec![vec![]]].concat()), components(&units));
+        assert_eq!((components(&units[..1]), components(&[unit(&[1.0]), unit(&[2.0])])), (None, None));
     }
 
     #[test]

@@ -9,8 +9,8 @@ use crate::base::{Error, Result};
 use crate::runtime::Runtime;
 use crate::training::Trainings;
 
-mod across;
 mod archive;
+mod comparisons;
 mod files;
 mod findings;
 mod retrain;
@@ -74,7 +74,7 @@ impl Verifier<'_> {
         let mut findings = Findings::default();
         let checked = match kind {
             Kind::Sweep => self.sweep(path, &mut findings),
-            Kind::Across => across::check(self, path, &mut findings),
+            Kind::Comparison => comparisons::check(self, path, &mut findings),
             Kind::View => {
                 findings.not_checked("a view of sweeps; what it shows stands in their own results");
                 Ok(())
@@ -108,6 +108,6 @@ const NOTHING: &str = "neither a sweep's (points.csv) nor a comparison (across.t
 
 /// Returns whether an error is what a verification looks for.
 fn is_found(kind: Kind, error: &Error) -> bool {
-    let of_across = matches!(error, Error::Checkpoint(_) | Error::NotComparable(_)) || error.is_of_settings();
-    matches!(error, Error::Data(_)) || kind == Kind::Across && of_across
+    let of_comparison = matches!(error, Error::Checkpoint(_) | Error::NotComparable(_)) || error.is_of_settings();
+    matches!(error, Error::Data(_)) || kind == Kind::Comparison && of_comparison
 }

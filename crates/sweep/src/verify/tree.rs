@@ -3,10 +3,9 @@
 use std::path::{Path, PathBuf};
 
 use super::files;
-use crate::across::ACROSS;
 use crate::base::{Error, Result};
+use crate::comparisons::{ACROSS, OVER_SCENES};
 use crate::folder::DEFINITION;
-use crate::over_scenes::OVER_SCENES;
 use crate::report::exporters::EXPORTERS;
 use crate::view::VIEW;
 
@@ -22,8 +21,8 @@ pub enum Kind {
     View,
     /// Single runs.
     Runs,
-    /// One comparison of each of several sweeps, or rows over their scenes.
-    Across,
+    /// Rows compared over several sweeps or their scenes.
+    Comparison,
     /// Text on results in other folders.
     Pages,
     /// Nothing that can be checked.
@@ -67,7 +66,7 @@ fn kind(path: &Path) -> Result<Kind> {
         () if has("points.csv") || has(DEFINITION) => Kind::Sweep,
         () if folders.iter().any(|folder| folder.join("metrics.json").exists()) => Kind::Runs,
         () if !folders.is_empty() => Kind::Other,
-        () if has(ACROSS) || has(OVER_SCENES) => Kind::Across,
+        () if has(ACROSS) || has(OVER_SCENES) => Kind::Comparison,
         () if holds_pages_alone(path)? => Kind::Pages,
         () => Kind::Other,
     })

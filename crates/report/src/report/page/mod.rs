@@ -100,7 +100,7 @@ impl Page<'_> {
             warnings: facts::warnings(once, self.records),
             facts: facts::facts(table, self.records),
             groups,
-            over: over::over(table, self.records)?,
+            over: over::over(table)?,
             columns: results::columns(shown),
             scenes: results::scenes(once, shown),
             notes: results::notes(table),

@@ -2,9 +2,9 @@
 
 use super::figures::Drawn;
 use crate::base::Result;
-use crate::report::plots::{Width, over_scenes_figure};
+use crate::report::plots::{Width, comparisons_figure};
 use crate::report::tables::{Heading, Judgement, Table};
-use crate::report::{OverScenes, Record, RowOverScenes};
+use crate::report::{Compared, Comparisons};
 
 /// Fewest scenes over which rows are compared.
 const FEWEST_SCENES: usize = 3;
@@ -24,45 +24,38 @@ pub struct Row {
     /// Difference, simultaneous interval, Holm's p, scenes up and down.
     pub cells: [String; 4],
     pub said: String,
-    pub better: bool,
-    pub worse: bool,
+    /// `better` or `worse`; empty where no difference is shown.
+    pub judgement: &'static str,
 }
 
 /// Returns the comparison of the table's first metric, or `None` for tables of few scenes, without a baseline, or of rows
 /// that are not comparable.
-pub fn over(table: &Table, records: &[Record]) -> Result<Option<Over>> {
+pub fn over(table: &Table) -> Result<Option<Over>> {
     let compared = table.lines.iter().find_map(|line| Some((line, line.baseline.as_ref()?)));
     let Some((line, label)) = compared.filter(|_| table.lines.iter().all(|line| line.mixed.is_empty())) else {
         return Ok(None);
     };
     let baseline = table.lines.iter().find(|other| other.scene == line.scene && other.label == *label);
-    let (Some(baseline), Some(metric)) = (baseline, table.metrics.first()) else { return Ok(None) };
-    let cells = table.lines.iter().map(|line| &line.cells[0]);
-    let margin = cells.filter_map(|cell| cell.comparison?.equivalence).map(|equivalence| equivalence.margin).next();
-    let over = OverScenes::new(&baseline.row, metric, margin, records);
-    if over.scenes.len() < FEWEST_SCENES {
+    let Some(baseline) = baseline.filter(|_| !table.metrics.is_empty()) else { return Ok(None) };
+    let all = Comparisons::over_scenes(&baseline.row, std::slice::from_ref(table));
+    if all.scenes.len() < FEWEST_SCENES {
         return Ok(None);
     }
-    let [page, column] = Width::ALL.map(|width| over_scenes_figure(&over, width));
+    let [page, column] = Width::ALL.map(|width| comparisons_figure(&all, width));
     let drawn =
         page?.zip(column?).map(|(a, b)| Drawn::new("over_scenes", a.svg.as_bytes(), b.svg.as_bytes(), &a.caption));
-    let row = |row: &RowOverScenes| {
-        let [label, _, difference, simultaneous, p, said] = over.cells(row);
-        let signs = row.signs.map_or(String::new(), |signs| format!("{}, {}", signs.above, signs.below));
-        let judged = row.comparison.as_ref().map(|comparison| Judgement::of(metric, comparison));
-        Row {
-            label,
-            cells: [difference, simultaneous, p, signs],
-            said,
-            better: judged == Some(Judgement::Better),
-            worse: judged == Some(Judgement::Worse),
-        }
+    let row = |line: &Compared| {
+        let [label, _, difference, simultaneous, p, said] = all.cells(line);
+        let signs = line.over.as_ref().and_then(|over| over.signs);
+        let signs = signs.map_or(String::new(), |signs| format!("{}, {}", signs.above, signs.below));
+        let judged = line.comparison.map_or(Judgement::NotShown, |found| Judgement::of(&all.metric, &found));
+        Row { label, cells: [difference, simultaneous, p, signs], said, judgement: judged.name() }
     };
     Ok(Some(Over {
-        baseline: over.baseline.clone(),
-        metric: Heading::of(metric).name.to_string(),
-        scenes: over.scenes.len(),
-        rows: over.best_first().into_iter().map(row).collect(),
+        baseline: all.baseline.clone(),
+        metric: Heading::of(&all.metric).name.to_string(),
+        scenes: all.scenes.len(),
+        rows: all.best_first().into_iter().map(row).collect(),
         figure: drawn.transpose()?,
     }))
 }

@@ -9,14 +9,13 @@ use crate::metrics::{Digits, Metric};
 use crate::report::TableSpec;
 use crate::report::statistics::{mean, standard_deviation};
 
-mod across;
 mod axes;
+mod comparisons;
 mod curves;
 mod differences;
 mod ends;
 mod heatmap;
 mod legend;
-mod over_scenes;
 mod pairs;
 mod places;
 mod rows;
@@ -26,11 +25,10 @@ mod surfaces;
 
 pub use crate::draw::Figure;
 pub use crate::draw::canvas::Width;
-pub use across::across_figure;
 pub use axes::axes_figure;
+pub use comparisons::comparisons_figure;
 pub use curves::{Curve, Seeds, curves_figure, seconds_figure};
 pub use heatmap::heatmap_figures;
-pub use over_scenes::over_scenes_figure;
 pub use rows::rows_figure;
 pub use shifts::{Shifts, shifts_figure};
 pub use surfaces::{Surface, surfaces_figure};

@@ -1,15 +1,16 @@
 //! A line against its baseline, and the one rule for its verdict: Holm's correction within a scene and metric, at
 //! [`SIGNIFICANCE`]. Tables, CSV and figures all use it.
 
-use std::borrow::Borrow;
-
 use super::{Cell, Line};
-use crate::report::statistics::{SIGNIFICANCE, equivalence_p_value, holm, interval, mean, p_value, standard_deviation};
+use crate::report::statistics::{
+    SIGNIFICANCE, equivalence_p_value, holm, interval, mean, p_value, simultaneous, standard_deviation,
+};
 
-/// A metric of a line against that of its baseline, paired by seed.
+/// A metric of a line against that of its baseline: the mean of their differences seed by seed, or scene by scene. One
+/// family is corrected together: a metric's comparisons within a scene, or those over scenes or sweeps.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Comparison {
-    /// Number of seeds that both have.
+    /// Number of seeds or scenes that both have.
     pub pairs: usize,
     /// Mean of the line's values minus the baseline's.
     pub difference: f64,
@@ -19,8 +20,10 @@ pub struct Comparison {
     pub interval: Option<(f64, f64)>,
     /// P value of the paired t test; `None` for one pair.
     pub p: Option<f64>,
-    /// The same after Holm's correction over the scene's lines with a baseline.
+    /// The same after Holm's correction over the family.
     pub p_holm: Option<f64>,
+    /// Ends of the interval that holds with 95 % for all of the family at once (Bonferroni).
+    pub simultaneous: Option<(f64, f64)>,
     /// Test of equivalence, or `None` if the definition states no margin for the metric.
     pub equivalence: Option<Equivalence>,
 }
@@ -32,7 +35,7 @@ pub struct Equivalence {
     pub margin: f64,
     /// The larger of the two p values; `None` for one pair.
     pub p: Option<f64>,
-    /// The same after Holm's correction over the scene's lines with a baseline.
+    /// The same after Holm's correction over the family.
     pub p_holm: Option<f64>,
 }
 
@@ -81,6 +84,7 @@ impl Comparison {
             interval: interval(differences),
             p: p_value(differences),
             p_holm: None,
+            simultaneous: None,
             equivalence: margin.map(equivalence),
         })
     }
@@ -105,19 +109,37 @@ impl Comparison {
     }
 }
 
-/// Fills in the p values after Holm's correction. One family is a metric's comparisons within a scene, another its
-/// tests of equivalence.
-pub(super) fn correct_p_values(lines: &mut [Line]) {
+/// Corrects each metric of each scene.
+pub(super) fn correct_scenes(lines: &mut [Line]) {
     for scene in lines.chunk_by_mut(|a, b| a.scene == b.scene) {
-        let firsts = firsts(scene);
+        let firsts = firsts(scene, is_same_experiment);
         for metric in 0..scene[0].cells.len() {
-            correct(scene, &firsts, metric, |c| c.p, |c, p| c.p_holm = p);
-            let of_equivalence = |c: &Comparison| c.equivalence.and_then(|equivalence| equivalence.p);
-            correct(scene, &firsts, metric, of_equivalence, |c, p| {
-                c.equivalence.iter_mut().for_each(|equivalence| equivalence.p_holm = p);
-            });
+            let family = scene.iter_mut().map(|line| line.cells[metric].comparison.as_mut());
+            correct(&mut family.collect::<Vec<_>>(), &firsts);
         }
     }
+}
+
+/// Fills in what depends on all comparisons of a family. Each counts once, as the first of `firsts`.
+pub(in crate::report) fn correct(family: &mut [Option<&mut Comparison>], firsts: &[usize]) {
+    let all = |p: fn(&Comparison) -> Option<f64>| -> Vec<Option<f64>> {
+        let alone = family.iter().enumerate().map(|(i, own)| own.as_deref().filter(|_| firsts[i] == i));
+        alone.map(|own| own.and_then(p)).collect()
+    };
+    let (p, of_equivalence) = (all(|own| own.p), holm(&all(|own| own.equivalence?.p)));
+    let (tests, p) = (p.iter().flatten().count(), holm(&p));
+    for (own, &first) in family.iter_mut().zip(firsts) {
+        let Some(own) = own else { continue };
+        own.p_holm = p[first];
+        own.equivalence.iter_mut().for_each(|equivalence| equivalence.p_holm = of_equivalence[first]);
+        own.simultaneous = own.interval.map(|ends| simultaneous(ends, own.pairs, tests));
+    }
+}
+
+/// Returns, for each item, the first that is the same.
+pub(in crate::report) fn firsts<T>(items: &[T], same: impl Fn(&T, &T) -> bool) -> Vec<usize> {
+    let first = |i: usize| items[..i].iter().position(|item| same(item, &items[i]));
+    (0..items.len()).map(|i| first(i).unwrap_or(i)).collect()
 }
 
 /// Returns over how many comparisons the scene's p values of a metric are corrected once all points are done.
@@ -126,32 +148,8 @@ pub fn comparisons_to_come(scene: &[&Line], metric: usize) -> usize {
         let measured = line.cells[metric].comparison.is_some_and(|comparison| comparison.pairs > 1);
         line.baseline.is_some() && !line.quoted && (measured || line.ids.len() < line.points)
     };
-    let alone = |(i, first): (usize, &usize)| i == *first && tested(scene[i]);
-    firsts(scene).iter().enumerate().filter(|&place| alone(place)).count()
-}
-
-/// Returns, for each line, the first line with the same configuration.
-fn firsts<L: Borrow<Line>>(scene: &[L]) -> Vec<usize> {
-    let first = |i: usize| scene[..i].iter().position(|line| is_same_experiment(line.borrow(), scene[i].borrow()));
-    (0..scene.len()).map(|i| first(i).unwrap_or(i)).collect()
-}
-
-fn correct(
-    scene: &mut [Line],
-    firsts: &[usize],
-    metric: usize,
-    p_value: impl Fn(&Comparison) -> Option<f64>,
-    fill: impl Fn(&mut Comparison, Option<f64>),
-) {
-    let first = |(i, line): (usize, &Line)| {
-        line.cells[metric].comparison.as_ref().filter(|_| firsts[i] == i).and_then(&p_value)
-    };
-    let corrected = holm(&scene.iter().enumerate().map(first).collect::<Vec<Option<f64>>>());
-    for (line, first) in scene.iter_mut().zip(firsts) {
-        if let Some(comparison) = &mut line.cells[metric].comparison {
-            fill(comparison, corrected[*first]);
-        }
-    }
+    let firsts = firsts(scene, |a, b| is_same_experiment(a, b));
+    firsts.into_iter().enumerate().filter(|&(i, first)| i == first && tested(scene[i])).count()
 }
 
 /// Returns whether two lines are one comparison, which counts once. Examples are a point in several lines, and

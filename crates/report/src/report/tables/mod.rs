@@ -22,8 +22,8 @@ mod warnings;
 
 pub use attack::{AttackLine, AttackSite, SiteMeans, attack_csv};
 pub use checks::disagreements;
-pub(super) use comparison::comparisons_to_come;
 pub use comparison::{Comparison, Equivalence, Verdict};
+pub(super) use comparison::{comparisons_to_come, correct, firsts};
 pub use delimited::{PointTiming, constants, points_csv, table_columns, table_csv, timing_csv};
 pub(super) use epochs::{epochs_head, joint};
 pub use epochs::{epochs_note, epochs_of, epochs_text, is_brief};
@@ -192,7 +192,7 @@ impl Table {
             lines.extend(spec.rows.iter().filter(|row| row.quoted).filter_map(|row| quoted_line(spec, row, scene)));
             lines.extend(groups.iter().filter(|group| group.scene == scene).map(|group| line(spec, group, &groups)));
         }
-        comparison::correct_p_values(&mut lines);
+        comparison::correct_scenes(&mut lines);
         let TableSpec { name, title, metrics, notes, .. } = spec.clone();
         Ok(Table { name, title, metrics, lines, notes })
     }

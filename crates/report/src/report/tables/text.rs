@@ -387,6 +387,7 @@ mod tests {
             interval,
             p: Some(0.01),
             p_holm: Some(0.0001),
+            simultaneous: None,
             equivalence: None,
         };
         assert_eq!(difference_text(&cell("psnr", 3, Some(sure))), "+0.50 [+0.25, +0.75], p < 0.001, higher");

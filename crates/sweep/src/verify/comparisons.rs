@@ -1,4 +1,4 @@
-//! Comparisons across sweeps and over scenes, made again from the results of these sweeps.
+//! Comparisons over sweeps and scenes, made again from the results of these sweeps.
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -8,45 +8,21 @@ use super::archive::Archive;
 use super::files::{Compared, is_spare, not_kept};
 use super::findings::Findings;
 use super::tree::sweeps_named;
-use crate::across::{ACROSS, AcrossRequest};
 use crate::base::{Error, Result};
+use crate::comparisons::ComparisonRequest;
 use crate::folder::DEFINITION;
-use crate::over_scenes::{OVER_SCENES, ScenesRequest};
 use crate::report::exporters::Content;
 use crate::view::{Origin, Source};
 
-/// What a folder asks of sweeps, made from their results.
-pub struct Comparison {
-    /// The folder.
-    pub path: PathBuf,
-    /// The file of the request, and the number of sweeps that it names.
-    request: (&'static str, usize),
-    files: Vec<(String, Content)>,
-}
-
-impl Comparison {
-    /// Reads what is asked, and the results of its sweeps.
-    pub fn read(path: &Path, data_root: Option<&Path>) -> Result<Comparison> {
-        if path.join(OVER_SCENES).exists() {
-            let kept = ScenesRequest::read(path)?;
-            let archives = archives(path, (OVER_SCENES, &kept.sweep), data_root)?;
-            let (request, over) = kept.answer(&archives.iter().map(source_of).collect::<Vec<Source>>())?;
-            let files = request.files(&over)?;
-            return Ok(Comparison { path: path.into(), request: (OVER_SCENES, request.sweep.len()), files });
-        }
-        let kept = AcrossRequest::read(path)?;
-        let archives = archives(path, (ACROSS, &kept.sweep), data_root)?;
-        let sources: Vec<Source> = archives.iter().map(source_of).collect();
-        let (request, across) = AcrossRequest::new(&kept.row, &kept.baseline, &kept.metric, &sources, &kept.labels())?;
-        let files = request.files(&across)?;
-        Ok(Comparison { path: path.into(), request: (ACROSS, request.sweep.len()), files })
-    }
-}
-
 /// Compares a folder's files with what the sweeps make, or, with `update`, writes what differs.
 pub fn check(verifier: &Verifier, path: &Path, findings: &mut Findings) -> Result<()> {
-    let Comparison { path, request: (request, sweeps), files } = &Comparison::read(path, verifier.data_root)?;
-    let made: BTreeMap<String, Content> = files.iter().cloned().collect();
+    let kept = ComparisonRequest::read(path)?;
+    let (request, sweeps) = (kept.file(), kept.sweep.len());
+    let archives = archives(path, (request, &kept.sweep), verifier.data_root)?;
+    let sources: Vec<Source> = archives.iter().map(source_of).collect();
+    let labels = kept.labels();
+    let (asked, comparisons) = kept.answer(&sources, &labels)?;
+    let made: BTreeMap<String, Content> = asked.files(&comparisons)?.into_iter().collect();
     let compared = Compared::new(verifier, path, made.iter(), |name| is_spare(path, name), findings)?;
     compared.report(&format!("from comparisons of {sweeps} sweeps, of which {request} has the hashes"), findings);
     not_kept(&compared.absent, None, path, findings);
