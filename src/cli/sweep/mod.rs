@@ -33,7 +33,6 @@ mod collect;
 mod new;
 mod opened;
 mod plan;
-mod power;
 mod prune;
 mod run;
 mod run_point;
@@ -74,9 +73,6 @@ pub enum SweepCommand {
     /// Compare two rows in each of several sweeps
     #[command(after_help = across::EXAMPLES)]
     Across(across::AcrossArguments),
-    /// Estimate how many seeds a difference takes, without showing means
-    #[command(after_help = power::EXAMPLES)]
-    Power(power::PowerArguments),
     /// Delete points that the sweep no longer asks for
     #[command(after_help = prune::EXAMPLES)]
     Prune(prune::PruneArguments),
@@ -97,7 +93,6 @@ impl SweepCommand {
             SweepCommand::Slurm(arguments) => arguments.run(),
             SweepCommand::Best(arguments) => arguments.run(),
             SweepCommand::Across(arguments) => arguments.run(),
-            SweepCommand::Power(arguments) => arguments.run(),
             SweepCommand::Prune(arguments) => arguments.run(),
             SweepCommand::New(arguments) => arguments.run(),
         }

@@ -5,7 +5,6 @@ pub mod exporters;
 mod over_units;
 pub mod page;
 pub mod plots;
-pub mod power;
 mod published;
 mod record;
 pub mod statistics;

@@ -5,7 +5,7 @@ use crate::base::csv::{csv_number, csv_of_named};
 use crate::report::distinct;
 use crate::report::statistics::p_text;
 use crate::report::tables::text::{interval_text, signed_interval, signed_text};
-use crate::report::tables::{Comparison, Verdict, epochs_head, escape};
+use crate::report::tables::{cell_text, epochs_head, escape};
 
 /// A line of a CSV file: each cell with its column.
 type Cells = Vec<(&'static str, String)>;
@@ -28,21 +28,13 @@ impl Comparisons {
     }
 
     fn csv_cells(&self, line: &Compared) -> Cells {
-        let found = line.comparison.as_ref();
-        let number = |of: fn(&Comparison) -> Option<f64>| csv_number(found.and_then(of));
         let flag = |flag: Option<bool>| flag.map_or(String::new(), |flag| flag.to_string());
-        let equivalent = || found?.equivalence.filter(|test| test.p_holm.is_some()).map(|test| test.holds());
+        let cell = |name| (name, line.comparison.map_or(String::new(), |found| cell_text(&found.cell(name))));
         let mut cells = line.place.clone();
-        cells.push(("difference", number(|found| Some(found.difference))));
-        cells.extend(ends(["low", "high"], found.and_then(|found| found.interval)));
-        cells.extend([("p", number(|found| found.p)), ("p_holm", number(|found| found.p_holm))]);
-        cells.extend(ends(["simultaneous_low", "simultaneous_high"], found.and_then(|found| found.simultaneous)));
-        cells.push(("verdict", found.and_then(Comparison::verdict).map_or("", Verdict::name).into()));
-        cells.push(("margin", number(|found| Some(found.equivalence?.margin))));
-        cells.push(("p_equivalence", number(|found| found.equivalence?.p)));
-        cells.push(("p_equivalence_holm", number(|found| found.equivalence?.p_holm)));
+        cells.extend(["difference", "low", "high", "p", "p_holm", "simultaneous_low", "simultaneous_high"].map(cell));
+        cells.extend(["verdict", "margin", "p_equivalence", "p_equivalence_holm"].map(cell));
         cells.push(match self.unit {
-            Unit::Sweep => ("equivalent", flag(equivalent())),
+            Unit::Sweep => cell("equivalent"),
             Unit::Scene => ("matters", flag(self.matters(line))),
         });
         cells.push(("ruled_out", flag(self.is_ruled_out(line))));

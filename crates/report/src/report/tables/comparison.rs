@@ -1,6 +1,8 @@
 //! A line against its baseline, and the one rule for its verdict: Holm's correction within a scene and metric, at
 //! [`SIGNIFICANCE`]. Tables, CSV and figures all use it.
 
+use serde_json::Value;
+
 use super::{Cell, Line};
 use crate::report::statistics::{
     SIGNIFICANCE, equivalence_p_value, holm, interval, mean, p_value, simultaneous, standard_deviation,
@@ -103,6 +105,27 @@ impl Comparison {
         }
     }
 
+    /// Returns a cell of CSV files by its column, null where there is no number.
+    pub(in crate::report) fn cell(&self, column: &str) -> Value {
+        let test = self.equivalence;
+        match column {
+            "pairs" => self.pairs.into(),
+            "difference" => self.difference.into(),
+            "low" => self.interval.map(|ends| ends.0).into(),
+            "high" => self.interval.map(|ends| ends.1).into(),
+            "p" => self.p.into(),
+            "p_holm" => self.p_holm.into(),
+            "simultaneous_low" => self.simultaneous.map(|ends| ends.0).into(),
+            "simultaneous_high" => self.simultaneous.map(|ends| ends.1).into(),
+            "verdict" => self.verdict().map(Verdict::name).into(),
+            "margin" => test.map(|test| test.margin).into(),
+            "p_equivalence" => test.and_then(|test| test.p).into(),
+            "p_equivalence_holm" => test.and_then(|test| test.p_holm).into(),
+            "equivalent" => test.filter(|test| test.p_holm.is_some()).map(|test| test.holds().to_string()).into(),
+            _ => Value::Null,
+        }
+    }
+
     /// Returns whether the row is shown to be equivalent to its baseline, within the definition's margin.
     pub fn is_equivalent(&self) -> bool {
         self.equivalence.is_some_and(|equivalence| equivalence.holds())
@@ -140,16 +163,6 @@ pub(in crate::report) fn correct(family: &mut [Option<&mut Comparison>], firsts:
 pub(in crate::report) fn firsts<T>(items: &[T], same: impl Fn(&T, &T) -> bool) -> Vec<usize> {
     let first = |i: usize| items[..i].iter().position(|item| same(item, &items[i]));
     (0..items.len()).map(|i| first(i).unwrap_or(i)).collect()
-}
-
-/// Returns over how many comparisons the scene's p values of a metric are corrected once all points are done.
-pub fn comparisons_to_come(scene: &[&Line], metric: usize) -> usize {
-    let tested = |line: &Line| {
-        let measured = line.cells[metric].comparison.is_some_and(|comparison| comparison.pairs > 1);
-        line.baseline.is_some() && !line.quoted && (measured || line.ids.len() < line.points)
-    };
-    let firsts = firsts(scene, |a, b| is_same_experiment(a, b));
-    firsts.into_iter().enumerate().filter(|&(i, first)| i == first && tested(scene[i])).count()
 }
 
 /// Returns whether two lines are one comparison, which counts once. Examples are a point in several lines, and

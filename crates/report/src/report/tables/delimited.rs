@@ -161,32 +161,19 @@ pub(super) fn place_cells(line: &Line) -> [String; PLACE_COLUMNS.len()] {
 
 /// Returns the columns of a metric: of all lines, and those of the test of equivalence if it was made.
 fn cell_columns(metric: &str, cells: &[&Cell]) -> Vec<Column> {
-    type Of = fn(&Cell) -> Value;
-    let own: [(&str, Of); 11] = [
-        ("n", |cell| cell.n.into()),
-        ("mean", |cell| cell.mean.into()),
-        ("std", |cell| cell.deviation.into()),
-        ("pairs", |cell| cell.comparison.map(|comparison| comparison.pairs).into()),
-        ("difference", |cell| cell.comparison.map(|comparison| comparison.difference).into()),
-        ("low", |cell| cell.comparison.and_then(|comparison| comparison.interval).map(|(low, _)| low).into()),
-        ("high", |cell| cell.comparison.and_then(|comparison| comparison.interval).map(|(_, high)| high).into()),
-        ("p", |cell| cell.comparison.and_then(|comparison| comparison.p).into()),
-        ("p_holm", |cell| cell.comparison.and_then(|comparison| comparison.p_holm).into()),
-        ("verdict", |cell| cell.comparison.and_then(|c| c.verdict()).map(|verdict| verdict.name()).into()),
-        ("published", |cell| cell.published.into()),
-    ];
-    let equivalence: [(&str, Of); 4] = [
-        ("margin", |cell| cell.equivalence().map(|equivalence| equivalence.margin).into()),
-        ("p_equivalence", |cell| cell.equivalence().and_then(|equivalence| equivalence.p).into()),
-        ("p_equivalence_holm", |cell| cell.equivalence().and_then(|equivalence| equivalence.p_holm).into()),
-        ("equivalent", |cell| {
-            let known = cell.equivalence().filter(|equivalence| equivalence.p_holm.is_some());
-            known.map(|equivalence| equivalence.holds().to_string()).into()
-        }),
-    ];
     let is_tested = cells.iter().any(|cell| cell.equivalence().is_some());
-    let all = own.into_iter().chain(equivalence.into_iter().filter(|_| is_tested));
-    all.map(|(name, of)| column(&format!("{metric}_{name}"), cells.iter().map(|cell| of(cell)))).collect()
+    let own =
+        ["n", "mean", "std", "pairs", "difference", "low", "high", "p", "p_holm", "verdict", "published"].iter();
+    let tests = ["margin", "p_equivalence", "p_equivalence_holm", "equivalent"].iter().filter(|_| is_tested);
+    let value = |name: &str, cell: &Cell| match name {
+        "n" => cell.n.into(),
+        "mean" => cell.mean.into(),
+        "std" => cell.deviation.into(),
+        "published" => cell.published.into(),
+        _ => cell.comparison.map_or(Value::Null, |comparison| comparison.cell(name)),
+    };
+    let of = |name: &&str| column(&format!("{metric}_{name}"), cells.iter().map(|cell| value(name, cell)));
+    own.chain(tests).map(of).collect()
 }
 
 fn clock_names(timing: &[PointTiming]) -> Vec<&str> {

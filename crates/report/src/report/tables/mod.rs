@@ -23,7 +23,7 @@ mod warnings;
 pub use attack::{AttackLine, AttackSite, SiteMeans, attack_csv};
 pub use checks::disagreements;
 pub use comparison::{Comparison, Equivalence, Verdict};
-pub(super) use comparison::{comparisons_to_come, correct, firsts};
+pub(super) use comparison::{correct, firsts};
 pub use delimited::{PointTiming, constants, points_csv, table_columns, table_csv, timing_csv};
 pub(super) use epochs::{epochs_head, joint};
 pub use epochs::{epochs_note, epochs_of, epochs_text, is_brief};
@@ -32,6 +32,7 @@ pub use latex::table_latex;
 pub use markdown::escape;
 pub use markdown::table_markdown;
 pub use read::{PlaceText, read_points, read_timing};
+pub(super) use sheet::text as cell_text;
 pub use sheet::{Column, Constants, add_repeated, attack_numbers, file_field, plain_field};
 pub use terminal::table_terminal;
 

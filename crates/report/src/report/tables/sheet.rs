@@ -23,7 +23,7 @@ const ATTACK_NUMBERS: &str = "attack_numbers";
 const NUMBERS: [&str; 3] = ["steps", "step_size", "epsilon"];
 
 /// Returns a cell as text. A number has all its digits, a missing one is empty.
-pub(super) fn text(cell: &Value) -> String {
+pub(in crate::report) fn text(cell: &Value) -> String {
     match cell {
         Value::Null => String::new(),
         Value::String(text) => text.clone(),
