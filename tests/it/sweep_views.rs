@@ -271,57 +271,6 @@ fn the_best_row_is_told_with_its_settings_and_folders() {
     assert!(told.contains("on validation views") && points.len() == 12, "{told}");
 }
 
-#[test]
-fn seeds_that_a_difference_takes_are_told_without_means() {
-    let dir = TempDir::new().unwrap();
-    let (folder, points) = finished(dir.path(), "one", BASE, &[]);
-    let power = |further: &[&str], code| demand(dir.path(), &[&["sweep", "power", "runs/one"], further].concat(), code);
-    let of = |row: &str| points.iter().filter(|point| point.places[0].row == row).map(psnr).collect::<Vec<f64>>();
-    let differences: Vec<f64> = of("B").iter().zip(of("NeRF")).map(|(own, baseline)| own - baseline).collect();
-    let mean = differences.iter().sum::<f64>() / 3.0;
-    let deviation = (differences.iter().map(|value| (value - mean).powi(2)).sum::<f64>() / 2.0).sqrt();
-
-    let json = |further: &[&str]| -> serde_json::Value {
-        let arguments = [&["sweep", "power", folder.to_str().unwrap(), "--json"], further].concat();
-        serde_json::from_str(&program::printed(&arguments)).unwrap()
-    };
-    let needed = |answer: &serde_json::Value| {
-        let row = answer["rows"].as_array().unwrap().iter().find(|row| row["label"] == "B").unwrap().clone();
-        assert_eq!((&row["baseline"], &row["seeds"]), (&"NeRF".into(), &3.into()));
-        assert!((row["deviation"].as_f64().unwrap() - deviation).abs() < 1e-9, "{row}");
-        row["seeds_needed"].as_u64().unwrap()
-    };
-    let [one, three, ten] = [&["--tests", "1"][..], &[], &["--tests", "10"]]
-        .map(|further| needed(&json(&[&["--difference", "0.008"], further].concat())));
-    assert!(3 < one && one < three && three < ten, "{one} {three} {ten}");
-    // What agrees in every digit counts once, as in p; what is not measured, not at all.
-    let again = format!("{BASE}[[row]]\nname = \"C again\"\nset = {{ \"regularizer.kind\" = \"l1\" }}\n");
-    finished(dir.path(), "again", &again, &[]);
-    let tests = |folder: &str, metric: &str| {
-        let path = dir.path().join("runs").join(folder);
-        let arguments = ["sweep", "power", path.to_str().unwrap(), "--json", "--difference", "1", "--metric", metric];
-        let answer: serde_json::Value = serde_json::from_str(&program::printed(&arguments)).unwrap();
-        answer["rows"].as_array().unwrap().iter().map(|row| row["tests"].as_u64().unwrap()).collect::<Vec<u64>>()
-    };
-    assert_eq!((tests("one", "psnr"), tests("again", "psnr")), (vec![3; 3], vec![3; 4]));
-    assert_eq!(tests("one", "lpips_squeeze"), [1; 3]);
-    // Rows without a finished point will be measured, each by itself.
-    let (unfinished, points) = finished(dir.path(), "unfinished", BASE, &[]);
-    for point in points.iter().filter(|point| ["B", "C"].contains(&point.places[0].row.as_str())) {
-        std::fs::remove_file(SweepFolder::new(&unfinished).point(&point.id).path().join("result.json")).unwrap();
-    }
-    assert_eq!(tests("unfinished", "psnr"), [3; 3]);
-
-    let told = power(&["--difference", "0.3"], 0);
-    assert_says(&told, &["0.3 dB in 80 of 100", "no means", "builtin: B minus NeRF, seeds so far 3", "3 needed"]);
-    assert!(!told.contains("20.") && !told.contains(&format!("{mean:.2}")), "a mean is shown: {told}");
-    assert_says(&power(&[], 2), &["no margin for psnr", "--difference"]);
-    assert_says(&power(&["--difference", "-1"], 2), &["--difference -1", "above 0"]);
-    assert_says(&power(&["--difference", "1", "--baseline", "D"], 2), &["--baseline D", "NeRF"]);
-    assert_says(&power(&["--difference", "1", "--baseline", "none"], 2), &["no row has a baseline", "--baseline"]);
-    assert_says(&power(&["--difference", "0.004"], 0), &["of 0.004 dB", "standard deviation 0.0"]);
-}
-
 #[cfg(unix)]
 #[test]
 fn points_have_the_names_of_their_rows() {

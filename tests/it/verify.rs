@@ -268,7 +268,7 @@ fn a_comparison_across_sweeps_is_made_again() {
     // Once more takes its own place.
     across("results/both", "Aug-NeRF", 0);
     let said = across("results/both", "Aug-NeRF", 0);
-    assert_says(&said, &["Aug-NeRF against NeRF, psnr", "chair, 8 views", "files: results/both"]);
+    assert_says(&said, &["Aug-NeRF against NeRF: psnr", "chair, 8 views", "files: results/both"]);
     let folder = dir.path().join("results/both");
     assert_says(
         &text(&folder.join("across.svg")),
