@@ -162,8 +162,7 @@ pub(super) fn place_cells(line: &Line) -> [String; PLACE_COLUMNS.len()] {
 /// Returns the columns of a metric: of all lines, and those of the test of equivalence if it was made.
 fn cell_columns(metric: &str, cells: &[&Cell]) -> Vec<Column> {
     let is_tested = cells.iter().any(|cell| cell.equivalence().is_some());
-    let own =
-        ["n", "mean", "std", "pairs", "difference", "low", "high", "p", "p_holm", "verdict", "published"].iter();
+    let own = ["n", "mean", "std", "pairs", "difference", "low", "high", "p", "p_holm", "verdict", "published"].iter();
     let tests = ["margin", "p_equivalence", "p_equivalence_holm", "equivalent"].iter().filter(|_| is_tested);
     let value = |name: &str, cell: &Cell| match name {
         "n" => cell.n.into(),
