@@ -22,9 +22,9 @@ use crate::sweep::{
     SweepOutputs, Trainings, begin, check_name, check_results_place, plan,
 };
 
+use super::LpipsWeights;
 use super::progress::{Console, duration, report};
 use super::train::LONG;
-use super::{LpipsWeights, whole};
 
 mod across;
 mod begin;
@@ -194,22 +194,6 @@ impl Changes {
             set,
         })?;
         Ok(definition)
-    }
-}
-
-/// A flag of older versions.
-#[derive(Args)]
-struct MaxDeaths {
-    #[arg(long, value_name = "N", hide = true, value_parser = whole::<u32>(1..=u32::MAX.into()))]
-    max_deaths: Option<u32>,
-}
-
-impl MaxDeaths {
-    fn warn(&self, console: &Console) {
-        if self.max_deaths.is_some() {
-            console
-                .say("warning: --max-deaths does nothing: the point of a killed worker is free at once, however often");
-        }
     }
 }
 

@@ -16,8 +16,8 @@ use crate::runtime::{Runtime, with_own_variables};
 use crate::sweep::{Options, Runner, Sharing, Unmeasured};
 
 use super::{
-    Changes, How, Location, MaxDeaths, PointState, begin_folder, by_weights, check_any_data, check_done, collect,
-    reasons, say_how_long, say_what_is_missing, states_of, table_json, terminal_width, trainings,
+    Changes, How, Location, PointState, begin_folder, by_weights, check_any_data, check_done, collect, reasons,
+    say_how_long, say_what_is_missing, states_of, table_json, terminal_width, trainings,
 };
 
 pub const EXAMPLES: &str = "Examples:
@@ -60,8 +60,6 @@ pub struct RunArguments {
     /// At the end, run this command in a shell, with the exit code in AUGNERF_EXIT_CODE
     #[arg(long, value_name = "CMD")]
     then: Option<String>,
-    #[command(flatten)]
-    max_deaths: MaxDeaths,
     /// Measure missing metrics of finished points, such as LPIPS
     #[arg(long)]
     remeasure: bool,
@@ -88,7 +86,6 @@ impl RunArguments {
     fn run_points(&self, runtime: &Runtime) -> Result<()> {
         let quiet = self.compute.quiet;
         let console = if self.jobs == 1 { Console::new(quiet) } else { Console::without_bars(quiet) };
-        self.max_deaths.warn(&console);
         let definition = self.changes.definition(&self.location)?;
         let trainings = trainings(&definition, &self.weights, runtime, &console)?;
         let (name, results) = (self.location.name()?, self.location.results()?);

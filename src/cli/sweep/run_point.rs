@@ -16,7 +16,7 @@ use crate::report::Status;
 use crate::runtime::Runtime;
 use crate::sweep::{Claim, Options, Point, Runner, Sharing, SweepFolder};
 
-use super::{MaxDeaths, begun, say_what_is_missing, trainings};
+use super::{begun, say_what_is_missing, trainings};
 
 pub const EXAMPLES: &str = "Examples:
   augnerf sweep run-point runs/smoke --index 3      # after `augnerf sweep begin`
@@ -40,8 +40,6 @@ pub struct RunPointArguments {
     /// Run the point again if it failed
     #[arg(long)]
     retry_failed: bool,
-    #[command(flatten)]
-    max_deaths: MaxDeaths,
     /// Folder of the scenes
     #[arg(long, env = "AUGNERF_DATA", value_name = "DIR")]
     data_root: Option<PathBuf>,
@@ -60,7 +58,6 @@ impl RunPointArguments {
         let points = begun(&folder, self.data_root.as_deref())?;
         let point = self.chosen(&points)?;
         let console = Console::new(self.compute.quiet);
-        self.max_deaths.warn(&console);
         let own = folder.point(&point.id);
         // A finished point needs neither scene nor device.
         let to_do = own.result()?.is_none() && (self.retry_failed || own.failure()?.is_none());

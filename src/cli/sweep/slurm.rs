@@ -14,7 +14,7 @@ use crate::settings::Config;
 use crate::sweep::slurm::{Request, Script};
 use crate::sweep::{Point, StepCosts, SweepFolder};
 
-use super::{Changes, Location, MaxDeaths, begin_folder, say_how_long, say_what_is_missing, trainings};
+use super::{Changes, Location, begin_folder, say_how_long, say_what_is_missing, trainings};
 
 pub const EXAMPLES: &str = "Examples:
   augnerf sweep slurm sweeps/paper/tab1_llff.toml --time 12:00:00 --mem 8G --cpus 8
@@ -62,8 +62,6 @@ pub struct SlurmArguments {
     #[arg(long)]
     extend: bool,
     #[command(flatten)]
-    max_deaths: MaxDeaths,
-    #[command(flatten)]
     weights: LpipsWeights,
     /// Device of a task: cpu, gpu, cuda, cuda-tf32 or metal [default: cpu]
     #[arg(long, value_name = "DEVICE", help_heading = "Hardware")]
@@ -78,7 +76,6 @@ pub struct SlurmArguments {
 impl SlurmArguments {
     pub fn run(self) -> Result<()> {
         let console = Console::new(self.quiet);
-        self.max_deaths.warn(&console);
         let definition = self.changes.definition(&self.location)?;
         let (name, path) = (self.location.name()?, absolute(self.location.folder()?.path())?);
         let mut script =
