@@ -4,8 +4,7 @@
 
 Network and renderer are written from the paper's equations, in nerf-pytorch's conventions: names of modules, encoding with the
 identity first, input before the trunk's output at the skip, rays through integer pixels, even samples and even u (no jitter,
-no noise), the last interval 1e10 long, white background. `python tools/nerf_pytorch_fixture.py --check FILE.tar` checks a
-checkpoint of `augnerf export`: it loads the file with weights_only and takes a step of Adam.
+no noise), the last interval 1e10 long, white background.
 """
 
 import json
@@ -149,28 +148,5 @@ def main(folder):
         file.write("\n")
 
 
-def check(path):
-    """Loads an export as nerf-pytorch does, and prints the image's mean."""
-    saved = torch.load(path, weights_only=True)
-    networks = []
-    for key in ("network_fn_state_dict", "network_fine_state_dict"):
-        state = saved[key]
-        width, position = state["pts_linears.0.weight"].shape
-        depth = sum(name.endswith("weight") and name.startswith("pts") for name in state)
-        direction = state["views_linears.0.weight"].shape[1] - width
-        wide = [i for i in range(1, depth) if state[f"pts_linears.{i}.weight"].shape[1] > width]
-        network = Network(depth, width, position, direction, wide[0] - 1 if wide else depth)
-        network.load_state_dict(state)
-        networks.append(network)
-    parameters = [p for network in networks for p in network.parameters()]
-    adam = torch.optim.Adam(parameters, lr=5e-4, betas=(0.9, 0.999))
-    adam.load_state_dict(saved["optimizer_state_dict"])
-    shapes = [tuple(adam.state[p]["exp_avg"].shape) == tuple(p.shape) for p in parameters]
-    assert all(shapes), "Adam's state has the parameters' shapes"
-    sum(p.square().sum() for p in parameters).backward()
-    adam.step()
-    print("step", saved["global_step"], "parameters", len(parameters))
-
-
 if __name__ == "__main__":
-    check(sys.argv[2]) if sys.argv[1] == "--check" else main(sys.argv[1])
+    main(sys.argv[1])

@@ -20,11 +20,9 @@ use super::{Compute, LpipsWeights};
 
 pub const EXPORT_EXAMPLES: &str = "Examples:
   augnerf export RUN lego.safetensors  # all weights, with networks, encodings and settings
-  augnerf export RUN lego.tar          # a checkpoint for nerf-pytorch's --ft_path
   augnerf export RUN lego.safetensors --data ~/data/lego
 
-A nerf-pytorch checkpoint holds both networks, the step and Adam's state. It cannot hold hash grids, MipNeRF or skips \
-other than field.skips=[5].";
+Python reads such a file with safetensors.torch.load_file.";
 
 pub const IMPORT_EXAMPLES: &str = "Examples:
   augnerf import lego.safetensors --data nerf_synthetic/lego --out runs/lego
@@ -37,9 +35,9 @@ A nerf-pytorch checkpoint says nothing about reading and sampling the scene; --p
 pub struct ExportArguments {
     /// Run folder (newest checkpoint)
     run: PathBuf,
-    /// Output file: .tar, .pth or .pt for nerf-pytorch, or .safetensors
+    /// Output file: .safetensors
     file: PathBuf,
-    /// Scene folder for .safetensors, if it has moved [default: the run's]
+    /// Scene folder, if it has moved [default: the run's]
     #[arg(long, value_name = "DIR")]
     data: Option<PathBuf>,
     #[command(flatten)]

@@ -153,7 +153,7 @@ enum Command {
     /// Look at runs live, on a page that this program serves
     #[command(after_help = view::EXAMPLES)]
     View(view::ViewArguments),
-    /// Export a run's weights for nerf-pytorch or as safetensors
+    /// Export a run's weights as safetensors
     #[command(after_help = exchange::EXPORT_EXAMPLES)]
     Export(exchange::ExportArguments),
     /// Create a run from weights that nerf-pytorch or `export` wrote

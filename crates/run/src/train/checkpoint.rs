@@ -207,14 +207,6 @@ pub fn load_model(checkpoint: &Path, config: &Config, dtype: DType, device: &Dev
     model.at_step(config, load_state(checkpoint)?.step)
 }
 
-/// Reads all parameters of a checkpoint onto the CPU, named, in their fixed order, each with its moments.
-pub fn load_parameters(checkpoint: &Path, config: &Config) -> Result<Vec<(String, Tensor, Moments)>> {
-    let (tensors, names) = (Tensors::open(checkpoint, DType::F32, &Device::Cpu)?, Model::parameter_names(config));
-    let (values, moments) = (tensors.all("", &names)?, tensors.moments(&names)?);
-    let named = names.into_iter().zip(values).zip(moments);
-    Ok(named.map(|(((name, _), value), moments)| (name, value, moments)).collect())
-}
-
 /// Returns an error if a checkpoint was written under another configuration.
 pub fn check_config(checkpoint: &Path, state: &State, config: &Config) -> Result<()> {
     if state.config_hash == config.hash() {

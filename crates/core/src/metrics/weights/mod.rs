@@ -4,10 +4,8 @@
 //! against the file's own length, and memory is taken for a tensor only when it is asked for and has the shape that is
 //! expected.
 
-mod archive;
-mod legacy;
-mod pickle;
 mod safetensors;
+mod torch;
 
 use std::collections::HashMap;
 use std::fs::File;
@@ -18,8 +16,6 @@ use candle_core::{DType, Device, Tensor};
 
 use crate::base::input::open_regular;
 use crate::base::{Error, Result};
-
-use legacy::LEGACY_MAGIC;
 
 /// An opened weight file.
 pub struct Weights {
@@ -103,7 +99,9 @@ impl Weights {
 }
 
 fn broken(path: &Path, reason: &str) -> Error {
-    Error::Data(format!("{} is not a readable weight file ({reason}); get it again", path.display()))
+    let is_ours = path.extension().is_some_and(|ending| ending == "safetensors");
+    let or = if is_ours { "" } else { ", or save it anew in Python: torch.save(torch.load(FILE), FILE)" };
+    Error::Data(format!("{} is not a readable weight file ({reason}); get it again{or}", path.display()))
 }
 
 /// The reason why a file is not readable; the caller adds which file.
@@ -118,9 +116,7 @@ fn contents(file: &File, path: &Path) -> Parsed<Contents> {
     if path.extension().is_some_and(|e| e == "safetensors") {
         return safetensors::read(&mut reader);
     }
-    let mut magic = [0; LEGACY_MAGIC.len()];
-    reader.read_exact(&mut magic).map_err(text)?;
-    if magic == LEGACY_MAGIC { legacy::read(&mut reader) } else { archive::read(&mut reader) }
+    torch::read(&mut reader)
 }
 
 fn length(file: &BufReader<&File>) -> Parsed<u64> {

@@ -1,10 +1,9 @@
-//! Exchange of weights with other programs: nerf-pytorch's checkpoints (`.tar`, `.pth`, `.pt` of `torch.save`), and
-//! self-describing safetensors.
+//! Exchange of weights with other programs: self-describing safetensors, and nerf-pytorch's checkpoints (`.tar`, `.pth`,
+//! `.pt` of `torch.save`), which are read only.
 
 mod export;
 mod import;
 mod nerf_pytorch;
-mod pickle;
 
 pub use export::export;
 pub use import::{Foreign, Networks};
