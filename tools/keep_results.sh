@@ -12,7 +12,7 @@ from=$1 group=$2
 name=$(sed -n 's/^name = "\(.*\)"$/\1/p' "$from/provenance.toml")
 to=results/$group/$name
 mkdir -p "$to"
-for file in attack.csv points.csv points.json scalars.csv.gz sweep.toml table.csv table.md table.tex timing.csv; do
+for file in attack.csv points.csv points.json scalars.csv.gz sweep.toml table.csv table.md timing.csv; do
   [[ ! -e $from/$file ]] || cp "$from/$file" "$to/"
 done
 # [pinned] has the hashes of files that are not kept, and [inputs] lacks the clock times. Other parts stay, such as [[missing]].

@@ -1,4 +1,4 @@
-//! The scripts of the comparison over scenes: settings, radii and words as its plan defines them. Python 3 runs them.
+//! The script of the comparison over scenes: words as its plan defines them. Python 3 runs it.
 
 use std::path::Path;
 use std::process::Command;
@@ -10,18 +10,17 @@ use crate::common::assert_says;
 use crate::common::files::text;
 use crate::common::program::demand;
 
-const ROOT: &str = env!("CARGO_MANIFEST_DIR");
 const RESULTS: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/results/few_views");
 const SCENES: [&str; 6] = ["capture_fruit", "colmap_canclip", "dtu_scan24", "dtu_scan65", "builtin-1", "builtin-2"];
 
-/// A tool as it is run in the folder of the committed results; `None` without Python.
-fn tool(name: &str) -> Option<Command> {
+/// The script; `None` without Python.
+fn script() -> Option<Command> {
     if Command::new("python3").arg("--version").output().is_err() {
-        eprintln!("left out: no python3 is here to run tools/{name}");
+        eprintln!("left out: no python3 is here to run scenes_answer.py");
         return None;
     }
     let mut command = Command::new("python3");
-    command.arg(format!("{ROOT}/tools/{name}")).current_dir(RESULTS);
+    command.arg(format!("{RESULTS}/scenes_answer.py"));
     Some(command)
 }
 
@@ -45,48 +44,6 @@ fn rewrite(from: &Path, to: &Path, mut change: impl FnMut(&dyn Fn(&str) -> usize
         }
     }
     writer.flush().unwrap();
-}
-
-/// The plan quotes what the script chooses from the kept points, and the radii that the other one fits.
-#[test]
-fn the_plan_has_the_settings_that_the_scripts_choose() {
-    let Some(mut choose) = tool("choose_settings.py") else { return };
-    let points =
-        ["", "_fifth", "_nerf", "_draws", "_draws_fifth"].map(|part| format!("scenes_tuning{part}/points.csv"));
-    // It ends with 1, because best settings stand at ends.
-    let said = demand(choose.args(points), 1);
-    let plan = text(&Path::new(RESULTS).join("PLAN.md"));
-    for (row, setting, planned) in [
-        ("NeRF, fewer steps", "steps = 3000: -0.34", "3,000 steps | -0.34"),
-        ("+ TV", "weight = 0.0000001: -0.20", "weight 1e-7, at the end of its grid | -0.20"),
-        ("+ l1", "weight = 0.0000045: -0.17", "l1 (its best has -0.17 dB)"),
-        ("+ distortion", "weight = 0.003: +0.73", "weight 3e-3 | +0.73"),
-        ("Aug-NeRF, paper's geometry", "lambda = 0.1: +0.65", "lambda 0.1, at the end of its grid | +0.65"),
-        ("Aug-NeRF calibrated", "lambda = 0.003: +0.27", "lambda 3e-3 | +0.27"),
-        ("+ hash decay", "weight = 0.03: +0.74", "weight 0.03, at the end of its grid | +0.74"),
-        ("Frequencies that open", "steps = 1600: -2.12", "frequencies that open (-2.12)"),
-        ("+ occlusion", "weight = 0.03: +0.71", "weight 0.03 | +0.71"),
-        ("+ entropy of unseen rays", "weight = 0.0003: +0.48", "weight 3e-4 | +0.48"),
-        ("+ depth smoothness", "weight = 0.03: +0.39", "weight 0.03 | +0.39"),
-        ("Annealed samples", "steps = 1024: +0.29", "1,024 steps, at the end of its grid | +0.29"),
-        ("SAM", "radius = 0.002: -0.17", "SAM (-0.17)"),
-        ("Draws, as far", "lambda = 0.0003: -0.04", "lambda 3e-4, at the end of its grid | -0.04"),
-        ("Smoothing of positions", "lambda = 0.003: -0.12", "lambda 3e-3 | -0.12"),
-    ] {
-        let line = said.lines().find(|line| line.starts_with(&format!("| {row} |"))).expect(row);
-        assert_says(line, &[&format!("**{setting}**")]);
-        assert_says(&plan, &[planned]);
-    }
-    let network = demand(tool("choose_settings.py").unwrap().arg("scenes_tuning_network/points.csv"), 1);
-    // A setting with a point that failed has no mean.
-    assert_says(&network, &["**weight = 0.1: +0.02**; weight = 0.3: lacks scenes", "**lambda = 0.03: +0.22**"]);
-    let fit = ["scenes_tuning_network_fit", "Aug-NeRF calibrated", "Draws, round 5"];
-    let fit = demand(tool("fit_draws.py").unwrap().args(fit), 0);
-    for (site, ratio, radius) in [("t", "1.01", "0.314"), ("xyz", "1.01", "4.85"), ("density", "0.99", "0.37")] {
-        let line = fit.lines().find(|line| line.starts_with(&format!("| {site} |"))).expect(site);
-        assert_says(line, &[&format!("| {ratio} | {radius} |")]);
-        assert_says(&plan, &[&format!("| {radius} | {ratio} |")]);
-    }
 }
 
 /// A comparison of some scenes and rows, whose PSNR is a level of the scene and a gain of the row.
@@ -133,7 +90,7 @@ impl Trial {
     }
 
     fn answer(&self, code: i32) -> Option<String> {
-        let mut command = tool("scenes_answer.py")?;
+        let mut command = script()?;
         command.current_dir(self.dir.path()).env("AUGNERF", env!("CARGO_BIN_EXE_augnerf"));
         Some(demand(command.envs([("TRIAL", "1"), ("SCENES", "scenes"), ("OVER", "over")]), code))
     }
@@ -192,7 +149,7 @@ fn trainings_that_went_non_finite_are_said_and_no_table_is_lost() {
     fails("+ occlusion", "dtu_scan65", "killed");
     assert_says(&trial.answer(1).unwrap(), &["is failed (killed)", "once all points have ended"]);
     assert_eq!(table, text(&trial.dir.path().join("over_psnr/over_scenes.csv")));
-    let mut without = tool("scenes_answer.py").unwrap();
+    let mut without = script().unwrap();
     without.current_dir(trial.dir.path()).envs([("AUGNERF", "/nowhere/augnerf"), ("TRIAL", "1"), ("OVER", "over")]);
     assert_says(&demand(without.env("SCENES", format!("{RESULTS}/scenes")), 1), &["/nowhere/augnerf is not there"]);
     assert_eq!(table, text(&trial.dir.path().join("over_psnr/over_scenes.csv")));

@@ -295,11 +295,14 @@ fn rows_are_compared_over_scenes() {
 fn committed_results_become_a_page_without_their_runs() {
     let dir = tempfile::tempdir().unwrap();
     let out = dir.path().join("a.html");
-    let (results, named) = (format!("{ROOT}/results/checks/few_views_chair"), out.to_str().unwrap());
+    let (results, named) = (format!("{ROOT}/results/checks/smoke"), out.to_str().unwrap());
     let said = demand(&mut augnerf(&["report", &results, "--out", named]), 0);
     assert_says(&said, &["page: "]);
     let page = text(&out);
-    assert_says(&page, &["rows_chair_psnr", "curves_chair_psnr", "<h2>Attack</h2>", "textLength", "\\begin{table}"]);
+    assert_says(
+        &page,
+        &["rows_builtin_psnr", "curves_builtin_psnr", "<h2>Attack</h2>", "textLength", "\\begin{table}"],
+    );
     // Written over itself; nothing else is.
     demand(&mut augnerf(&["report", &results, "--out", named]), 0);
     assert_eq!(page, text(&out));
@@ -309,7 +312,7 @@ fn committed_results_become_a_page_without_their_runs() {
     assert_says(&said, &["cannot open run /nowhere"]);
     assert!(!dir.path().join("report.html").exists());
     let said = demand(augnerf(&["report", &results, "/nowhere"]).current_dir(dir.path()), 2);
-    assert_says(&said, &["few_views_chair: a sweep's results", "name them alone"]);
+    assert_says(&said, &["smoke: a sweep's results", "name them alone"]);
     let said = demand(augnerf(&["report", &results, "--out", "a.png"]).current_dir(dir.path()), 2);
     assert_says(&said, &["--out a.png: the page is HTML", "report.html"]);
     assert!(!dir.path().join("a.png").exists());

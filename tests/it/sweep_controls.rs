@@ -24,7 +24,7 @@ fn shipped() -> Vec<(String, Definition)> {
     ending(&folder, ".toml").into_iter().map(read).collect()
 }
 
-/// Sweeps that docs/sweeps.md says to lack a control: what is chosen by, and what describes beside a sweep that has them.
+/// Sweeps that docs/sweeps.md says to lack a control: what describes beside a sweep that has them.
 /// `NAME*` is all that begin so.
 fn named_without_controls() -> Vec<String> {
     let page = std::fs::read_to_string(Path::new(env!("CARGO_MANIFEST_DIR")).join("docs/sweeps.md")).unwrap();
@@ -124,7 +124,7 @@ fn every_shipped_sweep_tells_seen_from_unseen_views() {
                 Representation::Planes => 2..101,
                 _ if name == "smoke" => 2..3,
                 // Steps are varied there, and a short point has its last evaluation alone.
-                _ if name.contains("_gate") || name.starts_with("scenes") => 0..101,
+                _ if name.starts_with("scenes") => 0..101,
                 _ => 10..101,
             };
             // Their steps are those of a machine that has the scene.

@@ -97,7 +97,7 @@ fn forged_tables_are_not_held_to_their_own_hash() {
             Sha256::digest(std::fs::read(folder.join(name)).unwrap()).iter().map(|b| format!("{b:02x}")).collect();
         format!("\"{name}\" = \"{hash}\"\n")
     };
-    let names = ["table.csv", "table.md", "table.tex"];
+    let names = ["table.csv", "table.md"];
     for name in names {
         let file = folder.join(name);
         std::fs::write(&file, text(&file).replace("23.57", "33.57")).unwrap();
@@ -106,7 +106,7 @@ fn forged_tables_are_not_held_to_their_own_hash() {
     std::fs::write(&provenance, before.replace("[pinned]\n", &format!("[pinned]\n{pins}"))).unwrap();
     let said = verify(dir.path(), &[], 10);
     assert_says(&said, &["table.csv, line"]);
-    assert_says(&said, &["table.tex: provenance.toml has its hash under [pinned], but the points make it"]);
+    assert_says(&said, &["table.md: provenance.toml has its hash under [pinned], but the points make it"]);
     // Curves are held to theirs where it is said why their logs are gone.
     let (start, rest) = before.split_once("[archived]").unwrap();
     let missing =
@@ -116,7 +116,7 @@ fn forged_tables_are_not_held_to_their_own_hash() {
         format!("{}{}\n[[missing]]{missing}", start.trim_end().to_string() + "\n", pin("curves_builtin_psnr.svg"));
     std::fs::write(&provenance, without).unwrap();
     assert_says(&verify(dir.path(), &["--update"], 10), &["curves_builtin_psnr.svg", "no [[missing]] says why"]);
-    let rows = pin("table.tex").replace("table.tex", "rows_builtin_other.svg");
+    let rows = pin("table.md").replace("table.md", "rows_builtin_other.svg");
     std::fs::write(&provenance, before.replace("[pinned]\n", &format!("[pinned]\n{rows}"))).unwrap();
     assert_says(&verify(dir.path(), &[], 10), &["rows_builtin_other.svg", "the points do not make it"]);
 }
@@ -162,11 +162,14 @@ fn update_writes_tables_from_points_alone() {
 /// What a folder does not keep is said in a line; what lies in its commit may be put back, and is held to its hash.
 #[test]
 fn what_is_not_kept_is_said() {
-    let (dir, folder) = results("study_choice_chair_25");
+    let (dir, folder) = results("study_chair_few");
     let lines = |said: &str| said.lines().filter(|line| line.contains("not kept: ")).count();
     let said = verify(dir.path(), &[], 0);
     assert_eq!(lines(&said), 1, "{said}");
-    assert_says(&said, &["figures, which `--update --all` makes; scalars.csv.gz, table.tex, which commit f1b999b has"]);
+    assert_says(
+        &said,
+        &["figures, table.tex, which `--update --all` makes; scalars.csv.gz, which commit 980e3058 has"],
+    );
     assert_says(&said, &["attack.csv: it is as it was committed"]);
     let attack = text(&folder.join("attack.csv"));
     verify(dir.path(), &["--update"], 0);
@@ -179,6 +182,8 @@ fn what_is_not_kept_is_said() {
     std::fs::remove_file(folder.join("scalars.csv.gz")).unwrap();
     std::fs::write(folder.join("table.tex"), "old").unwrap();
     assert_says(&verify(dir.path(), &[], 10), &["table.tex, line 1"]);
+    verify(dir.path(), &["--update", "--all"], 0);
+    assert_says(&text(&folder.join("table.tex")), &["\\begin{table}"]);
 }
 
 /// Rows over the scenes of two committed sweeps: a scene counts once, and the files are made again.

@@ -197,20 +197,27 @@ pub fn is_figure(name: &str) -> bool {
     name.ends_with(".svg") || name.ends_with(".png")
 }
 
-/// Whether a folder may do without a file: a picture, or the caption of a picture that it does without, too.
+/// Whether a file shows a CSV table once more, as Markdown or LaTeX.
+fn is_twin(name: &str) -> bool {
+    name.ends_with(".md") || name.ends_with(".tex")
+}
+
+/// Whether a folder may do without a file: a picture, the caption of a picture that it does without, too, or a CSV table's twin.
 pub fn is_spare(folder: &Path, name: &str) -> bool {
     let has = |ending: &str| folder.join(name).with_extension(ending).exists();
-    is_figure(name) || name.ends_with(".txt") && !has("svg") && !has("png")
+    is_figure(name) || is_twin(name) || name.ends_with(".txt") && !has("svg") && !has("png")
 }
 
 /// Says in one line what is not there, and where it is to be had.
 pub fn not_kept(absent: &[String], archived: Option<&Archived>, folder: &Path, findings: &mut Findings) {
     let of_commit: Vec<&str> = archived.iter().flat_map(|archived| archived.files.keys()).map(String::as_str).collect();
     let lost: Vec<&str> = of_commit.iter().copied().filter(|name| !folder.join(name).exists()).collect();
-    let made = absent.iter().filter(|name| is_figure(name)).count();
+    let figures = absent.iter().filter(|name| is_figure(name)).count();
+    let twins = absent.iter().filter(|name| is_twin(name)).cloned();
+    let made: Vec<String> = (figures > 0).then(|| format!("{figures} figures")).into_iter().chain(twins).collect();
     let mut parts = Vec::new();
-    if made > 0 {
-        parts.push(format!("{made} figures, which `--update --all` makes"));
+    if !made.is_empty() {
+        parts.push(format!("{}, which `--update --all` makes", made.join(", ")));
     }
     if let Some(archived) = archived.filter(|_| !lost.is_empty()) {
         parts.push(format!("{}, which commit {} has", lost.join(", "), archived.commit));
