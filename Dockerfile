@@ -9,7 +9,6 @@ FROM debian:bookworm-slim
 COPY --from=build /source/target/release/augnerf /usr/local/bin/augnerf
 COPY --from=build /source/LICENSE-MIT /source/LICENSE-APACHE /usr/share/doc/augnerf/
 COPY --from=build /source/assets/fonts /usr/share/doc/augnerf/fonts
-RUN mkdir -p /usr/local/share/man/man1 && augnerf man /usr/local/share/man/man1
 ENV AUGNERF_DATA=/data
 WORKDIR /work
 ENTRYPOINT ["augnerf"]

@@ -79,7 +79,7 @@ run() {
   [[ $blocks == *paper* ]] && deadline=$((most - 120))
   # 0. The devices.
   try 15 0-smi nvidia-smi
-  try 15 0-devices ./augnerf devices
+  try 15 0-devices ./augnerf bench --devices
   local block
   for block in $blocks; do "$block"; done
   cd "$out" || exit
@@ -146,7 +146,7 @@ trainings() {
   try 60 3-fern-freenerf ./augnerf train --data fern --preset fast --device gpu --out "$out/fern-freenerf" $small \
     --set data.train_views="3 even" --set regularizer.kind=occlusion --set field.frequency_steps=900
   try 30 3-builtin-mesh ./augnerf mesh "$out/builtin-nerf" --device gpu --resolution $resolution $surface --picture "$out/builtin-mesh.png"
-  try 30 3-builtin-measure ./augnerf measure "$out/builtin-nerf" --device gpu
+  try 30 3-builtin-measure ./augnerf eval --smoothness "$out/builtin-nerf" --device gpu
   [[ -x augnerf-cuda ]] && try 30 3-builtin-cuda ./augnerf-cuda train --device cuda --out "$out/builtin-cuda" --set train.steps=50 \
     --set train.chunk=1024 --set eval.chunk=4096
 }

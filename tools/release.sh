@@ -1,6 +1,6 @@
 #!/usr/bin/env bash
 # release.sh [FEATURES]: builds the program for this Linux and packs it into target/release-package:
-# augnerf-VERSION-TARGET.tar.gz with the program, README, licences, completions and manual pages, and its SHA-256.
+# augnerf-VERSION-TARGET.tar.gz with the program, README, licences, completions, and its SHA-256.
 # FEATURES are cargo's: --no-default-features, --features cuda. Prints the glibc that the program needs. If the program needs
 # any other library, except CUDA's, nothing is packed. PROGRAM=FILE packs that program instead of building one, such as
 # wheel.sh's, which runs on older systems.
@@ -13,7 +13,7 @@ version=$(sed -n 's/^version = "\(.*\)"/\1/p' Cargo.toml | head -1)
 name=augnerf-$version-$target
 out=target/release-package
 rm -rf "$out"
-mkdir -p "$out/$name/completions" "$out/$name/man/man1"
+mkdir -p "$out/$name/completions"
 
 if [[ -z ${PROGRAM:-} ]]; then
   # Links the compiler's library statically: the linker's first folder has only the archive.
@@ -39,9 +39,8 @@ if foreign=$(grep -Ev "$own" <<< "$needed"); then
 fi
 
 for shell in bash elvish fish zsh; do
-  "$program" completions "$shell" > "$out/$name/completions/augnerf.$shell"
+  "$program" --completions "$shell" > "$out/$name/completions/augnerf.$shell"
 done
-"$program" man "$out/$name/man/man1"
 cp README.md CHANGELOG.md CITATION.cff LICENSE-MIT LICENSE-APACHE "$out/$name/"
 mkdir "$out/$name/fonts"
 cp assets/fonts/README.md assets/fonts/OFL.txt "$out/$name/fonts/"

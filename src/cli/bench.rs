@@ -9,12 +9,12 @@ use crate::settings::parse_assignment;
 use super::answer::Answer;
 use super::experiment::say_without_effect;
 use super::progress::print;
-use super::{Compute, whole};
+use super::{Compute, devices, whole};
 
 pub const EXAMPLES: &str = "Examples:
   augnerf bench                            # NeRF, 1,024 rays of 64 + 64 samples
   augnerf bench --method aug-nerf --steps 20
-  augnerf bench --rays 512 --width 64 --set field.encoding=hash";
+  augnerf bench --devices                  # what --device can name here";
 
 #[derive(Args)]
 #[command(next_help_heading = "Experiment")]
@@ -40,6 +40,9 @@ pub struct BenchArguments {
     /// Any setting, over the defaults: --set field.core=plain
     #[arg(long, value_name = "FIELD=VALUE")]
     set: Vec<String>,
+    /// List the devices that --device can name, and time nothing
+    #[arg(long, help_heading = "Hardware")]
+    devices: bool,
     #[command(flatten)]
     answer: Answer,
     #[command(flatten)]
@@ -48,6 +51,9 @@ pub struct BenchArguments {
 
 impl BenchArguments {
     pub fn run(self) -> Result<()> {
+        if self.devices {
+            return devices::list(self.answer);
+        }
         let workload = Workload {
             method: self.method,
             rays: self.rays.map(usize::from),

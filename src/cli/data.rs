@@ -15,7 +15,6 @@ use crate::data::{Photos, Scene, View, images};
 use crate::run::{load_scene, load_scene_with, scene_picture, split_name, write_corrupted};
 use crate::settings::{Resolved, build};
 
-use super::UnusedWeights;
 use super::answer::Answer;
 use super::experiment::{Experiment, data_settings, say_without_effect, scene_settings};
 use super::progress::{Console, print, print_shown};
@@ -86,8 +85,6 @@ pub struct CorruptArguments {
     dir: PathBuf,
     #[command(flatten)]
     experiment: Experiment,
-    #[command(flatten)]
-    _unused: UnusedWeights,
     /// Print errors and results only
     #[arg(long, short, help_heading = "Output")]
     quiet: bool,

@@ -1,6 +1,5 @@
-//! `augnerf devices`.
+//! `augnerf bench --devices`.
 
-use clap::Args;
 use serde_json::json;
 
 use super::answer::Answer;
@@ -8,29 +7,17 @@ use super::progress::print;
 use crate::base::Result;
 use crate::runtime::{ListedDevice, list_devices};
 
-pub const EXAMPLES: &str = "Examples:
-  augnerf devices                  # what --device can name here
-  augnerf train --device gpu:1     # the second adapter
-  augnerf bench --device gpu       # how long its steps take";
-
-#[derive(Args)]
-pub struct DevicesArguments {
-    #[command(flatten)]
-    answer: Answer,
-}
-
-impl DevicesArguments {
-    pub fn run(self) -> Result<()> {
-        let devices = list_devices();
-        self.answer.give(&json!({ "devices": devices }), || {
-            devices.iter().try_for_each(|device| print(&line(device)))?;
-            match (cfg!(feature = "gpu"), devices.len()) {
-                (false, _) => print("gpu: this program was built without gpu; build it with --features gpu"),
-                (true, 1) => print("gpu: no adapter found; install a driver for Vulkan, Metal or DirectX 12"),
-                _ => Ok(()),
-            }
-        })
-    }
+/// Lists the devices that `--device` can name.
+pub fn list(answer: Answer) -> Result<()> {
+    let devices = list_devices();
+    answer.give(&json!({ "devices": devices }), || {
+        devices.iter().try_for_each(|device| print(&line(device)))?;
+        match (cfg!(feature = "gpu"), devices.len()) {
+            (false, _) => print("gpu: this program was built without gpu; build it with --features gpu"),
+            (true, 1) => print("gpu: no adapter found; install a driver for Vulkan, Metal or DirectX 12"),
+            _ => Ok(()),
+        }
+    })
 }
 
 /// Returns a device in a line.

@@ -10,13 +10,16 @@ use crate::run::{OpenOptions, RunDir, Split, Trained, load_lpips};
 use crate::runtime::Runtime;
 
 use super::answer::{Answer, Measured};
+use super::measure::SmoothnessArguments;
 use super::progress::{Console, print};
 use super::{Compute, Sources};
 
 pub const EXAMPLES: &str = "Examples:
   augnerf eval runs/fern-nerf-*                    # the held-out views
   augnerf eval RUN --step 2000 --split train       # another checkpoint, on the training views
-  augnerf eval RUN --lpips-weights ~/lpips --json  # with LPIPS, for a script";
+  augnerf eval RUN --lpips-weights ~/lpips --json  # with LPIPS, for a script
+
+--smoothness prints l1, total variation and Laplacian of the density of both fields. RUN/smoothness.csv adds the run's protocol.";
 
 #[derive(Args)]
 #[command(next_help_heading = "Experiment")]
@@ -31,6 +34,8 @@ pub struct EvalArguments {
     split: Option<SplitName>,
     #[command(flatten)]
     sources: Sources,
+    #[command(flatten)]
+    smoothness: SmoothnessArguments,
     /// Folder for metrics.json and metrics.csv [default: RUN, replaced; with --step or --split RUN/eval/step_N_SPLIT]
     #[arg(long, value_name = "DIR", help_heading = "Output")]
     out: Option<PathBuf>,
@@ -52,6 +57,9 @@ enum SplitName {
 
 impl EvalArguments {
     pub fn run(self) -> Result<()> {
+        if self.smoothness.smoothness {
+            return self.smoothness.measure(&self.run, self.sources.data.as_deref(), self.answer, &self.compute);
+        }
         self.compute.run(|runtime, console| self.evaluate(runtime, console))
     }
 

@@ -1,6 +1,6 @@
-//! `augnerf measure` and `augnerf balance`.
+//! `augnerf eval --smoothness` and `augnerf train --balance`.
 
-use std::path::PathBuf;
+use std::path::Path;
 
 use clap::Args;
 use serde::Serialize;
@@ -20,7 +20,7 @@ use crate::space::Lattice;
 use super::answer::Answer;
 use super::experiment::{Experiment, say_without_effect};
 use super::progress::{Console, print};
-use super::{Compute, UnusedWeights, numbers};
+use super::{Compute, numbers};
 
 /// The smoothness of one network of a run.
 #[derive(Serialize)]
@@ -30,73 +30,51 @@ struct Measured<'a> {
     field: &'a FieldSmoothness,
 }
 
+/// Flags for the smoothness of density.
 #[derive(Args)]
 #[command(next_help_heading = "Experiment")]
-pub struct MeasureArguments {
-    /// Run folders (newest checkpoints)
-    #[arg(required = true)]
-    runs: Vec<PathBuf>,
+pub struct SmoothnessArguments {
+    /// Measure how smooth the density is, as CSV, instead of images
+    #[arg(long, conflicts_with_all = ["step", "split", "lpips_weights", "out"])]
+    pub smoothness: bool,
     /// Cells along each side of the box; compare equal values only
-    #[arg(long, value_name = "N", default_value_t = SMOOTHNESS_SIDE)]
+    #[arg(long, value_name = "N", default_value_t = SMOOTHNESS_SIDE, requires = "smoothness")]
     lattice: usize,
     /// Corners of the box in the field's units [default: -1..1; for transforms.json, COLMAP and spherified scenes the
     /// region that most cameras view]
-    #[arg(long, alias = "domain", value_name = "X,Y,Z,X,Y,Z", allow_hyphen_values = true)]
+    #[arg(long, value_name = "X,Y,Z,X,Y,Z", allow_hyphen_values = true, requires = "smoothness")]
     bbox: Option<String>,
-    /// Scene folder, if it has moved [default: the run's]
-    #[arg(long, value_name = "DIR")]
-    data: Option<PathBuf>,
-    #[command(flatten)]
-    answer: Answer,
-    #[command(flatten)]
-    compute: Compute,
 }
 
-impl MeasureArguments {
-    pub fn run(self) -> Result<()> {
+impl SmoothnessArguments {
+    /// Measures a run, and prints a row for each of its networks.
+    pub fn measure(&self, path: &Path, data: Option<&Path>, answer: Answer, compute: &Compute) -> Result<()> {
         let domain = self.bbox.as_deref().map(|text| parse_box("bbox", text)).transpose()?;
         domain.map_or(Ok(()), |domain| check_flag("--bbox", "regularizer.domain", &domain))?;
         check_flag("--lattice", "regularizer.lattice", &self.lattice)?;
-        // A run without such numbers is an error before the first is measured.
-        for run in &self.runs {
-            check_measurable(run, &RunDir::open(run)?.read_config()?)?;
-        }
-        self.compute.run(|runtime, console| self.measure(domain, runtime, console))
-    }
-
-    fn measure(&self, domain: Option<[[f64; 3]; 2]>, runtime: &Runtime, console: &Console) -> Result<()> {
-        let (mut header, mut measured) = (true, Vec::new());
-        for run in &self.runs {
-            let trained = Trained::open_at(run, OpenOptions::CAMERAS, self.data.as_deref(), runtime, console)?;
+        check_measurable(path, &RunDir::open(path)?.read_config()?)?;
+        compute.run(|runtime, console| {
+            let trained = Trained::open_at(path, OpenOptions::CAMERAS, data, runtime, console)?;
             let domain = domain.unwrap_or_else(|| smoothness_box(&trained.scene));
             let lattice = Lattice { domain, side: self.lattice };
             lattice.check_meets(&trained.scene, "--bbox")?;
             let report = trained.measure_smoothness(&lattice, console)?;
-            for field in &report.fields {
-                let row = Measured { run: run.display().to_string(), field };
-                if self.answer.json {
-                    measured.push(serde_json::to_value(row).expect("plain data"));
-                    continue;
-                }
-                let (names, values): (Vec<_>, Vec<_>) = columns(&row).into_iter().unzip();
-                if std::mem::take(&mut header) {
-                    print(&csv_line(&names))?;
-                }
-                print(&csv_line(&values))?;
-            }
+            let fields: Vec<Measured> =
+                report.fields.iter().map(|field| Measured { run: path.display().to_string(), field }).collect();
+            answer.give(&json!({ "fields": fields }), || {
+                let rows: Vec<_> = fields.iter().map(columns).collect();
+                let names = rows[0].iter().map(|(name, _)| name.clone()).collect();
+                let values = rows.iter().map(|row| row.iter().map(|(_, value)| value.clone()).collect());
+                print(csv_text(std::iter::once(names).chain(values)).trim_end())
+            })?;
             let file = trained.run.smoothness();
             console.say(&match trained.run.is_writable() {
                 true => format!("with the run's protocol: {}", file.display()),
-                false => format!("{}: read-only, so {} is unchanged", run.display(), file.display()),
+                false => format!("{}: read-only, so {} is unchanged", path.display(), file.display()),
             });
-        }
-        self.answer.give_silently(&json!({ "fields": measured }))
+            Ok(())
+        })
     }
-}
-
-/// Formats cells as a line of CSV.
-pub fn csv_line(cells: &[String]) -> String {
-    csv_text([cells.to_vec()]).trim_end().to_string()
 }
 
 /// Parses the two corners of a box, the value of the flag `flag`.
@@ -109,46 +87,27 @@ pub fn parse_box(flag: &str, text: &str) -> Result<[[f64; 3]; 2]> {
     Ok([[a, b, c], [d, e, f]])
 }
 
-#[derive(Args)]
-pub struct BalanceArguments {
-    #[command(flatten)]
-    experiment: Experiment,
-    /// Steps of plain training before the measurement
-    #[arg(long, value_name = "N", default_value_t = 100, help_heading = "Experiment")]
-    steps: u64,
-    #[command(flatten)]
-    _unused: UnusedWeights,
-    #[command(flatten)]
-    answer: Answer,
-    #[command(flatten)]
-    compute: Compute,
+/// Measures the weights that balance the terms after `steps` steps, and prints them.
+pub fn print_balance(experiment: &Experiment, steps: u64, answer: Answer, on: (&Runtime, &Console)) -> Result<()> {
+    let (runtime, console) = on;
+    let config = experiment.config(console)?;
+    say_without_effect(experiment.settings(), |setting| not_balanced(&config, setting), console);
+    let (config, lines) = balance(config, steps, runtime, console)?;
+    let report = json!({ "scene": config.data.name, "steps": steps, "weights": lines });
+    answer.give(&report, || print(&balance_csv(&config.data.name, steps, &lines)))?;
+    console.say(
+        "share: the term's gradient norm at that weight, divided by the photometric loss's; use a weight with \
+         --set regularizer.kind=TERM --set regularizer.weight=WEIGHT",
+    );
+    Ok(())
 }
 
-impl BalanceArguments {
-    pub fn run(self) -> Result<()> {
-        self.compute.run(|runtime, console| self.balance(runtime, console))
-    }
-
-    fn balance(&self, runtime: &Runtime, console: &Console) -> Result<()> {
-        let config = self.experiment.config(console)?;
-        say_without_effect(self.experiment.settings(), |setting| not_balanced(&config, setting), console);
-        let (config, lines) = balance(config, self.steps, runtime, console)?;
-        let answer = json!({ "scene": config.data.name, "steps": self.steps, "weights": lines });
-        self.answer.give(&answer, || print(&balance_csv(&config.data.name, self.steps, &lines)))?;
-        console.say(
-            "share: the term's gradient norm at that weight, divided by the photometric loss's; use a weight with \
-             --set regularizer.kind=TERM --set regularizer.weight=WEIGHT",
-        );
-        Ok(())
-    }
-}
-
-/// Returns why a setting has no effect on `balance`, or `None` if it may have one. Section `regularizer` says where terms are
+/// Returns why a setting has no effect on `--balance`, or `None` if it may have one. Section `regularizer` says where terms are
 /// evaluated, whichever terms it names.
 fn not_balanced(config: &Config, setting: &str) -> Option<String> {
     match setting {
         "regularizer.kind" | "regularizer.weight" | "regularizer.schedule" => {
-            Some("balance measures every term at weight 1".into())
+            Some("--balance measures every term at weight 1".into())
         }
         _ if setting.starts_with("regularizer.") => None,
         _ => config.without_effect(setting),

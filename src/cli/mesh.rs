@@ -1,10 +1,11 @@
-//! `augnerf mesh` and `augnerf chamfer`.
+//! `augnerf mesh`.
 
 use std::path::PathBuf;
 
 use clap::{Args, ValueEnum};
 use serde_json::json;
 
+use crate::base::csv::csv_text;
 use crate::base::{Error, Result};
 use crate::data::Camera;
 use crate::draw::write_png8;
@@ -19,14 +20,14 @@ use crate::space::{self, Lattice, Normals, Paint, Score};
 
 use super::answer::Answer;
 use super::compare::pictures_folder;
-use super::measure::{csv_line, parse_box};
+use super::measure::parse_box;
 use super::progress::{Console, open_next, print, report};
 use super::{Compute, whole};
 
 #[derive(Args)]
 #[command(next_help_heading = "Experiment")]
 pub struct MeshArguments {
-    /// Run folder (newest checkpoint); with --picture also a .ply or .obj file, or `builtin`
+    /// Run folder (newest checkpoint); with --picture or --chamfer also a .ply or .obj file, or `builtin`
     run: PathBuf,
     /// Scene folder, if it has moved [default: the run's]
     #[arg(long, value_name = "DIR")]
@@ -67,6 +68,8 @@ pub struct MeshArguments {
     density: bool,
     #[command(flatten)]
     picture: PictureArguments,
+    #[command(flatten)]
+    chamfer: ChamferArguments,
     #[command(flatten)]
     answer: Answer,
     #[command(flatten)]
@@ -176,6 +179,15 @@ enum Format {
 
 impl MeshArguments {
     pub fn run(self) -> Result<()> {
+        if let Some(other) = &self.chamfer.chamfer {
+            let name = self.run.to_string_lossy();
+            if let Some(flag) = self.extraction_flag() {
+                return Err(Error::Config(format!(
+                    "{flag}: --chamfer compares meshes that exist; omit {flag}, or extract the mesh first"
+                )));
+            }
+            return self.chamfer.measure(&name, other, self.answer, self.compute.quiet);
+        }
         let options = self.options()?;
         if self.run.is_file() || self.run.to_str().is_some_and(|name| builtin_surface(name).is_some()) {
             return self.compute.run(|_, _| self.picture_of_file(options.picture));
@@ -338,70 +350,71 @@ fn covers(Coverage { view, covered, better_threshold }: &Coverage) -> String {
     }
 }
 
+/// Flags for the distance to another mesh.
 #[derive(Args)]
-pub struct ChamferArguments {
-    /// .ply or .obj file, or a run folder with a mesh
-    mesh: String,
-    /// The same, or `builtin` for the built-in scene
-    reference: String,
+#[command(next_help_heading = "Distance")]
+struct ChamferArguments {
+    /// Measure the distance to another mesh instead, as CSV: a .ply or .obj file, a run folder, builtin, or builtin:17 by
+    /// number
+    #[arg(long, value_name = "MESH", conflicts_with_all = ["picture", "threads", "device"])]
+    chamfer: Option<String>,
     /// Points sampled on each surface, uniformly over its area
-    #[arg(long, value_name = "N", default_value_t = 200_000)]
+    #[arg(long, value_name = "N", default_value_t = 200_000, requires = "chamfer")]
     points: usize,
     /// Seed of the points
-    #[arg(long, value_name = "N", default_value_t = 0)]
+    #[arg(long, value_name = "N", default_value_t = 0, requires = "chamfer")]
     seed: u64,
     /// Distances of the F-scores, in the meshes' units
-    #[arg(long, value_name = "D,D,...", value_delimiter = ',', default_value = "0.01,0.02,0.05")]
-    at: Vec<f64>,
-    /// Print errors and results only
-    #[arg(long, short)]
-    quiet: bool,
-    #[command(flatten)]
-    answer: Answer,
+    #[arg(long, value_name = "D,D,...", value_delimiter = ',', default_value = "0.01,0.02,0.05", requires = "chamfer")]
+    within: Vec<f64>,
 }
 
 impl ChamferArguments {
-    pub fn run(self) -> Result<()> {
+    /// Measures and prints the distance between two meshes.
+    fn measure(&self, name: &str, other: &str, answer: Answer, quiet: bool) -> Result<()> {
         check_flag("--points", "eval.mesh.points", &self.points)?;
-        for at in &self.at {
-            check_flag("--at", "eval.mesh.at", at)?;
+        for distance in &self.within {
+            check_flag("--within", "eval.mesh.at", distance)?;
         }
         let draw = |name: &str, other: &str| named_mesh(name, other)?.sample(self.points, self.seed);
-        let (mesh, reference) = (draw(&self.mesh, &self.reference)?, draw(&self.reference, &self.mesh)?);
-        let compared = space::chamfer(&mesh, &reference, &self.at)?;
-        if self.answer.json {
-            return self.answer.give_silently(&json!({
-                "mesh": self.mesh,
-                "reference": self.reference,
-                "points_mesh": mesh.points.len(),
-                "points_reference": reference.points.len(),
-                "seed": self.seed,
-                "distance": compared,
-                "scores": compared.scores,
-            }));
-        }
-        let mut cells = vec![
-            ("mesh".into(), self.mesh.clone()),
-            ("reference".into(), self.reference.clone()),
-            ("points_mesh".into(), mesh.points.len().to_string()),
-            ("points_reference".into(), reference.points.len().to_string()),
-            ("seed".into(), self.seed.to_string()),
-        ];
-        cells.extend(columns(&compared));
-        for Score { at, precision, recall, f_score } in &compared.scores {
-            let scores = [("precision", precision), ("recall", recall), ("f_score", f_score)];
-            cells.extend(scores.map(|(name, value)| (format!("{name}_{at}"), value.to_string())));
-        }
-        let (names, values): (Vec<_>, Vec<_>) = cells.into_iter().unzip();
-        print(&csv_line(&names))?;
-        print(&csv_line(&values))?;
-        if !self.quiet {
-            report(&format!(
-                "Chamfer {:.5}: {:.5} from the mesh to the reference, {:.5} back; two samples of one surface with as many \
-                 points have {:.5}",
-                compared.chamfer, compared.mesh_to_reference, compared.reference_to_mesh, compared.floor
-            ));
+        let (mesh, reference) = (draw(name, other)?, draw(other, name)?);
+        let compared = space::chamfer(&mesh, &reference, &self.within)?;
+        let report = json!({
+            "mesh": name,
+            "reference": other,
+            "points_mesh": mesh.points.len(),
+            "points_reference": reference.points.len(),
+            "seed": self.seed,
+            "distance": compared,
+            "scores": compared.scores,
+        });
+        answer.give(&report, || {
+            let mut cells = vec![
+                ("mesh".into(), name.to_string()),
+                ("reference".into(), other.to_string()),
+                ("points_mesh".into(), mesh.points.len().to_string()),
+                ("points_reference".into(), reference.points.len().to_string()),
+                ("seed".into(), self.seed.to_string()),
+            ];
+            cells.extend(columns(&compared));
+            for Score { at, precision, recall, f_score } in &compared.scores {
+                let scores = [("precision", precision), ("recall", recall), ("f_score", f_score)];
+                cells.extend(scores.map(|(name, value)| (format!("{name}_{at}"), value.to_string())));
+            }
+            let (names, values): (Vec<_>, Vec<_>) = cells.into_iter().unzip();
+            print(csv_text([names, values]).trim_end())
+        })?;
+        if !quiet && !answer.json {
+            report_distance(&compared);
         }
         Ok(())
     }
+}
+
+fn report_distance(compared: &space::Chamfer) {
+    report(&format!(
+        "Chamfer {:.5}: {:.5} from the mesh to the reference, {:.5} back; two samples of one surface with as many points \
+         have {:.5}",
+        compared.chamfer, compared.mesh_to_reference, compared.reference_to_mesh, compared.floor
+    ));
 }

@@ -18,12 +18,12 @@ use progress::Console;
 mod answer;
 mod bench;
 mod compare;
+mod completions;
 mod data;
 mod devices;
 mod eval;
 mod exchange;
 mod experiment;
-mod manual;
 mod measure;
 mod mesh;
 mod progress;
@@ -43,9 +43,13 @@ mod view;
 /// Start with `augnerf train`: it needs no data and takes about a minute.
 #[derive(Parser)]
 #[command(version = SHORT_VERSION.as_str(), long_version = LONG_VERSION.as_str(), max_term_width = 100, after_help = exit_codes())]
+#[command(arg_required_else_help = true, args_conflicts_with_subcommands = true, override_usage = "augnerf <COMMAND>")]
 struct Arguments {
+    /// Print a completion script for this shell: bash, elvish, fish, powershell or zsh
+    #[arg(long, value_name = "SHELL", hide_possible_values = true)]
+    completions: Option<clap_complete::Shell>,
     #[command(subcommand)]
-    command: Command,
+    command: Option<Command>,
 }
 
 /// The version and revision, for `-V`.
@@ -80,20 +84,6 @@ const TRAIN_EXAMPLES: &str = "Examples:
 
 `augnerf settings` lists what --set can change.";
 
-const MEASURE_EXAMPLES: &str = "Examples:
-  augnerf measure runs/fern-nerf-*                # coarse and fine field, 64 cells per side
-  augnerf measure runs/fern-nerf-* --lattice 128  # a finer grid
-  augnerf measure RUN --bbox -1,-1,-1,1,1,1 --json
-
-Columns: l1, total variation and Laplacian of density. RUN/smoothness.csv adds the run's protocol.";
-
-const BALANCE_EXAMPLES: &str = "Examples:
-  augnerf balance                           # the built-in scene, after 100 steps of plain NeRF
-  augnerf balance --data fern --preset cpu  # a real scene
-  augnerf balance --data fern --preset cpu --set regularizer.points_per_step=16384
-
-Each row is a weight at which a term's gradient norm is 0.1 %, 1 %, 10 %, 100 % or 1000 % of the photometric loss's.";
-
 const COMPARE_EXAMPLES: &str = "Examples:
   augnerf compare runs/fern-nerf-* runs/fern-aug-nerf-*  # zoomed to where they differ most
   augnerf compare runs/tab4_fern --rows NeRF,Aug-NeRF --zoom 120,80,100,75
@@ -104,19 +94,15 @@ Writes compare.png and compare.json (numbers and protocols). With --ray it write
 
 const MESH_EXAMPLES: &str = "Examples:
   augnerf mesh runs/builtin-nerf-*                # 256 cells per side of the scene's box
-  augnerf mesh RUN --picture mesh.png --view 0,4  # and an image, from two held-out views
   augnerf mesh RUN --resolution 400 --threshold 5 --bbox -1,-1,-0.5,1,1,1 --format ply,obj
+  augnerf mesh RUN --chamfer builtin              # distance to the built-in scene, as CSV
 
 The mesh is the level set where density equals the threshold. If a run uses normalized device coordinates, --bbox, \
---resolution and --threshold are in those, and the files are in scene units.";
+--resolution and --threshold are in those, and the files are in scene units.
 
-const CHAMFER_EXAMPLES: &str = "Examples:
-  augnerf chamfer RUN builtin              # a run's mesh and the built-in scene
-  augnerf chamfer mesh.ply reference.obj   # two files
-  augnerf chamfer mesh.ply reference.obj --at 0.005,0.01 --points 1000000
-
-The column chamfer is the sum of both mean distances (Euclidean) to the other surface's nearest point. The column floor is \
-the same for two samples of one surface. Surfaces that no camera sees count, but for the inside of the built-in scene.";
+--chamfer: the column chamfer is the sum of both mean distances (Euclidean) to the other surface's nearest point. The column \
+floor is the same for two samples of one surface. Surfaces that no camera sees count, but for the inside of the built-in \
+scene.";
 
 #[derive(Subcommand)]
 enum Command {
@@ -141,12 +127,6 @@ enum Command {
     /// Write one HTML page that shows runs side by side
     #[command(after_help = report::EXAMPLES)]
     Report(report::ReportArguments),
-    /// Measure how smooth the density of runs is, as CSV
-    #[command(after_help = MEASURE_EXAMPLES)]
-    Measure(measure::MeasureArguments),
-    /// Measure which regularizer weights balance the photometric loss, as CSV
-    #[command(after_help = BALANCE_EXAMPLES)]
-    Balance(measure::BalanceArguments),
     /// Render held-out views or a camera path as images and video
     #[command(after_help = render::EXAMPLES)]
     Render(render::RenderArguments),
@@ -162,30 +142,41 @@ enum Command {
     /// Draw one held-out view, or one ray, of several runs
     #[command(after_help = COMPARE_EXAMPLES)]
     Compare(compare::CompareArguments),
-    /// Extract a mesh from a run's density, as PLY or OBJ
+    /// Extract a mesh from a run's density, or compare two meshes
     #[command(after_help = MESH_EXAMPLES)]
     Mesh(mesh::MeshArguments),
-    /// Measure the distance between two meshes, as CSV
-    #[command(after_help = CHAMFER_EXAMPLES)]
-    Chamfer(mesh::ChamferArguments),
     /// Check, corrupt or export scenes
     #[command(subcommand)]
     Data(data::DataCommand),
     /// List settings with their values, defaults and effects
     #[command(after_help = settings::EXAMPLES)]
     Settings(settings::SettingsArguments),
-    /// List the devices that --device can name
-    #[command(after_help = devices::EXAMPLES)]
-    Devices(devices::DevicesArguments),
-    /// Time training steps on synthetic rays, as one line of JSON
+    /// Time training steps on synthetic rays, or list devices
     #[command(after_help = bench::EXAMPLES)]
     Bench(bench::BenchArguments),
-    /// Print a completion script for a shell
-    #[command(after_help = manual::COMPLETIONS_EXAMPLES)]
-    Completions(manual::CompletionsArguments),
-    /// Write manual pages, one for each command
-    #[command(after_help = manual::MAN_EXAMPLES)]
-    Man(manual::ManArguments),
+}
+
+impl Command {
+    fn run(self) -> Result<()> {
+        match self {
+            Command::Train(arguments) => arguments.run(),
+            Command::Resume(arguments) => arguments.run(),
+            Command::Sweep(command) => command.run(),
+            Command::Verify(arguments) => arguments.run(),
+            Command::Eval(arguments) => arguments.run(),
+            Command::Score(arguments) => arguments.run(),
+            Command::Report(arguments) => arguments.run(),
+            Command::Bench(arguments) => arguments.run(),
+            Command::Render(arguments) => arguments.run(),
+            Command::View(arguments) => arguments.run(),
+            Command::Export(arguments) => arguments.run(),
+            Command::Import(arguments) => arguments.run(),
+            Command::Compare(arguments) => arguments.run(),
+            Command::Mesh(arguments) => arguments.run(),
+            Command::Data(command) => command.run(),
+            Command::Settings(arguments) => arguments.run(),
+        }
+    }
 }
 
 /// The variable that sets the threads of programs on rayon, as this one is.
@@ -237,15 +228,6 @@ struct Moved {
     /// Scene folder, if it has moved [default: the run's]
     #[arg(long, value_name = "DIR")]
     data: Option<PathBuf>,
-    #[command(flatten)]
-    _unused: UnusedWeights,
-}
-
-/// A hidden flag of commands that measure nothing: older scripts may pass it.
-#[derive(Args)]
-struct UnusedWeights {
-    #[arg(long, value_name = "DIR", hide = true)]
-    lpips_weights: Option<PathBuf>,
 }
 
 impl LpipsWeights {
@@ -336,30 +318,7 @@ pub fn main() -> ExitCode {
         Ok(arguments) => arguments,
         Err(answer) => return say(&tips::with_tips(answer, &std::env::args_os().skip(1).collect::<Vec<_>>())),
     };
-    let done = match arguments.command {
-        Command::Train(arguments) => arguments.run(),
-        Command::Resume(arguments) => arguments.run(),
-        Command::Sweep(command) => command.run(),
-        Command::Verify(arguments) => arguments.run(),
-        Command::Eval(arguments) => arguments.run(),
-        Command::Score(arguments) => arguments.run(),
-        Command::Report(arguments) => arguments.run(),
-        Command::Measure(arguments) => arguments.run(),
-        Command::Balance(arguments) => arguments.run(),
-        Command::Bench(arguments) => arguments.run(),
-        Command::Devices(arguments) => arguments.run(),
-        Command::Render(arguments) => arguments.run(),
-        Command::View(arguments) => arguments.run(),
-        Command::Export(arguments) => arguments.run(),
-        Command::Import(arguments) => arguments.run(),
-        Command::Compare(arguments) => arguments.run(),
-        Command::Mesh(arguments) => arguments.run(),
-        Command::Chamfer(arguments) => arguments.run(),
-        Command::Data(command) => command.run(),
-        Command::Settings(arguments) => arguments.run(),
-        Command::Completions(arguments) => arguments.run(),
-        Command::Man(arguments) => arguments.run(),
-    };
+    let done = arguments.command.map_or_else(|| completions::print(arguments.completions), Command::run);
     done.map_or_else(|error| fail(&error), |()| ExitCode::SUCCESS)
 }
 

@@ -7,16 +7,7 @@ use clap::error::{ContextKind, ContextValue, ErrorKind};
 
 use crate::settings::registry::settings_called;
 
-/// Commands of other programs, and those that do the same here.
-const OTHER_COMMANDS: [(&str, &[&str]); 5] = [
-    ("evaluate", &["eval"]),
-    ("test", &["eval"]),
-    ("show", &["view", "render", "report"]),
-    ("video", &["render"]),
-    ("viewer", &["view", "render"]),
-];
-
-/// Adds tips to an error: a setting that an unknown flag names, a flag for a stray word, a command for one of other programs.
+/// Adds tips to an error: a setting that an unknown flag names, or a flag for a stray word.
 /// `words` is the command line without the program.
 pub fn with_tips(mut error: clap::Error, words: &[OsString]) -> clap::Error {
     if error.kind() == ErrorKind::InvalidUtf8 {
@@ -29,14 +20,6 @@ pub fn with_tips(mut error: clap::Error, words: &[OsString]) -> clap::Error {
         && let Some(wrong) = wrong_value(&error)
     {
         return clap::Error::raw(ErrorKind::ValueValidation, wrong);
-    }
-    if let Some(ContextValue::String(command)) = error.get(ContextKind::InvalidSubcommand)
-        && let Some((_, ours)) = OTHER_COMMANDS.iter().find(|(other, _)| other == command)
-    {
-        error.remove(ContextKind::SuggestedSubcommand);
-        let tips = ours.iter().map(|ours| format!("use '{ours}'").into()).collect();
-        error.insert(ContextKind::Suggested, ContextValue::StyledStrs(tips));
-        return error;
     }
     if error.kind() != ErrorKind::UnknownArgument {
         return error;

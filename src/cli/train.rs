@@ -20,6 +20,7 @@ use crate::train::{Origin, Trainer};
 
 use super::answer::{Answer, Measured};
 use super::experiment::{Base, Experiment, say_without_effect, settings_file};
+use super::measure::print_balance;
 use super::progress::{Console, duration, print, report, says_yes};
 use super::signals::catch_signals;
 use super::view::{Live, LivePage};
@@ -57,6 +58,18 @@ pub struct TrainArguments {
     /// Replace the run in that folder
     #[arg(long, help_heading = "Output")]
     overwrite: bool,
+    /// Train plain NeRF for some steps [default: 100], print which weights balance each regularizer with the
+    /// photometric loss, as CSV, and stop
+    #[arg(
+        long,
+        value_name = "STEPS",
+        num_args = 0..=1,
+        require_equals = true,
+        default_missing_value = "100",
+        conflicts_with_all = ["from", "out", "overwrite", "print_config", "view"],
+        help_heading = "Experiment"
+    )]
+    balance: Option<u64>,
     /// Print the resolved settings and stop
     #[arg(long, help_heading = "Output")]
     print_config: bool,
@@ -88,7 +101,10 @@ pub struct ResumeArguments {
 impl TrainArguments {
     pub fn run(self) -> Result<()> {
         self.live.check()?;
-        self.compute.run(|runtime, console| self.train(runtime, console))
+        self.compute.run(|runtime, console| match self.balance {
+            Some(steps) => print_balance(&self.experiment, steps, self.answer, (runtime, console)),
+            None => self.train(runtime, console),
+        })
     }
 
     fn train(&self, runtime: &Runtime, console: &Console) -> Result<()> {

@@ -76,9 +76,9 @@ fn links_in_a_run_lead_no_write_out_of_it() {
         }
     };
     for name in ["metrics.json", "metrics.csv", "depth_errors.gz", "run.lock", "timing.json"] {
-        linked(name, &victim, &[&["eval"], &["measure"], &["resume"]]);
+        linked(name, &victim, &[&["eval"], &["eval", "--smoothness"], &["resume"]]);
     }
-    linked("smoothness.csv", &victim, &[&["measure"]]);
+    linked("smoothness.csv", &victim, &[&["eval", "--smoothness"]]);
     linked("renders", &folder, &[&["eval"], &["render", "--frames", "2"]]);
     linked("checkpoints", &folder, &[&["resume"]]);
     // A picture among the renders is replaced, and what it led to stays.
@@ -100,7 +100,7 @@ fn pipes_in_a_run_are_not_waited_for() {
         let file = run.join(name);
         fs::remove_file(&file).unwrap();
         assert!(std::process::Command::new("mkfifo").arg(&file).status().unwrap().success());
-        for command in ["eval", "measure", "render", "export"] {
+        for command in ["eval", "render", "export"] {
             let out = dir.path().join("a.safetensors");
             let file = [out.to_str().unwrap()];
             let last = if command == "export" { &file[..] } else { &[] };

@@ -184,38 +184,42 @@ fn smoothness_is_measured_on_one_lattice_for_all_runs() {
     succeed(&tiny(&nerf, &[]));
     succeed(&tiny(&aug, &["--method", "aug-nerf", "--set", "perturb.field=separate"]));
     let runs = [nerf.to_str().unwrap(), aug.to_str().unwrap()];
-    let table = printed(&["measure", "--quiet", "--lattice", "12", runs[0], runs[1]]);
-    let mut reader = csv::Reader::from_reader(table.as_bytes());
-    let names = ["run", "field", "lattice", "domain", "l1", "tv", "laplacian", "largest_density", "occupied"];
-    assert_eq!(reader.headers().unwrap(), &names[..]);
-    let rows: Vec<csv::StringRecord> = reader.records().collect::<Result<_, _>>().unwrap();
-    assert_eq!(rows.len(), 4, "coarse and fine of two runs: {table}");
-    for (row, field) in rows.iter().zip(["coarse", "fine", "coarse", "fine"]) {
-        assert_eq!([&row[1], &row[2]], [field, "12"]);
-        assert!(row.iter().skip(4).all(|cell| cell.parse::<f64>().unwrap() >= 0.0), "{row:?}");
+    for run in runs {
+        let table = printed(&["eval", "--smoothness", "--quiet", "--lattice", "12", run]);
+        let mut reader = csv::Reader::from_reader(table.as_bytes());
+        let names = ["run", "field", "lattice", "domain", "l1", "tv", "laplacian", "largest_density", "occupied"];
+        assert_eq!(reader.headers().unwrap(), &names[..]);
+        let rows: Vec<csv::StringRecord> = reader.records().collect::<Result<_, _>>().unwrap();
+        assert_eq!(rows.len(), 2, "{table}");
+        for (row, field) in rows.iter().zip(["coarse", "fine"]) {
+            assert_eq!([&row[1], &row[2]], [field, "12"]);
+            assert!(row.iter().skip(4).all(|cell| cell.parse::<f64>().unwrap() >= 0.0), "{row:?}");
+        }
     }
     let file = text(&nerf.join("smoothness.csv"));
     for column in ["lattice", "domain", "tv", "config_hash", "code_revision", "seed", "steps"] {
         assert!(file.lines().next().unwrap().split(',').any(|name| name == column), "{column}: {file}");
     }
-    refuse(&["measure", "--lattice", "2", runs[0]], 2, &["--lattice", "2", "4 to 1024"]);
-    refuse(&["measure", "--bbox", "1,2,3", runs[0]], 2, &["--bbox", "six numbers"]);
-    // As the flag was called before.
-    refuse(&["measure", "--domain", "1,2,3", runs[0]], 2, &["--bbox", "six numbers"]);
-    refuse(&["measure", "--bbox=1,1,1,0,0,0", runs[0]], 2, &["--bbox", "corners"]);
-    refuse(&["measure", "--bbox=90,90,90,91,91,91", runs[0]], 2, &["--bbox", "outside", "90.000", "run from"]);
+    refuse(&["eval", "--smoothness", "--lattice", "2", runs[0]], 2, &["--lattice", "2", "4 to 1024"]);
+    refuse(&["eval", "--smoothness", "--bbox", "1,2,3", runs[0]], 2, &["--bbox", "six numbers"]);
+    refuse(&["eval", "--smoothness", "--bbox=1,1,1,0,0,0", runs[0]], 2, &["--bbox", "corners"]);
+    refuse(
+        &["eval", "--smoothness", "--bbox=90,90,90,91,91,91", runs[0]],
+        2,
+        &["--bbox", "outside", "90.000", "run from"],
+    );
     // Code that calls the library has no flag that could be wrong.
     let trained = Trained::open(&nerf, None, &Runtime::new("cpu", None).unwrap(), &()).unwrap();
     let far = Lattice { domain: [[90.0; 3], [91.0; 3]], side: 12 };
     let message = trained.measure_smoothness(&far, &()).unwrap_err().to_string();
     assert!(message.contains("the sampling grid of smoothness") && !message.contains("--"), "{message}");
-    refuse(&["measure", dir.path().to_str().unwrap()], 5, &["not a run folder"]);
+    refuse(&["eval", "--smoothness", dir.path().to_str().unwrap()], 5, &["not a run folder"]);
 }
 
 #[test]
 fn balance_prints_a_grid_of_weights() {
     let mut arguments =
-        vec!["balance", "--quiet", "--preset", "smoke", "--steps", "3", "--set", "regularizer.points_per_step=256"];
+        vec!["train", "--balance=3", "--quiet", "--preset", "smoke", "--set", "regularizer.points_per_step=256"];
     arguments.extend(TINY);
     let table = printed(&arguments);
     let rows: Vec<Vec<&str>> = table.lines().skip(1).map(|line| line.split(',').collect()).collect();
@@ -230,14 +234,14 @@ fn balance_prints_a_grid_of_weights() {
         let (photometric, term, share, weight) = (number(3), number(4), number(5), number(6));
         assert!((weight * term / photometric / share - 1.0).abs() < 0.02, "{row:?}");
     }
-    refuse(&["balance", "--method", "aug-nerf"], 2, &["aug-nerf", "plain NeRF"]);
+    refuse(&["train", "--balance", "--method", "aug-nerf"], 2, &["aug-nerf", "plain NeRF"]);
 }
 
 /// Terms on unseen rays are measured on those that are set, and terms in space where they were.
 #[test]
 fn balance_reads_the_unseen_rays_that_are_set() {
     let rows = |set: &[&str]| -> Vec<String> {
-        let mut arguments = vec!["balance", "--quiet", "--preset", "smoke", "--steps", "3"];
+        let mut arguments = vec!["train", "--balance=3", "--quiet", "--preset", "smoke"];
         arguments.extend(TINY);
         let all = ["regularizer.rays=unseen", "regularizer.points_per_step=64"].iter().chain(set);
         all.for_each(|set| arguments.extend(["--set", set]));
@@ -695,7 +699,7 @@ fn mip_nerf_runs_and_says_what_it_is_not_for() {
     let lines =
         ["encoding = \"integrated\"", "position_octaves = 16", "schedule = \"log-linear\"", "coarse_weight = 0.1"];
     assert_says(&config, &lines);
-    refuse(&["measure", whole.to_str().unwrap()], 2, &["aug-mip-nerf", "Gaussians"]);
+    refuse(&["eval", "--smoothness", whole.to_str().unwrap()], 2, &["aug-mip-nerf", "Gaussians"]);
     let out = dir.path().join("refused");
     let mip = ["--method", "mip-nerf", "--set"];
     refuse(
@@ -789,9 +793,13 @@ fn a_built_in_scene_has_a_number() {
     for run in [&a, &b] {
         succeed(&["mesh", run, "--resolution", "24", "--threshold", "0.1", "--quiet"]);
     }
-    succeed(&["chamfer", &a, "builtin:3"]);
-    refuse(&["chamfer", &a, "builtin:4"], 2, &["builtin-3", "builtin:4", "another scene"]);
-    refuse(&["chamfer", &a, &b], 2, &["builtin-3 (builtin-blender)", "builtin-4 (builtin-blender)", "one scene"]);
+    succeed(&["mesh", &a, "--chamfer", "builtin:3"]);
+    refuse(&["mesh", &a, "--chamfer", "builtin:4"], 2, &["builtin-3", "builtin:4", "another scene"]);
+    refuse(
+        &["mesh", &a, "--chamfer", &b],
+        2,
+        &["builtin-3 (builtin-blender)", "builtin-4 (builtin-blender)", "one scene"],
+    );
     let exported = at("files");
     succeed(&["data", "export-builtin", exported.to_str().unwrap(), "--scene", "3", "--width", "16"]);
     let checked = printed(&["data", "check", exported.to_str().unwrap(), "--json"]);

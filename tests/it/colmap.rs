@@ -528,8 +528,8 @@ fn a_colmap_folder_is_checked_drawn_trained_and_meshed() {
     // Whatever their names are, the files are known to have other units.
     let file = |units: &str| export.dir.path().join(format!("mesh in {units}/mesh.ply")).display().to_string();
     let (in_scene, in_capture) = (file("scene"), file("capture"));
-    refuse(&["chamfer", &in_scene, &in_capture], 2, &["different coordinates", "--units capture"]);
-    succeed(&["chamfer", &in_capture, &in_capture, "--points", "200"]);
+    refuse(&["mesh", &in_scene, "--chamfer", &in_capture], 2, &["different coordinates", "--units capture"]);
+    succeed(&["mesh", &in_capture, "--chamfer", &in_capture, "--points", "200"]);
 }
 
 /// A threshold that has a level set: what the refusal of one that has none names.

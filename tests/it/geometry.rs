@@ -85,12 +85,13 @@ fn a_run_is_drawn_compared_and_drawn_again_alike() {
     let (ply, obj) = (mesh.join("mesh.ply"), mesh.join("mesh.obj"));
     let [ply, obj] = [ply, obj].map(|file| file.display().to_string());
     let first = std::fs::read(&ply).unwrap();
-    let compared = only_row(&printed(&["chamfer", &ply, &obj, "--points", "5000", "--at", "0.001", "--quiet"]));
+    let compared =
+        only_row(&printed(&["mesh", &ply, "--chamfer", &obj, "--points", "5000", "--within", "0.001", "--quiet"]));
     assert!(number(&compared, "chamfer") < 1e-5, "{compared:?}");
     assert_eq!(number(&compared, "f_score_0.001"), 1.0);
-    let itself = only_row(&printed(&["chamfer", &run, &ply, "--points", "5000"]));
+    let itself = only_row(&printed(&["mesh", &run, "--chamfer", &ply, "--points", "5000"]));
     assert_eq!(number(&itself, "chamfer"), 0.0);
-    let truth = only_row(&printed(&["chamfer", &run, "builtin", "--points", "5000", "--at", "0.1"]));
+    let truth = only_row(&printed(&["mesh", &run, "--chamfer", "builtin", "--points", "5000", "--within", "0.1"]));
     assert!(number(&truth, "chamfer") > number(&truth, "floor"));
 
     // The same bytes again; the earlier files are replaced as a whole.
@@ -174,13 +175,14 @@ fn what_cannot_be_drawn_is_refused_with_what_could() {
     refuse(&["mesh", &dir.path().join("none").display().to_string()], 5, &["missing"]);
     assert!(!Path::new(&run).join("mesh").exists(), "a refusal leaves nothing");
 
-    refuse(&["chamfer", &run, "builtin"], 3, &["has no mesh yet", "augnerf mesh"]);
-    refuse(&["chamfer", "builtin", "/nowhere/a.ply"], 3, &["/nowhere/a.ply"]);
-    refuse(&["chamfer", "builtin", "builtin", "--points", "3"], 2, &["--points", "100 to"]);
-    refuse(&["chamfer", "builtin", "builtin", "--at", "0"], 2, &["--at", "positive"]);
+    refuse(&["mesh", &run, "--chamfer", "builtin"], 3, &["has no mesh yet", "augnerf mesh"]);
+    refuse(&["mesh", "builtin", "--chamfer", "/nowhere/a.ply"], 3, &["/nowhere/a.ply"]);
+    refuse(&["mesh", &run, "--chamfer", "builtin", "--cap"], 2, &["--cap: --chamfer compares meshes that exist"]);
+    refuse(&["mesh", "builtin", "--chamfer", "builtin", "--points", "3"], 2, &["--points", "100 to"]);
+    refuse(&["mesh", "builtin", "--chamfer", "builtin", "--within", "0"], 2, &["--within", "positive"]);
     let bare = dir.path().join("bare.obj");
     std::fs::write(&bare, "v 0 0 0\nv 1 0 0\nv 0 1 0\n").unwrap();
-    refuse(&["chamfer", "builtin", &bare.display().to_string()], 3, &["bare.obj", "no faces"]);
+    refuse(&["mesh", "builtin", "--chamfer", &bare.display().to_string()], 3, &["bare.obj", "no faces"]);
 }
 
 #[test]
@@ -270,7 +272,7 @@ fn measures_depth_and_surface(method: &str) {
     let variance = json(&Path::new(&run).join("mesh/mesh.json"))["variance"][2].as_f64();
     assert_eq!(variance.is_some(), method == "mip-nerf");
     assert!(variance.is_none_or(|found| (found / ((2.4f64 / 32.0).powi(2) / 12.0) - 1.0).abs() < 1e-12));
-    let compared = only_row(&printed(&["chamfer", &run, "builtin", "--points", "5000", "--at", "0.02"]));
+    let compared = only_row(&printed(&["mesh", &run, "--chamfer", "builtin", "--points", "5000", "--within", "0.02"]));
     assert!((number(&compared, "chamfer") - mean["chamfer"].as_f64().unwrap()).abs() < 1e-6);
     assert!((number(&compared, "f_score_0.02") - mean["f_score"].as_f64().unwrap()).abs() < 1e-3);
 }

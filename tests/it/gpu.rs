@@ -60,7 +60,7 @@ fn surfaces_and_measures_are_the_processor_s() {
     let [on_gpu, on_cpu] = ["gpu", "cpu"].map(|device| {
         succeed(&["mesh", path, "--device", device, "--resolution", "24", "--threshold", "1", "--quiet"]);
         let mesh = json(&run.join("mesh/mesh.json"));
-        succeed(&["measure", path, "--device", device, "--lattice", "16", "--quiet"]);
+        succeed(&["eval", "--smoothness", path, "--device", device, "--lattice", "16", "--quiet"]);
         let mut smoothness = csv::Reader::from_path(run.join("smoothness.csv")).unwrap();
         let head = smoothness.headers().unwrap().clone();
         let values = smoothness.records().next().unwrap().unwrap();
@@ -91,7 +91,7 @@ fn a_run_goes_on_on_another_device() {
 
 #[test]
 fn devices_and_kernels_are_listed() {
-    let listed = printed(&["devices"]);
+    let listed = printed(&["bench", "--devices"]);
     assert!(listed.starts_with("cpu ") && listed.contains("\ngpu:0 "), "{listed}");
     let arguments =
         ["bench", "--device", "gpu", "--rays", "64", "--coarse", "8", "--fine", "8", "--width", "32", "--steps", "1"];

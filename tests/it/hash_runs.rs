@@ -78,7 +78,7 @@ fn a_run_on_a_grid_is_drawn_as_a_mesh() {
     let report = json(&Path::new(run).join("mesh/mesh.json"));
     assert_eq!(report["closed"], true, "{report}");
     assert!(report["area"].as_f64().unwrap() > 0.05, "{report}");
-    let table = rows(&printed(&["measure", "--quiet", "--lattice", "8", run]));
+    let table = rows(&printed(&["eval", "--smoothness", "--quiet", "--lattice", "8", run]));
     assert!(
         table.iter().all(|row| row["tv"].parse::<f64>().unwrap() > 0.0 && row["laplacian"].is_empty()),
         "{table:?}"
@@ -88,7 +88,7 @@ fn a_run_on_a_grid_is_drawn_as_a_mesh() {
 #[test]
 fn weights_of_terms_are_balanced_on_a_grid() {
     let further = ["--set", "field.hash.interpolation=smoothstep", "--set", "regularizer.points_per_step=64"];
-    let balance = ["balance", "--quiet", "--preset", "fast", "--steps", "3"];
+    let balance = ["train", "--balance=3", "--quiet", "--preset", "fast"];
     let table = rows(&printed(&[&balance[..], &small(), &further].concat()));
     // The scene has no triangulated points.
     assert_eq!(table.len(), 5 * (REGULARIZERS.len() - 1), "five shares of each term: {table:?}");

@@ -90,7 +90,7 @@ fn rows_without_properties_are_not_counted() {
         assert_says(&message, &[name, "1000000000000 rows of 0 properties"]);
     }
     let file = fixture("pl6.ply");
-    refuse(&["chamfer", file.to_str().unwrap(), file.to_str().unwrap()], 3, &["pl6.ply", "1000000000000"]);
+    refuse(&["mesh", file.to_str().unwrap(), "--chamfer", file.to_str().unwrap()], 3, &["pl6.ply", "1000000000000"]);
 }
 
 /// Far apart, almost every point of one mesh is about as near to the other: no search may look at all of them.
@@ -215,7 +215,7 @@ fn a_terminal_gets_no_commands_and_no_megabytes_from_files() {
     assert_says(&message, &["config.toml", "characters) ..."]);
     let mesh = dir.path().join("a.obj");
     fs::write(&mesh, format!("v 0 0 {}\u{1b}[2J\0\n", "y".repeat(5 << 20))).unwrap();
-    let message = demand(&mut augnerf(&["chamfer", mesh.to_str().unwrap(), "builtin"]), 3);
+    let message = demand(&mut augnerf(&["mesh", mesh.to_str().unwrap(), "--chamfer", "builtin"]), 3);
     assert!(message.len() < MESSAGE && !message.contains(['\u{1b}', '\0']), "{} bytes", message.len());
 }
 

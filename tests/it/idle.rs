@@ -108,7 +108,7 @@ fn settings_without_effect_are_named_by_every_command_that_trains() {
 
     // Every term is measured, where the section says.
     let terms = ["--set", "regularizer.kind=tv", "--set", "regularizer.points_per_step=64"];
-    let said = noted(&[&["balance", "--preset", "smoke", "--steps", "1"], &set[..], &terms].concat());
-    assert_says(&said, &[idle, "--set regularizer.kind has no effect: balance measures every term at weight 1"]);
+    let said = noted(&[&["train", "--balance=1", "--preset", "smoke"], &set[..], &terms].concat());
+    assert_says(&said, &[idle, "--set regularizer.kind has no effect: --balance measures every term at weight 1"]);
     assert!(!said.contains("points_per_step has"), "{said}");
 }

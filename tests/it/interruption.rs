@@ -129,7 +129,7 @@ fn settings_that_toml_cannot_hold_are_refused_in_a_run_s_folder() {
     let before = text(&config);
     let line = before.lines().find(|line| line.starts_with("collapse_steps")).unwrap();
     std::fs::write(&config, before.replace(line, "collapse_steps = 18446744073709551615")).unwrap();
-    for command in ["eval", "resume", "measure", "render", "mesh"] {
+    for command in ["eval", "resume", "render", "mesh"] {
         let message = demand(&mut augnerf(&[command, out.to_str().unwrap()]), 2);
         assert_says(&message, &["collapse_steps", "18446744073709551615", "at most 2^63 - 1"]);
     }
@@ -153,9 +153,9 @@ fn a_full_standard_output_is_an_error() {
     succeed(&["sweep", "run", sweep, "--out", folder, "--quiet"]);
     let exported = dir.path().join("scene");
     let commands: Vec<Vec<&str>> = vec![
-        vec!["measure", out, "--lattice", "4"],
+        vec!["eval", "--smoothness", out, "--lattice", "4"],
         vec!["eval", out],
-        vec!["chamfer", "builtin", "builtin", "--points", "100"],
+        vec!["mesh", "builtin", "--chamfer", "builtin", "--points", "100"],
         vec!["sweep", "collect", folder],
         vec!["sweep", "status", folder],
         vec!["sweep", "plan", sweep, "--out", folder],
@@ -164,7 +164,7 @@ fn a_full_standard_output_is_an_error() {
         vec!["data", "export-builtin", exported.to_str().unwrap(), "--width", "16"],
         vec!["train", "--preset", "smoke", "--print-config"],
         vec!["settings"],
-        vec!["balance", "--preset", "smoke", "--steps", "1", "--set", "data.width=16", "--set", "train.rays=16"],
+        vec!["train", "--balance=1", "--preset", "smoke", "--set", "data.width=16", "--set", "train.rays=16"],
         vec!["bench", "--rays", "8", "--coarse", "4", "--fine", "4", "--width", "8", "--steps", "1"],
         vec!["--help"],
         vec!["--version"],
@@ -317,7 +317,7 @@ fn runs_that_cannot_be_written_are_measured_and_shown() {
     let run = out.to_str().unwrap();
     let place = |name: &str| elsewhere.join(name).to_str().unwrap().to_string();
     let before = crate::common::files::files(&out, &[]);
-    let message = demand(&mut as_reader(&["measure", run, "--lattice", "4"]), 0);
+    let message = demand(&mut as_reader(&["eval", "--smoothness", run, "--lattice", "4"]), 0);
     assert_says(&message, &["laplacian", "read-only", "smoothness.csv"]);
     let message = demand(&mut as_reader(&["eval", run]), 4);
     assert_says(&message, &["read-only", "--out"]);

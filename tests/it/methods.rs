@@ -109,7 +109,7 @@ fn every_lack_has_its_reason_and_every_reason_is_told() {
 #[test]
 fn commands_that_need_fields_are_refused_before_anything_is_computed() {
     for (method, _) in BASELINES {
-        refuse(&["balance", "--method", method, "--preset", "smoke"], 2, &["balance with method", method]);
+        refuse(&["train", "--balance", "--method", method, "--preset", "smoke"], 2, &["--balance with method", method]);
         refuse(&["bench", "--method", method, "--coarse", "8"], 2, &["--coarse 8", method, "omit the flag"]);
     }
     refuse(&["bench", "--method", "llff", "--rays", "8"], 2, &["--rays 8", "llff"]);
@@ -304,14 +304,14 @@ fn runs_without_fields_refuse_what_needs_them() {
             refuse(&["mesh", &run], 2, &["a mesh of this run with method", method, why, "augnerf compare"]);
         }
         let why = no_density.unwrap_or("trilinear");
-        refuse(&["measure", &run], 2, &[method, "no l1, TV or Laplacian", why]);
+        refuse(&["eval", "--smoothness", &run], 2, &[method, "no l1, TV or Laplacian", why]);
         refuse(
             &["compare", &run, "--ray", "8,8"],
             2,
             &["a profile along a ray with method", method, "augnerf compare"],
         );
         if let Some(why) = no_density {
-            refuse(&["chamfer", &run, "builtin"], 2, &[why]);
+            refuse(&["mesh", &run, "--chamfer", "builtin"], 2, &[why]);
         }
         let metrics = dir.path().join(method).join("metrics.json");
         let before = json(&metrics);

@@ -83,7 +83,7 @@ fn pixels_are_read_only_where_they_count() {
     let protocol = |file: &str| json(Path::new(file))["protocol"]["data_hash"].clone();
     assert!(protocol(&format!("{}/mesh.json", out("mesh"))).is_string());
     assert_eq!(protocol(&format!("{}/mesh.json", out("mesh"))), protocol(&format!("{run}/metrics.json")));
-    succeed(&["measure", &run, "--lattice", "8", "-q"]);
+    succeed(&["eval", "--smoothness", &run, "--lattice", "8", "-q"]);
     succeed(&["render", &run, "--frames", "1", "--resolution", "16x16", "--out", &out("path"), "-q"]);
     succeed(&["export", &run, &out("run.safetensors"), "-q"]);
     // One photograph is compared with, which is whole; the other is not.
@@ -252,7 +252,8 @@ fn meshes_of_georeferenced_captures_keep_their_precision() {
     // Both files are read back to where the mesh is.
     let files = ["mesh.ply", "mesh.obj"].map(|name| out.join(name).display().to_string());
     let compared: Value =
-        serde_json::from_str(&printed(&["chamfer", &files[0], &files[1], "--points", "500", "--json"])).unwrap();
+        serde_json::from_str(&printed(&["mesh", &files[0], "--chamfer", &files[1], "--points", "500", "--json"]))
+            .unwrap();
     assert!(compared["distance"]["chamfer"].as_f64().unwrap() < 1e-6, "{compared}");
     // A file's name is no folder's.
     for name in ["r.ply", "R.OBJ", "film.mp4"] {

@@ -89,7 +89,7 @@ fn points_that_are_run_one_by_one_make_the_tables_of_a_sweep() {
     let (whole, single) = (workplace(TINY), workplace(TINY));
     demand(&["sweep", "run", "tiny.toml", "--quiet"], whole.path(), 7);
     let dir = single.path();
-    let said = demand(&["sweep", "begin", "tiny.toml"], dir, 0);
+    let said = demand(&["sweep", "run", "--create", "tiny.toml"], dir, 0);
     assert_says(&said, &["runs/tiny: 3 points", "0 to 2", "run-point"]);
     assert_eq!(entries(&dir.join("runs/tiny/points")).len(), 0, "nothing was run");
     demand(&point("2"), dir, 0);
@@ -118,14 +118,15 @@ fn points_that_are_run_one_by_one_make_the_tables_of_a_sweep() {
 fn a_point_that_is_not_there_is_refused() {
     let dir = workplace(TINY);
     assert_says(&demand(&point("0"), dir.path(), 5), &["runs/tiny", "points.json"]);
-    demand(&["sweep", "begin", "tiny.toml"], dir.path(), 0);
+    demand(&["sweep", "run", "--create", "tiny.toml"], dir.path(), 0);
     assert_says(&demand(&point("3"), dir.path(), 2), &["--index 3", "3 points, choose 0 to 2"]);
     let by = |id| ["sweep", "run-point", "runs/tiny", "--id", id];
     assert_says(&demand(&by("zz"), dir.path(), 2), &["--id 'zz'", "sweep status"]);
     assert_says(&demand(&by(""), dir.path(), 2), &["--id ''"]);
     demand(&["sweep", "run-point", "runs/tiny"], dir.path(), 2);
     demand(&[&point("0")[..], &["--id", "1"]].concat(), dir.path(), 2);
-    let away = demand(&["sweep", "begin", "tiny.toml", "--scenes", "orchids", "--out", "away"], dir.path(), 0);
+    let away =
+        demand(&["sweep", "run", "--create", "tiny.toml", "--scenes", "orchids", "--out", "away"], dir.path(), 0);
     assert_says(&away, &["away: 3 points"]);
     let said = demand(&["sweep", "run-point", "away", "--index", "0"], dir.path(), 8);
     assert_says(&said, &["no data here", "orchids", "AUGNERF_DATA"]);
@@ -138,7 +139,7 @@ fn signals_of_a_scheduler_stop_a_point_with_a_checkpoint_however_many_come() {
     let dir = stopped.path();
     let first = ["--seeds", "0", "--quiet"];
     for dir in [whole.path(), dir] {
-        demand(&[&["sweep", "begin", "tiny.toml"][..], &first].concat(), dir, 0);
+        demand(&[&["sweep", "run", "--create", "tiny.toml"][..], &first].concat(), dir, 0);
     }
     let own = points(dir)[0].clone();
     let child = command(&point("0"), dir).stderr(Stdio::piped()).spawn().unwrap();
@@ -160,7 +161,7 @@ fn signals_of_a_scheduler_stop_a_point_with_a_checkpoint_however_many_come() {
 #[test]
 fn a_point_that_another_runner_works_on_is_left_to_it() {
     let dir = workplace(&long());
-    demand(&["sweep", "begin", "tiny.toml"], dir.path(), 0);
+    demand(&["sweep", "run", "--create", "tiny.toml"], dir.path(), 0);
     let own = points(dir.path())[0].clone();
     let mut child = command(&point("0"), dir.path()).stderr(Stdio::null()).spawn().unwrap();
     wait_for("a step", || in_training(&own));
@@ -285,7 +286,7 @@ fn what_slurm_cannot_take_is_refused_in_a_sentence() {
     let seconds = TINY.to_string()
         + "\n[[row]]\nname = \"equal\"\nset = { \"regularizer.kind\" = \"tv\" }\nbudget = { kind = \"seconds\", like = \"NeRF\" }\n";
     std::fs::write(dir.path().join("tiny.toml"), seconds).unwrap();
-    assert_says(&submit(&["--name", "timed"], 2), &["budgets in seconds", "augnerf sweep begin"]);
+    assert_says(&submit(&["--name", "timed"], 2), &["budgets in seconds", "augnerf sweep run FILE --create"]);
 }
 
 /// The script as Slurm starts it: `task` of job 12, of which the queue says `state`.

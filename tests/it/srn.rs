@@ -123,8 +123,8 @@ fn what_an_srn_cannot_say_is_refused() {
     let (_dir, run) = SMALL.once();
     let run = run.to_str().unwrap();
     refuse(&["mesh", run], 2, &["an SRN knows where a ray ends"]);
-    refuse(&["chamfer", run, "builtin"], 2, &["an SRN knows where a ray ends"]);
-    refuse(&["measure", run], 2, &["an SRN knows where a ray ends"]);
+    refuse(&["mesh", run, "--chamfer", "builtin"], 2, &["an SRN knows where a ray ends"]);
+    refuse(&["eval", "--smoothness", run], 2, &["an SRN knows where a ray ends"]);
     let model = Model::Baseline(
         Representation::Srn,
         Arc::new(Srn::init(&SrnConfig::default(), 0, DType::F32, &Device::Cpu).unwrap()),

@@ -93,7 +93,7 @@ fn smoothness_of_a_point_is_that_of_measure() {
     demand(&["sweep", "run", "tiny.toml", "--data-root", ".", "--quiet"], dir.path(), 0);
     let point = points_of(&dir.path().join("results/tiny")).remove(0);
     let run = dir.path().join("runs/tiny/points").join(&point["id"]).join("run");
-    demand(&["measure", "--quiet", run.to_str().unwrap()], dir.path(), 0);
+    demand(&["eval", "--smoothness", "--quiet", run.to_str().unwrap()], dir.path(), 0);
     let measured = rows(&text(&run.join("smoothness.csv"))).pop().unwrap();
     let number = |cell: &str| cell.parse::<f64>().unwrap();
     for metric in ["l1", "tv", "laplacian", "largest_density", "occupied"] {

@@ -140,7 +140,6 @@ fn chosen_rows_have_the_statistics_of_what_is_shown() {
     let table = |folder: &str| text(&dir.path().join(folder).join("table.csv"));
     assert_eq!(table("kept"), table("again"));
     assert_says(&demand(dir.path(), &of_results[..3], 2), &["results, not points", "verify --update"]);
-    assert_says(&demand(dir.path(), &["sweep", "best", "results/one"], 0), &["A, long"]);
     // A point that several lines show counts once.
     let shared = format!("{}/results/paper/fig_embedded", env!("CARGO_MANIFEST_DIR"));
     assert_eq!(rows(&text(&Path::new(&shared).join("points.csv"))).len(), 117);
@@ -167,7 +166,7 @@ fn results_replace_only_those_of_their_sweep() {
     // A figure of somebody's own with a name of ours.
     std::fs::create_dir(at("paper")).unwrap();
     std::fs::write(at("paper/curves_mine.png"), "mine").unwrap();
-    let said = collect(&["runs/one", "--results", "paper"], 4);
+    let said = collect(&["runs/one", "--out", "paper"], 4);
     assert_says(&said, &["paper holds files that are not results of a sweep", "--out"]);
     assert_eq!(entries(&at("paper")), [at("paper/curves_mine.png")]);
     assert_eq!(text(&at("paper/curves_mine.png")), "mine");
@@ -190,7 +189,7 @@ fn results_replace_only_those_of_their_sweep() {
     assert_says(&text(&at("own/results/provenance.toml")), &["name = \"another\""]);
     // A sweep is not trained before.
     std::fs::write(at("mine.toml"), BASE).unwrap();
-    let begin = ["sweep", "begin", "mine.toml"];
+    let begin = ["sweep", "run", "--create", "mine.toml"];
     std::fs::rename(at("tables"), at("results/mine")).unwrap();
     assert_says(&demand(dir.path(), &begin, 4), &["results/mine holds results of the sweep 'one'"]);
     assert!(!at("runs/mine").exists());
@@ -232,43 +231,17 @@ fn two_sweeps_stand_in_one_table_where_they_agree() {
     assert_says(&text(&dir.path().join("third/table.md")), &["NOT COMPARABLE", "B (wednesday) (width, code_revision)"]);
 }
 
+/// A label that pandas and R read as a missing value is none.
 #[test]
-fn the_best_row_is_told_with_its_settings_and_folders() {
+fn labels_that_read_as_missing_values_are_refused() {
     let dir = TempDir::new().unwrap();
-    let (folder, points) = finished(dir.path(), "one", BASE, &[]);
-    let told = demand(dir.path(), &["sweep", "best", "runs/one"], 0);
-    let own = points.iter().find(|point| point.places[0].row == "A, long").unwrap();
-    let words =
-        ["builtin: A, long, psnr 21.3", "mean of 3 seeds (next: B", "method = \"aug-nerf\"", &own.id, "split test"];
-    assert_says(&told, &words);
-    assert_says(&told, &["the difference of A, long to NeRF is distinguishable from zero: +0.999 ["]);
-    // A label that pandas and R read as a missing value is none.
+    finished(dir.path(), "one", BASE, &[]);
     for label in ["NA", "None", "nan"] {
         let refused = format!("--label '{label}' is one that pandas and R read as a missing value");
         let across = ["sweep", "across", "runs/one", "--row", "B", "--out", "both", "--label", &format!("one={label}")];
         assert_says(&demand(dir.path(), &across, 2), &[&refused]);
         assert_says(&demand(dir.path(), &["compare", "a", "b", "--label", label, "--label", "b"], 2), &[&refused]);
     }
-    // A row without one of its points is not looked at, however good the others are.
-    std::fs::remove_file(SweepFolder::new(&folder).point(&own.id).path().join("result.json")).unwrap();
-    let told = demand(dir.path(), &["sweep", "best", "runs/one"], 0);
-    assert_says(&told, &["builtin: B, psnr", "skipped, with unfinished points: A, long"]);
-    let printed = program::printed(&["sweep", "best", folder.to_str().unwrap(), "--json"]);
-    let best: serde_json::Value = serde_json::from_str(&printed).unwrap();
-    let best = &best["best"];
-    assert_eq!((best[0]["label"].as_str(), best[0]["seeds"].as_array().unwrap().len()), (Some("B"), 3));
-    assert_says(
-        &demand(dir.path(), &["sweep", "best", "runs/one", "--metric", "occupied"], 2),
-        &["best value", "psnr"],
-    );
-    assert_says(
-        &demand(dir.path(), &["sweep", "best", "runs/one", "--metric", "lpips_squeeze"], 2),
-        &["lpips_squeeze"],
-    );
-
-    let (_, points) = finished(dir.path(), "kept", BASE, &[("split", "every-8-val")]);
-    let told = demand(dir.path(), &["sweep", "best", "runs/kept"], 0);
-    assert!(told.contains("on validation views") && points.len() == 12, "{told}");
 }
 
 #[cfg(unix)]
@@ -356,7 +329,7 @@ fn shipped_sweeps_are_read_by_name() {
     }
     let dir = TempDir::new().unwrap();
     std::fs::create_dir(dir.path().join("smoke")).unwrap();
-    assert_says(&demand(dir.path(), &["sweep", "begin", "smoke"], 0), &["runs/smoke"]);
+    assert_says(&demand(dir.path(), &["sweep", "run", "--create", "smoke"], 0), &["runs/smoke"]);
     for old in ["sweeps/tab4_fern.toml", "tab4_fern.toml"] {
         let said = demand(dir.path(), &["sweep", "plan", old], 2);
         assert_says(&said, &[old, "the shipped sweep of this name is sweeps/paper/tab4_fern.toml"]);

@@ -56,13 +56,16 @@ fn printed(dir: &Path, arguments: &[&str]) -> String {
 #[test]
 fn results_of_nothing_are_said_to_be_so() {
     let dir = workplace();
-    run(dir.path(), &["sweep", "begin", "sweeps/tiny.toml", "--seeds", "0-2,7"], 0);
+    run(dir.path(), &["sweep", "run", "--create", "sweeps/tiny.toml", "--seeds", "0-2,7"], 0);
     run(dir.path(), &["sweep", "collect", "runs/tiny"], 11);
     assert_says(&run(dir.path(), &["report", "runs/tiny"], 2), &["runs/tiny: the folder of a sweep"]);
     let said = run(dir.path(), &["verify", "results/tiny"], 0);
     assert_says(&said, &["no point is done, so that they show no results"]);
     assert!(!said.contains("holds"), "{said}");
-    assert_says(&run(dir.path(), &["sweep", "begin", "sweeps/tiny.toml", "--seeds", "3-1"], 2), &["'3-1' is no range"]);
+    assert_says(
+        &run(dir.path(), &["sweep", "run", "--create", "sweeps/tiny.toml", "--seeds", "3-1"], 2),
+        &["'3-1' is no range"],
+    );
 }
 
 /// `report` makes the page that `collect` made where the runs are there, and does not replace it by less.
@@ -127,8 +130,8 @@ fn names_that_are_no_text_are_refused_and_read() {
     let dir = workplace();
     let file = dir.path().join("sweeps/tiny.toml");
     fs::write(&file, TINY.replace("\"NeRF\"", "\"None\"")).unwrap();
-    for command in ["run", "plan", "begin"] {
-        let said = run(dir.path(), &["sweep", command, "sweeps/tiny.toml", "--quiet"], 2);
+    for command in [&["run"][..], &["plan"], &["run", "--create"]] {
+        let said = run(dir.path(), &[&["sweep"], command, &["sweeps/tiny.toml", "--quiet"]].concat(), 2);
         assert_says(
             &said,
             &["row's name 'None' is one that pandas and R read as a missing value", "such as 'row None'"],
@@ -148,14 +151,14 @@ fn names_that_are_no_text_are_refused_and_read() {
     }
     assert!(points_of(&dir.path().join("results/tiny")).iter().any(|point| point["row"] == "None"));
     fs::write(&file, TINY.replace("\"NeRF\"", "\"0.1\"")).unwrap();
-    run(dir.path(), &["sweep", "begin", "sweeps/tiny.toml", "--name", "numbers"], 0);
+    run(dir.path(), &["sweep", "run", "--create", "sweeps/tiny.toml", "--name", "numbers"], 0);
 }
 
 /// A reworded title is refused at once, and says that it costs nothing.
 #[test]
 fn a_changed_definition_is_refused_before_scenes_are_loaded() {
     let dir = workplace();
-    run(dir.path(), &["sweep", "begin", "sweeps/tiny.toml"], 0);
+    run(dir.path(), &["sweep", "run", "--create", "sweeps/tiny.toml"], 0);
     let file = dir.path().join("sweeps/tiny.toml");
     fs::write(&file, TINY.replace("title = \"tiny\"", "title = \"small\"")).unwrap();
     let said = run(dir.path(), &["sweep", "run", "sweeps/tiny.toml"], 2);
@@ -169,28 +172,19 @@ fn a_changed_definition_is_refused_before_scenes_are_loaded() {
 fn a_sweep_says_how_long_it_takes_and_how_it_ended() {
     let dir = workplace();
     let root = dir.path();
-    run(root, &["sweep", "begin", "sweeps/tiny.toml"], 0);
+    run(root, &["sweep", "run", "--create", "sweeps/tiny.toml"], 0);
     run(root, &["sweep", "run-point", "runs/tiny", "--index", "0"], 0);
     // Chosen rows are judged alone.
     run(root, &["sweep", "collect", "runs/tiny", "--rows", "NeRF", "--out", "nerf"], 0);
     run(root, &["sweep", "collect", "runs/tiny", "--rows", "NeRF,TV, weak", "--out", "both"], 11);
     let said = run(root, &["sweep", "collect", "runs/tiny", "--rows", "TV", "--out", "both"], 2);
     assert_says(&said, &["the rows are 'NeRF', 'TV, weak'"]);
-    let ended = root.join("ended");
-    // The variables that the program sets for itself are not the command's.
-    let then = "echo code $AUGNERF_EXIT_CODE; echo code $AUGNERF_EXIT_CODE$RAYON_NUM_THREADS > ended";
-    let said = run(root, &["sweep", "run", "sweeps/tiny.toml", "--then", then], 0);
+    let said = run(root, &["sweep", "run", "sweeps/tiny.toml"], 0);
     assert_says(&said, &["1 of 2 points are left: about ", "here, one after the other"]);
-    assert_eq!(fs::read_to_string(&ended).unwrap(), "code 0\n");
-    // The command's words are not part of the answer.
-    let answer = printed(root, &["sweep", "run", "sweeps/tiny.toml", "--json", "--then", then]);
-    assert!(answer.starts_with('{') && !answer.contains("code 0"), "{answer}");
-    assert_says(&run(root, &["sweep", "run", "sweeps/tiny.toml", "--then", "exit 3"], 4), &["--then: 'exit 3' ended"]);
     fs::remove_file(entries(&root.join("runs/tiny/points"))[0].join("result.json")).unwrap();
     fs::write(entries(&root.join("runs/tiny/points"))[0].join("failed.json"), r#"{"reason":"no","exit_code":5}"#)
         .unwrap();
-    run(root, &["sweep", "run", "sweeps/tiny.toml", "--then", then], 7);
-    assert_eq!(fs::read_to_string(&ended).unwrap(), "code 7\n");
+    run(root, &["sweep", "run", "sweeps/tiny.toml"], 7);
     // Frames have a time, objects are one a line, and the code is that of the state.
     let said = run(root, &["sweep", "status", "runs/tiny", "--watch", "1"], 7);
     assert_says(&said, &[" UTC\n", "row NeRF: ", " of 1 done", "row TV, weak: ", ", 1 failed"]);
@@ -202,7 +196,7 @@ fn a_sweep_says_how_long_it_takes_and_how_it_ended() {
 #[test]
 fn a_watch_that_nobody_reads_ends() {
     let dir = workplace();
-    run(dir.path(), &["sweep", "begin", "sweeps/tiny.toml"], 0);
+    run(dir.path(), &["sweep", "run", "--create", "sweeps/tiny.toml"], 0);
     for further in [&[][..], &["--json"]] {
         let mut watch = augnerf(&[&["sweep", "status", "runs/tiny", "--watch", "1"], further].concat());
         let mut child = watch.current_dir(dir.path()).stdout(Stdio::piped()).stderr(Stdio::null()).spawn().unwrap();
@@ -216,33 +210,6 @@ fn a_watch_that_nobody_reads_ends() {
         });
         assert_eq!(status.unwrap().code(), Some(11));
     }
-}
-
-#[test]
-fn points_that_nobody_asks_for_are_pruned() {
-    let dir = workplace();
-    let root = dir.path();
-    run(root, &["sweep", "run", "sweeps/tiny.toml", "--seeds", "0-1", "--quiet"], 0);
-    let points = root.join("runs/tiny/points");
-    run(root, &["sweep", "run", "sweeps/tiny.toml", "--quiet", "--extend"], 0);
-    assert_eq!(entries(&points).len(), 4);
-    let listed = run(root, &["sweep", "prune", "tiny", "--dry-run"], 0);
-    assert_says(&listed, &["NeRF · builtin · seed 1", "TV, weak · builtin · seed 1", "runs/tiny: 2 points that its"]);
-    let mut unasked = augnerf(&["sweep", "prune", "tiny"]);
-    assert_says(&demand(unasked.current_dir(root).stdin(std::process::Stdio::null()), 2), &["say so with --yes"]);
-    let gone = listed.lines().next().unwrap().split_whitespace().nth(1).unwrap().to_string();
-    let held = fs::File::create(points.join(&gone).join("claim.lock")).unwrap();
-    held.lock().unwrap();
-    assert_says(
-        &run(root, &["sweep", "prune", "tiny", "--yes"], 4),
-        &["another worker works on it", "nothing is deleted"],
-    );
-    drop(held);
-    assert_eq!(entries(&points).len(), 4);
-    assert_says(&run(root, &["sweep", "prune", "tiny", "--yes"], 0), &["deleted: 2 points"]);
-    assert_eq!(entries(&points).len(), 2);
-    assert_says(&run(root, &["sweep", "prune", "tiny", "--yes"], 0), &["every point is one that"]);
-    run(root, &["sweep", "status", "runs/tiny"], 0);
 }
 
 /// A sweep's folder of somebody else leads no write out of it.
@@ -368,8 +335,8 @@ fn rows_that_cannot_run_are_named_together() {
     let measured = TINY.replace("\"psnr\"", "\"psnr\", \"lpips_squeeze\"");
     for (rows, words) in cases {
         fs::write(&file, measured.replace("row = [", &format!("row = [{}, ", rows.replace("\n", "")))).unwrap();
-        for command in ["begin", "plan", "run"] {
-            let said = run(dir.path(), &["sweep", command, "sweeps/tiny.toml"], 2);
+        for command in [&["run", "--create"][..], &["plan"], &["run"]] {
+            let said = run(dir.path(), &[&["sweep"], command, &["sweeps/tiny.toml"]].concat(), 2);
             assert_says(&said, words);
             assert!(!said.contains("NeRF (") && !said.contains("LPIPS") && !dir.path().join("runs").exists(), "{said}");
             assert!(!said.contains("timing some steps"), "{said}");
@@ -377,11 +344,11 @@ fn rows_that_cannot_run_are_named_together() {
     }
     // A folder that is extended has one list, too.
     fs::write(&file, TINY).unwrap();
-    run(dir.path(), &["sweep", "begin", "sweeps/tiny.toml"], 0);
+    run(dir.path(), &["sweep", "run", "--create", "sweeps/tiny.toml"], 0);
     fs::write(&file, TINY.replace("row = [", &format!("row = [{}, ", cases[0].0.replace("\n", "")))).unwrap();
-    assert_says(&run(dir.path(), &["sweep", "begin", "sweeps/tiny.toml", "--extend"], 2), cases[0].1);
+    assert_says(&run(dir.path(), &["sweep", "run", "--create", "sweeps/tiny.toml", "--extend"], 2), cases[0].1);
     fs::write(&file, TINY.replace("field.width", "field.widht")).unwrap();
-    let said = run(dir.path(), &["sweep", "begin", "sweeps/tiny.toml"], 2);
+    let said = run(dir.path(), &["sweep", "run", "--create", "sweeps/tiny.toml"], 2);
     assert_says(&said, &["no row can run: [set] field.widht: unknown key"]);
 }
 
@@ -393,7 +360,7 @@ fn a_check_makes_no_field() {
     let file = dir.path().join("sweeps/tiny.toml");
     let wide = r#"row = [{ name = "Wide", set = { "field.width" = 4096, "field.depth" = 16 } }, "#;
     fs::write(&file, TINY.replace("row = [", wide)).unwrap();
-    let begin = "ulimit -v 1500000; exec \"$0\" sweep begin sweeps/tiny.toml --threads 1";
+    let begin = "ulimit -v 1500000; exec \"$0\" sweep run --create sweeps/tiny.toml --threads 1";
     let mut command = std::process::Command::new("sh");
     command.args(["-c", begin, env!("CARGO_BIN_EXE_augnerf")]).current_dir(dir.path());
     let said = demand(&mut command, 0);
@@ -427,7 +394,7 @@ fn every_table_says_how_often_a_pixel_was_seen() {
 fn a_large_sweep_is_summed_up_and_its_names_sort() {
     let dir = workplace();
     let root = dir.path();
-    run(root, &["sweep", "begin", "sweeps/tiny.toml", "--seeds", "0-59"], 0);
+    run(root, &["sweep", "run", "--create", "sweeps/tiny.toml", "--seeds", "0-59"], 0);
     let status = |more: &[&str]| run(root, &[&["sweep", "status", "runs/tiny"], more].concat(), 11);
     let waiting = |said: &str| said.lines().filter(|line| line.starts_with("waiting")).count();
     let said = status(&[]);
@@ -441,7 +408,7 @@ fn a_large_sweep_is_summed_up_and_its_names_sort() {
 fn status_says_why_the_last_worker_ended() {
     let dir = workplace();
     let root = dir.path();
-    run(root, &["sweep", "begin", "sweeps/tiny.toml"], 0);
+    run(root, &["sweep", "run", "--create", "sweeps/tiny.toml"], 0);
     let status = || run(root, &["sweep", "status", "runs/tiny"], 11);
     assert!(!status().contains("worker"));
     // A file where the first point's run belongs.

@@ -44,19 +44,10 @@ fn a_value_that_a_flag_cannot_have_is_told_with_those_that_it_can() {
 }
 
 #[test]
-fn commands_of_other_programs_are_answered_with_those_here() {
-    let view = said("viewer runs/a");
-    assert!(view.contains("use 'view'") && view.contains("use 'render'") && !view.contains("similar"), "{view}");
-    assert!(said("trian").contains("'train'"));
-    for (other, ours) in [("evaluate", "eval"), ("test", "eval"), ("show", "report"), ("video", "render")] {
-        assert!(said(other).contains(&format!("use '{ours}'")) && !said(ours).contains("unrecognized"), "{other}");
-    }
-}
-
-#[test]
 fn other_flags_are_told_what_is_alike_and_nothing_wrong() {
+    assert!(said("trian").contains("'train'"));
     assert!(said("train --presett fast").contains("'--preset'"));
-    for line in ["sweep status runs/a --rows A", "eval RUN --steps 100", "chamfer A B --rows 1", "train --nothing"] {
+    for line in ["sweep status runs/a --rows A", "eval RUN --steps 100", "mesh A --rows 1", "train --nothing"] {
         let said = said(line);
         assert!(said.contains("unexpected argument") && !said.contains("-- --"), "{line}: {said}");
         assert!(!said.contains("it is a setting"), "{line}: {said}");

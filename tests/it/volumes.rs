@@ -109,7 +109,7 @@ fn a_run_has_its_terms_parameters_pictures_and_surface() {
 fn what_a_volume_cannot_be_asked_is_refused() {
     let (_dir, run) = SMALL.once();
     let run = run.to_str().unwrap();
-    refuse(&["measure", run], 2, &["trilinear"]);
+    refuse(&["eval", "--smoothness", run], 2, &["trilinear"]);
     let dir = TempDir::new().unwrap();
     let forward = ["train", "--preset", "smoke", "--method", "nv", "--set", "data.kind=builtin-forward", "--out"];
     let out = dir.path().join("run");

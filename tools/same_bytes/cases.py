@@ -45,7 +45,7 @@ points() {
   rm -rf "$out/points" "$out/results"
   # 8: no scene is here. 11: no point has been trained.
   expect '8|11' sweep status "$out"
-  expect '8|11' sweep collect "$out" --results "$out/results"
+  expect '8|11' sweep collect "$out" --out "$out/results"
 }
 """
 
@@ -344,15 +344,15 @@ def use_cases():
     uses = "TINY=\"" + TINY + "\"" + USES
     yield Case("render", uses + "augnerf render nerf --frames 2\naugnerf render mip --what views --out views\n")
     yield Case("eval", uses + "augnerf eval nerf\naugnerf eval aug --quiet\naugnerf eval mip\n")
-    yield Case("measure", uses + "augnerf measure nerf aug --lattice 12\nexpect 2 measure mip\n")
+    yield Case("measure", uses + "augnerf eval nerf --smoothness --lattice 12\naugnerf eval aug --smoothness --lattice 12\nexpect 2 eval mip --smoothness\n")
     yield Case("compare", uses + "augnerf compare nerf aug --box-width 8\naugnerf compare nerf aug mip --out figure --view 1"
                " --zoom 2,3,8,8 --label A --label B --label C\n")
     yield Case("ray", uses + "augnerf compare nerf aug mip --ray 8,8\naugnerf compare nerf --out figure --ray 3,5 --view 1\n")
     yield Case("mesh", uses + "augnerf mesh nerf --resolution 24 --threshold 0.5 --format ply,obj --density\n"
                "augnerf mesh aug --resolution 20 --threshold 0.5 --cap --largest --bbox -1,-1,-0.5,1,1,1\n"
                "augnerf mesh mip --resolution 16 --threshold 0.5 --quiet\n"
-               "augnerf chamfer nerf builtin --points 2000\naugnerf chamfer nerf/mesh/mesh.obj aug --points 1000 --at 0.01,0.1 --seed 3\n")
-    yield Case("balance", f"augnerf balance --preset smoke {TINY} --steps 5 --set regularizer.points_per_step=256")
+               "augnerf mesh nerf --chamfer builtin --points 2000\naugnerf mesh nerf/mesh/mesh.obj --chamfer aug --points 1000 --within 0.01,0.1 --seed 3\n")
+    yield Case("balance", f"augnerf train --balance=5 --preset smoke {TINY} --set regularizer.points_per_step=256")
     yield Case("bench", "\n".join(f"augnerf bench --method {method} --rays 8 --coarse 4 --fine 4 --width 8 --steps 1"
                                   for method in ("nerf", "aug", "mip", "tv", "laplacian")))
     yield Case("refusals", REFUSALS)
@@ -360,12 +360,12 @@ def use_cases():
     runs = "".join(f"augnerf train --quiet --out {name} {fern} {TINY} {settings}\n"
                    for name, settings in (("nerf", ""), ("mip", "--method mip-nerf")))
     yield Case("fern/uses", runs + "augnerf mesh nerf --resolution 16 --threshold 1\naugnerf mesh mip --resolution 16 --threshold 1\n"
-               "augnerf compare nerf mip --ray 8,8\naugnerf compare nerf mip\naugnerf render nerf --frames 2\naugnerf measure nerf --lattice 8\n",
+               "augnerf compare nerf mip --ray 8,8\naugnerf compare nerf mip\naugnerf render nerf --frames 2\naugnerf eval nerf --smoothness --lattice 8\n",
                ("fern",))
     # The new program uses runs of the old one.
     yield Case("old-runs/resume", "cp -r $OLD/run run; rm -r run/checkpoints/step_000000020 run/metrics.*; augnerf resume run",
                old="train/builtin/aug-nerf-calibrated")
-    yield Case("old-runs/use", "cp -r $OLD/run run; augnerf eval run; augnerf measure run --lattice 8;"
+    yield Case("old-runs/use", "cp -r $OLD/run run; augnerf eval run; augnerf eval run --smoothness --lattice 8;"
                " augnerf mesh run --resolution 12 --threshold 0.5; augnerf compare run --ray 8,8", old="train/variants/tv")
     yield Case("old-runs/mip", "cp -r $OLD/run run; augnerf eval run; augnerf render run --frames 1", old="train/builtin/aug-mip-nerf")
     yield Case("old-runs/sweep", "cp -r $OLD/runs $OLD/tiny.toml .; augnerf sweep status runs/tiny; augnerf sweep run tiny.toml --quiet",

@@ -174,7 +174,7 @@ impl Gpu {
                 0 => "no adapter found; install a driver for Vulkan (in containers of NVIDIA cards: the capability \
                       graphics, and libvulkan1), or use --device cpu"
                     .into(),
-                _ => format!("this machine has {count} (0 to {}); `augnerf devices` lists them", count - 1),
+                _ => format!("this machine has {count} (0 to {}); `augnerf bench --devices` lists them", count - 1),
             })
         })?;
         let (known, info, limits) = (Adapter::of(index, &adapter), adapter.get_info(), adapter.limits());

@@ -203,11 +203,6 @@ impl SweepFolder {
         Ok(Some(points))
     }
 
-    /// Returns the folder of the points' folders.
-    pub(super) fn points_path(&self) -> PathBuf {
-        self.path.join(POINTS)
-    }
-
     /// Returns the folder of a point.
     pub fn point(&self, id: &str) -> PointFolder {
         PointFolder::new(self.path.join(POINTS).join(id))

@@ -50,8 +50,8 @@ pub struct CollectArguments {
     #[arg(long, env = "AUGNERF_DATA", value_name = "DIR")]
     data_root: Option<PathBuf>,
     /// Folder for tables and figures [default: results/NAME of runs/NAME, otherwise FOLDER/results]
-    #[arg(long, visible_alias = "out", value_name = "DIR", help_heading = "Output")]
-    results: Option<PathBuf>,
+    #[arg(long, value_name = "DIR", help_heading = "Output")]
+    out: Option<PathBuf>,
     /// Name of the sweep in tables [default: the folder's]
     #[arg(long, help_heading = "Output")]
     name: Option<String>,
@@ -102,7 +102,7 @@ impl CollectArguments {
     fn results(&self, name: &str) -> Result<PathBuf> {
         let path = std::path::absolute(&self.folder).map_err(|e| Error::unreadable(&self.folder, &e))?;
         let runs = path.parent().filter(|parent| parent.file_name().is_some_and(|name| name == RUNS));
-        Ok(self.results.clone().unwrap_or_else(|| match runs {
+        Ok(self.out.clone().unwrap_or_else(|| match runs {
             Some(runs) => runs.with_file_name(RESULTS).join(name),
             None => path.join(RESULTS),
         }))
@@ -110,7 +110,7 @@ impl CollectArguments {
 
     /// Writes the chosen rows, and returns how the points of these rows stand.
     fn view(&self, first: Opened, selection: Selection) -> Result<(Table, PathBuf, Vec<PointState>)> {
-        let Some(results) = self.results.clone() else {
+        let Some(results) = self.out.clone() else {
             return Err(Error::Config(
                 "--baseline, --rows, --metrics and --merge need a folder of their own; name it with --out".into(),
             ));

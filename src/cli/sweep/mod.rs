@@ -27,13 +27,10 @@ use super::progress::{Console, duration, report};
 use super::train::LONG;
 
 mod across;
-mod begin;
-mod best;
 mod collect;
 mod new;
 mod opened;
 mod plan;
-mod prune;
 mod run;
 mod run_point;
 mod slurm;
@@ -58,24 +55,15 @@ pub enum SweepCommand {
     /// Write tables and figures from the finished points
     #[command(after_help = collect::EXAMPLES)]
     Collect(collect::CollectArguments),
-    /// Create a sweep's folder without running anything
-    #[command(after_help = begin::EXAMPLES)]
-    Begin(begin::BeginArguments),
     /// Run one point of a sweep, for a job array
     #[command(after_help = run_point::EXAMPLES)]
     RunPoint(run_point::RunPointArguments),
     /// Write the script of a Slurm job array that runs the points
     #[command(after_help = slurm::EXAMPLES)]
     Slurm(slurm::SlurmArguments),
-    /// Show the best row with its settings and folders
-    #[command(after_help = best::EXAMPLES)]
-    Best(best::BestArguments),
     /// Compare two rows in each of several sweeps
     #[command(after_help = across::EXAMPLES)]
     Across(across::AcrossArguments),
-    /// Delete points that the sweep no longer asks for
-    #[command(after_help = prune::EXAMPLES)]
-    Prune(prune::PruneArguments),
     /// Write a sweep file with comments, to change and run
     #[command(after_help = new::EXAMPLES)]
     New(new::NewArguments),
@@ -88,12 +76,9 @@ impl SweepCommand {
             SweepCommand::Plan(arguments) => arguments.run(),
             SweepCommand::Status(arguments) => arguments.run(),
             SweepCommand::Collect(arguments) => arguments.run(),
-            SweepCommand::Begin(arguments) => arguments.run(),
             SweepCommand::RunPoint(arguments) => arguments.run(),
             SweepCommand::Slurm(arguments) => arguments.run(),
-            SweepCommand::Best(arguments) => arguments.run(),
             SweepCommand::Across(arguments) => arguments.run(),
-            SweepCommand::Prune(arguments) => arguments.run(),
             SweepCommand::New(arguments) => arguments.run(),
         }
     }

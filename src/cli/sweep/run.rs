@@ -1,8 +1,7 @@
 //! `augnerf sweep run`.
 
-use std::process::Command;
-
 use clap::Args;
+use serde_json::json;
 
 use crate::base::{Error, Result};
 use crate::cli::answer::Answer;
@@ -12,8 +11,8 @@ use crate::cli::{Compute, LpipsWeights, whole};
 use crate::draw::SVG_ALONE;
 use crate::report::Status;
 use crate::report::tables::table_terminal;
-use crate::runtime::{Runtime, with_own_variables};
-use crate::sweep::{Options, Runner, Sharing, Unmeasured};
+use crate::runtime::Runtime;
+use crate::sweep::{Options, Runner, Sharing, Trainings, Unmeasured};
 
 use super::{
     Changes, How, Location, PointState, begin_folder, by_weights, check_any_data, check_done, collect, reasons,
@@ -25,7 +24,7 @@ pub const EXAMPLES: &str = "Examples:
   AUGNERF_DATA=~/data augnerf sweep run sweeps/paper/tab1_llff.toml --jobs 2
   augnerf sweep run sweeps/paper/tab1_llff.toml --retry-failed  # again, with the failed points
 
---then 'echo $AUGNERF_EXIT_CODE > ended' runs a command at the end. The same command resumes a stopped sweep. Several commands on one folder share its points.
+The same command resumes a stopped sweep. Several commands on one folder share its points.
 Exit codes: 0 done, 7 points failed, 8 scenes are missing, 9 rows are not comparable (see --force), 11 points are not \
 done yet (another worker has them), 129, 130 or 143 stopped (run it \
 again), 2 the sweep file is wrong.";
@@ -45,9 +44,6 @@ pub struct RunArguments {
         help_heading = "Hardware"
     )]
     jobs: u16,
-    /// Continue after a point failed [default]
-    #[arg(long, conflicts_with = "fail_fast")]
-    keep_going: bool,
     /// Stop at the first point that fails
     #[arg(long)]
     fail_fast: bool,
@@ -57,9 +53,9 @@ pub struct RunArguments {
     /// Accept a changed sweep file; keep the old points on disk
     #[arg(long)]
     extend: bool,
-    /// At the end, run this command in a shell, with the exit code in AUGNERF_EXIT_CODE
-    #[arg(long, value_name = "CMD")]
-    then: Option<String>,
+    /// Create the folder and run nothing; run-point then runs its points
+    #[arg(long, conflicts_with_all = ["fail_fast", "retry_failed", "remeasure", "force"])]
+    create: bool,
     /// Measure missing metrics of finished points, such as LPIPS
     #[arg(long)]
     remeasure: bool,
@@ -76,11 +72,25 @@ pub struct RunArguments {
 
 impl RunArguments {
     pub fn run(self) -> Result<()> {
-        let ran = self.compute.run(|runtime, _| self.run_points(runtime));
-        match &self.then {
-            Some(command) => then(command, ran),
-            None => ran,
-        }
+        self.compute.run(|runtime, console| match self.create {
+            true => self.create(runtime, console),
+            false => self.run_points(runtime),
+        })
+    }
+
+    /// Creates the folder alone.
+    fn create(&self, runtime: &Runtime, console: &Console) -> Result<()> {
+        let definition = self.changes.definition(&self.location)?;
+        let trainings = Trainings::new(runtime.clone(), (Vec::new(), String::new()), false, console);
+        let (folder, points) =
+            begin_folder(&self.location, &definition, self.extend, (&trainings, &trainings), console)?;
+        let (folder, last) = (folder.path().display().to_string(), points.len().saturating_sub(1));
+        self.answer.give(&json!({ "folder": folder, "points": points.len() }), || {
+            print(&format!(
+                "{folder}: {} points, --index 0 to {last} of `augnerf sweep run-point {folder} --index N`",
+                points.len()
+            ))
+        })
     }
 
     fn run_points(&self, runtime: &Runtime) -> Result<()> {
@@ -161,33 +171,4 @@ fn check_remeasured(unmeasured: Vec<Unmeasured>, all: usize) -> Result<()> {
         states.len(),
         reasons(&states)
     )))
-}
-
-/// The exit code for the command of `--then`.
-const EXIT_CODE: &str = "AUGNERF_EXIT_CODE";
-
-/// Runs a command after the sweep, and returns how the sweep ended. The command prints to standard error, so that a script
-/// reads the sweep's answer alone.
-///
-/// # Errors
-/// That of the sweep; [`Error::Output`] if the sweep is done and the command is not.
-fn then(command: &str, ran: Result<()>) -> Result<()> {
-    let code = ran.as_ref().map_or_else(|error| error.exit_code(), |()| 0);
-    let (shell, flag) = if cfg!(windows) { ("cmd", "/C") } else { ("sh", "-c") };
-    let mut shell = Command::new(shell);
-    with_own_variables(&mut shell);
-    let ended = shell.args([flag, command]).env(EXIT_CODE, code.to_string()).stdout(std::io::stderr()).status();
-    let failed = match ended {
-        Ok(status) if status.success() => None,
-        Ok(status) => Some(format!("--then: '{command}' ended with {status}")),
-        Err(error) => Some(format!("--then: cannot run '{command}': {error}")),
-    };
-    match (ran, failed) {
-        (Err(error), failed) => {
-            failed.iter().for_each(|failed| report(failed));
-            Err(error)
-        }
-        (Ok(()), Some(failed)) => Err(Error::Output(failed)),
-        (Ok(()), None) => Ok(()),
-    }
 }

@@ -19,7 +19,7 @@ use crate::sweep::{Claim, Options, Point, Runner, Sharing, SweepFolder};
 use super::{begun, say_what_is_missing, trainings};
 
 pub const EXAMPLES: &str = "Examples:
-  augnerf sweep run-point runs/smoke --index 3      # after `augnerf sweep begin`
+  augnerf sweep run-point runs/smoke --index 3      # after `augnerf sweep run FILE --create`
   augnerf sweep run-point runs/smoke --id f75d9b8c  # by its name in runs/smoke/points
   augnerf sweep run-point runs/smoke --index 3 --retry-failed
 

@@ -172,7 +172,7 @@ struct Elsewhere;
 impl StepCosts for Elsewhere {
     fn seconds_per_step(&self, _: &Config) -> Result<f64> {
         Err(Error::Config(
-            "budgets in seconds must be measured on a machine that trains; run `augnerf sweep begin FILE` there (with `srun`, and \
+            "budgets in seconds must be measured on a machine that trains; run `augnerf sweep run FILE --create` there (with `srun`, and \
              the tasks' --device and --threads), then write the script"
                 .into(),
         ))

@@ -79,12 +79,12 @@ pub(super) const OWN: &[(&str, &str, &str)] = &[
     (
         "sweep.toml provenance.toml",
         "the results of a sweep of augnerf, not a scene",
-        "use `augnerf sweep best HERE` or `augnerf verify HERE`",
+        "use `augnerf verify HERE` or `augnerf report HERE`",
     ),
     (
         "sweep.toml points",
         "a sweep of augnerf, not a scene",
-        "use `augnerf sweep status HERE`, `augnerf sweep best HERE` or `augnerf compare HERE`",
+        "use `augnerf sweep status HERE` or `augnerf compare HERE`",
     ),
 ];
 

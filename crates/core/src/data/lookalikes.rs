@@ -400,7 +400,7 @@ mod tests {
             ),
             (
                 &[("sweep.toml", ""), ("points/", ""), ("a.png", "")],
-                "`augnerf sweep status DIR`, `augnerf sweep best DIR`",
+                "`augnerf sweep status DIR` or `augnerf compare DIR`",
             ),
             (&[("sweep.toml", ""), ("provenance.toml", ""), ("a.png", "")], "`augnerf verify DIR`"),
             (&[("a.jpg", ""), ("scan.nvm", "NVM_V3")], "VisualSFM; write its cameras"),

@@ -113,12 +113,6 @@ impl Metric {
         METRICS.iter().copied().filter(|metric| metric.scope != Scope::ViewAlone)
     }
 
-    /// The value as a sentence has it: `0.50 dB`.
-    pub fn with_unit(&self, value: f64) -> String {
-        let space = if self.unit.is_empty() { "" } else { " " };
-        format!("{}{space}{}", self.text(value), self.unit)
-    }
-
     /// The value as a table for readers prints it.
     pub fn text(&self, value: f64) -> String {
         match self.digits {

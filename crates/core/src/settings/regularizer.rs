@@ -94,7 +94,7 @@ const fn known_alone(name: &'static str, needs: TermNeeds, default_weight: f64) 
 impl Regularizer {
     /// Name, what it is computed from, and default weight of each term. With that weight a term of the paper has a tenth of
     /// the photometric loss's gradient norm on fern, preset `paper-llff`, after 100 steps. Another scene can need hundreds
-    /// of times as much; `augnerf balance` measures it. The others have their authors' weights: mip-NeRF 360's,
+    /// of times as much; `augnerf train --balance` measures it. The others have their authors' weights: mip-NeRF 360's,
     /// FreeNeRF's, InfoNeRF's on Blender's scenes with 4 views, SNeRG's, Neural Volumes', PlenOctrees', Zip-NeRF's on the
     /// scenes of mip-NeRF 360, RegNeRF's after its first 512 steps, InfoNeRF's on DTU, FlipNeRF's on
     /// Blender's scenes, and DS-NeRF's.
@@ -224,7 +224,7 @@ section! {
         /// Weight of each term in `kind`: a number, or a list in the same order. Empty = the default of each term (l1
         /// 1.4e-4, tv 3.8e-6, laplacian 7.4e-9, distortion 0.01, occlusion 0.01, entropy 1e-3, cauchy 1e-4,
         /// opacity-prior 0.01, opacity-sparsity 1e-3, hash-decay 0.1, depth-smoothness 0.1, information-gain 2e-5, orientation 0.01, sparse-depth 0.1), which
-        /// is for one scene; `augnerf balance` measures others. A weight of 0 disables the term, unless its schedule begins elsewhere.
+        /// is for one scene; `augnerf train --balance` measures others. A weight of 0 disables the term, unless its schedule begins elsewhere.
         #[serde(deserialize_with = "weights")]
         pub weight: Vec<f64> = Vec::new(),
             numbers().real(|weight| weight >= 0.0, "0 (off) or positive").columns(&["regularizers"]).same_time();

@@ -55,11 +55,11 @@ fn balance_here(
     events: &dyn Listener,
 ) -> Result<(Resolved, Vec<BalancedWeight>)> {
     if !config.method.has_fields() {
-        config.require_capability(Capability::Derivatives, "balance", "omit the method")?;
+        config.require_capability(Capability::Derivatives, "--balance", "omit the method")?;
     }
     if config.method != Method::Nerf {
         return Err(Error::Config(format!(
-            "balance compares regularizers with the loss of plain NeRF; omit method {}",
+            "--balance compares regularizers with the loss of plain NeRF; omit method {}",
             config.method.name()
         )));
     }

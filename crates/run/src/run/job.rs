@@ -154,7 +154,7 @@ fn heavy_terms(config: &Config, columns: &LogColumns, terms: &[Term]) -> Vec<Str
         .map(|(term, weight, times): (Regularizer, f64, f64)| {
             format!(
                 "regularizer {}: weight {weight:e} x value is {times:.0} times the photometric loss in the last step; choose a \
-                 smaller regularizer.weight, which `augnerf balance` measures",
+                 smaller regularizer.weight, which `augnerf train --balance` measures",
                 term.name()
             )
         })
