@@ -21,15 +21,21 @@ import json
 import math
 import re
 import sys
-import tomllib
 from functools import cache
 from pathlib import Path
+
+try:
+    import tomllib
+except ImportError:
+    sys.exit("tools/pages.py needs Python 3.11 or newer")
 
 ROOT = Path(__file__).resolve().parent.parent
 WORDS = {
     "a tenth": 0.1, "a fifth": 0.2, "a quarter": 0.25, "a third": 1 / 3, "half": 0.5, "two thirds": 2 / 3,
     "three quarters": 0.75, "one": 1, "twice": 2, "three": 3, "four": 4, "five": 5, "six": 6, "seven": 7, "eight": 8,
 }  # fmt: skip
+# How far a number may be from a word, as a share of it.
+NEAR = 0.15
 
 
 class Wrong(Exception):
@@ -62,9 +68,10 @@ def folder(name):
     provenance = tomllib.loads((path / "provenance.toml").read_text()) if (path / "provenance.toml").exists() else {}
     constants = provenance.get("constants", {})
     attacks = {(label(line), line["scene"]): line for line in read(path / "attack.csv")}
-    rows = [{**constants, **attacks.get((label(line), line["scene"]), {}), **line} for line in read(path / "table.csv")]
+    own = lambda line: constants if line.get("source") in (None, "run") and line.get("status") in (None, "done") else {}  # noqa: E731
+    rows = [{**own({**line, "status": None}), **attacks.get((label(line), line["scene"]), {}), **line} for line in read(path / "table.csv")]
     timing = {line["id"]: line for line in read(path / "timing.csv")}
-    return rows, [{**constants, **timing.get(line["id"], {}), **line} for line in read(path / "points.csv")]
+    return rows, [{**own(line), **timing.get(line["id"], {}), **line} for line in read(path / "points.csv")]
 
 
 def line_of(name, place, seed):
@@ -96,6 +103,8 @@ def cell(name, term, row):
 
 def value(name, expression, row=None):
     """Returns a number, or None where a table has none."""
+    if sum(expression.count(operator) for operator in [" / ", " - "]) > expression.startswith("-") ^ 1:
+        raise Wrong(f"'{expression}' has several operators")
     if expression.startswith("-"):
         number = value(name, expression[1:], row)
         return None if number is None else -number
@@ -112,6 +121,9 @@ def holds(name, condition):
         if operator in condition:
             left, right = condition.rsplit(operator, 1)
             if operator.startswith(" is"):
+                # An empty verdict is one where there was a test.
+                if "" in cell(name, left, None) and "" in cell(name, left.replace("verdict", "p"), None):
+                    raise Wrong(f"'{left}' is empty")
                 return (cell(name, left, None) == [right]) == (operator == " is ")
             number = value(name, left)
             return number < float(right) if operator == " < " else number > float(right)
@@ -123,7 +135,10 @@ def shown(number, picture):
     if number is None:
         raise Wrong("the cell is empty")
     if picture == "words":
-        return min(WORDS, key=lambda word: abs(math.log(WORDS[word] / number)))
+        word = min(WORDS, key=lambda word: abs(math.log(WORDS[word] / number)))
+        if abs(number / WORDS[word] - 1) > NEAR:
+            raise Wrong(f"{number} is not nearly {word}")
+        return word
     sign, body, percent = re.fullmatch(r"(\+?)([0.,e]+)( ?%)?", picture).groups()
     number = number * 100 if percent else number
     mantissa = body.partition("e")[0]
@@ -133,6 +148,8 @@ def shown(number, picture):
     if kind == "e":
         head, _, power = text.partition("e")
         text = f"{head}e{power.replace('+', '') if body.endswith('e00') else int(power)}"
+    # What shows as 0 has no sign.
+    text = text if re.search("[1-9]", text) else text.lstrip("+-")
     return text + (percent or "")
 
 

@@ -115,7 +115,7 @@ enum Command {
     /// Run many experiments and compare them in one table
     #[command(subcommand)]
     Sweep(sweep::SweepCommand),
-    /// Check that tables, figures and quoted numbers follow from their points
+    /// Check that tables and figures follow from their points
     #[command(after_help = verify::EXAMPLES)]
     Verify(verify::VerifyArguments),
     /// Measure a trained run again, on held-out or other views

@@ -270,11 +270,14 @@ fn path(viewer: Viewer, shots: &Shots, folder: &Path, console: &Console) -> Resu
         console.on(Event::Advanced);
     }
     pictures.finish()?;
-    let written = ["rgb", "depth"].iter().try_for_each(|name| write_mp4(folder, name, *fps));
-    Ok(match written {
-        Ok(()) => "videos: rgb.gif, rgb.mp4, depth.gif and depth.mp4".into(),
-        Err(reason) => format!("videos: rgb.gif and depth.gif; {reason}"),
-    })
+    let mut written = "rgb.gif and depth.gif".to_string();
+    for name in ["rgb", "depth"] {
+        match write_mp4(folder, name, *fps) {
+            Ok(()) => written = format!("{name}.mp4, {written}"),
+            Err(reason) => return Ok(format!("videos: {written}; {reason}")),
+        }
+    }
+    Ok(format!("videos: {written}"))
 }
 
 /// Returns whether a file of cameras keeps neither their size nor frames per second.

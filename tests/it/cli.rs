@@ -458,7 +458,7 @@ fn ffmpeg_writes_videos_as_mp4() {
     let fails = "for last; do :; done; echo half > \"$last\"; echo 'no such encoder' >&2; exit 1";
     let cases = [
         (None, "rgb.gif and depth.gif; to get MP4 as well, install ffmpeg"),
-        (Some(writes), "rgb.gif, rgb.mp4, depth.gif and depth.mp4"),
+        (Some(writes), "depth.mp4, rgb.mp4, rgb.gif and depth.gif"),
         (Some(fails), "rgb.gif and depth.gif; no MP4: ffmpeg failed (no such encoder)"),
     ];
     for (script, expected) in cases {

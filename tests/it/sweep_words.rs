@@ -54,14 +54,14 @@ fn printed(dir: &Path, arguments: &[&str]) -> String {
 }
 
 #[test]
-fn results_of_nothing_are_said_to_be_so() {
+fn results_of_nothing_do_not_hold() {
     let dir = workplace();
     run(dir.path(), &["sweep", "run", "--create", "sweeps/tiny.toml", "--seeds", "0-2,7"], 0);
     run(dir.path(), &["sweep", "collect", "runs/tiny"], 11);
     assert_says(&run(dir.path(), &["report", "runs/tiny"], 2), &["runs/tiny: the folder of a sweep"]);
-    let said = run(dir.path(), &["verify", "results/tiny"], 0);
-    assert_says(&said, &["no point is done, so that they show no results"]);
-    assert!(!said.contains("holds"), "{said}");
+    let said = run(dir.path(), &["verify", "results/tiny"], 10);
+    assert_says(&said, &["is 'waiting', and no [[missing]]", "no point is done, so that they show no results"]);
+    assert!(!said.contains("tables and figures from"), "{said}");
     assert_says(
         &run(dir.path(), &["sweep", "run", "--create", "sweeps/tiny.toml", "--seeds", "3-1"], 2),
         &["'3-1' is no range"],

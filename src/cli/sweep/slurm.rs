@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use clap::Args;
 use serde_json::json;
 
-use crate::base::{Error, Result};
+use crate::base::{Error, Result, quoted};
 use crate::cli::answer::Answer;
 use crate::cli::progress::Console;
 use crate::cli::{LpipsWeights, whole};
@@ -122,10 +122,10 @@ impl SlurmArguments {
     }
 
     fn write(&self, script: &Script, folder: &SweepFolder, all: usize, console: &Console) -> Result<()> {
-        let (count, shown) = (script.points.len(), folder.path().display());
+        let (count, shown) = (script.points.len(), quoted(&folder.path().display().to_string()));
         let answer = |path: Option<&Path>| {
             let path = path.map(|path| path.display().to_string());
-            json!({ "folder": shown.to_string(), "points": script.points, "script": path })
+            json!({ "folder": folder.path().display().to_string(), "points": script.points, "script": path })
         };
         if count == 0 {
             console.say(&format!(
@@ -135,7 +135,10 @@ impl SlurmArguments {
             return self.answer.give_silently(&answer(None));
         }
         let path = script.write(folder)?;
-        console.say(&format!("{count} of {all} points; submit them with `sbatch {}`", path.display()));
+        console.say(&format!(
+            "{count} of {all} points; submit them with `sbatch {}`",
+            quoted(&path.display().to_string())
+        ));
         console.say(&format!("next: augnerf sweep collect {shown}, when they have ended"));
         self.answer.give_place(&answer(Some(&path)), &path)
     }

@@ -72,7 +72,7 @@ const NPZ: &str = "write its cameras into a transforms.json: decompose the first
 /// Folders that this program writes, like [`LAYOUTS`].
 pub(super) const OWN: &[(&str, &str, &str)] = &[
     (
-        "config.toml checkpoints",
+        "config.toml scene.json checkpoints",
         "a run of augnerf, not a scene",
         "use `augnerf view HERE`, `augnerf eval HERE` or `augnerf render HERE`",
     ),

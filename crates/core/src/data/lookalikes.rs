@@ -395,7 +395,7 @@ mod tests {
             (&[("images/0.jpg", ""), ("PHOTOS.csv", "#name,x,y,alt\n")], "--csv DIR/PHOTOS.csv --output-dir SCENE`"),
             (&[("my clip.mp4", "")], "--data 'DIR/my clip.mp4' --output-dir SCENE`"),
             (
-                &[("config.toml", ""), ("checkpoints/", ""), ("renders/a.png", "")],
+                &[("config.toml", ""), ("scene.json", ""), ("checkpoints/", ""), ("renders/a.png", "")],
                 "DIR looks like a run of augnerf, not a scene; use `augnerf view DIR`, `augnerf eval DIR`",
             ),
             (

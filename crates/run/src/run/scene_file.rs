@@ -133,7 +133,7 @@ impl RecordedScene {
                 self.file.display()
             )))
         };
-        // A run that was killed before its first checkpoint has none.
+        // There is none before the first checkpoint, or where somebody deleted it to accept the scene as it is.
         let Some(recorded) = &self.recorded else { return Ok(()) };
         let (near, far) = (data.near.unwrap_or(recorded.near), data.far.unwrap_or(recorded.far));
         if !(is_close(near, scene.near) && is_close(far, scene.far)) {

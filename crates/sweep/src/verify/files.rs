@@ -15,6 +15,7 @@ use crate::outputs::{SCALARS, optional};
 use crate::provenance::{Archived, PROVENANCE};
 use crate::report::exporters::{Content, EXPORTERS, OF_LOGS};
 use crate::report::tables::{Constants, Table};
+use crate::report::{Record, Status};
 use crate::scored::SCORED;
 use crate::train::sha256;
 
@@ -84,12 +85,35 @@ pub fn check(verifier: &Verifier, sweep: &Collected, findings: &mut Findings) ->
     if verifier.update {
         repin(archive, &held)?;
     }
+    findings.of(format!("all {} points are done, or it is said why not", archive.points.len()), gaps(archive));
     page(sweep, verifier.update, findings)?;
     others(sweep, verifier.update, findings)?;
     for missing in &archive.provenance.missing {
         findings.not_checked(format!("{}: {}", missing.what, missing.why));
     }
     Ok(())
+}
+
+/// Returns which points have no line, or no numbers and no reason why.
+fn gaps(archive: &Archive) -> Vec<String> {
+    let (records, missing) = (&archive.outputs.records, &archive.provenance.missing);
+    let mut wrong = Vec::new();
+    for point in &archive.points {
+        let own = records.iter().filter(|record| record.id == point.id);
+        if own.clone().count() < point.places.len() {
+            wrong.push(format!("points.csv lacks {}, which points.json has", point.label()));
+        }
+        let unexplained =
+            |record: &&Record| record.status != Status::Done && !missing.iter().any(|missing| missing.names(record));
+        if let Some(record) = own.clone().find(unexplained) {
+            let (label, status) = (record.point_label(), record.status.name());
+            wrong.push(format!(
+                "points.csv: {label} is '{status}', and no [[missing]] of {PROVENANCE} with a why names {}",
+                record.id
+            ));
+        }
+    }
+    wrong
 }
 
 /// Holds what tables are made of to its hash. Returns the names of the files that have theirs.

@@ -17,6 +17,8 @@ use crate::runner::{Options, Runner};
 
 /// Columns that say which program or machine it was: they may differ.
 const OF_THE_PROGRAM: [&str; 3] = ["program", "code_revision", "device"];
+/// Hashes of settings. Another revision may hash otherwise.
+const HASHES: [&str; 2] = ["config_hash", "parent"];
 
 /// Trains as many points again as are asked for, drawn at random, and compares metrics and protocol as `points.csv` has them.
 ///
@@ -93,7 +95,9 @@ fn differences(archive: &Archive, record: &Record, result: &PointResult, open: &
             now => wrong.push(format!("{}: {key} is '{now}', points.csv has '{then}'", record.point_label())),
         }
     }
-    for (name, now) in result.protocol.iter().filter(|(name, _)| !OF_THE_PROGRAM.contains(&name.as_str())) {
+    let is_own = revision() == archive.provenance.code_revision;
+    let may_differ = |name: &str| OF_THE_PROGRAM.contains(&name) || !is_own && HASHES.contains(&name);
+    for (name, now) in result.protocol.iter().filter(|(name, _)| !may_differ(name)) {
         // Columns that are younger than the points are not in their file.
         let then = record.protocol.iter().find(|(known, _)| known == name).map(|(_, then)| then);
         if then.is_some_and(|then| then != now && !(name == "lpips_weights" && (then.is_empty() || now.is_empty()))) {

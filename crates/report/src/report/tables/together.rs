@@ -22,8 +22,7 @@ const MORE_DECIMALS: usize = 4;
 /// Returns numbers with so many decimals that their `spread` has a digit, and at least those of the metric.
 fn together(metric: &str, values: &[f64], spread: Option<f64>) -> Together {
     let plain = |decimals: usize| Together {
-        // Adding 0 makes -0 positive.
-        texts: values.iter().map(|value| format!("{:.decimals$}", value + 0.0)).collect(),
+        texts: values.iter().map(|value| format!("{value:.decimals$}")).collect(),
         power: String::new(),
     };
     let largest = values.iter().map(|value| value.abs()).fold(0.0, f64::max);
@@ -81,8 +80,13 @@ pub fn signed_interval(metric: &str, difference: f64, interval: Option<(f64, f64
     }
 }
 
+/// Returns a number with its sign. What shows as 0 has none.
 fn signed(text: String) -> String {
-    if text.starts_with('-') { text } else { format!("+{text}") }
+    match (text.contains(|digit: char| ('1'..='9').contains(&digit)), text.starts_with('-')) {
+        (true, false) => format!("+{text}"),
+        (true, true) => text,
+        (false, _) => text.trim_start_matches('-').into(),
+    }
 }
 
 /// Returns `[+0.10, +0.52]`, or nothing.
@@ -119,7 +123,7 @@ mod tests {
         assert_eq!(of("ssim", 0.29312, 0.0004), "0.2931 ± 0.0004 (3)");
         assert_eq!([of("psnr", 18.974, 0.0), of("psnr", 18.974, 1e-9)], ["18.97 ± 0.00 (3)"; 2]);
         assert_eq!(signed_interval("psnr", -0.002, Some((-0.006, 0.002))), "-0.002 [-0.006, +0.002]");
-        assert_eq!(signed_interval("psnr", -0.0, Some((-0.0, 0.0))), "+0.00 [+0.00, +0.00]");
+        assert_eq!(signed_interval("psnr", -0.0, Some((-0.0, 0.0))), "0.00 [0.00, 0.00]");
         assert_eq!(signed_interval("l1", -1.388, Some((-3.259, 0.483))), "-1.388 [-3.259, +0.483]");
         assert_eq!(signed_interval("tv", 2e-6, Some((-1e-7, 4.1e-6))), "+2.000 [-0.100, +4.100] ×10⁻⁶");
         let one = Cell { mean: Some(413300.0), ..cell("laplacian", 1) };
