@@ -112,14 +112,14 @@ fn file_name(name: &str) -> &str {
     RENAMED.iter().find(|(own, _)| *own == name).map_or(name, |(_, other)| other)
 }
 
-/// Returns a field's name and cell in files of single runs. [`plain_field`] returns them to what they were.
+/// Returns a field's name and cell in files of single runs.
 pub fn file_field((name, cell): (String, String)) -> (String, String) {
     let cell = if HASHES.contains(&name.as_str()) { hash_cell(&cell) } else { cell };
     (file_name(&name).into(), cell)
 }
 
 /// Returns the name and text that were given to [`file_field`].
-pub fn plain_field((name, cell): (String, String)) -> (String, String) {
+fn plain_field((name, cell): (String, String)) -> (String, String) {
     let cell = if HASHES.contains(&name.as_str()) { plain_hash(&cell).to_string() } else { cell };
     (RENAMED.iter().find(|(_, other)| *other == name).map_or(name, |(own, _)| own.to_string()), cell)
 }
@@ -176,12 +176,6 @@ pub(super) fn fields_of(cells: Vec<(String, String)>) -> Vec<(String, String)> {
     let joined = numbers.then(|| (ATTACK_NUMBERS.to_string(), joined_numbers(&cells)));
     let own = cells.into_iter().filter(|(name, _)| !is_number(name)).map(plain_field);
     let mut fields: Vec<(String, String)> = own.chain(joined).collect();
-    add_repeated(&mut fields);
-    fields
-}
-
-/// Adds the fields that [`compact`] left out because a swept column repeats them.
-pub fn add_repeated(fields: &mut Vec<(String, String)>) {
     let of_setting = |(name, cell): &(String, String)| {
         let column = column_of_setting(name)?;
         let is_lacking = !fields.iter().any(|(known, _)| known == column);
@@ -189,6 +183,7 @@ pub fn add_repeated(fields: &mut Vec<(String, String)>) {
     };
     let repeated: Vec<(String, String)> = fields.iter().filter_map(of_setting).collect();
     fields.extend(repeated);
+    fields
 }
 
 #[cfg(test)]
