@@ -188,6 +188,11 @@ fn a_sweep_says_how_long_it_takes_and_how_it_ended() {
     // Frames have a time, objects are one a line, and the code is that of the state.
     let said = run(root, &["sweep", "status", "runs/tiny", "--watch", "1"], 7);
     assert_says(&said, &[" UTC\n", "row NeRF: ", " of 1 done", "row TV, weak: ", ", 1 failed"]);
+    // A point is no run; its run is in it.
+    for command in ["eval", "resume", "render"] {
+        let said = run(root, &[command, "runs/tiny/by-name/NeRF/seed-0"], 5);
+        assert_says(&said, &["seed-0 is a point of a sweep; its run is runs/tiny/by-name/NeRF/seed-0/run"]);
+    }
     let frames = printed(root, &["sweep", "status", "runs/tiny", "--watch", "1", "--json"]);
     assert!(frames.lines().all(|line| line.starts_with("{\"folder\":")) && frames.lines().count() == 1, "{frames}");
 }

@@ -170,7 +170,7 @@ fn what_is_not_kept_is_said() {
         &said,
         &["figures, table.tex, which `--update --all` makes; scalars.csv.gz, which commit 980e3058 has"],
     );
-    assert_says(&said, &["attack.csv: it is as it was committed"]);
+    assert_says(&said, &["attack.csv: it has its hash under [pinned]"]);
     let attack = text(&folder.join("attack.csv"));
     verify(dir.path(), &["--update"], 0);
     assert_eq!(text(&folder.join("attack.csv")), attack, "its logs are not here");
@@ -401,7 +401,7 @@ row = [{ name = "NeRF" }, { name = "equal", set = { "field.depth" = 3 }, budget 
     std::fs::write(&points, kept).unwrap();
     assert_says(&verify(dir.path(), &["--update"], 0), &["written anew"]);
     // Pictures of surfaces cannot be made again: they are held to their hash.
-    assert_says(&said, &["surfaces_builtin.svg: it is as it was committed"]);
+    assert_says(&said, &["surfaces_builtin.svg: it has its hash under [pinned]"]);
     let points = points_of(&folder);
     assert!(points.iter().all(|row| row["mesh"].ends_with("not compared") && row["chamfer"].is_empty()), "{points:?}");
     assert_found(dir.path(), &folder.join("surfaces_builtin.svg"), "NeRF", "NerF", &["SHA-256"]);

@@ -63,7 +63,7 @@ impl Scene {
         let text = |[x, y, z]: [f64; 3]| format!("[{x:.3}, {y:.3}, {z:.3}]");
         match (self.space.domain, self.format().and_then(|format| format.kind.object_half())) {
             (Some([low, high]), _) => {
-                row("box", format!("{} to {} (meshes, measure, hash grids)", text(low), text(high)))
+                row("box", format!("{} to {} (meshes, smoothness, hash grids)", text(low), text(high)))
             }
             (None, Some(half)) => {
                 row("box", format!("the format's: within {half} of the origin along each axis (meshes)"))

@@ -108,6 +108,11 @@ impl RunDir {
                 path.display()
             )));
         }
+        let run = path.join("run");
+        if !path.join(CHECKPOINTS).exists() && RunDir::holds_run(&run) {
+            let (point, run) = (path.display(), run.display());
+            return Err(Error::Checkpoint(format!("{point} is a point of a sweep; its run is {run}")));
+        }
         Ok(RunDir { path: path.to_path_buf(), lock: None })
     }
 

@@ -279,7 +279,7 @@ fn pins(sweep: &Collected, findings: &mut Findings) -> Result<()> {
 fn pin(name: &str, list: &str, hash: &str, bytes: &[u8], findings: &mut Findings) {
     match sha256(bytes) {
         found if found == hash => {
-            findings.not_checked(format!("{name}: it is as it was committed; nothing here makes it again"));
+            findings.not_checked(format!("{name}: it has its hash under {list}; it cannot be made of what is here"));
         }
         found => findings.wrong(format!("{name}: its SHA-256 is {found}, {PROVENANCE} has {hash} under {list}")),
     }

@@ -47,20 +47,34 @@ pub static HEATMAPS: Figures = Figures::new("heatmap_", |collected, style| {
     })
 });
 
+/// Says in a figure's caption that it has no row with axes, if there are any.
+fn without_axes(collected: &Collected, scene: &str, mut figure: Option<Figure>) -> Option<Figure> {
+    if collected.records.iter().any(|record| record.scene == scene && !record.axes.is_empty()) {
+        let note = |figure: &mut Figure| {
+            figure.caption = format!("{} Rows with axes are not drawn.\n", figure.caption.trim_end())
+        };
+        figure.iter_mut().for_each(note);
+    }
+    figure
+}
+
 /// `curves_SCENE_psnr`: training against steps and, if clock times are shown, against seconds.
 pub static CURVES: Figures = Figures::new("curves_", |collected, style| {
     let mut figures = Vec::new();
     for (scene, curves) in collected.curves {
-        figures.push((format!("{scene}_psnr"), curves_figure(style, scene, curves)?));
+        figures.push((format!("{scene}_psnr"), without_axes(collected, scene, curves_figure(style, scene, curves)?)));
         // Drawn only with clock times, since it is not reproducible.
-        figures.push((format!("{scene}_psnr_seconds"), seconds_figure(style, scene, curves)?));
+        let seconds = without_axes(collected, scene, seconds_figure(style, scene, curves)?);
+        figures.push((format!("{scene}_psnr_seconds"), seconds));
     }
     Ok(figures)
 });
 
 /// `attack_SCENE`: how far the attack's deltas move colours during training, one panel a site.
 pub static ATTACK: Figures = Figures::new("attack_", |collected, style| {
-    let of = |(scene, shifts): &(String, Vec<_>)| Ok((scene.clone(), shifts_figure(style, scene, shifts)?));
+    let of = |(scene, shifts): &(String, Vec<_>)| {
+        Ok((scene.clone(), without_axes(collected, scene, shifts_figure(style, scene, shifts)?)))
+    };
     collected.shifts.iter().map(of).collect()
 });
 
