@@ -264,6 +264,11 @@ fn a_comparison_across_sweeps_is_made_again() {
     assert_says(&across("results/both", "Aug-NeRF,NeRF + second clean pass", 2), &["has no row"]);
     assert_says(&across("results", "Aug-NeRF", 4), &["results holds other folders"]);
     assert_says(&across("results/both", "NeRF", 2), &["both 'NeRF'"]);
+    let mut without = augnerf(&["sweep", "across", "results/checks/geometry_chair", "--out", "results/both"]);
+    assert_says(
+        &program::demand(without.current_dir(dir.path()), 2),
+        &["--row names the row to compare in each sweep"],
+    );
     // A table of somebody's own with a name of ours.
     let mine = dir.path().join("mine");
     std::fs::create_dir(&mine).unwrap();

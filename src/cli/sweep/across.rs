@@ -31,7 +31,7 @@ pub struct AcrossArguments {
     #[arg(long, value_enum, default_value_t = Unit::Sweep)]
     unit: Unit,
     /// Row to compare in each sweep
-    #[arg(long, required_if_eq("unit", "sweep"), conflicts_with_all = ["rows", "scenes", "seeds"])]
+    #[arg(long, conflicts_with_all = ["rows", "scenes", "seeds"])]
     row: Option<String>,
     /// Rows to compare over scenes [default: all]
     #[arg(long, value_name = "ROW,...")]
@@ -102,6 +102,11 @@ impl AcrossArguments {
         let by_scene = self.unit == Unit::Scene;
         if by_scene && self.row.is_some() {
             return Err(Error::Config("--row is for --unit sweep; over scenes, --rows names rows".into()));
+        }
+        if !by_scene && self.row.is_none() {
+            return Err(Error::Config(
+                "--row names the row to compare in each sweep; --unit scene compares rows over their scenes".into(),
+            ));
         }
         if by_scene && !self.labels.is_empty() {
             return Err(Error::Config("--label is for --unit sweep; over scenes, no file shows it".into()));
