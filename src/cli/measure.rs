@@ -109,6 +109,7 @@ fn not_balanced(config: &Config, setting: &str) -> Option<String> {
         "regularizer.kind" | "regularizer.weight" | "regularizer.schedule" => {
             Some("--balance measures every term at weight 1".into())
         }
+        "train.steps" => Some("--balance=STEPS names the steps".into()),
         _ if setting.starts_with("regularizer.") => None,
         _ => config.without_effect(setting),
     }

@@ -107,8 +107,9 @@ fn settings_without_effect_are_named_by_every_command_that_trains() {
     assert_says(&noted(&[&bench.split(' ').collect::<Vec<_>>()[..], &set[..2]].concat()), &[idle]);
 
     // Every term is measured, where the section says.
-    let terms = ["--set", "regularizer.kind=tv", "--set", "regularizer.points_per_step=64"];
+    let terms = ["--set", "regularizer.kind=tv", "--set", "regularizer.points_per_step=64", "--set", "train.steps=5"];
     let said = noted(&[&["train", "--balance=1", "--preset", "smoke"], &set[..], &terms].concat());
     assert_says(&said, &[idle, "--set regularizer.kind has no effect: --balance measures every term at weight 1"]);
+    assert_says(&said, &["--set train.steps has no effect: --balance=STEPS names the steps"]);
     assert!(!said.contains("points_per_step has"), "{said}");
 }
