@@ -15,8 +15,9 @@ use rayon::prelude::*;
 use crate::base::place::is_ours;
 use crate::base::rng::{Random, Stream};
 
-use super::trilinear::{Corner, Lattice, Location, Outside, PARTS};
+use super::trilinear::{Outside, trilinear};
 use super::values::{Values, each_kind, slice, summed};
+use lattice::{Corner, Lattice, Location};
 
 /// Channels of a volume: red, green, blue, opacity per length.
 const CHANNELS: usize = 4;
@@ -24,6 +25,8 @@ const CHANNELS: usize = 4;
 const OUT: usize = 5;
 /// Rays per thread and iteration.
 const RAYS: usize = 64;
+/// Parts of the gradients, each with grids of its own, which are summed in order.
+const PARTS: usize = 4;
 /// Largest number of samples in a graph of the plain path, which bounds its memory.
 const PLAIN_SAMPLES: usize = 1 << 20;
 
@@ -146,7 +149,7 @@ impl March {
             return self.in_parts(template, warp, (PLAIN_SAMPLES / most).max(1));
         }
         let sides = |tensor: &Tensor| Ok::<_, candle_core::Error>([tensor.dim(0)?, tensor.dim(1)?, tensor.dim(2)?]);
-        let lattice = |sides| Lattice { sides, outside: Outside::Zeros };
+        let lattice = |sides| Lattice { sides };
         let operation = Marched {
             march: self.clone(),
             template: lattice(sides(template)?),
@@ -176,10 +179,10 @@ impl March {
         let tensor = |values: Vec<f64>, shape: &[usize]| Tensor::from_vec(values, shape, device)?.to_dtype(dtype);
         let points = tensor(points, &[rays * samples, 3])?;
         let points = match warp {
-            Some(warp) => super::trilinear::plain(warp, &points, Outside::Zeros)?,
+            Some(warp) => trilinear(warp, &points, Outside::Zeros)?,
             None => points,
         };
-        let values = super::trilinear::plain(template, &points, Outside::Zeros)?.reshape((rays, samples, CHANNELS))?;
+        let values = trilinear(template, &points, Outside::Zeros)?.reshape((rays, samples, CHANNELS))?;
         let opacity = values.narrow(2, 3, 1)?.squeeze(2)?;
         let full = (opacity * tensor(steps, &[rays, samples])?)?.cumsum(1)?;
         // Where the sum exceeds 1 there is no gradient; `minimum` would divide it at a tie.
@@ -370,6 +373,7 @@ impl CustomOp2 for Marched {
     }
 }
 
+mod lattice;
 mod parts;
 #[cfg(test)]
 pub(crate) mod tests;

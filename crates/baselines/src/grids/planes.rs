@@ -3,17 +3,7 @@
 //! A plane is an image. Values are bilinear between pixels, and 0 outside of the image. They fade over one pixel beyond
 //! its edge, as with TensorFlow's resampler (the code of LLFF, Mildenhall et al. 2019).
 
-use std::sync::Arc;
-
-use candle_core::{CpuStorage, CustomOp1, DType, Layout, Result, Shape, Tensor, WithDType};
-
-use crate::base::place::is_ours;
-use rayon::prelude::*;
-
-use super::values::{Values, slice};
-
-/// Rays per thread and iteration.
-const PART: usize = 256;
+use candle_core::{Result, Tensor};
 
 /// The intersections of rays with planes: column and row in pixels for each ray and plane, `[rays, planes]`. (0, 0) is
 /// the centre of the first pixel. NaN if a ray does not meet the plane.
@@ -58,25 +48,16 @@ pub fn corners([column, row]: [f64; 2], width: usize, height: usize) -> [Corner;
 }
 
 /// Returns the values of `planes [planes, height, width, channels]` along rays: `[rays, planes, channels]`, with a
-/// gradient of `planes`. The bits do not depend on the number of threads.
+/// gradient of `planes`: the sum over four corners.
 ///
 /// # Errors
 /// If the number of planes differs; those of candle.
-pub fn plane_sample(planes: &Tensor, places: Arc<Locations>) -> Result<Tensor> {
-    let (count, _, _, _) = planes.dims4()?;
+pub fn plane_sample(planes: &Tensor, places: &Locations) -> Result<Tensor> {
+    let (count, height, width, channels) = planes.dims4()?;
     if count != places.planes || !places.of_rays.len().is_multiple_of(count.max(1)) {
         candle_core::bail!("plane sample: {count} planes and places of {}", places.planes);
     }
-    if !is_ours(planes) {
-        return plain(planes, &places);
-    }
-    planes.contiguous()?.apply_op1(PlaneSample { places })
-}
-
-/// The same in candle's own operations: the sum over four corners.
-fn plain(planes: &Tensor, places: &Locations) -> Result<Tensor> {
-    let (count, height, width, channels) = planes.dims4()?;
-    let pixels = planes.contiguous()?.reshape((count * height * width, channels))?;
+    let pixels = planes.reshape((count * height * width, channels))?;
     let corners: Vec<[Corner; 4]> = places.of_rays.iter().map(|place| corners(*place, width, height)).collect();
     let of_corner = |corner: usize| -> Result<Tensor> {
         let pixel = |(i, corners): (usize, &[Corner; 4])| (i % count * height * width + corners[corner].0) as u32;
@@ -88,78 +69,6 @@ fn plain(planes: &Tensor, places: &Locations) -> Result<Tensor> {
     };
     let sum = (1..4).try_fold(of_corner(0)?, |sum, corner| sum + of_corner(corner)?)?;
     sum.reshape((places.rays(), count, channels))
-}
-
-struct PlaneSample {
-    places: Arc<Locations>,
-}
-
-impl PlaneSample {
-    fn forward<T: WithDType>(
-        &self,
-        planes: &[T],
-        (_, height, width, channels): (usize, usize, usize, usize),
-    ) -> Vec<T> {
-        let (count, size) = (self.places.planes, height * width * channels);
-        let mut out = vec![T::from_f64(0.0); self.places.of_rays.len() * channels];
-        let parts = out.par_chunks_mut(PART * count * channels).zip(self.places.of_rays.par_chunks(PART * count));
-        parts.for_each(|(out, places)| {
-            for (i, (place, out)) in places.iter().zip(out.chunks_exact_mut(channels)).enumerate() {
-                let plane = &planes[i % count * size..][..size];
-                for (pixel, share) in corners(*place, width, height) {
-                    let share = T::from_f64(share);
-                    let pixel = &plane[pixel * channels..][..channels];
-                    out.iter_mut().zip(pixel).for_each(|(out, value)| *out += share * *value);
-                }
-            }
-        });
-        out
-    }
-
-    /// Each plane belongs to one thread, which takes its rays in order.
-    fn backward<T: WithDType>(
-        &self,
-        cotangent: &[T],
-        (_, height, width, channels): (usize, usize, usize, usize),
-    ) -> Vec<T> {
-        let (count, size) = (self.places.planes, height * width * channels);
-        let mut out = vec![T::from_f64(0.0); count * size];
-        out.par_chunks_mut(size).enumerate().for_each(|(k, plane)| {
-            for (ray, places) in self.places.of_rays.chunks_exact(count).enumerate() {
-                let cotangent = &cotangent[(ray * count + k) * channels..][..channels];
-                for (pixel, share) in corners(places[k], width, height) {
-                    let share = T::from_f64(share);
-                    let pixel = &mut plane[pixel * channels..][..channels];
-                    pixel.iter_mut().zip(cotangent).for_each(|(sum, cotangent)| *sum += share * *cotangent);
-                }
-            }
-        });
-        out
-    }
-}
-
-impl CustomOp1 for PlaneSample {
-    fn name(&self) -> &'static str {
-        "plane-sample"
-    }
-
-    fn cpu_fwd(&self, planes: &CpuStorage, layout: &Layout) -> Result<(CpuStorage, Shape)> {
-        let dims = layout.shape().dims4()?;
-        let out = match planes {
-            CpuStorage::F64(_) => CpuStorage::F64(self.forward(slice(planes, layout)?, dims)),
-            _ => CpuStorage::F32(self.forward(slice(planes, layout)?, dims)),
-        };
-        Ok((out, Shape::from((self.places.rays(), dims.0, dims.3))))
-    }
-
-    fn bwd(&self, planes: &Tensor, _out: &Tensor, cotangent: &Tensor) -> Result<Option<Tensor>> {
-        let (dims, cotangent) = (planes.dims4()?, cotangent.contiguous()?);
-        let values = Values::of(&cotangent);
-        Ok(Some(match cotangent.dtype() {
-            DType::F64 => Tensor::from_vec(self.backward::<f64>(values.slice()?, dims), dims, planes.device())?,
-            _ => Tensor::from_vec(self.backward::<f32>(values.slice()?, dims), dims, planes.device())?,
-        }))
-    }
 }
 
 #[cfg(test)]

@@ -79,7 +79,7 @@ impl PlanesLearner {
         let (dtype, device) = (self.network.dtype(), self.network.device());
         let volume = sweep(&views[reference.view].eye, &seen, depths, reference.window, dtype, device)?;
         let planes = blend_views(&weights.forward(&volume)?, &volume)?;
-        Ok(alpha_over(&plane_sample(&planes, reference.places.clone())?)?)
+        Ok(alpha_over(&plane_sample(&planes, &reference.places)?)?)
     }
 
     /// Returns the mean of `per_number`, `[rays, 3]`, over counted pixels.

@@ -1,7 +1,5 @@
 //! The inputs of a step: a crop of a view that is left out, and windows of views around it.
 
-use std::sync::Arc;
-
 use crate::base::rng::{Random, Stream};
 use crate::base::{Error, Result};
 use crate::data::vector::Vec3;
@@ -28,7 +26,7 @@ pub struct Reference {
     /// The part that is predicted.
     pub window: Window,
     /// Intersections of the crop's rays with its planes, as pixels of the window.
-    pub places: Arc<Locations>,
+    pub places: Locations,
     /// The distance of its camera from that of the left-out view.
     pub distance: f64,
 }
@@ -112,7 +110,7 @@ impl Work {
             show(window, &places, &mut shown);
             let shift = [window.left, window.top].map(|first| first as f64);
             places.of_rays.iter_mut().for_each(|[x, y]| (*x, *y) = (*x - shift[0], *y - shift[1]));
-            Reference { view, window, places: Arc::new(places), distance }
+            Reference { view, window, places, distance }
         };
         let references = chosen.iter().map(reference).collect();
         Work { target, pixels, counts, shown, references }

@@ -109,8 +109,7 @@ fn all_of(
 
 /// Asserts that positions and values of all samples are the original's, to 1e-9 of their size.
 pub(crate) fn check_samples(march: &March, template: &Tensor, warp: &Tensor, name: &str) {
-    let sides =
-        |grid: &Tensor| Lattice { sides: [grid.dims()[0], grid.dims()[1], grid.dims()[2]], outside: Outside::Zeros };
+    let sides = |grid: &Tensor| Lattice { sides: [grid.dims()[0], grid.dims()[1], grid.dims()[2]] };
     let operation = Marched { march: march.clone(), template: sides(template), warp: Some(sides(warp)) };
     let (template, warp) = (values(template), values(warp));
     let expected = |what: &str| fixture(&format!("{name}.samples.{what}")).to_vec3::<f64>().unwrap();
@@ -148,7 +147,7 @@ fn sample_gradients_are_the_originals() {
     let rows = |what: &str| fixture(&format!("nv.march.{what}")).to_vec3::<f64>().unwrap();
     let (points, rgb, d_rgb) = (rows("samples.points"), rows("samples.rgb"), rows("plain.grad.rgb"));
     let alpha = read("samples.alpha");
-    let place = Lattice { sides: [2; 3], outside: Outside::Zeros };
+    let place = Lattice { sides: [2; 3] };
     for ray in 0..6 {
         let (mut samples, mut which, mut sum) = (Vec::new(), Vec::new(), 0.0);
         for k in 0..15 {

@@ -1,7 +1,5 @@
 //! Closed forms: a textured wall, blends of equals, a camera's own planes.
 
-use std::sync::Arc;
-
 use candle_core::{DType, Device, Tensor};
 
 use crate::base::Image;
@@ -48,7 +46,7 @@ fn a_shifted_camera_sees_a_shifted_wall() {
     for (b, pixels) in [(0.2, 2usize), (0.5, 5), (0.0, 0)] {
         let other = eye([b, 0.0], width, height, focal);
         let places = own.places(&rays(&other), &four());
-        let seen = alpha_over(&plane_sample(&wall(&image, 4, 1), Arc::new(places)).unwrap()).unwrap();
+        let seen = alpha_over(&plane_sample(&wall(&image, 4, 1), &places).unwrap()).unwrap();
         for (i, seen) in numbers(&seen).chunks(4).enumerate() {
             let (column, row) = (i % width + pixels, i / width);
             let inside = column < width;

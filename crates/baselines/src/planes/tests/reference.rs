@@ -1,7 +1,5 @@
 //! The authors' functions: `llff.*` of `tests/fixtures/baselines.safetensors`.
 
-use std::sync::Arc;
-
 use candle_core::{DType, Device, Tensor, Var};
 
 use crate::base::Image;
@@ -60,7 +58,7 @@ fn goal_rays() -> Vec<([f64; 3], [f64; 3])> {
 /// Colour times weight and sum of weights from the goal, `[rays, 4]`.
 fn rendered(view: usize, planes_of_view: &Tensor) -> Tensor {
     let places = eyes()[view].places(&goal_rays(), &planes());
-    alpha_over(&plane_sample(planes_of_view, Arc::new(places)).unwrap()).unwrap()
+    alpha_over(&plane_sample(planes_of_view, &places).unwrap()).unwrap()
 }
 
 /// The views' poses and the goal's as LLFF's own file holds them, read.
