@@ -2,7 +2,7 @@
 
 use std::sync::{Arc, PoisonError};
 
-use candle_core::DType;
+use candle_core::{DType, Tensor};
 use sha2::{Digest, Sha256};
 
 use crate::base::{Error, Image, Result};
@@ -59,7 +59,10 @@ impl MpiNetwork {
                  back on the one before it"
             )));
         }
-        Mpi::new(eye, &blend_views(&raw, &volume)?)
+        // One plane at a time: all at once would take more memory than the network.
+        let plane = |k: usize| blend_views(&raw.narrow(0, k, 1)?, &volume.narrow(0, k, 1)?);
+        let planes = (0..depths.len()).map(plane).collect::<candle_core::Result<Vec<_>>>()?;
+        Mpi::new(eye, &Tensor::cat(&planes, 0)?)
     }
 
     /// Returns a hash of all weights.
