@@ -35,7 +35,7 @@ struct Measured<'a> {
 #[command(next_help_heading = "Experiment")]
 pub struct SmoothnessArguments {
     /// Measure how smooth the density is, as CSV, instead of images
-    #[arg(long, conflicts_with_all = ["step", "split", "lpips_weights", "out"])]
+    #[arg(long, conflicts_with_all = ["step", "split", "out"])]
     pub smoothness: bool,
     /// Cells along each side of the box; compare equal values only
     #[arg(long, value_name = "N", default_value_t = SMOOTHNESS_SIDE, requires = "smoothness")]
