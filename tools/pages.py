@@ -17,7 +17,6 @@ the page needs other words, and the program says so.
 """
 
 import csv
-import json
 import math
 import re
 import sys
@@ -50,7 +49,7 @@ def read(path):
 
 
 def label(line):
-    name = line.get("row") or line.get("run") or line.get("sweep") or ""
+    name = line.get("row") or line.get("sweep") or ""
     return f"{name}, {line['axes']}" if line.get("axes") else name
 
 
@@ -62,16 +61,24 @@ def folder(name):
         raise Wrong(f"{len(found)} results folders are called '{name}'")
     path = found[0]
     if not (path / "table.csv").exists():
-        rows = [line for table in ["over_scenes.csv", "scenes.csv", "across.csv", "summary.csv"] for line in read(path / table)]
-        runs = [] if rows else sorted(path.glob("*/metrics.json"))
-        return rows + [{"row": run.parent.name, **json.loads(run.read_text())["mean"]} for run in runs], []
+        return [line for table in ["over_scenes.csv", "scenes.csv", "across.csv"] for line in read(path / table)], []
     provenance = tomllib.loads((path / "provenance.toml").read_text()) if (path / "provenance.toml").exists() else {}
     constants = provenance.get("constants", {})
     attacks = {(label(line), line["scene"]): line for line in read(path / "attack.csv")}
-    own = lambda line: constants if line.get("source") in (None, "run") and line.get("status") in (None, "done") else {}  # noqa: E731
-    rows = [{**own({**line, "status": None}), **attacks.get((label(line), line["scene"]), {}), **line} for line in read(path / "table.csv")]
     timing = {line["id"]: line for line in read(path / "timing.csv")}
-    return rows, [{**own(line), **timing.get(line["id"], {}), **line} for line in read(path / "points.csv")]
+
+    # What was not trained here has none of the constants.
+    def whole(line, is_own, more):
+        return {**(constants if is_own else {}), **more, **line}
+
+    rows = [
+        whole(line, line.get("source", "run") == "run", attacks.get((label(line), line["scene"]), {}))
+        for line in read(path / "table.csv")
+    ]
+    points = [
+        whole(line, line.get("status", "done") == "done", timing.get(line["id"], {})) for line in read(path / "points.csv")
+    ]
+    return rows, points
 
 
 def line_of(name, place, seed):

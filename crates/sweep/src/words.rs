@@ -60,7 +60,7 @@ impl Definition {
         Ok(())
     }
 
-    /// Checks that other programs read no name of a row or scene as a missing value. Folders of earlier versions may have other names.
+    /// Checks that other programs read no name of a row or scene as a missing value.
     ///
     /// # Errors
     /// [`Error::Config`]: names the row or scene.

@@ -85,7 +85,7 @@ pub fn check(verifier: &Verifier, sweep: &Collected, findings: &mut Findings) ->
     if verifier.update {
         repin(archive, &held)?;
     }
-    findings.of(format!("all {} points are done, or it is said why not", archive.points.len()), gaps(archive));
+    findings.of(format!("{} points: each is done, or a [[missing]] says why not", archive.points.len()), gaps(archive));
     page(sweep, verifier.update, findings)?;
     others(sweep, verifier.update, findings)?;
     for missing in &archive.provenance.missing {

@@ -20,7 +20,7 @@ pub struct Collected<'a> {
     pub timing: &'a [PointTiming],
     /// Add clock times to the tables, which are then no longer reproducible.
     pub with_timing: bool,
-    /// The protocol fields that all points share, which are no columns; `None` for columns as earlier versions wrote them.
+    /// The protocol fields that all points share, which are no columns.
     pub constants: Constants,
     /// The table, or `None` until its rows are known to be comparable.
     pub table: Option<&'a Table>,
