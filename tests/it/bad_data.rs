@@ -4,29 +4,15 @@ use std::fs;
 use std::path::Path;
 
 use crate::common::assert_says;
+use crate::common::files::{npy, write_poses};
 use augnerf::data;
 use augnerf::settings::{DataConfig, DataKind, EvalSplit};
 use tempfile::TempDir;
 
 /// A row of `poses_bounds.npy`: the camera at (x, 0, 0) that looks along -z.
-fn row(x: f64) -> Vec<f64> {
+fn row(x: f64) -> [f64; 17] {
     // Columns down, right, back, origin, (height, width, focal).
-    vec![0.0, 1.0, 0.0, x, 12.0, -1.0, 0.0, 0.0, 0.0, 16.0, 0.0, 0.0, 1.0, 0.0, 14.0, 1.0, 5.0]
-}
-
-fn npy(descr: &str, shape: (usize, usize), bytes: &[u8]) -> Vec<u8> {
-    let shape = format!("({}, {})", shape.0, shape.1);
-    let header = format!("{{'descr': '{descr}', 'fortran_order': False, 'shape': {shape}, }}\n");
-    let mut file = b"\x93NUMPY\x01\x00".to_vec();
-    file.extend((header.len() as u16).to_le_bytes());
-    file.extend(header.as_bytes());
-    file.extend(bytes);
-    file
-}
-
-fn write_poses(dir: &Path, rows: &[Vec<f64>]) {
-    let bytes: Vec<u8> = rows.iter().flatten().flat_map(|v| v.to_le_bytes()).collect();
-    fs::write(dir.join("poses_bounds.npy"), npy("<f8", (rows.len(), rows[0].len()), &bytes)).unwrap();
+    [0.0, 1.0, 0.0, x, 12.0, -1.0, 0.0, 0.0, 0.0, 16.0, 0.0, 0.0, 1.0, 0.0, 14.0, 1.0, 5.0]
 }
 
 fn write_image(path: &Path, width: u32, height: u32) {
@@ -193,11 +179,11 @@ fn pose_files() {
     let dir = llff();
     let file = dir.path().join("poses_bounds.npy");
     for (bytes, words) in [
-        (npy("<f8", (4, 15), &[0; 4 * 15 * 8]), vec!["4 x 15", "17"]),
-        (npy("<f8", (0, 17), &[]), vec!["0 x 17"]),
-        (npy("<i8", (4, 17), &[0; 4 * 17 * 8]), vec!["<i8", "float64"]),
-        (npy("<f8", (4, 17), &[0; 100]), vec!["4 x 17", "100 bytes", "truncated"]),
-        (npy("<f8", (4, 17), &[0; 4 * 17 * 8]), vec!["view 0", "bounds 0 and 0"]),
+        (npy("<f8", [4, 15], &[0; 4 * 15 * 8]), vec!["4 x 15", "17"]),
+        (npy("<f8", [0, 17], &[]), vec!["0 x 17"]),
+        (npy("<i8", [4, 17], &[0; 4 * 17 * 8]), vec!["<i8", "float64"]),
+        (npy("<f8", [4, 17], &[0; 100]), vec!["4 x 17", "100 bytes", "truncated"]),
+        (npy("<f8", [4, 17], &[0; 4 * 17 * 8]), vec!["view 0", "bounds 0 and 0"]),
         (b"PK\x03\x04 zipped".to_vec(), vec!["no .npy file"]),
         (b"\x93NUMPY".to_vec(), vec!["truncated"]),
     ] {

@@ -16,6 +16,7 @@ use augnerf::space::read_mesh;
 use tempfile::TempDir;
 
 use crate::common::assert_says;
+use crate::common::files::write_poses;
 use crate::common::program::{printed, refuse, succeed};
 
 /// What COLMAP knows of a photograph: number, world to camera, camera, file.
@@ -554,8 +555,7 @@ pub fn arc_of(dir: &Path, degrees: f64, [columns, rows]: [f64; 2]) {
         // Columns down, right, back, origin, (height, width, focal).
         [0.0, cos, sin, x, rows, -1.0, 0.0, 0.0, 0.0, columns, 0.0, -sin, cos, z, 14.0, 1.0, 60.0]
     };
-    let values: Vec<f64> = (0..12).flat_map(row).collect();
-    fs::write(dir.join("poses_bounds.npy"), crate::fuzz::formats::npy((12, 17), &values)).unwrap();
+    write_poses(dir, &std::array::from_fn::<_, 12, _>(row));
     fs::create_dir_all(dir.join("images")).unwrap();
     for view in 0..12 {
         image::RgbImage::from_pixel(16, 12, image::Rgb([view as u8 * 9; 3]))

@@ -5,8 +5,8 @@ use std::path::Path;
 
 use crate::common::assert_says;
 use crate::common::files::{rows, text};
-use crate::fuzz::formats::packed;
-use crate::fuzz::results::done_sweep;
+use crate::fuzz::damage::packed;
+use crate::fuzz::readers::done_sweep;
 use crate::verify::{results, verify};
 use augnerf::run::{DepthErrors, RunDir};
 use augnerf::sweep::SweepOutputs;

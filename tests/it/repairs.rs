@@ -13,9 +13,9 @@ use tempfile::TempDir;
 
 use crate::captures::{Folder, all, names, read};
 use crate::common::assert_says;
-use crate::common::files;
+use crate::common::files::{self, copy};
 use crate::common::program::{refuse, succeed};
-use crate::strangers::{capture, check_folder, copy};
+use crate::strangers::{capture, check_folder};
 
 const KEY: &str = "transform_matrix";
 

@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use serde_json::Value;
 use tempfile::TempDir;
 
-use crate::common::files::{entries, files, json};
+use crate::common::files::{copy, entries, json};
 use crate::common::program::{demand, printed, refuse};
 use crate::common::{assert_says, program};
 
@@ -13,15 +13,6 @@ use crate::common::{assert_says, program};
 pub fn capture(name: &str) -> String {
     let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/fixtures/captures3").join(name);
     folder.to_str().unwrap().to_string()
-}
-
-/// Copies a folder into another.
-pub fn copy(from: &Path, to: &Path) {
-    for (path, content) in files(from, &[]) {
-        let path = to.join(path);
-        std::fs::create_dir_all(path.parent().unwrap()).unwrap();
-        std::fs::write(path, content).unwrap();
-    }
 }
 
 /// What `data check` says of it, with further settings.

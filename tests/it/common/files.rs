@@ -108,6 +108,28 @@ pub fn files(folder: &Path, without: &[&str]) -> Vec<(PathBuf, Vec<u8>)> {
     found
 }
 
+/// Copies a folder into another.
+pub fn copy(from: &Path, to: &Path) {
+    for (place, content) in files(from, &[]) {
+        let path = to.join(place);
+        std::fs::create_dir_all(path.parent().unwrap()).unwrap();
+        std::fs::write(path, content).unwrap();
+    }
+}
+
+/// A file of an array as NumPy stores it.
+pub fn npy(descr: &str, [rows, columns]: [usize; 2], bytes: &[u8]) -> Vec<u8> {
+    let header = format!("{{'descr': '{descr}', 'fortran_order': False, 'shape': ({rows}, {columns}), }}\n");
+    let length = (header.len() as u16).to_le_bytes();
+    [b"\x93NUMPY\x01\x00", &length[..], header.as_bytes(), bytes].concat()
+}
+
+/// Writes `poses_bounds.npy`.
+pub fn write_poses(folder: &Path, rows: &[[f64; 17]]) {
+    let bytes: Vec<u8> = rows.iter().flatten().flat_map(|value| value.to_le_bytes()).collect();
+    std::fs::write(folder.join("poses_bounds.npy"), npy("<f8", [rows.len(), 17], &bytes)).unwrap();
+}
+
 /// Demands that two folders hold the same files with the same bytes, but at the places `without`.
 #[track_caller]
 pub fn assert_same_files(a: &Path, b: &Path, without: &[&str]) {
