@@ -32,7 +32,7 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parent.parent
 # Folders and files that are not reproducible.
-FLEETING = {"timing.json", "timing.csv", "tensorboard", "run.lock"}
+FLEETING = {"timing.json", "timing.csv", "run.lock"}
 CALLS = "write,rename,renameat2,unlink,unlinkat,rmdir,mkdir,link,linkat,fsync,ftruncate"
 SIGNALS = {signal.SIGTERM: 143, signal.SIGINT: 130, signal.SIGHUP: 129}
 # Seconds; a command that takes longer hangs.

@@ -7,7 +7,7 @@ use std::path::Path;
 use augnerf::base::Image;
 use augnerf::base::files::{AtomicDir, clean_temporaries, write_atomic, write_named};
 use augnerf::draw::{Reel, beside, depth_colour, depth_range, write_depth16, write_png8};
-use augnerf::run::{EventWriter, Existing, RunDir, Scalars};
+use augnerf::run::{Existing, RunDir, Scalars};
 
 fn finished_run(path: &Path) {
     let run = RunDir::create(path, Existing::Refuse, 0).unwrap();
@@ -168,14 +168,6 @@ fn pictures_read_back() {
     frames.iter().for_each(|frame| reel.add(frame).unwrap());
     reel.finish().unwrap();
     check_gif(&fs::read(dir.join("video.gif")).unwrap(), &frames);
-
-    let mut events = EventWriter::create(&dir, None).unwrap();
-    for step in 0..20 {
-        events.scalars(step, &[("loss/clean", 1.0 / (step + 1) as f64), ("psnr", step as f64)]).unwrap();
-    }
-    events.image(19, "view", &joined).unwrap();
-    let mut resumed = EventWriter::create(&dir, Some(9)).unwrap();
-    resumed.scalars(10, &[("psnr", 100.0)]).unwrap();
 }
 
 fn check_gif(bytes: &[u8], frames: &[Image]) {

@@ -33,7 +33,7 @@ fn files(folder: &Path) -> BTreeMap<PathBuf, Vec<u8>> {
     for entry in std::fs::read_dir(folder).unwrap() {
         let path = entry.unwrap().path();
         let name = path.file_name().unwrap().to_string_lossy().into_owned();
-        if ["timing.json", "tensorboard", "run.lock"].contains(&name.as_str()) {
+        if ["timing.json", "run.lock"].contains(&name.as_str()) {
             continue;
         }
         if path.is_dir() {

@@ -259,31 +259,6 @@ fn rows_of_a_sweep_are_compared_by_their_names() {
     assert_says(&demand(dir, &["compare", "runs/tiny", run], 2), &["name it alone"]);
 }
 
-/// What no two numbers may share: a tag.
-#[test]
-fn tensorboard_tells_training_from_evaluation() {
-    let work = swept();
-    let run = run(work.path(), "Aug-NeRF", 1);
-    let [file] = <[PathBuf; 1]>::try_from(entries(&run.join("tensorboard"))).unwrap();
-    let bytes = std::fs::read(file).unwrap();
-    // A tag is a length and its letters: 10 is the field's key.
-    let has = |tag: &str| {
-        let field = [&[10, tag.len() as u8], tag.as_bytes()].concat();
-        bytes.windows(field.len()).any(|window| window == field)
-    };
-    for tag in ["train/psnr", "train/loss", "train/gain/t", "eval/psnr", "eval/ssim", "eval/gap", "eval/train_psnr"] {
-        assert!(has(tag), "{tag}");
-    }
-    for tag in ["psnr", "loss", "test_psnr", "train_psnr"] {
-        assert!(!has(tag), "{tag}");
-    }
-    for word in ["_hparams_/session_start_info", "_hparams_/session_end_info", "train.steps", "aug-nerf"] {
-        assert!(bytes.windows(word.len()).any(|window| window == word.as_bytes()), "{word}");
-    }
-    let head = text(&run.join("scalars.csv"));
-    assert!(head.lines().next().unwrap().contains(",psnr,test_psnr,"), "columns keep their names");
-}
-
 #[test]
 #[ignore = "needs AUGNERF_LPIPS_WEIGHTS"]
 fn lpips_and_the_average_are_those_of_an_evaluation() {

@@ -155,7 +155,7 @@ fn signals_of_a_scheduler_stop_a_point_with_a_checkpoint_however_many_come() {
     demand(&point("0"), dir, 0);
     demand(&point("0"), whole.path(), 0);
     assert_eq!(json(&own.join("run/timing.json"))["sessions"], 2);
-    assert_same_files(&points(whole.path())[0], &own, &["run/timing.json", "run/run.lock", "run/tensorboard"]);
+    assert_same_files(&points(whole.path())[0], &own, &["run/timing.json", "run/run.lock"]);
 }
 
 #[test]

@@ -286,7 +286,7 @@ fn a_stop_during_an_evaluation_loses_that_step_alone() {
             std::fs::write(run.config(), config.to_toml()).unwrap();
             (run, Trainer::new(&config, &scene, DType::F32, runtime()).unwrap())
         };
-        let mut session = Session::new(&run, trainer, resumed).unwrap();
+        let mut session = Session::new(&run, trainer).unwrap();
         let outcome = session.run(&signal, &(), &mut Evaluating { stop_at, run: path });
         (outcome, std::fs::read_to_string(run.scalars()).unwrap())
     };

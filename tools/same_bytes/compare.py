@@ -5,7 +5,6 @@ import difflib
 import io
 import json
 import re
-import struct
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
 from itertools import zip_longest
@@ -36,7 +35,6 @@ LATER_SECTIONS = [rb"\n\[field\.hash\]"]
 # Files with clocks and processes: their words are compared, their numbers are not.
 CLOCKS = {"timing.json", "timing.csv", "run.lock"}
 NUMBER = re.compile(rb"-?\d+(\.\d+)?(e[+-]?\d+)?|null")
-EVENTS = re.compile(r"events\.out\.tfevents\.\d+\.(.*)\.\d+$")
 # Clocks in messages (folder `said`), with their replacements.
 SAID = [
     (re.compile(rb"(?m)^step \d+/\d+  .* rays/s  ETA .*\n"), b""),
@@ -74,8 +72,6 @@ class Normaliser:
     def content(self, file):
         """Returns a file's bytes without its clocks, revisions and working folder."""
         content = file.read_bytes()
-        if EVENTS.search(file.name):
-            return events(content)
         content = self.workplace.sub(b"WORKPLACE", self.revision.sub(b"REVISION", content))
         # A run of both programs names both.
         content = re.sub(rb'REVISION(?: \+ |",\s*")REVISION', b"REVISION", content)
@@ -87,26 +83,10 @@ class Normaliser:
         return content
 
 
-def events(content):
-    """Returns the records of a TensorBoard file without wall times and their checksums."""
-    records, at = [], 0
-    while at < len(content):
-        (length,) = struct.unpack_from("<Q", content, at)
-        record = content[at + 12 : at + 12 + length]
-        # Field 1, a double, is the wall time and comes first.
-        records.append(record[9:] if record[:1] == b"\x09" else record)
-        at += 16 + length
-    return b"\0".join(records)
-
-
 def files(folder):
-    """Returns every file and empty folder below `folder` by relative name, without clocks and processes in names of event files."""
-    found, counts = {}, {}
-    for path in sorted(path for path in folder.rglob("*") if not path.is_symlink() and (path.is_file() or is_empty(path))):
-        name = EVENTS.sub(r"events.\1", str(path.relative_to(folder)))
-        counts[name] = counts.get(name, 0) + 1
-        found[name if counts[name] == 1 else f"{name}.{counts[name]}"] = path
-    return found
+    """Returns every file and empty folder below `folder` by relative name."""
+    paths = (path for path in folder.rglob("*") if not path.is_symlink() and (path.is_file() or is_empty(path)))
+    return {str(path.relative_to(folder)): path for path in paths}
 
 
 def is_empty(path):

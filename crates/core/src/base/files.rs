@@ -2,10 +2,11 @@
 //!
 //! New content is written under a temporary name in the same folder, flushed to the disk, and renamed. The same folder
 //! is the same file system, so that the rename cannot become a copy. A killed process leaves at most an entry whose
-//! name starts with [`TEMPORARY`] or [`REPLACED`]. [`clean_temporaries`] cleans these up, and so does the next
-//! [`AtomicDir`] of the same name. A process locks its entries while it works on them; locked entries are left alone.
+//! name starts with [`TEMPORARY`]. [`clean_temporaries`] deletes these, and so does the next [`AtomicDir`] of the same
+//! name. A process locks its entries while it works on them; locked entries are left alone.
 
-use std::fs::{self, File};
+use std::ffi::{OsStr, OsString};
+use std::fs::{self, File, TryLockError};
 use std::io::{self, Write};
 use std::path::{Path, PathBuf};
 
@@ -14,9 +15,8 @@ use serde::{Deserialize, Serialize};
 use crate::base::input::{JSON_BYTES, read_bytes};
 use crate::base::{Error, Result};
 
-pub use super::temporaries::{REPLACED, TEMPORARY, clean_temporaries, is_temporary, temporary_beside};
-use super::temporaries::{clean_where, folder_of, held_beside, name_of, prefixed};
-pub use super::temporaries::{discard, hold, remove, wait_and_hold};
+/// Prefix of the names of unfinished entries, before the name that the entry is to have and random letters.
+pub const TEMPORARY: &str = ".augnerf-tmp-";
 
 /// Writes `bytes` to `path` atomically. At every moment, and after a crash of the machine, the file has its old content
 /// or the new one. A symbolic link is replaced, because in a folder of somebody else it might lead anywhere. A device or
@@ -29,7 +29,7 @@ pub fn write_atomic(path: &Path, bytes: &[u8]) -> Result<()> {
 /// written to directly. What killed processes left of files of this name is deleted first.
 pub fn write_named(path: &Path, bytes: &[u8]) -> Result<()> {
     // A leftover that cannot be deleted does no harm.
-    let _ = name_of(path).and_then(|name| clean_where(folder_of(path), |entry| entry == name));
+    let _ = clean_beside(path);
     try_write_named(path, bytes).map_err(|error| Error::unwritable(path, &error))
 }
 
@@ -107,7 +107,7 @@ fn try_write(target: &Path, bytes: &[u8]) -> io::Result<()> {
         }
         _ => {}
     }
-    let (temporary, mut file) = held_beside(target, |path| File::create_new(path), |file| Some(file))?;
+    let (mut file, temporary) = held_beside(target, |path| File::create_new(path), |file| Some(file))?;
     // Locked until it has its name, so that no process treats it as a leftover.
     let written = write_synced(&mut file, bytes).and_then(|()| fs::rename(&temporary, target));
     if written.is_err() {
@@ -137,9 +137,9 @@ impl AtomicDir {
     /// left of folders of this name.
     pub fn new(target: &Path) -> Result<AtomicDir> {
         // A leftover that cannot be deleted does no harm.
-        let _ = name_of(target).and_then(|name| clean_where(folder_of(target), |entry| entry == name));
+        let _ = clean_beside(target);
         let make = |path: &Path| fs::create_dir(path).map(|()| File::open(path).ok());
-        let (temporary, _held) =
+        let (_held, temporary) =
             held_beside(target, make, Option::as_ref).map_err(|error| Error::unwritable(target, &error))?;
         Ok(AtomicDir { temporary, target: target.to_path_buf(), _held })
     }
@@ -170,45 +170,125 @@ impl AtomicDir {
         &self.temporary
     }
 
-    /// Flushes everything inside to the disk, and gives the folder its final name. A folder that has this name already
-    /// is moved aside first and deleted last. [`clean_temporaries`] undoes a kill between the two renames.
+    /// Flushes everything inside to the disk, deletes what has the final name already, and gives the folder this name.
     pub fn commit(self) -> Result<()> {
-        self.try_commit().map_err(|error| Error::unwritable(&self.target, &error))
+        self.rename(|| discard(&self.target))
     }
 
     /// The same for a name that nobody has taken meanwhile.
     pub fn commit_new(self) -> Result<()> {
-        let committed = sync_tree(&self.temporary).and_then(|()| match self.target.symlink_metadata() {
-            Ok(_) => Err(io::Error::from(io::ErrorKind::AlreadyExists)),
-            Err(_) => fs::rename(&self.temporary, &self.target),
-        });
-        committed
-            .and_then(|()| sync_folder(folder_of(&self.target)))
-            .map_err(|error| Error::unwritable(&self.target, &error))
+        self.rename(|| match self.target.symlink_metadata() {
+            Ok(_) => Err(io::ErrorKind::AlreadyExists.into()),
+            Err(_) => Ok(()),
+        })
     }
 
-    fn try_commit(&self) -> io::Result<()> {
-        sync_tree(&self.temporary)?;
-        let parent = folder_of(&self.target);
-        let replaced = parent.join(prefixed(REPLACED, name_of(&self.target)?));
-        let mut _held = None;
-        if self.target.symlink_metadata().is_ok() {
-            discard(&replaced)?;
-            _held = hold(&self.target);
-            fs::rename(&self.target, &replaced)?;
-        }
-        if let Err(error) = fs::rename(&self.temporary, &self.target) {
-            let _ = fs::rename(&replaced, &self.target);
-            return Err(error);
-        }
-        sync_folder(parent)?;
-        discard(&replaced)
+    fn rename(&self, make_way: impl FnOnce() -> io::Result<()>) -> Result<()> {
+        sync_tree(&self.temporary)
+            .and_then(|()| make_way())
+            .and_then(|()| fs::rename(&self.temporary, &self.target))
+            .and_then(|()| sync_folder(folder_of(&self.target)))
+            .map_err(|error| Error::unwritable(&self.target, &error))
     }
 }
 
 impl Drop for AtomicDir {
     fn drop(&mut self) {
         let _ = fs::remove_dir_all(&self.temporary);
+    }
+}
+
+/// Deletes what killed processes left unfinished in `dir` (not below it), and returns the number of entries. If the file
+/// system has no locks, call it only while holding the run's lock and without writes of your own.
+pub fn clean_temporaries(dir: &Path) -> Result<usize> {
+    clean(dir, OsStr::new(TEMPORARY)).map_err(|error| Error::unwritable(dir, &error))
+}
+
+/// Deletes what was to have the name `target`.
+fn clean_beside(target: &Path) -> io::Result<usize> {
+    clean(folder_of(target), &temporary_prefix(target)?)
+}
+
+fn clean(dir: &Path, prefix: &OsStr) -> io::Result<usize> {
+    let mut cleaned = 0;
+    for entry in fs::read_dir(dir)? {
+        let entry = entry?;
+        if !entry.file_name().as_encoded_bytes().starts_with(prefix.as_encoded_bytes()) {
+            continue;
+        }
+        let kind = entry.file_type()?;
+        // Opening a pipe would wait. The lock is kept until the entry is deleted, so that its maker notices.
+        let file = if kind.is_file() || kind.is_dir() { File::open(entry.path()).ok() } else { None };
+        if file.as_ref().is_some_and(|file| matches!(file.try_lock(), Err(TryLockError::WouldBlock))) {
+            continue;
+        }
+        remove(&entry.path())?;
+        cleaned += 1;
+    }
+    Ok(cleaned)
+}
+
+/// Returns whether an entry of this name is unfinished, or a leftover of a killed process.
+pub fn is_temporary(name: &OsStr) -> bool {
+    name.as_encoded_bytes().starts_with(TEMPORARY.as_bytes())
+}
+
+/// Deletes a file or folder, or a symbolic link itself. It is no error if it does not exist, or if another process
+/// deletes it meanwhile.
+pub fn remove(path: &Path) -> io::Result<()> {
+    let removed = path.symlink_metadata().and_then(|found| match found.is_dir() {
+        true => fs::remove_dir_all(path),
+        false => fs::remove_file(path),
+    });
+    removed.or_else(|error| if error.kind() == io::ErrorKind::NotFound { Ok(()) } else { Err(error) })
+}
+
+/// Deletes an entry completely: a kill leaves all of it or nothing. The entry loses its name first.
+pub fn discard(path: &Path) -> io::Result<()> {
+    match path.symlink_metadata() {
+        Ok(_) => remove(&beside(path, |aside| fs::rename(path, aside))?.1),
+        Err(error) if error.kind() == io::ErrorKind::NotFound => Ok(()),
+        Err(error) => Err(error),
+    }
+}
+
+/// Waits for the lock of a file or folder and takes it. Returns `None` if the file system has no locks.
+pub fn wait_and_hold(path: &Path) -> Option<File> {
+    File::open(path).ok().filter(|file| file.lock().is_ok())
+}
+
+/// Makes an entry next to `target`, and locks it through its `file` if the file system has locks. Between the two,
+/// another process may treat it as a leftover and delete it. Then it is made again.
+fn held_beside<T>(
+    target: &Path,
+    make: impl Fn(&Path) -> io::Result<T>,
+    file: impl Fn(&T) -> Option<&File>,
+) -> io::Result<(T, PathBuf)> {
+    loop {
+        let (made, path) = beside(target, &make)?;
+        // Waits for a process that is deleting it.
+        let _ = file(&made).map(File::lock);
+        if path.symlink_metadata().is_ok() {
+            return Ok((made, path));
+        }
+    }
+}
+
+/// Makes an entry beside `target`, under a temporary name that no other process has.
+fn beside<T>(target: &Path, make: impl Fn(&Path) -> io::Result<T>) -> io::Result<(T, PathBuf)> {
+    let made = tempfile::Builder::new().prefix(&temporary_prefix(target)?).make_in(folder_of(target), make)?;
+    made.keep().map_err(|error| error.error)
+}
+
+fn temporary_prefix(target: &Path) -> io::Result<OsString> {
+    let name = target.file_name().ok_or_else(|| io::Error::other("the path does not end in a name"))?;
+    Ok([OsStr::new(TEMPORARY), name, OsStr::new(".")].into_iter().collect())
+}
+
+fn folder_of(path: &Path) -> &Path {
+    match path.parent() {
+        Some(parent) if !parent.as_os_str().is_empty() => parent,
+        _ => Path::new("."),
     }
 }
 
@@ -239,8 +319,17 @@ fn sync_tree(folder: &Path) -> io::Result<()> {
 
 #[cfg(test)]
 mod tests {
+    use std::sync::atomic::{AtomicBool, Ordering};
+
     use super::*;
-    use crate::base::temporaries::names;
+
+    /// Returns the names of a folder's entries, in order.
+    fn names(dir: &Path) -> Vec<String> {
+        let mut names: Vec<String> =
+            fs::read_dir(dir).unwrap().map(|entry| entry.unwrap().file_name().into_string().unwrap()).collect();
+        names.sort();
+        names
+    }
 
     #[test]
     fn a_file_is_created_and_replaced_without_leftovers() {
@@ -256,10 +345,10 @@ mod tests {
     fn a_named_file_takes_its_own_leftovers_away() {
         let dir = tempfile::tempdir().unwrap();
         for name in ["a.json", "b.json"] {
-            fs::write(dir.path().join(format!("{TEMPORARY}7-0-{name}")), "half").unwrap();
+            fs::write(dir.path().join(format!("{TEMPORARY}{name}.x7")), "half").unwrap();
         }
         write_named(&dir.path().join("a.json"), b"{}").unwrap();
-        assert_eq!(names(dir.path()), [".augnerf-tmp-7-0-b.json", "a.json"]);
+        assert_eq!(names(dir.path()), [".augnerf-tmp-b.json.x7", "a.json"]);
     }
 
     #[test]
@@ -339,5 +428,64 @@ mod tests {
             assert!(at(free).is_dir());
         }
         assert_eq!(names(dir.path()), ["empty", "file", "full", "new"]);
+    }
+
+    #[test]
+    fn what_kills_left_is_put_right() {
+        let dir = tempfile::tempdir().unwrap();
+        let at = |name: &str| dir.path().join(name);
+        fs::write(at(".augnerf-tmp-metrics.json.x1"), "half").unwrap();
+        fs::create_dir(at(".augnerf-tmp-step-20.x1")).unwrap();
+        fs::create_dir(at("step-15")).unwrap();
+        fs::write(at(".hidden"), "not ours").unwrap();
+        assert_eq!(clean_temporaries(dir.path()).unwrap(), 2);
+        assert_eq!(names(dir.path()), [".hidden", "step-15"]);
+    }
+
+    #[test]
+    fn what_is_being_written_is_no_leftover() {
+        let dir = tempfile::tempdir().unwrap();
+        let target = dir.path().join("step-10");
+        let working = AtomicDir::new(&target).unwrap();
+        fs::write(working.path().join("weights"), "half").unwrap();
+        assert_eq!(clean_temporaries(dir.path()).unwrap(), 0);
+        // Another one of the same name, as of another process.
+        AtomicDir::new(&target).unwrap().commit().unwrap();
+        working.commit().unwrap();
+        assert_eq!(fs::read_to_string(target.join("weights")).unwrap(), "half");
+        assert_eq!(names(dir.path()), ["step-10"]);
+    }
+
+    #[test]
+    fn nothing_is_taken_for_a_leftover_while_many_clean() {
+        let dir = tempfile::tempdir().unwrap();
+        let over = AtomicBool::new(false);
+        std::thread::scope(|scope| {
+            for _ in 0..3 {
+                scope.spawn(|| {
+                    while !over.load(Ordering::Relaxed) {
+                        clean_temporaries(dir.path()).unwrap();
+                    }
+                });
+            }
+            // Few names, so that cleaning is quick and meets what is just being made.
+            let written = (0..500).try_for_each(|turn| {
+                write_atomic(&dir.path().join("a"), b"whole")?;
+                AtomicDir::new(&dir.path().join(format!("folder-{}", turn % 8)))?.commit()
+            });
+            over.store(true, Ordering::Relaxed);
+            written.unwrap();
+        });
+    }
+
+    #[test]
+    fn leftovers_beside_a_folder_go_when_it_is_written_again() {
+        let dir = tempfile::tempdir().unwrap();
+        let target = dir.path().join("pictures");
+        for leftover in [".augnerf-tmp-pictures.x3", ".augnerf-tmp-pictures.y0", ".augnerf-tmp-others.x4"] {
+            fs::create_dir(dir.path().join(leftover)).unwrap();
+        }
+        AtomicDir::vacant(&target).unwrap().commit().unwrap();
+        assert_eq!(names(dir.path()), [".augnerf-tmp-others.x4", "pictures"], "another name is another's");
     }
 }

@@ -9,7 +9,6 @@ pub mod input;
 pub mod place;
 pub mod rng;
 pub mod simd;
-mod temporaries;
 pub mod tensors;
 mod text;
 

@@ -7,7 +7,7 @@ use std::io;
 use std::path::{Path, PathBuf};
 
 use crate::base::files::{
-    check_own, clean_temporaries, discard, is_temporary, read_json, remove, temporary_beside, write_synced,
+    TEMPORARY, check_own, clean_temporaries, discard, is_temporary, read_json, remove, write_synced,
 };
 use crate::base::input::{TEXT_BYTES, read_text};
 use crate::base::{Error, Result};
@@ -25,7 +25,6 @@ const DEPTH_ERRORS: &str = "depth_errors.gz";
 const SMOOTHNESS: &str = "smoothness.csv";
 const SCALARS: &str = "scalars.csv";
 const TIMING: &str = "timing.json";
-const TENSORBOARD: &str = "tensorboard";
 const CHECKPOINTS: &str = "checkpoints";
 const RENDERS: &str = "renders";
 const MESH: &str = "mesh";
@@ -34,7 +33,7 @@ const EVAL: &str = "eval";
 /// The files of a run, apart from the lock.
 const FILES: [&str; 8] = [CONFIG, SCENE, METRICS_JSON, METRICS_CSV, DEPTH_ERRORS, SMOOTHNESS, SCALARS, TIMING];
 /// The subfolders of a run.
-const FOLDERS: [&str; 3] = [TENSORBOARD, CHECKPOINTS, RENDERS];
+const FOLDERS: [&str; 2] = [CHECKPOINTS, RENDERS];
 
 /// Size of the test file: enough for a full file system to report an error.
 const PROBE_BYTES: usize = 8 * 1024;
@@ -255,11 +254,6 @@ impl RunDir {
         self.path.join(TIMING)
     }
 
-    /// Returns the path of `tensorboard/`: event files.
-    pub fn tensorboard(&self) -> PathBuf {
-        self.path.join(TENSORBOARD)
-    }
-
     /// Returns the path of `checkpoints/`.
     pub fn checkpoints(&self) -> PathBuf {
         self.path.join(CHECKPOINTS)
@@ -378,12 +372,13 @@ fn clear(path: &Path) -> io::Result<()> {
 
 /// Writes some blocks into `folder` through to the disk, and deletes them again.
 fn probe(folder: &Path) -> Result<()> {
-    let name = temporary_beside(&folder.join("probe")).map_err(|error| Error::unwritable(folder, &error))?;
     // Varying content, so that a compressing or sparse file system needs real blocks.
     let bytes: Vec<u8> = (0..PROBE_BYTES).map(|i| (i.wrapping_mul(2_654_435_761) >> 16) as u8).collect();
-    let written = fs::File::create_new(&name).and_then(|mut file| write_synced(&mut file, &bytes));
-    let removed = remove(&name);
-    written.and(removed).map_err(|error| Error::unwritable(folder, &error))
+    let probed = tempfile::Builder::new().prefix(TEMPORARY).tempfile_in(folder).and_then(|mut probe| {
+        write_synced(probe.as_file_mut(), &bytes)?;
+        probe.close()
+    });
+    probed.map_err(|error| Error::unwritable(folder, &error))
 }
 
 fn check_space(path: &Path, needed: u64) -> Result<()> {

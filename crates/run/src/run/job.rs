@@ -9,7 +9,7 @@ use std::time::Instant;
 use candle_core::DType;
 
 use crate::base::files::write_atomic;
-use crate::base::{Error, Event, Image, Listener, Result};
+use crate::base::{Error, Event, Listener, Result};
 use crate::data::{Scene, seen_views};
 use crate::field::forget_buffers;
 use crate::methods::{LogColumns, Term};
@@ -323,18 +323,14 @@ impl Experiment<'_> {
         events.on(Event::TrainingStarted { first, steps, rays });
         let preview = self.previews_from.map(|shortest| Preview::new((first, steps), shortest));
         let mut watcher = Watcher { experiment: self, events, signal, seconds_evaluation: 0.0, preview };
-        let mut session = Session::new(&self.run, trainer, self.earlier.sessions > 0)?;
+        let mut session = Session::new(&self.run, trainer)?;
         let outcome = session.run(signal, events, &mut watcher);
         events.on(Event::TrainingFinished);
         if let Outcome::Stopped { signal } = outcome? {
             return Err(interrupted(signal, session.trainer().step_count(), self.run.path()));
         }
         let evaluating = Instant::now();
-        let (report, picture) = self.evaluate(session.trainer(), events, signal)?;
-        if let Some(picture) = picture {
-            session.picture("eval/view", &picture)?;
-        }
-        session.evaluated(&report.mean)?;
+        let report = self.evaluate(session.trainer(), events, signal)?;
         let seconds = evaluating.elapsed().as_secs_f64() + watcher.seconds_evaluation;
         self.timing(session.trainer().step_count(), session.seconds(), seconds).write(&self.run.timing())?;
         // Whoever switches the check of each step off wants the numbers of collapsed trainings, too.
@@ -373,30 +369,19 @@ impl Experiment<'_> {
         }
     }
 
-    /// Measures every held-out view and some training views; also returns the first view's image, if images are
-    /// written.
-    fn evaluate(
-        &self,
-        trainer: &Trainer,
-        events: &dyn Listener,
-        signal: &AtomicUsize,
-    ) -> Result<(Report, Option<Image>)> {
+    /// Measures every held-out view and some training views.
+    fn evaluate(&self, trainer: &Trainer, events: &dyn Listener, signal: &AtomicUsize) -> Result<Report> {
         let (viewer, state) = (self.viewer(trainer)?, trainer.state());
         let renders = self.run.renders();
         let pictures = Pictures::new(&renders, self.setup.scene, self.setup.config.eval.pictures);
-        let mut first = None;
         let (run, folder, lpips) = (&self.run, self.run.path(), self.setup.lpips);
         let measurement = Measurement { run, folder, viewer, state: &state, lpips, events, split: None };
         let report = measurement.write(
             || self.check_signal(signal, trainer.step_count()),
-            |index, view, rendered| {
-                let beside = pictures.write(index, view, rendered)?;
-                first = first.take().or(beside);
-                Ok(())
-            },
+            |index, view, rendered| pictures.write(index, view, rendered),
         )?;
         pictures.finish()?;
-        Ok((report, first))
+        Ok(report)
     }
 
     fn timing(&self, step: u64, training: f64, evaluation: f64) -> Timing {

@@ -1,9 +1,8 @@
 //! One experiment from its settings to its results: scene, run folder, training, evaluation and output files.
 //!
 //! Two rules hold throughout. A file is replaced by a rename, so that a reader sees the old content or the new one and
-//! never a mixture, even after a kill. Everything written is a function of configuration and seed, with three
-//! exceptions: `timing.json`, the event files in `tensorboard/` and `run.lock` contain clock times, host names or
-//! process numbers.
+//! never a mixture, even after a kill. Everything written is a function of configuration and seed, with two
+//! exceptions: `timing.json` and `run.lock` contain clock times, host names or process numbers.
 
 mod balance;
 mod columns;
@@ -31,7 +30,6 @@ mod score;
 mod session;
 mod smoothness;
 mod surface;
-mod tensorboard;
 mod trained;
 
 pub use balance::{BalancedWeight, balance};
@@ -63,6 +61,5 @@ pub use surface::{
     BUILTIN, Surface, builtin_surface, most_memory_mib, reference_mesh, surface_box, surface_reference,
     surface_threshold,
 };
-pub use tensorboard::EventWriter;
 use trained::Measurement;
 pub use trained::{OpenOptions, Split, Trained};

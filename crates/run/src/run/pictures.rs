@@ -147,10 +147,10 @@ impl<'a> Pictures<'a> {
         Pictures { folder, scene, count, range: RefCell::new(None) }
     }
 
-    /// Writes the images of a view if it is among the first; returns the image with all side by side.
-    pub fn write(&self, index: usize, view: &View, rendered: &RenderedView) -> Result<Option<Image>> {
+    /// Writes the images of a view if it is among the first.
+    pub fn write(&self, index: usize, view: &View, rendered: &RenderedView) -> Result<()> {
         if index >= self.count {
-            return Ok(None);
+            return Ok(());
         }
         let Image { width, height, .. } = rendered.image;
         let file = |what: &str| self.folder.join(format!("{}_{what}.png", view.name));
@@ -165,8 +165,7 @@ impl<'a> Pictures<'a> {
             write_png8(&file("mask"), &mask_picture(mask, width, height))?;
         }
         let all = self.beside(view.image.as_ref().clone(), view.mask.as_deref(), rendered, (&colours, range))?;
-        write_png8(&file("beside"), &all)?;
-        Ok(Some(all))
+        write_png8(&file("beside"), &all)
     }
 
     fn depth_range(&self, rendered: &RenderedView) -> (f32, f32) {

@@ -3,13 +3,10 @@
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::time::{Duration, Instant};
 
-use crate::base::{Error, Event, Image, Listener, Result};
-use crate::run::{EventWriter, RunDir, Scalars};
+use crate::base::{Error, Event, Listener, Result};
+use crate::run::{RunDir, Scalars};
 
 use crate::methods::{LogColumns, Term};
-use crate::metrics::MeanMetrics;
-use crate::settings::registry::{Effect, REGISTRY};
-use crate::settings::{Config, value_at};
 use crate::train::{StepStats, Trainer};
 
 /// Work between steps.
@@ -48,7 +45,6 @@ pub struct Session<'a> {
     run: &'a RunDir,
     trainer: Trainer,
     scalars: Scalars,
-    events: EventWriter,
     /// Time spent on steps, without logs and evaluations.
     stepping: Duration,
     /// The terms of the loss in the last step of this session.
@@ -65,34 +61,6 @@ fn columns(trainer: &Trainer) -> Vec<String> {
     let seen = when(evaluates && config.eval.train_views != Some(0), &TRAINING_VIEW_COLUMNS);
     let named = |names: &[&str]| names.iter().map(|name| name.to_string()).collect::<Vec<_>>();
     [named(&["learning_rate", "loss"]), photometric, named(&["psnr"]), named(evaluation), named(seen), further].concat()
-}
-
-/// Returns the TensorBoard tag of a column. The tag says whether the number is of training rays or of views, so that
-/// no two numbers share a name. `scalars.csv` keeps the column names.
-fn tag(column: &str, eval_stride: usize) -> String {
-    // Over every N-th pixel, the number differs from that of complete views at the end.
-    let evaluated = if eval_stride == 1 { "eval" } else { "eval_sparse" };
-    match column {
-        "test_psnr" => format!("{evaluated}/psnr"),
-        "test_psnr_float" => format!("{evaluated}/psnr_float"),
-        // An evaluation of training views.
-        seen if TRAINING_VIEW_COLUMNS.contains(&seen) => format!("{evaluated}/{seen}"),
-        trained => format!("train/{}", trained.replace('.', "/")),
-    }
-}
-
-/// Returns what identifies a run: its method, scene and seed, and all settings that can change a number and are not at
-/// their defaults.
-fn settings(config: &Config) -> Vec<(String, toml::Value)> {
-    let (own, default) = (config.portable().to_table(), Config::default().portable().to_table());
-    let always = ["method", "data.name", "seed", "train.steps"];
-    let of_numbers = REGISTRY.settings.iter().filter(|setting| setting.rule.effect == Effect::Numbers);
-    let named = always.into_iter().chain(
-        of_numbers
-            .map(|setting| setting.path.as_str())
-            .filter(|path| !always.contains(path) && value_at(&own, path) != value_at(&default, path)),
-    );
-    named.filter_map(|path| Some((path.to_string(), value_at(&own, path)?.clone()))).collect()
 }
 
 /// Writes the header of `scalars.csv`, for a run that may be measured before its first step.
@@ -117,18 +85,12 @@ fn values(stats: &StepStats) -> Vec<(String, f64)> {
 }
 
 impl<'a> Session<'a> {
-    /// Creates a session that continues from the trainer's step: 0, or that of its checkpoint. With `resumed`, an
-    /// earlier session may have logged later steps.
-    pub fn new(run: &'a RunDir, trainer: Trainer, resumed: bool) -> Result<Session<'a>> {
+    /// Creates a session that continues from the trainer's step: 0, or that of its checkpoint.
+    pub fn new(run: &'a RunDir, trainer: Trainer) -> Result<Session<'a>> {
         let columns = columns(&trainer);
         let columns: Vec<&str> = columns.iter().map(String::as_str).collect();
-        let step = trainer.step_count();
-        let scalars = Scalars::resume(&run.scalars(), &columns, step)?;
-        let mut events = EventWriter::create(&run.tensorboard(), resumed.then_some(step))?;
-        let config: &Config = trainer.config();
-        let group = Config { seed: 0, ..config.clone() }.hash();
-        events.settings(&group, &settings(config))?;
-        Ok(Session { run, trainer, scalars, events, stepping: Duration::ZERO, last_terms: Vec::new() })
+        let scalars = Scalars::resume(&run.scalars(), &columns, trainer.step_count())?;
+        Ok(Session { run, trainer, scalars, stepping: Duration::ZERO, last_terms: Vec::new() })
     }
 
     /// Returns the trainer at the current step.
@@ -144,20 +106,6 @@ impl<'a> Session<'a> {
     /// Returns the terms of the loss in the last step of this session; none before its first.
     pub fn last_terms(&self) -> &[Term] {
         &self.last_terms
-    }
-
-    /// Adds an image to the TensorBoard events at the current step.
-    pub fn picture(&mut self, tag: &str, picture: &Image) -> Result<()> {
-        self.events.image(self.trainer.step_count(), tag, picture)
-    }
-
-    /// Adds the metrics of the final evaluation to the TensorBoard events.
-    pub fn evaluated(&mut self, mean: &MeanMetrics) -> Result<()> {
-        let known: Vec<(String, f64)> =
-            mean.iter().filter_map(|(metric, value)| Some((format!("eval/{}", metric.key), value?))).collect();
-        let tagged: Vec<(&str, f64)> = known.iter().map(|(tag, value)| (tag.as_str(), *value)).collect();
-        self.events.scalars(self.trainer.step_count(), &tagged)?;
-        self.events.finished()
     }
 
     /// Trains to the last step, or until `signal` holds a signal's number, which also interrupts a long step. Writes
@@ -214,11 +162,7 @@ impl<'a> Session<'a> {
             values.extend(between.evaluate(&self.trainer)?.into_iter().map(|(name, value)| (name.to_string(), value)));
         }
         let named: Vec<(&str, f64)> = values.iter().map(|(name, value)| (name.as_str(), *value)).collect();
-        self.scalars.append(stats.step, &named)?;
-        let stride = self.trainer.config().train.eval_stride;
-        let tags: Vec<String> = values.iter().map(|(name, _)| tag(name, stride)).collect();
-        let tagged: Vec<(&str, f64)> = tags.iter().map(String::as_str).zip(values.iter().map(|v| v.1)).collect();
-        self.events.scalars(stats.step, &tagged)
+        self.scalars.append(stats.step, &named)
     }
 
     fn measured(&mut self, stats: Option<StepStats>, events: &dyn Listener) {
@@ -255,29 +199,5 @@ pub fn interrupted(signal: i32, step: u64, run: &std::path::Path) -> Error {
             "stopped by signal {signal} at step {step}; nothing is lost: `augnerf resume {}` continues from there",
             run.display()
         ),
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn no_two_columns_share_a_tag() {
-        let of = |column: &str| tag(column, 1);
-        assert_eq!(of("psnr"), "train/psnr");
-        assert_eq!(of("test_psnr"), "eval/psnr");
-        assert_eq!((of("train_psnr"), of("gap")), ("eval/train_psnr".into(), "eval/gap".into()));
-        assert_eq!((of("gain.t"), of("loss_coarse")), ("train/gain/t".into(), "train/loss_coarse".into()));
-        // Over every fourth pixel the number differs from that of complete views, which has `eval/psnr`.
-        assert_eq!((tag("test_psnr", 4), tag("psnr", 4)), ("eval_sparse/psnr".into(), "train/psnr".into()));
-    }
-
-    #[test]
-    fn settings_are_those_that_tell_runs_apart() {
-        let mut config = Config::default();
-        config.train.rays += 1;
-        let names: Vec<String> = settings(&config).into_iter().map(|(name, _)| name).collect();
-        assert_eq!(names, ["method", "data.name", "seed", "train.steps", "train.rays"]);
     }
 }
