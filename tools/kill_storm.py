@@ -148,10 +148,9 @@ class Storm:
     def sweep(self, out):
         return ["sweep", "run", self.definition, "--out", out, "--quiet", "--threads", "2"]
 
-    def other_commands(self, base, sweep):
+    def other_commands(self, base):
         """Returns the commands that write one thing: name -> function of a folder, which gives the command for its state."""
         self.end(self.start(["export", base, self.folder / "weights.safetensors"]), {0})
-        self.end(self.start(["data", "export-builtin", self.folder / "pictures", "--width", "16"]), {0})
         settings = [w for s in SET if not s.startswith("train.steps") for w in ("--set", s)]
         nothing = ["settings", "train.steps"]
 
@@ -171,16 +170,9 @@ class Storm:
             again = ["--overwrite"] if run.exists() else []
             return ["train", "--quiet", "--from", base, "--out", run, "--set", "train.steps=60", *again]
 
-        def scored(folder):
-            copy = made(folder) / "sweep"
-            if not copy.exists():
-                shutil.copytree(sweep, copy, symlinks=True)
-            return ["score", self.folder / "pictures/test", "--into", copy, "--row", "Other"]
-
         return {
             "import": imported,
             "from": trained_from,
-            "score": scored,
             "export": lambda folder: ["export", base, made(folder) / "weights.safetensors"],
             "report": lambda folder: ["report", base, "--out", made(folder) / "report.html"],
         }
@@ -324,9 +316,9 @@ class Storm:
             self.same("runners", straight, out)
         return done
 
-    def commands(self, base, sweep, wanted):
+    def commands(self, base, wanted):
         """Kills commands that write one thing each."""
-        commands = self.other_commands(base, sweep)
+        commands = self.other_commands(base)
         each = -(-wanted // len(commands))
         return sum(self.kills(name, command, self.undisturbed(f"{name}s/straight", command), each)
                    for name, command in commands.items())
@@ -377,8 +369,8 @@ class Storm:
         self.part("disk", "{} times stopped by a full disk",
                   lambda: self.full_disk("nerf", self.training, plain, a.disks)
                   + self.full_disk("sweep", self.sweep, sweep, a.disks))
-        self.part("commands", "{} kills of import, --from, score, ...",
-                  lambda: self.commands(plain[0], sweep[0], a.commands))
+        self.part("commands", "{} kills of import, --from, export, ...",
+                  lambda: self.commands(plain[0], a.commands))
         self.part("containers", "{} rounds of four containers", lambda: self.containers(sweep, a.containers))
         self.part("collects", "{} collects at once", lambda: self.collects(sweep[0], a.collects))
         print(f"\n{'part':10} {'what':42} {'folders':>8} {'wrong':>6} {'seconds':>8}")

@@ -21,7 +21,6 @@ fn row(name: &str, baseline: Option<&str>, method: &str) -> RowSpec {
         baseline: baseline.map(str::to_string),
         ours: method.is_empty(),
         quoted: false,
-        scored: false,
         published: (!method.is_empty()).then_some(key),
     }
 }

@@ -359,29 +359,3 @@ fn plans_without_data_say_so_and_points_that_begin_have_no_step() {
     assert_says(&demand(dir.path(), &["sweep", "status", "runs/one"], 11), &["step 0 of 250"]);
     drop(claim);
 }
-
-#[test]
-fn damaged_sets_of_pictures_are_refused() {
-    let dir = TempDir::new().unwrap();
-    let (folder, _) = finished(dir.path(), "one", BASE, &[]);
-    let scored = folder.join("scored");
-    std::fs::create_dir(&scored).unwrap();
-    for (text, words) in [
-        ("{", "cannot read"),
-        (
-            r#"{"row":"NeRF","scene":"builtin","seed":0,"predictions_sha256":"a","truth":"b","metrics":[],"protocol":[]}"#,
-            "one of the sweep's own",
-        ),
-        (
-            r#"{"row":"x","scene":"../x","seed":0,"predictions_sha256":"a","truth":"b","metrics":[],"protocol":[]}"#,
-            "not in the sweep",
-        ),
-        (
-            r#"{"row":"x\u0007","scene":"builtin","seed":0,"predictions_sha256":"a","truth":"b","metrics":[],"protocol":[]}"#,
-            "control character",
-        ),
-    ] {
-        std::fs::write(scored.join("a.json"), text).unwrap();
-        assert_says(&demand(dir.path(), &["sweep", "collect", "runs/one"], 5), &["a.json", words]);
-    }
-}

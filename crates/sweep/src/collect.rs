@@ -12,7 +12,6 @@ use super::folder::{DEFINITION, STEP_SECONDS, SweepFolder};
 use super::outputs::SweepOutputs;
 use super::points::Point;
 use super::provenance::Provenance;
-use super::scored::with_scored;
 use crate::report::exporters::{Collected, Content, EXPORTERS};
 use crate::report::plots::{Curve, Seeds, Shifts, Surface};
 use crate::report::statistics::mean;
@@ -171,7 +170,7 @@ impl Collector<'_> {
     }
 
     fn spec(&self) -> TableSpec {
-        with_scored(self.definition.table(self.name, self.points), self.definition, &self.outputs.scored)
+        self.definition.table(self.name, self.points)
     }
 
     fn inputs<'s>(&'s self, spec: &'s TableSpec) -> TableInputs<'s> {
@@ -208,10 +207,10 @@ impl TableInputs<'_> {
 
     /// See [`Collector::files`].
     pub fn files(&self, take: Taking) -> Result<Table> {
-        let records = self.outputs.all_records();
+        let records = &self.outputs.records;
         let mut collected = Collected {
             spec: self.spec,
-            records: &records,
+            records,
             timing: &self.outputs.timing,
             with_timing: self.with_timing,
             constants: self.outputs.constants(),
@@ -222,7 +221,7 @@ impl TableInputs<'_> {
             surfaces: &[],
         };
         export(&collected, take)?;
-        let table = Table::new(self.spec, &records, self.force)?;
+        let table = Table::new(self.spec, records, self.force)?;
         let scenes: Vec<&str> = table.scenes().into_iter().map(|(scene, _)| scene).collect();
         let curves: Vec<_> = scenes.iter().map(|scene| (scene.to_string(), self.curves(scene))).collect();
         let shifts: Vec<_> = scenes.iter().map(|scene| (scene.to_string(), self.shifts(scene))).collect();

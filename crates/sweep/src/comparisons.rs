@@ -243,8 +243,7 @@ fn of_sweep<T>(source: &Source, made: Result<T>) -> Result<T> {
 }
 
 fn has_row(source: &Source, name: &str) -> Result<()> {
-    let scored = source.outputs.scored.iter().map(|scored| scored.row.as_str());
-    let rows: Vec<&str> = source.definition.row.iter().map(|row| row.name.as_str()).chain(scored).collect();
+    let rows: Vec<&str> = source.definition.row.iter().map(|row| row.name.as_str()).collect();
     if rows.contains(&name) {
         return Ok(());
     }

@@ -327,7 +327,6 @@ impl Definition {
             baseline: self.baseline_of(row),
             ours: row.ours,
             quoted: false,
-            scored: false,
             published: key(row.condition.as_ref(), row.published.as_ref().unwrap_or(&row.name)).filter(|_| !row.ours),
         });
         quoted.chain(rows).collect()

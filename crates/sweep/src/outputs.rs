@@ -8,7 +8,7 @@ use std::path::{Path, PathBuf};
 use flate2::{Compression, GzBuilder, read::GzDecoder};
 
 use crate::base::csv::{column_names, csv_text, hash_cell, plain_cell, plain_hash};
-use crate::base::files::{json_bytes, read_json, write_atomic};
+use crate::base::files::{read_json, write_atomic};
 use crate::base::input::{TABLE_BYTES, read_bytes};
 use crate::base::{Error, Image, Result};
 use crate::report::tables::{Constants, PointTiming, constants};
@@ -20,7 +20,6 @@ use super::common_depth::{add_common_depth, wants_depth};
 use super::definition::Definition;
 use super::folder::{STEP_SECONDS, SweepFolder};
 use super::points::Point;
-use super::scored::{SCORED, Scored};
 
 /// The logs of all points, next to the tables.
 pub const SCALARS: &str = "scalars.csv.gz";
@@ -45,8 +44,6 @@ pub struct SweepOutputs {
     pub runs: BTreeMap<String, PathBuf>,
     /// `step_seconds.json`, if budgets in seconds needed it.
     pub step_seconds: Option<Vec<u8>>,
-    /// Scored images of other programs that are in the table.
-    pub scored: Vec<Scored>,
 }
 
 /// A run's `scalars.csv`.
@@ -64,7 +61,6 @@ impl SweepOutputs {
         let mut outputs = SweepOutputs {
             records: folder.records(definition, points)?,
             step_seconds: optional(&folder.step_seconds())?,
-            scored: folder.scored(definition)?,
             ..SweepOutputs::default()
         };
         for point in points {
@@ -98,11 +94,6 @@ impl SweepOutputs {
         Ok(())
     }
 
-    /// Returns the points, then the scored images of other programs.
-    pub fn all_records(&self) -> Vec<Record> {
-        self.records.iter().cloned().chain(self.scored.iter().map(Scored::record)).collect()
-    }
-
     /// Returns the protocol fields that all points share and that are no columns of their tables.
     pub fn constants(&self) -> Constants {
         constants(&self.records)
@@ -112,10 +103,7 @@ impl SweepOutputs {
     /// configurations, the step times and the logs.
     pub fn archive(&self, definition: &Definition, points: &[Point], results: &Path) -> Result<()> {
         SweepFolder::new(results).archive(definition, points)?;
-        let scored = (!self.scored.is_empty()).then(|| json_bytes(&self.scored)).transpose();
-        let scored = scored.map_err(|e| Error::unwritable(&results.join(SCORED), &e))?;
-        let kept = [(STEP_SECONDS, self.step_seconds.clone()), (SCALARS, self.packed_scalars()), (SCORED, scored)];
-        for (name, bytes) in kept {
+        for (name, bytes) in [(STEP_SECONDS, self.step_seconds.clone()), (SCALARS, self.packed_scalars())] {
             let path = results.join(name);
             match bytes {
                 Some(bytes) => write_atomic(&path, &bytes)?,

@@ -31,7 +31,7 @@ impl TableInputs<'_> {
         let outputs = self.outputs;
         let page = Page {
             table,
-            records: &outputs.all_records(),
+            records: &outputs.records,
             files,
             views: views(table, outputs)?,
             films: films(table, outputs)?,
@@ -49,7 +49,7 @@ fn views(table: &Table, outputs: &SweepOutputs) -> Result<Vec<ShownScene>> {
     let scenes = table.scenes();
     let mut shown = Vec::new();
     for (scene, lines) in &scenes {
-        let measured: Vec<&Line> = lines.iter().copied().filter(|line| !line.ids.is_empty() && !line.scored).collect();
+        let measured: Vec<&Line> = lines.iter().copied().filter(|line| !line.ids.is_empty()).collect();
         if let Some(view) = view(scene, &measured, outputs)? {
             shown.push(ShownScene::new(&view, scenes.len())?);
         }

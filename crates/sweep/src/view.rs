@@ -22,7 +22,6 @@ use super::folder::{DEFINITION, SweepFolder};
 use super::outputs::SweepOutputs;
 use super::points::Point;
 use super::provenance::toml_of;
-use super::scored::with_scored;
 use super::words::quoted;
 
 /// File that a view's folder has in place of a sweep's definition.
@@ -165,20 +164,14 @@ impl View {
         self.outputs.scalars.extend(source.outputs.scalars.clone());
         self.outputs.surfaces.extend(source.outputs.surfaces.clone());
         self.outputs.runs.extend(source.outputs.runs.clone());
-        let scored = source.outputs.scored.iter().cloned();
-        self.outputs.scored.extend(scored.map(|mut scored| {
-            scored.row = renamed(&scored.row);
-            scored
-        }));
     }
 
     /// Returns the name of another sweep's row in this view.
     fn name_of(&self, row: &RowSpec, source: &Source) -> String {
         let is_taken = |name: &str| self.spec.rows.iter().any(|known| known.name == name);
         let known = self.spec.rows.iter().find(|known| known.name == row.name);
-        let same = known.is_none_or(|known| match (known.quoted || row.quoted, known.scored || row.scored) {
-            (true, _) => known.quoted == row.quoted && known.published == row.published,
-            (_, true) => false,
+        let same = known.is_none_or(|known| match known.quoted || row.quoted {
+            true => known.quoted == row.quoted && known.published == row.published,
             // By definition, points of two seeds differ in these.
             _ if !(self.first.by_seed.is_empty() && source.definition.by_seed.is_empty()) => {
                 is_defined_alike(&self.first, source.definition, &row.name)
@@ -224,7 +217,6 @@ impl View {
         }
         let shown = |name: &str| self.spec.rows.iter().any(|row| row.name == name);
         self.outputs.records.retain(|record| shown(&record.row));
-        self.outputs.scored.retain(|scored| shown(&scored.row));
         let ids: HashSet<&str> = self.outputs.records.iter().map(|record| record.id.as_str()).collect();
         self.points.retain(|point| ids.contains(point.id.as_str()));
         self.outputs.timing.retain(|(id, _)| ids.contains(id.as_str()));
@@ -242,7 +234,7 @@ impl View {
         self.spec.rows.iter().map(|row| row.name.as_str())
     }
 
-    /// Returns the points of the rows that are shown, by these rows' names, without scored images.
+    /// Returns the points of the rows that are shown, by these rows' names.
     pub fn point_records(&self) -> &[Record] {
         &self.outputs.records
     }
@@ -261,17 +253,8 @@ impl View {
                         listed()
                     )));
                 }
-                let seeded = |row: &RowSpec| {
-                    !self.outputs.scored.iter().any(|scored| scored.row == row.name && scored.seed.is_none())
-                };
-                if known.is_some_and(|row| !seeded(row)) {
-                    return Err(Error::Config(format!(
-                        "--baseline {name}: its images were scored without a seed, and rows are paired by seed; score them \
-                         again with `augnerf score --seed`, or choose another baseline"
-                    )));
-                }
                 let others = self.spec.rows.iter_mut().filter(|row| !row.quoted);
-                others.for_each(|row| row.baseline = (row.name != name && seeded(row)).then(|| name.to_string()));
+                others.for_each(|row| row.baseline = (row.name != name).then(|| name.to_string()));
             }
             None => {
                 let lost = self.spec.rows.iter().find_map(|row| {
@@ -346,7 +329,7 @@ impl View {
 
     /// Returns the records that are shown.
     pub(super) fn records(&self) -> Vec<Record> {
-        self.outputs.all_records()
+        self.outputs.records.clone()
     }
 
     /// Returns the margin of equivalence that the first sweep with the metric states.
@@ -397,7 +380,7 @@ impl View {
 }
 
 fn table_of(source: &Source) -> TableSpec {
-    with_scored(source.definition.table(&source.name, source.points), source.definition, &source.outputs.scored)
+    source.definition.table(&source.name, source.points)
 }
 
 /// Positions of a row, each with the hash of its settings apart from the seed.

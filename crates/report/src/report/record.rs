@@ -184,11 +184,6 @@ impl TableSpec {
         self.equivalence.iter().find(|(known, _)| known == metric).map(|(_, margin)| *margin)
     }
 
-    /// Returns whether a row was scored: images of another program.
-    pub fn is_scored(&self, row: &str) -> bool {
-        self.rows.iter().any(|known| known.scored && known.name == row)
-    }
-
     /// Returns whether a metric's key has this prefix.
     pub(super) fn has_any(&self, prefix: &str) -> bool {
         self.metrics.iter().any(|metric| metric.starts_with(prefix))
@@ -206,8 +201,6 @@ pub struct RowSpec {
     pub ours: bool,
     /// Not run here: only the paper's numbers.
     pub quoted: bool,
-    /// Not trained here: images of another program, measured under our protocol.
-    pub scored: bool,
     /// Key of the paper's numbers: table, condition and method of `published.csv`; the scene is the record's.
     pub published: Option<PublishedKey>,
 }

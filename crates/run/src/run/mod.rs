@@ -54,7 +54,7 @@ pub use protocol::split_name;
 pub use scalars::Scalars;
 pub use scene_file::WorldMatrix;
 pub use scene_picture::scene_picture;
-pub use score::{Matching, Picture, Score, ScoredView, Truth, both_pictures, pictures, score};
+pub use score::{Matching, Picture, Score, Truth, pictures, score};
 pub use session::{Between, EVALUATION_COLUMNS, Outcome, Session, TRAINING_VIEW_COLUMNS, interrupted};
 pub use smoothness::{FieldSmoothness, SMOOTHNESS_SIDE, SmoothnessReport, check_measurable, smoothness_box};
 pub use surface::{

@@ -11,7 +11,6 @@ use crate::points::Point;
 use crate::provenance::Provenance;
 use crate::report::tables::{Table, read_points, read_timing};
 use crate::report::{Status, label};
-use crate::scored::read_scored;
 
 /// Folders above results in which their runs are looked for.
 const MOST_ABOVE: usize = 5;
@@ -69,7 +68,6 @@ impl Archive {
             timing,
             scalars: read_scalars(path)?,
             step_seconds: optional(&folder.step_seconds())?,
-            scored: read_scored(path, &definition)?,
             ..SweepOutputs::default()
         };
         Ok(Archive { path: path.to_path_buf(), definition, points, outputs, provenance, with_timing })

@@ -16,11 +16,10 @@ use crate::provenance::{Archived, PROVENANCE};
 use crate::report::exporters::{Content, EXPORTERS, OF_LOGS};
 use crate::report::tables::{Constants, Table};
 use crate::report::{Record, Status};
-use crate::scored::SCORED;
 use crate::train::sha256;
 
 /// What tables and figures are made of: read, never made.
-const KEPT: [&str; 7] = [DEFINITION, PLAN, STEP_SECONDS, SCALARS, SCORED, PROVENANCE, TIMING];
+const KEPT: [&str; 6] = [DEFINITION, PLAN, STEP_SECONDS, SCALARS, PROVENANCE, TIMING];
 
 /// Whether a file of a results' folder is one that tables and figures are made of.
 pub fn is_kept(name: &str) -> bool {

@@ -40,11 +40,6 @@ impl<'a> Collected<'a> {
         self.table.ok_or_else(|| Error::Output("the table is not made yet".into()))
     }
 
-    /// Returns the points that were trained here, or the scored images of other programs.
-    fn records_of(&self, scored: bool) -> Vec<Record> {
-        self.records.iter().filter(|record| self.spec.is_scored(&record.row) == scored).cloned().collect()
-    }
-
     /// Returns the clock times that tables show.
     fn joined_timing(&self) -> &'a [PointTiming] {
         if self.with_timing { self.timing } else { &[] }
@@ -75,9 +70,8 @@ pub trait Exporter: Sync {
 pub static OF_LOGS: [&dyn Exporter; 3] = [&text::ATTACK_CSV, &figures::CURVES, &figures::ATTACK];
 
 /// All exporters, in the order of writing.
-pub static EXPORTERS: [&dyn Exporter; 13] = [
+pub static EXPORTERS: [&dyn Exporter; 12] = [
     &text::POINTS_CSV,
-    &text::SCORED_CSV,
     &text::TIMING_CSV,
     &text::TABLE_CSV,
     &text::ATTACK_CSV,

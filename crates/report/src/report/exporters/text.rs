@@ -1,7 +1,7 @@
 //! Text files: points, clock times and effect of the attack as CSV, the table as CSV, Markdown and LaTeX.
 
 use crate::base::Result;
-use crate::report::tables::{Constants, attack_csv, points_csv, table_csv, table_latex, table_markdown, timing_csv};
+use crate::report::tables::{attack_csv, points_csv, table_csv, table_latex, table_markdown, timing_csv};
 
 use super::{Collected, Content, Exporter, File};
 
@@ -27,14 +27,7 @@ impl TextFile {
 
 /// One line a point.
 pub static POINTS_CSV: TextFile = TextFile::of_points("points.csv", |collected| {
-    Ok(Some(points_csv(&collected.records_of(false), collected.joined_timing(), &collected.constants)))
-});
-
-/// One line for each set of images of another program.
-pub static SCORED_CSV: TextFile = TextFile::of_points("scored.csv", |collected| {
-    let scored = collected.records_of(true);
-    // Images of another program do not share what points share.
-    Ok((!scored.is_empty()).then(|| points_csv(&scored, &[], &Constants::new())))
+    Ok(Some(points_csv(collected.records, collected.joined_timing(), &collected.constants)))
 });
 
 /// Clock times, apart from what is reproducible.

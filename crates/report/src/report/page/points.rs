@@ -16,7 +16,6 @@ pub struct Point<'a> {
     /// The row without its values on axes.
     pub row: &'a str,
     pub label: String,
-    /// Empty for images that were scored without a seed.
     pub seed: String,
     pub status: &'static str,
     pub reason: &'a str,

@@ -83,14 +83,12 @@ pub(super) fn check_controlled(spec: &TableSpec, groups: &[Group]) -> Result<()>
 }
 
 /// Returns the fields of `must_match` in which a point differs from another of its scene. Fields that depend on the
-/// seed may differ between seeds. Unknown fields of another program's images are no difference.
+/// seed may differ between seeds.
 pub fn disagreements(spec: &TableSpec, point: &Record, first: &Record) -> Vec<String> {
-    let scored = spec.is_scored(&point.row);
     let differs = |field: &&String| {
         let own = point.protocol(field);
         let goes_with_seed = point.seed != first.seed && spec.by_seed.contains(field);
-        let is_unknown = scored && own.is_empty();
-        !is_unknown && !goes_with_seed && disagree(field, own, first.protocol(field))
+        !goes_with_seed && disagree(field, own, first.protocol(field))
     };
     spec.must_match.iter().filter(differs).cloned().collect()
 }
@@ -102,11 +100,9 @@ pub(super) fn mixed_fields(spec: &TableSpec, group: &Group, groups: &[Group]) ->
     spec.must_match.iter().filter(|field| differing.contains(field)).cloned().collect()
 }
 
-/// Returns the first points, in the table's order, that were trained here: of the point's scene, and of its scene with
-/// its seed.
+/// Returns the first points, in the table's order: of the point's scene, and of its scene with its seed.
 fn firsts<'a>(groups: &[Group<'a>], point: &Record) -> impl Iterator<Item = &'a Record> {
-    let of_scene =
-        || groups.iter().filter(|group| group.scene == point.scene && !group.row.scored).flat_map(Group::done);
+    let of_scene = || groups.iter().filter(|group| group.scene == point.scene).flat_map(Group::done);
     let of_seed = of_scene().find(|other| other.seed == point.seed);
     of_scene().next().into_iter().chain(of_seed)
 }

@@ -151,11 +151,7 @@ fn inactive_text(line: &Line) -> String {
 }
 
 pub(super) fn place_cells(line: &Line) -> [String; PLACE_COLUMNS.len()] {
-    let source = match (line.quoted, line.scored) {
-        (true, _) => "published",
-        (_, true) => "scored",
-        _ => "run",
-    };
+    let source = if line.quoted { "published" } else { "run" };
     [line.scene.clone(), source.into(), line.row.clone(), line.axes.clone()]
 }
 

@@ -110,8 +110,6 @@ pub struct Line {
     pub ours: bool,
     /// Only the paper's numbers; not run here.
     pub quoted: bool,
-    /// Images of another program, measured here.
-    pub scored: bool,
     /// Folder names of the measured points.
     pub ids: Vec<String>,
     /// Number of points in the definition.
@@ -313,7 +311,6 @@ fn line(spec: &TableSpec, group: &Group, groups: &[Group]) -> Line {
         baseline: baseline.map(|baseline| baseline.points[0].label()),
         ours: group.row.ours,
         quoted: false,
-        scored: group.row.scored,
         ids: group.done().map(|point| point.id.clone()).collect(),
         points: group.points.len(),
         status: status_text(&group.points),
@@ -364,7 +361,6 @@ fn quoted_line(spec: &TableSpec, row: &RowSpec, scene: &str) -> Option<Line> {
         baseline: None,
         ours: false,
         quoted: true,
-        scored: false,
         ids: Vec::new(),
         points: 0,
         status: String::new(),

@@ -17,18 +17,14 @@ const HOW_TO_READ: &str = "difference to the baseline, paired by seed, with its 
 const EQUIVALENCE: &str = "\"equivalent within\" a margin that the definition states: two one-sided paired t tests, with \
      Holm's p below 0.05";
 
-const SCORED: &str = "not trained here: pictures that another program rendered, measured under our protocol; nothing is \
-     known of their training, and another code's seed shares no random numbers with ours";
-
 /// Metrics that each row measures over its own pixels.
 static OWN_PIXELS: [&Metric; 4] = [&DEPTH_MAE, &DEPTH_RMSE, &DEPTH_ROUGHNESS, &NORMAL_ROUGHNESS];
 
 /// A mark after a row's name: symbol, meaning, and the details for a line that has it. What holds for few seeds has no symbol.
 type Mark = (&'static str, &'static str, fn(&Line) -> Option<String>);
 
-const MARKS: [Mark; 10] = [
+const MARKS: [Mark; 9] = [
     ("#", "not run here: the paper's numbers alone", |line| line.quoted.then(String::new)),
-    ("‖", SCORED, |line| line.scored.then(|| line.ids.join(", "))),
     ("*", "not in the paper", |line| line.ours.then(String::new)),
     ("†", InactiveBy::Loss.meaning(), |line| line.inactive_sites(InactiveBy::Loss)),
     ("†", InactiveBy::Colour.meaning(), |line| line.inactive_sites(InactiveBy::Colour)),
@@ -98,8 +94,7 @@ fn columns(rules: &[CaptionRule]) -> impl Iterator<Item = &'static str> {
 
 /// Returns the protocol fields that a scene's measured lines share: `dataset llff, width 504, ...`.
 pub(super) fn protocol_text(lines: &[&Line]) -> String {
-    // Most fields of another program's images are unknown.
-    let measured: Vec<&&Line> = lines.iter().filter(|line| !line.ids.is_empty() && !line.scored).collect();
+    let measured: Vec<&&Line> = lines.iter().filter(|line| !line.ids.is_empty()).collect();
     if measured.is_empty() {
         return "nothing is measured yet".into();
     }
