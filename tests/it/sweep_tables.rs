@@ -705,7 +705,7 @@ fn the_same_training_under_two_names_is_one_comparison() {
     assert_eq!(p(1).1, 2.0 * p(1).0);
 }
 
-/// What spreadsheets, Markdown and LaTeX would take for more than text.
+/// What Markdown and LaTeX would take for more than text.
 #[test]
 fn odd_names_stay_names_in_every_format() {
     let mut spec = spec();
@@ -716,7 +716,6 @@ fn odd_names_stay_names_in_every_format() {
     for record in records.iter_mut().filter(|record| record.row == "+ TV Reg.") {
         record.row = "[x](javascript:alert(1))".into();
     }
-    records[0].reason = "@SUM(A1)".into();
     let table = Table::new(&spec, &records, false).unwrap();
     assert!(!table_markdown(&table).contains("](j"), "{}", table_markdown(&table));
     let latex = table_latex(&table);
@@ -725,7 +724,6 @@ fn odd_names_stay_names_in_every_format() {
         latex.contains("\n\\providecommand{\\augnerfletter}") && latex.contains("$\\lambda$ \\augnerfletter{4E2D}")
     );
     assert!(!table_latex(&self::table()).contains("augnerfletter"));
-    assert_eq!(rows(&points_csv(&records, &[], &vec![]))[0]["reason"], "'@SUM(A1)");
 }
 
 /// Not only what captions tell: two rows whose fields differ in nothing but octaves, or rates, are not alike.

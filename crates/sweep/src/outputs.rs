@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 
 use flate2::{Compression, GzBuilder, read::GzDecoder};
 
-use crate::base::csv::{column_names, csv_text, hash_cell, plain_cell, plain_hash};
+use crate::base::csv::{column_names, csv_text, hash_cell, plain_hash};
 use crate::base::files::{read_json, write_atomic};
 use crate::base::input::{TABLE_BYTES, read_bytes};
 use crate::base::{Error, Image, Result};
@@ -138,7 +138,7 @@ impl SweepOutputs {
 impl Scalars {
     fn parse(table: impl Read) -> std::result::Result<Scalars, String> {
         let mut reader = csv::Reader::from_reader(table);
-        let head = column_names(&mut reader)?.iter().map(|name| plain_cell(name).to_string()).collect();
+        let head = column_names(&mut reader)?;
         let (mut rows, mut taken) = (Vec::new(), 0);
         for row in reader.records() {
             let row = row.map_err(|e| e.to_string())?;
@@ -146,7 +146,7 @@ impl Scalars {
             if taken > MOST_TAKEN {
                 return Err(format!("its cells take more than {} MiB of memory", MOST_TAKEN >> 20));
             }
-            rows.push(row.iter().map(|cell| plain_cell(cell).to_string()).collect());
+            rows.push(row.iter().map(str::to_string).collect());
         }
         Ok(Scalars { head, rows })
     }

@@ -1,43 +1,5 @@
 //! CSV text.
 
-use std::borrow::Cow;
-
-/// First characters that make a spreadsheet read a cell as a formula.
-const FORMULA: [char; 6] = ['=', '+', '-', '@', '\t', '\r'];
-/// Of these, those with which names begin, too. Such a cell may be a name unless it [`calls`] something.
-const SIGNS: [char; 2] = ['+', '-'];
-/// Letters with which a formula reaches beyond its cell.
-const REACHES: [char; 2] = ['|', '!'];
-/// Prefix that makes spreadsheets leave such a text alone.
-const TEXT: char = '\'';
-
-/// Returns a cell that makes no spreadsheet call anything. Text that begins like a formula gets an apostrophe, as in
-/// `'=cmd|...`; numbers, and names such as `+ TV Reg.`, stay as they are. [`plain_cell`] removes the apostrophe.
-pub fn safe_cell(cell: &str) -> Cow<'_, str> {
-    let bare = cell.trim_start_matches(TEXT);
-    let is_name = bare == cell && bare.starts_with(SIGNS) && !calls(bare);
-    match bare.starts_with(FORMULA) && !is_name && cell.parse::<f64>().is_err() {
-        true => format!("{TEXT}{cell}").into(),
-        false => cell.into(),
-    }
-}
-
-/// Returns whether a text could call something as a formula: it reaches for other places, or has a function's name before a
-/// parenthesis. `(Pre-)` alone calls nothing.
-fn calls(text: &str) -> bool {
-    let mut parts = text.split('(');
-    let last = parts.next_back();
-    let is_function =
-        |before: &str| before.trim_end().ends_with(|c: char| c.is_alphanumeric() || ['_', '.', ')'].contains(&c));
-    text.contains(REACHES) || last.is_some() && parts.any(is_function)
-}
-
-/// Returns the text that was given to [`safe_cell`].
-pub fn plain_cell(cell: &str) -> &str {
-    let begins_like_formula = cell.trim_start_matches(TEXT).starts_with(FORMULA);
-    cell.strip_prefix(TEXT).filter(|_| begins_like_formula).unwrap_or(cell)
-}
-
 /// Letter before a hash in a cell. Without it, other programs read `7797e1855047` as a number.
 const HASH: char = 'h';
 /// Least digits of a hash.
@@ -77,9 +39,7 @@ pub fn column_names<R: std::io::Read>(reader: &mut csv::Reader<R>) -> Result<Vec
 pub fn csv_text(rows: impl IntoIterator<Item = Vec<String>>) -> String {
     let mut writer = csv::Writer::from_writer(Vec::new());
     for row in rows {
-        writer
-            .write_record(row.iter().map(|cell| safe_cell(cell).into_owned()))
-            .expect("rows are as long as the head, and memory takes them");
+        writer.write_record(row).expect("rows are as long as the head, and memory takes them");
     }
     let bytes = writer.into_inner().expect("memory takes everything");
     String::from_utf8(bytes).expect("made of strings")
@@ -119,44 +79,5 @@ mod tests {
             let cell = hash_cell(text);
             assert!(cell.parse::<f64>().is_err() && plain_hash(&cell) == text && plain_hash(text) == text, "{cell}");
         }
-    }
-
-    #[test]
-    fn no_cell_calls_anything_and_numbers_and_names_stay() {
-        let cells = [
-            "=1+1",
-            "+ TV Reg.",
-            "-2",
-            "-0.5e-3",
-            "@SUM(A1)",
-            "\tx",
-            "-a",
-            "'=1",
-            "''",
-            "'s",
-            "=",
-            "a=b",
-            "",
-            "-inf",
-            "+cmd|' /C calc'!A0",
-            "-SUM(A1)",
-            "'+ TV Reg.",
-            "'-a",
-            "+1=2",
-            "+ Feature & (Pre-) Output Aug.",
-            "+HYPERLINK (\"http://a\")",
-            "+ Feature Aug., features injection layer = 1 · chair · seed 10",
-        ];
-        let safe = cells.map(|cell| safe_cell(cell).into_owned());
-        assert_eq!(safe[..7], ["'=1+1", "+ TV Reg.", "-2", "-0.5e-3", "'@SUM(A1)", "'\tx", "-a"]);
-        assert_eq!(safe[14..16], ["'+cmd|' /C calc'!A0", "'-SUM(A1)"]);
-        assert_eq!(safe[19..21], ["+ Feature & (Pre-) Output Aug.", "'+HYPERLINK (\"http://a\")"]);
-        assert_eq!(safe[21], cells[21], "names of points are names, too");
-        for (cell, safe) in cells.iter().zip(&safe) {
-            assert_eq!(plain_cell(safe), *cell);
-            let is_formula = safe.starts_with(FORMULA) && safe.parse::<f64>().is_err();
-            assert!(!is_formula || safe.starts_with(SIGNS) && !calls(safe), "{safe}");
-        }
-        assert_eq!(csv_text([vec!["+ l1".into(), "-1.5".into()]]), "+ l1,-1.5\n");
     }
 }

@@ -175,7 +175,7 @@ fn side(scene: &Scene, of: fn(&Camera) -> usize) -> Value {
 }
 
 /// Joins the distinct sides in their order: `800`, `1080/1920`; `0` if there are none.
-pub(super) fn sides(all: impl Iterator<Item = usize>) -> String {
+fn sides(all: impl Iterator<Item = usize>) -> String {
     let different = distinct(all);
     if different.is_empty() { "0".into() } else { different.iter().map(usize::to_string).collect::<Vec<_>>().join("/") }
 }

@@ -2,7 +2,7 @@
 
 use super::delimited::POSITION;
 use super::sheet::{Constants, fields_of};
-use crate::base::csv::{column_names, plain_cell, plain_hash};
+use crate::base::csv::{column_names, plain_hash};
 use crate::metrics::Metric;
 use crate::report::{AxisValue, Record, Status};
 
@@ -44,7 +44,7 @@ pub fn read_points(
     for (index, row) in reader.records().enumerate() {
         let row = row.map_err(|e| e.to_string())?;
         let line = index + 2;
-        let cell = |name: &str| head.iter().position(|column| column == name).map_or("", |i| plain_cell(&row[i]));
+        let cell = |name: &str| head.iter().position(|column| column == name).map_or("", |i| &row[i]);
         let number = |column: usize| match &row[column] {
             "" => Ok(None),
             cell => match finite(cell) {
@@ -59,7 +59,7 @@ pub fn read_points(
         let status = status.ok_or_else(|| format!("line {line}: unknown status '{}'", cell("status")))?;
         let mut protocol: Vec<(String, String)> = Vec::new();
         if status == Status::Done {
-            let own = fields.iter().map(|&i| (head[i].clone(), plain_cell(&row[i]).to_string()));
+            let own = fields.iter().map(|&i| (head[i].clone(), row[i].to_string()));
             protocol.push(("scene".into(), scene.into()));
             protocol.extend(fields_of(own.chain(constants.clone()).collect()));
         }
