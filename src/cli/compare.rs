@@ -274,7 +274,7 @@ impl CompareArguments {
 
     /// Writes the files of the result into the output folder, or into a folder of the first run; returns it.
     fn write(&self, name: &str, run: &RunDir, files: impl FnOnce(&Path) -> Result<()>) -> Result<PathBuf> {
-        let (folder, pictures) = pictures_folder(self.out.as_deref(), run.renders().join(name))?;
+        let (folder, pictures) = pictures_folder(self.out.as_deref(), RunDir::renders_in(run.path()).join(name))?;
         files(pictures.path())?;
         pictures.commit()?;
         Ok(folder)

@@ -10,7 +10,7 @@ use crate::base::{Error, Result};
 use crate::data::Camera;
 use crate::draw::write_png8;
 use crate::run::{
-    Coverage, MeshFormat, MeshOptions, MeshPicture, MeshReport, MeshUnits, OpenOptions, Trained, Viewpoint,
+    Coverage, MeshFormat, MeshOptions, MeshPicture, MeshReport, MeshUnits, OpenOptions, RunDir, Trained, Viewpoint,
     builtin_surface, columns, mesh_picture, named_mesh, reference_mesh,
 };
 use crate::runtime::Runtime;
@@ -246,7 +246,7 @@ impl MeshArguments {
         if let Some(domain) = options.domain {
             Lattice { domain, side: options.resolution }.check_meets(&trained.scene, "--bbox")?;
         }
-        let (folder, files) = pictures_folder(self.out.as_deref(), trained.run.mesh())?;
+        let (folder, files) = pictures_folder(self.out.as_deref(), RunDir::mesh_in(trained.run.path()))?;
         let report = trained.draw_mesh_into(files, options, console)?;
         console.say(&describe(&report));
         offset_words(&report).iter().for_each(|words| console.say(words));

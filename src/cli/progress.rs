@@ -32,14 +32,6 @@ pub fn says_yes(question: &str) -> Result<bool> {
     Ok(["y", "yes"].contains(&answer.trim().to_ascii_lowercase().as_str()))
 }
 
-/// Removes a bar.
-fn clear(bar: &ProgressBar) {
-    if in_background() {
-        bar.set_draw_target(ProgressDrawTarget::hidden());
-    }
-    bar.finish_and_clear();
-}
-
 /// Prints a result on standard output. A reader may close it early (`| head`).
 ///
 /// # Errors
@@ -98,19 +90,13 @@ pub struct Console {
     quiet: bool,
     /// Progress is drawn: not if several trainings run at once.
     bars: bool,
-    bar: Mutex<Option<Bar>>,
-}
-
-/// The current progress bar.
-enum Bar {
-    Stretch(Stretch),
-    Training(TrainingBar),
+    progress: Mutex<Option<Progress>>,
 }
 
 impl Console {
     /// Returns a console that prints nothing if `quiet`.
     pub fn new(quiet: bool) -> Console {
-        Console { quiet, bars: true, bar: Mutex::new(None) }
+        Console { quiet, bars: true, progress: Mutex::new(None) }
     }
 
     /// Returns a console without bars, for several trainings at once.
@@ -118,36 +104,29 @@ impl Console {
         Console { bars: false, ..Console::new(quiet) }
     }
 
-    /// Prints a line unless quiet.
+    /// Prints a line unless quiet, above the bar if there is one.
     pub fn say(&self, line: &str) {
-        match &*self.bar() {
-            Some(Bar::Training(bar)) => bar.say(line),
+        match &*self.progress() {
+            Some(progress) if progress.is_drawn() => progress.bar.println(shown(line)),
             _ if self.quiet => {}
             _ => report(line),
         }
     }
 
-    fn bar(&self) -> MutexGuard<'_, Option<Bar>> {
-        self.bar.lock().expect("no panic while drawing")
+    fn progress(&self) -> MutexGuard<'_, Option<Progress>> {
+        self.progress.lock().expect("no panic while drawing")
     }
 
     fn draw(&self, event: Event<'_>) {
-        let mut bar = self.bar();
-        match (event, &mut *bar) {
-            (Event::Started { what, parts }, _) => *bar = Some(Bar::Stretch(Stretch::new(self.quiet, what, parts))),
-            (Event::Advanced, Some(Bar::Stretch(stretch))) => stretch.advance(),
-            (Event::Finished, Some(Bar::Stretch(stretch))) => {
-                clear(&stretch.bar);
-                *bar = None;
-            }
+        let mut progress = self.progress();
+        match (event, &mut *progress) {
+            (Event::Started { what, parts }, _) => *progress = Some(Progress::over_parts(self.quiet, what, parts)),
             (Event::TrainingStarted { first, steps, rays }, _) => {
-                *bar = Some(Bar::Training(TrainingBar::new(self.quiet, first, steps, rays)));
+                *progress = Some(Progress::of_training(self.quiet, first, steps, rays));
             }
-            (Event::Stepped { step, loss, psnr }, Some(Bar::Training(bar))) => bar.stepped(step, loss, psnr),
-            (Event::TrainingFinished, Some(Bar::Training(training))) => {
-                training.finish();
-                *bar = None;
-            }
+            (Event::Advanced, Some(progress)) => progress.advance(),
+            (Event::Stepped { step, loss, psnr }, Some(progress)) => progress.step(step, loss, psnr),
+            (Event::Finished | Event::TrainingFinished, Some(_)) => *progress = None,
             _ => {}
         }
     }
@@ -173,111 +152,109 @@ impl Listener for Console {
     }
 }
 
-/// Progress over equal parts: the number done, and ETA.
-struct Stretch {
+/// Progress over equal parts, or over the steps of a training: a bar on a terminal, lines elsewhere.
+struct Progress {
     quiet: bool,
-    what: String,
-    parts: u64,
-    done: u64,
     bar: ProgressBar,
-    started: Instant,
-    line_at: Instant,
-}
-
-impl Stretch {
-    /// Starts a bar. Without a terminal an evaluation prints its number of views, since it may take as long as training.
-    fn new(quiet: bool, what: &str, parts: u64) -> Stretch {
-        let bar = if quiet || !std::io::stderr().is_terminal() {
-            if what.starts_with(EVALUATING) && !quiet {
-                report(&format!("{what}: {parts} view{}", if parts == 1 { "" } else { "s" }));
-            }
-            ProgressBar::hidden()
-        } else {
-            let style = ProgressStyle::with_template("{msg:>12} {wide_bar} {pos}/{len} ETA {eta}");
-            let bar = ProgressBar::new(parts).with_style(style.expect("a valid template"));
-            let bar = bar.with_message(what.to_string());
-            if !in_background() {
-                bar.tick();
-            }
-            bar
-        };
-        let now = Instant::now();
-        Stretch { quiet, what: what.to_string(), parts, done: 0, bar, started: now, line_at: now }
-    }
-
-    fn advance(&mut self) {
-        self.done += 1;
-        if !in_background() {
-            self.bar.set_position(self.done);
-        }
-        if !self.quiet && self.bar.is_hidden() && self.line_at.elapsed() >= LINE_EVERY && self.done < self.parts {
-            self.line_at = Instant::now();
-            let left =
-                self.started.elapsed().as_secs_f64() / self.done as f64 * self.parts.saturating_sub(self.done) as f64;
-            report(&format!("{} {}/{}  ETA {}", self.what, self.done, self.parts, duration(left)));
-        }
-    }
-}
-
-/// Progress of training: step, loss, PSNR, rays/s and ETA.
-struct TrainingBar {
-    quiet: bool,
-    bar: Option<ProgressBar>,
+    /// What is done in each part.
+    what: String,
+    /// Rays per step of a training.
     rays: f64,
     first: u64,
-    total: u64,
+    done: u64,
+    last: u64,
     started: Instant,
+    /// When the last line was printed.
     line_at: Option<Instant>,
 }
 
-impl TrainingBar {
-    /// Returns a bar from step `first` to `total`, with `rays` rays per step.
-    fn new(quiet: bool, first: u64, total: u64, rays: usize) -> TrainingBar {
-        let bar = (!quiet && std::io::stderr().is_terminal()).then(|| {
-            let style = ProgressStyle::with_template("{msg} {wide_bar} {pos}/{len} ETA {eta}");
-            let bar = ProgressBar::new(total).with_style(style.expect("a valid template")).with_position(first);
-            bar.reset_eta();
-            bar
-        });
-        TrainingBar { quiet, bar, rays: rays as f64, first, total, started: Instant::now(), line_at: None }
+impl Progress {
+    fn new(quiet: bool, template: &str, first: u64, last: u64) -> Progress {
+        let bar = if quiet || !std::io::stderr().is_terminal() {
+            ProgressBar::hidden()
+        } else {
+            let style = ProgressStyle::with_template(template).expect("a valid template");
+            ProgressBar::new(last).with_style(style).with_position(first)
+        };
+        bar.reset_eta();
+        let (what, rays, started) = (String::new(), 0.0, Instant::now());
+        Progress { quiet, bar, what, rays, first, done: first, last, started, line_at: None }
+    }
+
+    /// Starts a bar. Without a terminal an evaluation prints its number of views, since it may take as long as training.
+    fn over_parts(quiet: bool, what: &str, parts: u64) -> Progress {
+        let mut progress = Progress::new(quiet, "{msg:>12} {wide_bar} {pos}/{len} ETA {eta}", 0, parts);
+        if progress.is_drawn() {
+            progress.bar.set_message(what.to_string());
+            progress.bar.tick();
+        } else if what.starts_with(EVALUATING) && !quiet {
+            report(&format!("{what}: {parts} view{}", if parts == 1 { "" } else { "s" }));
+        }
+        (progress.what, progress.line_at) = (what.into(), Some(progress.started));
+        progress
+    }
+
+    /// Starts a bar from step `first` to `steps`, with `rays` rays per step.
+    fn of_training(quiet: bool, first: u64, steps: u64, rays: usize) -> Progress {
+        let mut progress = Progress::new(quiet, "{msg} {wide_bar} {pos}/{len} ETA {eta}", first, steps);
+        progress.rays = rays as f64;
+        progress
+    }
+
+    fn is_drawn(&self) -> bool {
+        !self.bar.is_hidden() && !in_background()
+    }
+
+    fn advance(&mut self) {
+        self.reach(self.done + 1);
+        if self.is_line_due() && self.done < self.last {
+            self.print(&format!("{} {}/{}", self.what, self.done, self.last));
+        }
     }
 
     /// Shows a finished step.
-    fn stepped(&mut self, step: u64, loss: f64, psnr: Option<f64>) {
-        let done = step - self.first;
-        let seconds = self.started.elapsed().as_secs_f64();
-        let rate = done as f64 / seconds;
+    fn step(&mut self, step: u64, loss: f64, psnr: Option<f64>) {
+        self.reach(step);
+        let rate = (step - self.first) as f64 / self.started.elapsed().as_secs_f64();
         let psnr = psnr.map_or("-".into(), |psnr| format!("{psnr:.2}"));
         let state = format!("loss {loss:.4}  PSNR {psnr} dB  {:.0} rays/s", rate * self.rays);
-        match &self.bar {
-            Some(_) if in_background() => {}
-            Some(bar) => {
-                bar.set_message(state);
-                bar.set_position(step);
-            }
-            None if self.quiet => {}
-            None if self.line_at.is_none_or(|at| at.elapsed() >= LINE_EVERY) || step == self.total => {
-                self.line_at = Some(Instant::now());
-                let left = Duration::try_from_secs_f64((self.total - step) as f64 / rate).unwrap_or(Duration::MAX);
-                report(&format!("step {step}/{}  {state}  ETA {}", self.total, indicatif::HumanDuration(left)));
-            }
-            None => {}
+        if self.is_line_due() || step == self.last {
+            self.print(&format!("step {step}/{}  {state}", self.last));
+        }
+        if self.is_drawn() {
+            self.bar.set_message(state);
         }
     }
 
-    /// Prints a line above the bar.
-    fn say(&self, line: &str) {
-        match &self.bar {
-            Some(bar) if !in_background() => bar.println(shown(line)),
-            _ if self.quiet => {}
-            _ => report(line),
+    fn reach(&mut self, done: u64) {
+        self.done = done;
+        if self.is_drawn() {
+            self.bar.set_position(done);
         }
     }
 
-    /// Removes the bar.
-    fn finish(&self) {
-        if let Some(bar) = &self.bar {
-            clear(bar);
+    fn is_line_due(&self) -> bool {
+        self.line_at.is_none_or(|at| at.elapsed() >= LINE_EVERY)
+    }
+
+    /// Prints a line with the time left, unless quiet or on a terminal.
+    fn print(&mut self, line: &str) {
+        if self.quiet || !self.bar.is_hidden() {
+            return;
         }
+        self.line_at = Some(Instant::now());
+        let done = (self.done - self.first).max(1) as f64;
+        let left = self.started.elapsed().as_secs_f64() / done * (self.last - self.done) as f64;
+        report(&format!("{line}  ETA {}", duration(left)));
+    }
+}
+
+/// Removes the bar.
+impl Drop for Progress {
+    fn drop(&mut self) {
+        if in_background() {
+            self.bar.set_draw_target(ProgressDrawTarget::hidden());
+        }
+        self.bar.finish_and_clear();
     }
 }

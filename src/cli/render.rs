@@ -10,7 +10,7 @@ use crate::base::{Error, Event, Listener, Result};
 use crate::data::cameras::{self, Dataparser, MOST_PIXELS};
 use crate::data::{Camera, View};
 use crate::draw::write_mp4;
-use crate::run::{OpenOptions, PathPictures, Pictures, Trained, Viewer};
+use crate::run::{OpenOptions, PathPictures, Pictures, RunDir, Trained, Viewer};
 use crate::runtime::{Runtime, free_memory_mib};
 
 use super::answer::Answer;
@@ -34,8 +34,6 @@ const LOOKS_AWAY: &str = "looks away from the -z axis, so its rays have no norma
 
 /// Frames per second if neither the command line nor a camera file says it.
 const FPS: f64 = 15.0;
-/// Seconds from which on fewer frames are offered, and about the seconds that those take.
-const LONG: f64 = 180.0;
 
 #[derive(Args)]
 #[command(next_help_heading = "Experiment")]
@@ -138,7 +136,7 @@ impl RenderArguments {
         if self.what == What::Path {
             video_size(&shots)?;
         }
-        let renders = trained.run.renders();
+        let renders = RunDir::renders_in(trained.run.path());
         let default = match self.what {
             What::Path => renders.join("path"),
             What::Views => renders.join("views"),
@@ -146,7 +144,7 @@ impl RenderArguments {
         let (folder, pictures) = pictures_folder(self.out.as_deref(), default)?;
         let viewer = trained.viewer();
         if let Some(seconds) = viewer.estimate_seconds(&shots.cameras.iter().collect::<Vec<&Camera>>())? {
-            console.say(&expected(&shots.cameras, seconds, self.what));
+            console.say(&expected(&shots.cameras, seconds));
         }
         let videos = match self.what {
             What::Views => views(viewer, pictures.path(), console).map(|()| None)?,
@@ -302,39 +300,9 @@ fn chosen(cameras: &[Camera], count: usize) -> impl Iterator<Item = &Camera> {
     (0..count).map(move |i| &cameras[i * cameras.len() / count])
 }
 
-/// Describes how long rendering takes, and offers fewer frames if that is long.
-fn expected(cameras: &[Camera], seconds: f64, what: What) -> String {
-    let Camera { width, height, .. } = cameras[0];
-    let each = seconds / cameras.len() as f64;
-    let apiece = if each < 10.0 { format!("{each:.1} s") } else { duration(each) };
-    let (views, apiece) = match cameras.len() {
-        1 => ("1 view".to_string(), String::new()),
-        count => (format!("{count} views"), format!("{apiece} each, ")),
-    };
-    let fewer = ((LONG / each) as usize).clamp(1, cameras.len());
-    let offer = match what {
-        What::Path if seconds > LONG && fewer < cameras.len() => {
-            let took = duration(fewer as f64 * each);
-            let (w, h) = ((width / 2).max(1), (height / 2).max(1));
-            format!("; --frames {fewer} takes {took}, --resolution {w}x{h} a quarter")
-        }
-        _ => String::new(),
-    };
-    format!("{views} of {width} x {height} pixels: about {apiece}{} in total{offer}", duration(seconds))
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn what_it_will_take_is_told_and_fewer_frames_are_offered() {
-        let camera = Camera { width: 400, height: 300, focal: [500.0; 2], centre: [200.0, 150.0], pose: [[0.0; 4]; 3] };
-        let told = |count: usize, seconds: f64, what: What| expected(&vec![camera; count], seconds, what);
-        assert_eq!(told(1, 4.0, What::Views), "1 view of 400 x 300 pixels: about 4 s in total");
-        assert_eq!(told(8, 20.0, What::Path), "8 views of 400 x 300 pixels: about 2.5 s each, 20 s in total");
-        let long = "60 views of 400 x 300 pixels: about 10 s each, 10 min in total; --frames 18 takes 3 min, --resolution 200x150 a \
-                    quarter";
-        assert_eq!(told(60, 600.0, What::Path), long);
-    }
+/// Describes how long rendering takes.
+fn expected(cameras: &[Camera], seconds: f64) -> String {
+    let (Camera { width, height, .. }, count) = (cameras[0], cameras.len());
+    let views = if count == 1 { "view" } else { "views" };
+    format!("{count} {views} of {width} x {height} pixels: about {} in total", duration(seconds))
 }

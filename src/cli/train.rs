@@ -8,7 +8,7 @@ use clap::Args;
 use tempfile::NamedTempFile;
 
 use crate::base::{Error, Result};
-use crate::data::{Photos, seen_views};
+use crate::data::Photos;
 use crate::metrics::{Backbone, FLOOR_PSNR, LPIPS, PSNR, SSIM};
 use crate::run::{
     Estimate, Existing, Finished, Job, RunDir, Setup, check_replaceable, load_lpips, load_scene, load_scene_of,
@@ -123,7 +123,7 @@ impl TrainArguments {
         let folder = self.out.clone().unwrap_or_else(|| default_folder(&config));
         let setup = Setup { config, scene: &scene, lpips: &lpips, runtime: runtime.clone() };
         let existing = if self.overwrite { Existing::Replace } else { Existing::Refuse };
-        let (words, views) = (what_is_trained(&setup), Views::of(&setup));
+        let words = what_is_trained(&setup);
         let page = self.live.open(&setup, &folder)?;
         say_without_effect(self.experiment.settings(), |setting| setup.config.without_effect(setting), console);
         // Only the paper's own settings take so long that nobody should start them without having asked for them.
@@ -148,7 +148,7 @@ impl TrainArguments {
         if !asks {
             console.say(&words);
         }
-        train(job, views, &folder, console, page.as_ref(), self.answer)
+        train(job, &folder, console, page.as_ref(), self.answer)
     }
 }
 
@@ -241,11 +241,10 @@ impl ResumeArguments {
         let (config, scene) = load_scene_of(&run, config, Photos::Read, console)?;
         let steps = config.train.steps;
         let setup = Setup { config, scene: &scene, lpips: &lpips, runtime: runtime.clone() };
-        let views = Views::of(&setup);
         let page = self.live.open(&setup, &self.run)?;
         let job = Job::resume(run, setup)?;
         console.say(&how_it_resumes(&self.run, (job.step_count(), steps)));
-        train(job, views, &self.run, console, page.as_ref(), self.answer)
+        train(job, &self.run, console, page.as_ref(), self.answer)
     }
 }
 
@@ -280,21 +279,14 @@ fn what_is_trained(Setup { config, scene, .. }: &Setup) -> String {
 }
 
 /// Trains in `folder`. Its name is printed first, so that a script has it even if the training is stopped.
-fn train(
-    mut job: Job,
-    measured: Views,
-    folder: &Path,
-    console: &Console,
-    page: Option<&LivePage>,
-    answer: Answer,
-) -> Result<()> {
+fn train(mut job: Job, folder: &Path, console: &Console, page: Option<&LivePage>, answer: Answer) -> Result<()> {
     if !answer.json {
         let label = if std::io::stdout().is_terminal() { "run folder: " } else { "" };
         print(&format!("{label}{}", folder.display()))?;
     }
     let signal = catch_signals()?;
     if let Some(estimate) = job.estimate(&signal)? {
-        console.say(&how_long(estimate, &measured));
+        console.say(&how_long(estimate));
     }
     let job = job.with_previews(PREVIEWS_FROM);
     let finished = match page {
@@ -309,42 +301,17 @@ fn train(
     report.check_learned(folder)
 }
 
-/// The views that a run measures at its end.
-struct Views {
-    held_out: usize,
-    /// Training views.
-    seen: usize,
-    /// The setting that leaves some of them out, if there are many.
-    fewer: Option<String>,
-}
-
-impl Views {
-    fn of(Setup { config, scene, .. }: &Setup) -> Views {
-        let (held_out, seen) = (scene.test.len(), seen_views(scene, config).len());
-        let fewer = match config.data.has_splits() && held_out > FEW_HELD_OUT {
-            // The training views are then fewer, too, unless their number is set.
-            true => Some(format!("data.test_skip={}", 8 * config.data.test_skip)),
-            false => (seen > FEW_SEEN).then(|| format!("eval.train_views={FEW_SEEN}")),
-        };
-        Views { held_out, seen, fewer }
-    }
-}
-
-/// Held-out views that nobody wants fewer of.
-const FEW_HELD_OUT: usize = 16;
-/// Training views that tell the gap.
-const FEW_SEEN: usize = 3;
-
 /// Says how long a run takes, and what of that is measuring if it is the most.
-fn how_long(Estimate { training, measuring }: Estimate, views: &Views) -> String {
+fn how_long(Estimate { training, measuring }: Estimate) -> String {
     let all = format!("about {} here", duration(training + measuring));
-    if measuring <= training.max(30.0) {
-        return all;
+    match measuring > training.max(30.0) {
+        true => format!(
+            "{all}: {} of training and {} of measuring; data.test_skip and eval.train_views measure fewer views",
+            duration(training),
+            duration(measuring)
+        ),
+        false => all,
     }
-    let (training, measuring) = (duration(training), duration(measuring));
-    let seen = if views.seen > 0 { format!(" and {} training", views.seen) } else { String::new() };
-    let fewer = views.fewer.as_ref().map_or(String::new(), |set| format!("; --set {set} measures fewer"));
-    format!("{all}: {training} of training and {measuring} of measuring {} held-out{seen} views{fewer}", views.held_out)
 }
 
 fn summarize(Finished { report, model, seconds, heavy_terms, .. }: &Finished, folder: &Path, console: &Console) {
@@ -400,21 +367,6 @@ pub fn default_folder(config: &Config) -> PathBuf {
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    #[test]
-    fn measuring_is_told_apart_where_it_takes_longest() {
-        let chair = Views { held_out: 200, seen: 100, fewer: Some("data.test_skip=8".into()) };
-        let long = how_long(Estimate { training: 13.0, measuring: 400.0 }, &chair);
-        assert_eq!(
-            long,
-            "about 7 min here: 13 s of training and 7 min of measuring 200 held-out and 100 training views; \
-             --set data.test_skip=8 measures fewer"
-        );
-        assert_eq!(how_long(Estimate { training: 60.0, measuring: 20.0 }, &chair), "about 80 s here");
-        let own =
-            how_long(Estimate { training: 13.0, measuring: 100.0 }, &Views { held_out: 20, seen: 0, fewer: None });
-        assert!(own.ends_with("of measuring 20 held-out views"), "{own}");
-    }
 
     #[test]
     fn a_run_without_density_is_not_sent_to_mesh() {

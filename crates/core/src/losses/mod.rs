@@ -199,11 +199,6 @@ impl LossTerm {
         LossTerm::OnRays(Arc::new(term), rays)
     }
 
-    /// Creates a term on unseen rays.
-    pub fn on_unseen_rays(term: impl RayTerm + 'static) -> LossTerm {
-        LossTerm::OnRays(Arc::new(term), TermRays::Unseen)
-    }
-
     /// Returns where a step computes its value.
     pub fn source(&self) -> TermSource {
         match self {

@@ -78,7 +78,9 @@ fn presets() -> String {
 /// If no setting contains `filter`.
 pub fn settings_text(filter: Option<&str>) -> Result<String> {
     let defaults = Config::default().to_table();
-    Ok(found(filter)?.into_iter().map(|setting| entry(setting, value_at(&defaults, &setting.path))).collect())
+    let told = filter.and_then(|word| Some(format!("here '{word}' is '{}':\n", our_word(&word.to_lowercase())?)));
+    let entries = found(filter)?.into_iter().map(|setting| entry(setting, value_at(&defaults, &setting.path)));
+    Ok(told.into_iter().chain(entries).collect())
 }
 
 /// Returns the same settings as rows for other programs.
@@ -118,8 +120,7 @@ pub struct SettingRow {
 /// Returns the settings whose path or text contains `filter`.
 fn found(filter: Option<&str>) -> Result<Vec<&'static Setting>> {
     let filter = filter.unwrap_or_default().to_lowercase();
-    let ours = OTHER_WORDS.iter().filter(|(word, _)| *word == filter).map(|(_, ours)| *ours);
-    let sought: Vec<&str> = std::iter::once(filter.as_str()).chain(ours).collect();
+    let sought: Vec<&str> = std::iter::once(filter.as_str()).chain(our_word(&filter)).collect();
     let holds = |setting: &&Setting| {
         let text = format!("{} {}", setting.path, setting.doc.to_lowercase());
         sought.iter().any(|words| words.split_whitespace().all(|word| text.contains(word)))
@@ -155,6 +156,10 @@ const OTHER_WORDS: [(&str, &str); 21] = [
     ("total variation", "regularizer"),
     ("tv", "regularizer.weight"),
 ];
+
+fn our_word(word: &str) -> Option<&'static str> {
+    OTHER_WORDS.iter().find(|(other, _)| *other == word).map(|(_, ours)| *ours)
+}
 
 /// Returns what to search for if no setting mentions `filter`.
 fn advice(filter: &str) -> String {

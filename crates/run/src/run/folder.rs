@@ -6,9 +6,7 @@ use std::fs::{self, File};
 use std::io;
 use std::path::{Path, PathBuf};
 
-use crate::base::files::{
-    TEMPORARY, check_own, clean_temporaries, discard, is_temporary, read_json, remove, write_synced,
-};
+use crate::base::files::{check_own, clean_temporaries, discard, is_temporary, read_json, remove};
 use crate::base::input::{TEXT_BYTES, read_text};
 use crate::base::{Error, Result};
 use crate::runtime::Timing;
@@ -35,8 +33,6 @@ const FILES: [&str; 8] = [CONFIG, SCENE, METRICS_JSON, METRICS_CSV, DEPTH_ERRORS
 /// The subfolders of a run.
 const FOLDERS: [&str; 2] = [CHECKPOINTS, RENDERS];
 
-/// Size of the test file: enough for a full file system to report an error.
-const PROBE_BYTES: usize = 8 * 1024;
 const MIB: f64 = 1024.0 * 1024.0;
 
 /// What to do with an existing run at the path of a new one.
@@ -71,11 +67,9 @@ impl RunDir {
         check_vacant(path, existing)?;
         check_space(path, bytes_needed)?;
         clear(path).map_err(|error| Error::unwritable(path, &error))?;
-        for folder in FOLDERS {
-            let folder = path.join(folder);
-            fs::create_dir_all(&folder).map_err(|error| Error::unwritable(&folder, &error))?;
-        }
-        Ok(RunDir { path: path.to_path_buf(), lock: Some(lock) })
+        let run = RunDir { path: path.to_path_buf(), lock: Some(lock) };
+        run.create_folders()?;
+        Ok(run)
     }
 
     /// Returns whether a run was started at `path`.
@@ -194,24 +188,18 @@ impl RunDir {
         Ok(())
     }
 
-    /// Checks before training what would otherwise fail after it: a folder that is not writable, a file or folder with
-    /// one of our names, a full disk. `bytes_needed` is the caller's estimate of the run's size. Creates missing
-    /// folders of the run.
+    /// Creates missing folders of the run, and checks before training that the disk has `bytes_needed`, the caller's
+    /// estimate of the run's size.
     pub fn check_writable(&self, bytes_needed: u64) -> Result<()> {
-        for file in FILES {
-            let file = self.path.join(file);
-            if file.is_dir() {
-                let text = format!("cannot write {}: it is a folder; remove it", file.display());
-                return Err(Error::Output(text));
-            }
-        }
-        probe(&self.path)?;
-        for folder in FOLDERS {
-            let folder = self.path.join(folder);
-            fs::create_dir_all(&folder).map_err(|error| Error::unwritable(&folder, &error))?;
-            probe(&folder)?;
-        }
+        self.create_folders()?;
         check_space(&self.path, bytes_needed)
+    }
+
+    fn create_folders(&self) -> Result<()> {
+        FOLDERS
+            .iter()
+            .map(|name| self.path.join(name))
+            .try_for_each(|folder| fs::create_dir_all(&folder).map_err(|error| Error::unwritable(&folder, &error)))
     }
 
     /// Returns the run folder itself.
@@ -259,11 +247,6 @@ impl RunDir {
         self.path.join(CHECKPOINTS)
     }
 
-    /// Returns the path of `mesh/`: a surface of the trained density, if one was drawn.
-    pub fn mesh(&self) -> PathBuf {
-        self.path.join(MESH)
-    }
-
     /// Returns the path of `renders/surface.png` in any folder: the shaded surface of the evaluation in the first
     /// held-out view.
     pub fn surface_picture_in(path: &Path) -> PathBuf {
@@ -275,19 +258,14 @@ impl RunDir {
         self.path.join(EVAL)
     }
 
-    /// Returns the path of `renders/` in any folder.
-    pub fn renders_in(path: &Path) -> PathBuf {
-        path.join(RENDERS)
+    /// Returns the path of `renders/` in the run folder `run`: images and videos.
+    pub fn renders_in(run: &Path) -> PathBuf {
+        run.join(RENDERS)
     }
 
-    /// Returns the path of `mesh/` in the run folder `run`.
+    /// Returns the path of `mesh/` in the run folder `run`: a surface of the trained density, if one was drawn.
     pub fn mesh_in(run: &Path) -> PathBuf {
         run.join(MESH)
-    }
-
-    /// Returns the path of `renders/`: images and videos.
-    pub fn renders(&self) -> PathBuf {
-        self.path.join(RENDERS)
     }
 }
 
@@ -329,7 +307,7 @@ pub fn check_replaceable(path: &Path, existing: Existing) -> Result<()> {
 
 /// Content of a folder that a run is to be created in.
 struct Content {
-    /// One of its entries. The lock, temporary entries, and run folders with only temporary entries do not count.
+    /// One of its entries. The lock, temporary entries and empty run folders do not count.
     entry: Option<String>,
     /// A run made it: it has our lock file or, copied without it, `config.toml` next to `checkpoints/`. The name
     /// `config.toml` alone is too common.
@@ -341,7 +319,8 @@ impl Content {
         let run = path.join(LOCK).is_file() || path.join(CONFIG).is_file() && path.join(CHECKPOINTS).is_dir();
         for entry in fs::read_dir(path)? {
             let name = entry?.file_name();
-            let idle = name == LOCK || is_temporary(&name) || is_own_folder(&name) && is_idle_folder(&path.join(&name));
+            let idle =
+                name == LOCK || is_temporary(&name) || is_own_folder(&name) && is_empty_folder(&path.join(&name));
             if !idle {
                 return Ok(Content { entry: Some(name.to_string_lossy().into_owned()), run });
             }
@@ -354,9 +333,8 @@ fn is_own_folder(name: &OsStr) -> bool {
     FOLDERS.iter().any(|own| name == *own)
 }
 
-/// Returns whether a folder is empty, apart from unfinished files of a killed process, such as those of [`probe`].
-fn is_idle_folder(path: &Path) -> bool {
-    fs::read_dir(path).is_ok_and(|mut entries| entries.all(|entry| entry.is_ok_and(|e| is_temporary(&e.file_name()))))
+fn is_empty_folder(path: &Path) -> bool {
+    fs::read_dir(path).is_ok_and(|mut entries| entries.next().is_none())
 }
 
 /// Deletes a run's entries and unfinished files; the lock stays.
@@ -368,17 +346,6 @@ fn clear(path: &Path) -> io::Result<()> {
         }
     }
     FILES.iter().chain(&FOLDERS).chain(&[MESH, EVAL]).try_for_each(|name| discard(&path.join(name)))
-}
-
-/// Writes some blocks into `folder` through to the disk, and deletes them again.
-fn probe(folder: &Path) -> Result<()> {
-    // Varying content, so that a compressing or sparse file system needs real blocks.
-    let bytes: Vec<u8> = (0..PROBE_BYTES).map(|i| (i.wrapping_mul(2_654_435_761) >> 16) as u8).collect();
-    let probed = tempfile::Builder::new().prefix(TEMPORARY).tempfile_in(folder).and_then(|mut probe| {
-        write_synced(probe.as_file_mut(), &bytes)?;
-        probe.close()
-    });
-    probed.map_err(|error| Error::unwritable(folder, &error))
 }
 
 fn check_space(path: &Path, needed: u64) -> Result<()> {
@@ -432,24 +399,6 @@ mod tests {
     }
 
     #[test]
-    fn a_start_killed_while_it_probed_is_free() {
-        for name in FOLDERS {
-            let dir = tempfile::tempdir().unwrap();
-            let run = RunDir::create(dir.path(), Existing::Refuse, 0).unwrap();
-            run.check_writable(0).unwrap();
-            drop(run);
-            let left = dir.path().join(name).join(".augnerf-tmp-1-probe");
-            fs::write(&left, "half").unwrap();
-            let again =
-                RunDir::create(dir.path(), Existing::Refuse, 0).unwrap_or_else(|error| panic!("{name}: {error}"));
-            assert!(!left.exists(), "{name}");
-            fs::write(&left, "half").unwrap();
-            again.clean().unwrap();
-            assert!(!left.exists(), "{name}");
-        }
-    }
-
-    #[test]
     fn a_half_deleted_run_can_be_overwritten_again() {
         let dir = tempfile::tempdir().unwrap();
         fs::write(dir.path().join(METRICS_CSV), "").unwrap();
@@ -469,21 +418,5 @@ mod tests {
             let error = run.check_writable(u64::MAX).unwrap_err().to_string();
             assert!(error.contains("MiB are free") && error.contains("run"), "{error}");
         }
-    }
-
-    #[test]
-    fn probes_leave_nothing_and_notice_what_is_in_the_way() {
-        let dir = tempfile::tempdir().unwrap();
-        let run = RunDir::create(&dir.path().join("run"), Existing::Refuse, 0).unwrap();
-        run.check_writable(0).unwrap();
-        for name in FOLDERS {
-            assert_eq!(fs::read_dir(run.path().join(name)).unwrap().count(), 0, "{name}");
-        }
-        fs::create_dir(run.scalars()).unwrap();
-        assert!(run.check_writable(0).unwrap_err().to_string().contains("scalars.csv"));
-        fs::remove_dir(run.scalars()).unwrap();
-        fs::remove_dir(run.renders()).unwrap();
-        fs::write(run.renders(), "file").unwrap();
-        assert!(run.check_writable(0).unwrap_err().to_string().contains("renders"));
     }
 }

@@ -372,7 +372,7 @@ impl Experiment<'_> {
     /// Measures every held-out view and some training views.
     fn evaluate(&self, trainer: &Trainer, events: &dyn Listener, signal: &AtomicUsize) -> Result<Report> {
         let (viewer, state) = (self.viewer(trainer)?, trainer.state());
-        let renders = self.run.renders();
+        let renders = RunDir::renders_in(self.run.path());
         let pictures = Pictures::new(&renders, self.setup.scene, self.setup.config.eval.pictures);
         let (run, folder, lpips) = (&self.run, self.run.path(), self.setup.lpips);
         let measurement = Measurement { run, folder, viewer, state: &state, lpips, events, split: None };
@@ -420,7 +420,7 @@ impl Watcher<'_> {
         let Some(allowance) = preview.allowance(trainer.step_count()) else { return Ok(()) };
         let started = Instant::now();
         let (Setup { scene, config, .. }, step) = (&self.experiment.setup, trainer.step_count());
-        let renders = self.experiment.run.renders();
+        let renders = RunDir::renders_in(self.experiment.run.path());
         let pictures = Pictures::new(&renders, scene, config.eval.pictures);
         let viewer = self.experiment.viewer(trainer)?;
         let stop_check = &mut || self.experiment.check_signal(self.signal, step);
