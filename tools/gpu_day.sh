@@ -155,7 +155,7 @@ trainings() {
 precision() {
   local precision
   for precision in f16 f32; do
-    try 400 "3-fern-network-$precision" ./augnerf train --data fern --preset paper-llff --yes --device gpu --out "$out/fern-$precision" \
+    try 400 "3-fern-network-$precision" ./augnerf train --data fern --preset paper-llff --device gpu --out "$out/fern-$precision" \
       --set train.steps=$network_steps --set field.precision=$precision $small_paper
   done
 }
@@ -163,7 +163,7 @@ precision() {
 # 4. The paper's own settings on fern, until the time is up. `augnerf resume` goes on from the checkpoint.
 paper() {
   deadline=$most
-  try $((most / slower)) 4-fern-paper ./augnerf train --data fern --preset paper-llff --yes --device gpu --out "$out/fern-paper" \
+  try $((most / slower)) 4-fern-paper ./augnerf train --data fern --preset paper-llff --device gpu --out "$out/fern-paper" \
     --set train.log_every=$log_every $small_paper
 }
 

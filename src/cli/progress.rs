@@ -21,17 +21,6 @@ pub fn report(line: &str) {
     let _ = writeln!(std::io::stderr(), "{}", shown(line));
 }
 
-/// Asks on the terminal, and returns whether the answer is yes.
-///
-/// # Errors
-/// [`Error::Config`]: the answer cannot be read.
-pub fn says_yes(question: &str) -> Result<bool> {
-    report(&format!("{question} [y/N]"));
-    let mut answer = String::new();
-    std::io::stdin().read_line(&mut answer).map_err(|e| Error::Config(format!("cannot read the answer: {e}")))?;
-    Ok(["y", "yes"].contains(&answer.trim().to_ascii_lowercase().as_str()))
-}
-
 /// Prints a result on standard output. A reader may close it early (`| head`).
 ///
 /// # Errors

@@ -3,25 +3,22 @@
 use std::io::IsTerminal;
 use std::path::{Path, PathBuf};
 
-use candle_core::DType;
 use clap::Args;
 use tempfile::NamedTempFile;
 
 use crate::base::{Error, Result};
 use crate::data::Photos;
 use crate::metrics::{Backbone, FLOOR_PSNR, LPIPS, PSNR, SSIM};
-use crate::run::{
-    Estimate, Existing, Finished, Job, RunDir, Setup, check_replaceable, load_lpips, load_scene, load_scene_of,
-};
+use crate::run::{Estimate, Existing, Finished, Job, RunDir, Setup, load_lpips, load_scene, load_scene_of};
 use crate::runtime::Runtime;
 use crate::settings::Config;
+use crate::train::Origin;
 use crate::train::checkpoint::{self, State};
-use crate::train::{Origin, Trainer};
 
 use super::answer::{Answer, Measured};
 use super::experiment::{Base, Experiment, say_without_effect, settings_file};
 use super::measure::print_balance;
-use super::progress::{Console, duration, print, report, says_yes};
+use super::progress::{Console, duration, print};
 use super::signals::catch_signals;
 use super::view::{Live, LivePage};
 use super::{Compute, LpipsWeights, Sources};
@@ -31,9 +28,6 @@ const PAPER_STEPS: u64 = 100_000;
 
 /// Seconds of training from which on pictures are drawn before its end.
 const PREVIEWS_FROM: f64 = 10.0;
-
-/// Seconds from which on a question is asked.
-pub(super) const LONG: f64 = 3600.0;
 
 pub const RESUME_EXAMPLES: &str = "Examples:
   augnerf resume runs/fern-nerf-*
@@ -73,9 +67,6 @@ pub struct TrainArguments {
     /// Print the resolved settings and stop
     #[arg(long, help_heading = "Output")]
     print_config: bool,
-    /// Start without a question, however long it takes
-    #[arg(long, short = 'y', help_heading = "Experiment")]
-    yes: bool,
     #[command(flatten)]
     live: Live,
     #[command(flatten)]
@@ -123,16 +114,12 @@ impl TrainArguments {
         let folder = self.out.clone().unwrap_or_else(|| default_folder(&config));
         let setup = Setup { config, scene: &scene, lpips: &lpips, runtime: runtime.clone() };
         let existing = if self.overwrite { Existing::Replace } else { Existing::Refuse };
-        let words = what_is_trained(&setup);
+        let mut words = what_is_trained(&setup);
+        if self.from.is_none() && !self.experiment.names_length() && setup.config.train.steps >= PAPER_STEPS {
+            words += "\nno --preset is named, so these are the paper's own settings; --preset fast takes minutes";
+        }
         let page = self.live.open(&setup, &folder)?;
         say_without_effect(self.experiment.settings(), |setting| setup.config.without_effect(setting), console);
-        // Only the paper's own settings take so long that nobody should start them without having asked for them.
-        let asks = self.from.is_none() && !self.experiment.names_length() && setup.config.train.steps >= PAPER_STEPS;
-        if asks {
-            check_replaceable(&folder, existing)?;
-            console.say(&words);
-            self.ask_for_patience(&setup, console)?;
-        }
         let job = match &parent {
             None => Job::create(&folder, existing, setup)?,
             Some(parent) => {
@@ -145,39 +132,8 @@ impl TrainArguments {
             }
         };
         drop(parent);
-        if !asks {
-            console.say(&words);
-        }
+        console.say(&words);
         train(job, &folder, console, page.as_ref(), self.answer)
-    }
-}
-
-impl TrainArguments {
-    /// Says how long the paper's own settings take here, and asks on a terminal.
-    ///
-    /// # Errors
-    /// [`Error::Config`]: the answer is no.
-    fn ask_for_patience(&self, setup: &Setup, console: &Console) -> Result<()> {
-        let Setup { config, scene, runtime, .. } = setup;
-        let seconds =
-            config.train.steps as f64 * Trainer::new(config, scene, DType::F32, runtime)?.time_step(&|| Ok(()))?;
-        let text = format!(
-            "no --preset is named, so these are the paper's own settings: about {} here; --preset fast takes minutes",
-            duration(seconds)
-        );
-        if seconds < LONG || self.yes {
-            console.say(&text);
-            return Ok(());
-        }
-        if !std::io::stdin().is_terminal() || self.answer.json {
-            // Also with --quiet: it may take weeks.
-            report(&format!("warning: {text}"));
-            return Ok(());
-        }
-        match says_yes(&format!("{text}. Start?"))? {
-            true => Ok(()),
-            false => Err(Error::Config("not started; name a --preset, or start with --yes".into())),
-        }
     }
 }
 

@@ -24,7 +24,6 @@ use crate::sweep::{
 
 use super::LpipsWeights;
 use super::progress::{Console, duration, report};
-use super::train::LONG;
 
 mod across;
 mod collect;
@@ -122,6 +121,8 @@ struct Changes {
 #[derive(Clone, Debug, PartialEq)]
 struct Seeds(RangeInclusive<u64>);
 
+/// Seconds of a point from which on the paper's own settings are warned of.
+const LONG: f64 = 3600.0;
 /// Most seeds of a range, as many as a sweep has points.
 const MOST_SEEDS: u64 = 10_000;
 

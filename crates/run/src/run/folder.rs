@@ -297,14 +297,6 @@ fn check_entries(path: &Path) -> Result<()> {
     folders.chain([path.join(RENDERS).join("path")]).try_for_each(|folder| check_own(&folder, true))
 }
 
-/// Returns an error unless a run may take the place of what is at `path`.
-///
-/// # Errors
-/// [`Error::Output`].
-pub fn check_replaceable(path: &Path, existing: Existing) -> Result<()> {
-    if path.symlink_metadata().is_ok() { check_vacant(path, existing) } else { Ok(()) }
-}
-
 /// Content of a folder that a run is to be created in.
 struct Content {
     /// One of its entries. The lock, temporary entries and empty run folders do not count.

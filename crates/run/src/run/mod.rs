@@ -40,7 +40,7 @@ pub use depth_errors::DepthErrors;
 pub use evaluate::{EVALUATING, RenderedView, Viewer};
 pub use exchange::{Foreign, Networks, export};
 pub use first_view::{FirstView, read_picture};
-pub use folder::{Existing, RunDir, check_replaceable};
+pub use folder::{Existing, RunDir};
 pub use inputs::{load_lpips, load_scene, load_scene_of, load_scene_with, locate_scene};
 pub use job::watch_memory;
 pub use job::{Audience, Estimate, Finished, Job, Setup};

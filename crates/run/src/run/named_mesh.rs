@@ -49,21 +49,19 @@ pub fn named_mesh(name: &str, other: &str) -> Result<Reference> {
     reference_mesh(&file.to_string_lossy())
 }
 
-/// Where a mesh lies, by its `mesh.json`. Earlier versions did not write all of it.
+/// Where a mesh lies, by its `mesh.json`.
 #[derive(Deserialize)]
 struct Placed {
-    #[serde(default)]
     units: MeshUnits,
-    world_to_scene: Option<WorldMatrix>,
-    #[serde(default)]
+    world_to_scene: WorldMatrix,
     protocol: OfScene,
 }
 
 /// The scene in a protocol.
-#[derive(Default, Deserialize)]
+#[derive(Deserialize)]
 struct OfScene {
-    scene: Option<String>,
-    dataset: Option<String>,
+    scene: String,
+    dataset: String,
 }
 
 impl Placed {
@@ -94,16 +92,15 @@ impl Placed {
     }
 
     /// Returns the scene's name and kind.
-    fn scene(&self) -> Option<String> {
-        let OfScene { scene, dataset } = &self.protocol;
-        Some(format!("{} ({})", scene.as_ref()?, dataset.as_ref()?))
+    fn scene(&self) -> String {
+        format!("{} ({})", self.protocol.scene, self.protocol.dataset)
     }
 
     /// Returns the map from the capture's units to the mesh's.
-    fn world(&self) -> Option<WorldMatrix> {
+    fn world(&self) -> WorldMatrix {
         match self.units {
             MeshUnits::Scene => self.world_to_scene,
-            MeshUnits::Capture => Some(WorldMatrix::of(&WorldToScene::default())),
+            MeshUnits::Capture => WorldMatrix::of(&WorldToScene::default()),
         }
     }
 }
@@ -115,13 +112,13 @@ fn check_alike(name: &str, other: &str) -> Result<()> {
     if [&mesh, &reference].iter().all(|mesh| mesh.units == MeshUnits::Capture) {
         return Ok(());
     }
-    let scenes = mesh.scene().zip(reference.scene());
-    if let Some((scene, another)) = scenes.filter(|(scene, another)| scene != another) {
+    let (scene, another) = (mesh.scene(), reference.scene());
+    if scene != another {
         return Err(Error::Config(format!(
             "{name} is of {scene}, and {other} is of {another}, so their distance means nothing; compare meshes of one scene"
         )));
     }
-    match mesh.world().zip(reference.world()).is_none_or(|(a, b)| a.is_close(&b)) {
+    match mesh.world().is_close(&reference.world()) {
         true => Ok(()),
         false => Err(Error::Config(format!(
             "{name} and {other} have different coordinates (units and world_to_scene of {REPORT}); draw both runs with \
