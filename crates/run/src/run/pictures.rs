@@ -1,12 +1,12 @@
 //! Images that training and rendering write.
 
 use std::cell::RefCell;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 use serde::Serialize;
 
-use crate::base::files::{remove, write_json};
-use crate::base::{Error, Image, Result};
+use crate::base::files::write_json;
+use crate::base::{Image, Result};
 use crate::compare::{DisplaySize, colour_bar};
 use crate::data::{Scene, View};
 use crate::draw::canvas::{Anchor, BLACK, Canvas, LINE_HEIGHT, TEXT};
@@ -155,7 +155,10 @@ impl<'a> Pictures<'a> {
         let Image { width, height, .. } = rendered.image;
         let file = |what: &str| self.folder.join(format!("{}_{what}.png", view.name));
         // The first view's range colours all views.
-        let range = *self.range.borrow_mut().get_or_insert_with(|| self.depth_range(rendered));
+        let range = *self.range.borrow_mut().get_or_insert_with(|| {
+            let range = depth_range(&rendered.depth, Some(&rendered.acc));
+            range.unwrap_or((self.scene.near as f32, self.scene.far as f32))
+        });
         let colours = depth_picture(rendered, range)?;
         write_png8(&file("rgb"), &rendered.image)?;
         write_png8(&file("truth"), &view.image)?;
@@ -164,46 +167,16 @@ impl<'a> Pictures<'a> {
         if let Some(mask) = &view.mask {
             write_png8(&file("mask"), &mask_picture(mask, width, height))?;
         }
-        let all = self.beside(view.image.as_ref().clone(), view.mask.as_deref(), rendered, (&colours, range))?;
-        write_png8(&file("beside"), &all)
-    }
-
-    fn depth_range(&self, rendered: &RenderedView) -> (f32, f32) {
-        let range = depth_range(&rendered.depth, Some(&rendered.acc));
-        range.unwrap_or((self.scene.near as f32, self.scene.far as f32))
-    }
-
-    /// Returns rendering, ground truth and depth, `colours` over a range, side by side.
-    fn beside(
-        &self,
-        mut truth: Image,
-        mask: Option<&[bool]>,
-        rendered: &RenderedView,
-        (colours, range): (&Image, (f32, f32)),
-    ) -> Result<Image> {
-        if let Some(mask) = mask {
+        let mut truth = view.image.as_ref().clone();
+        if let Some(mask) = &view.mask {
             stripe(&mut truth, mask);
         }
         let unit = if self.scene.ndc.is_some() { "NDC" } else { "scene units" };
-        side_by_side(&[&rendered.image, &truth, colours], range, unit)
+        write_png8(&file("beside"), &side_by_side(&[&rendered.image, &truth, &colours], range, unit)?)
     }
 
-    /// Returns the path of the image of an unfinished training.
-    pub fn preview_path(&self) -> PathBuf {
-        self.folder.join("preview.png")
-    }
-
-    /// Writes the image of an unfinished training: a rendering of the first view, beside its ground truth and depth.
-    pub fn preview(&self, truth: Image, mask: Option<&[bool]>, rendered: &RenderedView) -> Result<()> {
-        let range = self.depth_range(rendered);
-        let all = self.beside(truth, mask, rendered, (&depth_picture(rendered, range)?, range))?;
-        write_png8(&self.preview_path(), &all)
-    }
-
-    /// Writes `depth.json` and deletes the image of the unfinished training.
+    /// Writes `depth.json`.
     pub fn finish(&self) -> Result<()> {
-        let preview = self.preview_path();
-        remove(&preview).map_err(|error| Error::unwritable(&preview, &error))?;
         if self.count == 0 {
             return Ok(());
         }
