@@ -21,9 +21,9 @@ use super::progress::{Console, print};
 use super::{Compute, LpipsWeights};
 
 pub const EXAMPLES: &str = "Examples:
-  augnerf score renders/ truth/                               # two folders, equal names
-  augnerf score renders/ --data fern --set data.downscale=8   # held-out views of a scene
-  augnerf score renders/ runs/fern-nerf-0 --out views.csv     # those of a run, with a line for each view
+  augnerf score renders/ truth/                              # two folders, equal names
+  augnerf score renders/ --data fern --set data.downscale=8  # held-out views of a scene
+  augnerf score renders/ runs/fern-nerf-0 --out views.csv    # those of a run, a line each
 
 Prints one line of JSON with the means over views. Values are first rounded to 8 bits, as in every measurement here.";
 
