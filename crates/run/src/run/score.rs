@@ -86,8 +86,8 @@ pub fn pictures(folder: &Path, suffix: &str) -> Result<Vec<Picture>> {
 }
 
 /// Returns a name in parts that compare by the value of numbers in it: `r_2` before `r_10`. A number is told by its length
-/// without leading zeros, then by its digits.
-fn natural(name: &str) -> Vec<(usize, &str)> {
+/// without leading zeros, then by its digits. Last comes the name itself, for leading zeros.
+fn natural(name: &str) -> (Vec<(usize, &str)>, &str) {
     let is_digit = |letter: &char| letter.is_ascii_digit();
     let mut parts = Vec::new();
     let mut rest = name;
@@ -98,9 +98,7 @@ fn natural(name: &str) -> Vec<(usize, &str)> {
         parts.push(if is_digit(&first) { (1 + number.len(), number) } else { (0, part) });
         rest = after;
     }
-    // Names that differ in leading zeros alone.
-    parts.push((name.len(), name));
-    parts
+    (parts, name)
 }
 
 /// The ground truth of one image.
