@@ -7,11 +7,8 @@ use serde_json::json;
 
 use crate::base::files::AtomicDir;
 use crate::base::{Error, Result};
-use crate::compare::{
-    Comparison, Profile, Profiles, RunView, Window, check_box, check_overlay, check_profiled, labels, name_steps,
-};
+use crate::compare::{Comparison, Profile, Profiles, RunView, Window, check_box, check_profiled, labels, name_steps};
 use crate::data::View;
-use crate::draw::SVG_ALONE;
 use crate::report::label;
 use crate::run::{OpenOptions, RunDir, Trained, Viewer};
 use crate::runtime::Runtime;
@@ -58,8 +55,6 @@ struct NamedRun {
     path: PathBuf,
     /// The run's name.
     label: String,
-    /// Place of its row in the sweep.
-    row: Option<usize>,
 }
 
 /// Run folders with the runs' names.
@@ -76,6 +71,12 @@ impl Runs {
 
     /// Returns the named runs, or rows of a sweep with their names.
     fn named(&self) -> Result<Named> {
+        if let Some(results) = self.runs.iter().find(|path| path.join("provenance.toml").is_file()) {
+            return Err(Error::Config(format!(
+                "{}: a sweep's results, without its runs; name the sweep's folder, such as runs/NAME",
+                results.display()
+            )));
+        }
         let mut named: Named = match self.runs.iter().find(|path| SweepFolder::new(path).is_begun()) {
             Some(sweep) if self.runs.len() == 1 => self.rows_of(&SweepFolder::new(sweep))?,
             Some(sweep) => {
@@ -98,7 +99,7 @@ impl Runs {
             labels => labels.to_vec(),
         };
         if named.is_empty() {
-            let unnamed = |path: &PathBuf| NamedRun { path: path.clone(), label: String::new(), row: None };
+            let unnamed = |path: &PathBuf| NamedRun { path: path.clone(), label: String::new() };
             named = self.runs.iter().map(unnamed).collect();
         }
         let paths: Vec<PathBuf> = named.iter().map(|run| run.path.clone()).collect();
@@ -120,18 +121,17 @@ impl Runs {
         let scene = self.scene_of(&points)?;
         let mut known = Vec::new();
         for point in points.iter().filter(|point| point.scene == scene && point.config.seed == seed) {
-            let row = |name: &str| definition.row.iter().position(|row| row.name == name);
-            known.extend(point.places.iter().map(|place| (label(&place.row, &place.axes), row(&place.row), point)));
+            known.extend(point.places.iter().map(|place| (label(&place.row, &place.axes), point)));
         }
-        let all: Vec<&str> = known.iter().map(|(label, ..)| label.as_str()).collect();
+        let all: Vec<&str> = known.iter().map(|(label, _)| label.as_str()).collect();
         let chosen = split_names("--rows", &self.rows, &all)?;
         let mut named: Named = Vec::new();
-        for (label, row, point) in &known {
+        for (label, point) in &known {
             let (run, done) = (sweep.point(&point.id).run(), sweep.point(&point.id).result()?.is_some());
             // Rows that share a point are drawn once.
             let twice = named.iter().any(|known| known.path == run);
             if chosen.is_empty() && done && !twice {
-                named.push(NamedRun { path: run, label: label.clone(), row: *row });
+                named.push(NamedRun { path: run, label: label.clone() });
             } else if chosen.contains(label) && !done {
                 let status = sweep.point(&point.id).state(point)?.status.name();
                 return Err(Error::Config(format!(
@@ -142,8 +142,8 @@ impl Runs {
             }
         }
         for name in &chosen {
-            let (_, row, point) = known.iter().find(|(label, ..)| label == name).expect("split");
-            named.push(NamedRun { path: sweep.point(&point.id).run(), label: name.clone(), row: *row });
+            let (_, point) = known.iter().find(|(label, _)| label == name).expect("split");
+            named.push(NamedRun { path: sweep.point(&point.id).run(), label: name.clone() });
         }
         if named.is_empty() {
             return Err(Error::Config(format!(
@@ -189,11 +189,11 @@ impl Runs {
             run.read_config()?;
             checkpoint::latest(&run.checkpoints())?;
         }
-        for NamedRun { path, label, row } in runs {
+        for NamedRun { path, label } in runs {
             let trained = Trained::open_at(path, OpenOptions::CAMERAS, self.data.as_deref(), runtime, console)?;
             let (viewer, state) = (trained.viewer(), &trained.state);
             let mut shown = RunView::new(label.clone(), &viewer, state, &self.view)?;
-            (shown.row, shown.protocol) = (*row, trained.protocol());
+            shown.protocol = trained.protocol();
             gathered.first().map_or(Ok(()), |(first, _)| shown.check_alike(first))?;
             console.say(&format!("{}: view {} at step {}", shown.label, shown.view.name, state.step));
             let made = make(&viewer, &shown)?;
@@ -215,7 +215,7 @@ pub struct CompareArguments {
     /// Width of the searched box in pixels [default: a fifth of the view's]
     #[arg(long, value_name = "N", value_parser = whole::<u32>(1..=u32::MAX.into()), help_heading = "Output")]
     box_width: Option<u32>,
-    /// Plot density, transmittance, weight and colour along the ray of a pixel (column and row, from 0) instead
+    /// Write density, transmittance, weight and colour along the ray of a pixel (column and row, from 0) instead
     #[arg(long, value_name = "X,Y", conflicts_with_all = ["zoom", "box_width"], help_heading = "Output")]
     ray: Option<String>,
     /// Output folder, new or empty [default: RUN/renders/compare (or ray) of the first run, replaced]
@@ -235,10 +235,7 @@ impl CompareArguments {
         self.out.as_deref().map_or(Ok(()), AtomicDir::check_vacant)?;
         match ray {
             None => self.compute.run(|runtime, console| self.compare(&runs, zoom, runtime, console)),
-            Some(pixel) => {
-                check_overlay(runs.len())?;
-                self.compute.run(|runtime, console| self.profile(&runs, pixel, runtime, console))
-            }
+            Some(pixel) => self.compute.run(|runtime, console| self.profile(&runs, pixel, runtime, console)),
         }
     }
 
@@ -251,17 +248,17 @@ impl CompareArguments {
         let (rendered, folders) = self.runs.gather(runs, runtime, console, render)?;
         let comparison = Comparison::new(rendered, zoom, box_width)?;
         let folder = self.write("compare", &folders[0], |folder| comparison.write(folder))?;
-        self.answer(("comparison", comparison.json()), &folder, console)?;
+        self.answer(("comparison", comparison.json()), &folder)?;
         let View { image, .. } = comparison.view();
         let (x, y) = (image.width / 2, image.height / 2);
         let ray = format!("augnerf compare {} --ray {x},{y}", self.runs.words());
-        open_next(console, &[folder.join("compare.png"), folder.join("compare.svg")], &ray);
+        open_next(console, &[folder.join("compare.svg")], &ray);
         Ok(())
     }
 
     fn profile(&self, runs: &[NamedRun], pixel: (usize, usize), runtime: &Runtime, console: &Console) -> Result<()> {
         // Before anything is measured.
-        for NamedRun { path, label, .. } in runs {
+        for NamedRun { path, label } in runs {
             check_profiled(label, &RunDir::open(path)?.read_config()?)?;
         }
         let measure = |viewer: &Viewer, run: &RunView| Profile::measure(viewer, run, pixel);
@@ -269,7 +266,7 @@ impl CompareArguments {
         runs.iter().try_for_each(|(run, _)| run.check_same_interval(&runs[0].0))?;
         let profiles = Profiles { runs, pixel };
         let folder = self.write("ray", &folders[0], |folder| profiles.write(folder))?;
-        self.answer(("ray", profiles.json()), &folder, console)
+        self.answer(("ray", profiles.json()), &folder)
     }
 
     /// Writes the files of the result into the output folder, or into a folder of the first run; returns it.
@@ -280,8 +277,7 @@ impl CompareArguments {
         Ok(folder)
     }
 
-    fn answer(&self, (name, content): (&str, serde_json::Value), folder: &Path, console: &Console) -> Result<()> {
-        SVG_ALONE.into_iter().for_each(|note| console.say(note));
+    fn answer(&self, (name, content): (&str, serde_json::Value), folder: &Path) -> Result<()> {
         self.answer.give_place(&json!({ "folder": folder.display().to_string(), name: content }), folder)
     }
 }

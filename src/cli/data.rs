@@ -40,8 +40,8 @@ pub struct CheckArguments {
     /// regularizer.rays and regularizer.unseen_poses
     #[arg(long, value_name = "FIELD=VALUE")]
     set: Vec<String>,
-    /// Draw cameras, points, ray ends and the box into a PNG or SVG
-    #[arg(long, value_name = "FILE.png")]
+    /// Draw cameras, points, ray ends and the box into an SVG
+    #[arg(long, value_name = "FILE.svg")]
     picture: Option<PathBuf>,
     /// Decode all photos, not only their headers, and print the hash of their pixels
     #[arg(long)]
@@ -55,7 +55,7 @@ pub struct CheckArguments {
 
 const CHECK_EXAMPLES: &str = "Examples:
   augnerf data check                                     # the built-in scene
-  augnerf data check fern --picture fern.png             # with a drawing of the cameras
+  augnerf data check fern --picture fern.svg             # with a drawing of the cameras
   augnerf data check ~/data/fern --set data.downscale=4  # as training with this setting reads it";
 
 /// The settings outside section data that a check reads: the seed of corruptions and of unseen cameras, and for an image what
@@ -149,39 +149,18 @@ impl CorruptArguments {
     }
 }
 
-/// Draws the scene into a PNG or SVG file.
-fn draw(config: &Resolved, scene: &Scene, file: &Path) -> Result<()> {
-    let figure = scene_picture(config, scene)?;
-    match (ending(file)?, figure.png()?) {
-        (Ending::Svg, _) => write_named(file, figure.svg.as_bytes()),
-        (Ending::Png, Some(png)) => write_named(file, &png),
-        (Ending::Png, None) => Err(Error::Config(format!(
-            "--picture {}: this augnerf has no PNG figures (feature png-figures); choose a name that ends in .svg",
-            file.display()
-        ))),
+/// Returns an error unless the file's name ends in `.svg`.
+fn check_ending(file: &Path) -> Result<()> {
+    if file.extension().is_some_and(|ending| ending.eq_ignore_ascii_case("svg")) {
+        return Ok(());
     }
-}
-
-enum Ending {
-    Png,
-    Svg,
-}
-
-fn ending(file: &Path) -> Result<Ending> {
-    match file.extension().map(|ending| ending.to_ascii_lowercase()) {
-        Some(ending) if ending == "png" => Ok(Ending::Png),
-        Some(ending) if ending == "svg" => Ok(Ending::Svg),
-        _ => Err(Error::Config(format!(
-            "--picture {}: neither PNG nor SVG; choose a name that ends in .png or .svg",
-            file.display()
-        ))),
-    }
+    Err(Error::Config(format!("--picture {}: it is drawn as SVG; choose a name that ends in .svg", file.display())))
 }
 
 impl CheckArguments {
     fn run(self) -> Result<()> {
         // An error before images are read.
-        self.picture.as_ref().map_or(Ok(()), |file| ending(file).map(|_| ()))?;
+        self.picture.as_ref().map_or(Ok(()), |file| check_ending(file))?;
         let console = Console::new(self.quiet);
         let further = if self.picture.is_some() { &DRAWN[..] } else { &CHECKED };
         let set = data_settings(&self.set, further, CHECK_READS, "the argument DIR")?;
@@ -209,7 +188,9 @@ impl CheckArguments {
         let further = [("split", &*split), ("pixels", pixels_words(&scene))];
         let further = further.map(|(label, value)| (label.to_string(), value.to_string()));
         let said: Vec<(String, String)> = scene.describe().into_iter().chain(further).collect();
-        self.picture.as_ref().map_or(Ok(()), |file| draw(&config, &scene, file))?;
+        if let Some(file) = &self.picture {
+            write_named(file, scene_picture(&config, &scene)?.svg.as_bytes())?;
+        }
         self.answer.give(&CheckedScene::new(&config, &scene, split, &said), || {
             said.iter().try_for_each(|(label, value)| print_shown(&format!("{label:>16}  {value}")))
         })

@@ -26,18 +26,8 @@ pub fn report(line: &str) {
 /// # Errors
 /// [`Error::Output`]: it cannot be written for another reason, such as a full disk.
 pub fn print(text: &str) -> Result<()> {
-    print_to_reader(text).map(|_| ())
-}
-
-/// Does the same for a command that prints again and again. Returns whether there is still a reader.
-///
-/// # Errors
-/// Those of [`print`].
-pub fn print_to_reader(text: &str) -> Result<bool> {
     let mut out = std::io::stdout();
-    let written = writeln!(out, "{text}").and_then(|()| out.flush());
-    let is_gone = written.as_ref().is_err_and(|error| error.kind() == std::io::ErrorKind::BrokenPipe);
-    printed(written).map(|()| !is_gone)
+    printed(writeln!(out, "{text}").and_then(|()| out.flush()))
 }
 
 /// Prints text for people, which may quote names from files, with control characters escaped.

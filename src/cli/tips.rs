@@ -7,6 +7,21 @@ use clap::error::{ContextKind, ContextValue, ErrorKind};
 
 use crate::settings::registry::settings_called;
 
+/// Commands that left, and what to type now.
+const LEFT: [(&str, &str); 11] = [
+    ("profile", "'augnerf compare A B --ray X,Y'"),
+    ("measure", "'augnerf eval RUN --smoothness'"),
+    ("balance", "'augnerf train --balance'"),
+    ("chamfer", "'augnerf mesh A --chamfer B'"),
+    ("devices", "'augnerf bench --devices'"),
+    ("completions", "'augnerf --completions bash'"),
+    ("begin", "'augnerf sweep run FILE --create'"),
+    ("submit", "'augnerf sweep slurm FILE' and sbatch"),
+    ("cancel", "scancel"),
+    ("best", "pandas on table.csv"),
+    ("power", "a notebook"),
+];
+
 /// Adds tips to an error: a setting that an unknown flag names, or a flag for a stray word.
 /// `words` is the command line without the program.
 pub fn with_tips(mut error: clap::Error, words: &[OsString]) -> clap::Error {
@@ -20,6 +35,12 @@ pub fn with_tips(mut error: clap::Error, words: &[OsString]) -> clap::Error {
         && let Some(wrong) = wrong_value(&error)
     {
         return clap::Error::raw(ErrorKind::ValueValidation, wrong);
+    }
+    if let Some(ContextValue::String(name)) = error.get(ContextKind::InvalidSubcommand).cloned()
+        && let Some((_, now)) = LEFT.iter().find(|(left, _)| *left == name)
+    {
+        error.insert(ContextKind::Suggested, ContextValue::StyledStrs(vec![format!("it left; use {now}").into()]));
+        return error;
     }
     if error.kind() != ErrorKind::UnknownArgument {
         return error;

@@ -430,10 +430,8 @@ fn eval_and_render_read_a_run_back() {
     refuse(&["render", folder, "--out", folder], 4, &["already holds files"]);
     succeed(&["render", "--quiet", folder, "--what", "views"]);
     let beside = image::open(out.join("renders/views/r_7_beside.png")).unwrap();
-    if cfg!(feature = "png-figures") {
-        // Three square views, their names above and the bar of depth below.
-        assert!(beside.height() > beside.width() / 3 + 80, "{} x {}", beside.width(), beside.height());
-    }
+    // Three square views, four pixels apart.
+    assert_eq!(beside.width(), 3 * beside.height() + 8);
     for ignored in ["--frames", "--fps"] {
         refuse(&["render", folder, "--what", "views", ignored, "2"], 2, &["--what views", ignored]);
     }

@@ -492,7 +492,7 @@ fn a_colmap_folder_is_checked_drawn_trained_and_meshed() {
         assert!(told.contains(words), "{words}: {told}");
     }
     assert!(fs::read_to_string(&picture).unwrap().contains("<svg"));
-    refuse(&["data", "check", &capture, "--picture", "scene.gif"], 2, &["--picture", ".png"]);
+    refuse(&["data", "check", &capture, "--picture", "scene.gif"], 2, &["--picture", ".svg"]);
 
     let run = export.dir.path().join("run").display().to_string();
     let small =

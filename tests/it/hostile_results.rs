@@ -6,11 +6,8 @@ use std::path::Path;
 use crate::common::assert_says;
 use crate::common::files::{rows, text};
 use crate::fuzz::damage::packed;
-use crate::fuzz::readers::done_sweep;
 use crate::verify::{results, verify};
-use augnerf::run::{DepthErrors, RunDir};
-use augnerf::sweep::SweepOutputs;
-use tempfile::TempDir;
+use augnerf::run::DepthErrors;
 
 /// Replaces the first of a text in a file.
 #[track_caller]
@@ -41,17 +38,6 @@ fn a_log_whose_steps_fall_is_damaged() {
     let (dir, folder) = results("geometry");
     fs::write(folder.join("scalars.csv.gz"), packed(b"id,step,psnr\na,10,5\na,20,6\nb,10,5\na,15,7\n")).unwrap();
     assert_says(&verify(dir.path(), &[], 5), &["scalars.csv.gz", "point a: step 15 follows step 20"]);
-}
-
-/// Thirty million black pixels are 30 kB, and half a gigabyte as colours to compute with.
-#[test]
-fn surfaces_have_the_size_of_a_view() {
-    let dir = TempDir::new().unwrap();
-    let (sweep, definition, points) = done_sweep(dir.path());
-    let picture = RunDir::surface_picture_in(&sweep.point(&points[1].id).run());
-    image::GrayImage::new(6000, 5000).save(&picture).unwrap();
-    let error = SweepOutputs::of_folder(&sweep, &definition, &points).unwrap_err().to_string();
-    assert_says(&error, &["surface.png", "6000x5000"]);
 }
 
 #[cfg(unix)]

@@ -5,7 +5,7 @@ use crate::common::program::{refuse, succeed};
 use crate::common::{assert_says, tiny_scene};
 use augnerf::base::Result;
 use augnerf::report::tables::{Table, table_latex, table_markdown};
-use augnerf::report::{Record, RowSpec, Status, TableSpec};
+use augnerf::report::{PointResult, Record, RowSpec, Status, TableSpec};
 use augnerf::run::{check_measurable, surface_threshold};
 use augnerf::settings::columns::find;
 use augnerf::settings::{Capability, Config, DataKind, Extent, Preset, Representation, build, parse_assignment};
@@ -214,13 +214,14 @@ fn tables_tell_what_rows_without_fields_are() {
         id: row.into(),
         scene: "chair".into(),
         row: row.into(),
-        axes: Vec::new(),
         seed: Some(0),
         status: Status::Done,
-        reason: String::new(),
-        metrics: vec![("psnr".into(), Some(20.0))],
-        protocol: protocol.iter().map(|(name, value)| (name.to_string(), value.to_string())).collect(),
-        inactive_levels: Vec::new(),
+        result: PointResult {
+            metrics: vec![("psnr".into(), Some(20.0))],
+            protocol: protocol.iter().map(|(name, value)| (name.to_string(), value.to_string())).collect(),
+            ..PointResult::default()
+        },
+        ..Record::default()
     };
     let nerf = [("width", "200"), ("field_width", "64"), ("field_depth", "8"), ("rays", "512")];
     let records = [

@@ -57,9 +57,10 @@ fn slurm(program: &str, arguments: &[&str]) -> String {
     String::from_utf8(output.stdout).unwrap()
 }
 
-/// Submits the sweep's script with `sbatch`, and returns the job's number.
-fn submit(dir: &Path) -> String {
-    slurm("sbatch", &["--parsable", dir.join("runs/tiny/slurm/points.sbatch").to_str().unwrap()]).trim().to_string()
+/// Submits the sweep's script with options of `sbatch`, and returns the job's number.
+fn submit(dir: &Path, options: &[&str]) -> String {
+    let script = dir.join("runs/tiny/slurm/points.sbatch");
+    slurm("sbatch", &[&["--parsable"], options, &[script.to_str().unwrap()]].concat()).trim().to_string()
 }
 
 /// Tasks of the job in the queue: task, state, node.
@@ -109,9 +110,9 @@ fn a_sweep_on_a_cluster_equals_one_at_home_whatever_befalls_its_tasks() {
     let _turn = alone();
     let (home, cluster) = (workplace(), workplace());
     let dir = cluster.path();
-    let said = demand(&["sweep", "slurm", "tiny.toml", "--cpus", "1", "--mem", "200", "--time", "20"], dir, 0);
+    let said = demand(&["sweep", "slurm", "tiny.toml"], dir, 0);
     assert_says(&said, &["6 of 6 points", "sbatch runs/tiny/slurm/points.sbatch"]);
-    let job = submit(dir);
+    let job = submit(dir, &["--cpus-per-task=1", "--mem=200", "--time=20"]);
     let all = points(dir);
     // Of each seed the first, broken, and the last row.
     let good = [0, 2, 3, 5];
@@ -161,9 +162,9 @@ fn a_cancelled_sweep_stays_cancelled_and_goes_on_at_home() {
     let _turn = alone();
     let cluster = workplace();
     let dir = cluster.path();
-    let limited = ["--set", "train.steps=8000", "--seeds", "0", "--array-limit", "1"];
+    let limited = ["--set", "train.steps=8000", "--seeds", "0"];
     demand(&[&["sweep", "slurm", "tiny.toml", "--quiet"], &limited[..]].concat(), dir, 0);
-    let job = submit(dir);
+    let job = submit(dir, &["--array=0"]);
     let own = points(dir)[0].clone();
     wait_for("a step", dir, || in_training(&own));
     slurm("scancel", &[&job]);

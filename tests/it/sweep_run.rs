@@ -9,12 +9,12 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 use crate::common::{assert_says, needs};
 use augnerf::augment::{Epsilon, Site};
 use augnerf::base::{Error, Event, Listener, Result};
-use augnerf::report::Status;
+use augnerf::report::{PointResult, Status};
 use augnerf::runtime::Runtime;
 use augnerf::settings::{Config, DeltaSource, Regularizer, SecondPass};
 use augnerf::sweep::{
-    Change, Claim, Definition, Failure, Options, Overrides, Point, PointFolder, PointResult, Progress, Runner, Sharing,
-    StepCosts, SweepFolder, Unmeasured, Work, begin, evaluations_per_step, expand,
+    Change, Claim, Definition, Failure, Options, Overrides, Point, PointFolder, Progress, Runner, Sharing, StepCosts,
+    SweepFolder, Unmeasured, Work, begin, evaluations_per_step, expand,
 };
 use tempfile::TempDir;
 
@@ -335,7 +335,7 @@ fn failures_and_panics_cost_their_own_point_and_are_retried_when_asked() {
     let records = folder.records(&definition, &points).unwrap();
     assert_eq!(records[2].reason, "the loss is not a number");
     assert!(records[1].reason.contains("a defect"), "{}", records[1].reason);
-    assert!(records[2].metrics.is_empty());
+    assert!(records[2].result.metrics.is_empty());
     // Not by themselves.
     run(&folder, &points, &Fake::default(), OPTIONS).unwrap();
     assert_eq!(statuses(&folder, &points)[1], Status::Failed);
@@ -581,9 +581,11 @@ fn a_claim_is_seen_and_the_point_of_a_killed_worker_is_free_at_once() {
     // A kill: the lock goes, the note stays. It may happen as often as it likes.
     for _ in 0..30 {
         std::fs::write(point.path().join("claim.json"), &note).unwrap();
-        let state = point.state(&points[0]).unwrap();
-        assert_eq!(state.status, Status::Waiting);
-        assert_says(&state.reason, &[&format!("process {}", std::process::id()), "was killed at step 7"]);
+        assert_eq!(point.state(&points[0]).unwrap().status, Status::Waiting);
+        assert_says(
+            &Claim::look(point.path()).unwrap().fate(),
+            &[&format!("process {}", std::process::id()), "was killed at step 7"],
+        );
         drop(take().unwrap());
     }
     std::fs::write(point.path().join("claim.json"), &note).unwrap();

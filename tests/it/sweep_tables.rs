@@ -5,13 +5,13 @@ use std::collections::HashMap;
 use crate::common::files::rows;
 use augnerf::base::Error;
 use augnerf::metrics::METRICS;
-use augnerf::report::plots::{Style, Width, rows_figure};
+use augnerf::report::plots::{Style, rows_figure};
 use augnerf::report::tables::text::warnings;
 use augnerf::report::tables::{
     Line, Table, Verdict, constants, file_field, points_csv, read_points, table_csv, table_latex, table_markdown,
     table_terminal,
 };
-use augnerf::report::{AxisValue, PublishedKey, Record, RowSpec, Status, TableSpec};
+use augnerf::report::{AxisValue, PointResult, PublishedKey, Record, RowSpec, Status, TableSpec};
 use augnerf::settings::columns::COLUMNS;
 
 fn row(name: &str, baseline: Option<&str>, method: &str) -> RowSpec {
@@ -26,7 +26,7 @@ fn row(name: &str, baseline: Option<&str>, method: &str) -> RowSpec {
 }
 
 fn page(spec: &TableSpec) -> Style<'_> {
-    Style { spec, width: Width::Page }
+    Style { spec }
 }
 
 fn spec() -> TableSpec {
@@ -61,13 +61,14 @@ fn point(scene: &str, row: &str, seed: u64, psnr: f64) -> Record {
         id: format!("{scene}-{row}-{seed}"),
         scene: scene.into(),
         row: row.into(),
-        axes: Vec::new(),
         seed: Some(seed),
         status: Status::Done,
-        reason: String::new(),
-        metrics: vec![("psnr".into(), Some(psnr)), ("average_vgg".into(), None)],
-        protocol: fields.map(|(name, text)| (name.to_string(), text.to_string())).to_vec(),
-        inactive_levels: Vec::new(),
+        result: PointResult {
+            metrics: vec![("psnr".into(), Some(psnr)), ("average_vgg".into(), None)],
+            protocol: fields.map(|(name, text)| (name.to_string(), text.to_string())).to_vec(),
+            ..PointResult::default()
+        },
+        ..Record::default()
     }
 }
 
@@ -79,7 +80,7 @@ fn at_steps(mut record: Record, steps: &str) -> Record {
 
 fn unmeasured(mut record: Record, status: Status, reason: &str) -> Record {
     (record.status, record.reason) = (status, reason.into());
-    record.protocol.clear();
+    record.result.protocol.clear();
     record
 }
 
@@ -101,9 +102,9 @@ fn records() -> Vec<Record> {
         point("chair", "NeRF", 0, 30.0),
         unmeasured(point("chair", "Aug-NeRF", 0, 0.0), Status::NoData, "chair is not on this machine"),
     ];
-    records[1].inactive_levels = vec!["rgb".into()];
-    records[2].inactive_levels = vec!["rgb".into(), "density".into()];
-    records[3].metrics.push(("lpips_vgg".into(), Some(0.25)));
+    records[1].result.inactive_levels = vec!["rgb".into()];
+    records[2].result.inactive_levels = vec!["rgb".into(), "density".into()];
+    records[3].result.metrics.push(("lpips_vgg".into(), Some(0.25)));
     records
 }
 
@@ -189,7 +190,7 @@ fn lines_say_what_is_missing_inactive_and_published() {
 #[test]
 fn uncontrolled_settings_are_refused_or_marked() {
     let mut records = records();
-    records[1].protocol.last_mut().unwrap().1 = "def".into();
+    records[1].result.protocol.last_mut().unwrap().1 = "def".into();
     let Err(Error::NotComparable(message)) = Table::new(&spec(), &records, false) else { panic!("not refused") };
     for part in ["fern", "code_revision", "`abc` in NeRF (seed 0)", "`def` in Aug-NeRF (seed 1)", "--force"] {
         assert!(message.contains(part), "{part}: {message}");
@@ -213,7 +214,7 @@ fn uncontrolled_settings_are_refused_or_marked() {
 fn settings_by_seed_are_controlled_seed_by_seed() {
     let held_out = |row: &str, seed: u64, split: &str| {
         let mut record = point("fern", row, seed, 25.0);
-        record.protocol.push(("split".into(), split.into()));
+        record.result.protocol.push(("split".into(), split.into()));
         record
     };
     let plain = TableSpec { must_match: vec!["split".into()], ..spec() };
@@ -303,7 +304,7 @@ fn csvs_hold_what_varies_and_are_read_back_whole() {
             ("injection_layer", if is_attacked { "4" } else { "" }),
             ("set.perturb.injection_layer", if is_attacked { "4" } else { "" }),
         ] {
-            record.protocol.push((name.into(), text.into()));
+            record.result.protocol.push((name.into(), text.into()));
         }
         record.id = format!("{number}e456789012");
     }
@@ -337,10 +338,11 @@ fn csvs_hold_what_varies_and_are_read_back_whole() {
         let again = read(csv, constants);
         assert_eq!(again.len(), records.len());
         for (read, record) in again.iter().zip(&records) {
-            let place =
-                |r: &Record| (r.id.clone(), r.label(), r.seed, r.status, r.reason.clone(), r.inactive_levels.clone());
+            let place = |r: &Record| {
+                (r.id.clone(), r.label(), r.seed, r.status, r.reason.clone(), r.result.inactive_levels.clone())
+            };
             assert_eq!((place(read), read.metric("psnr").is_some()), (place(record), record.status == Status::Done));
-            for (name, text) in record.protocol.iter().filter(|(name, _)| name != "seed") {
+            for (name, text) in record.result.protocol.iter().filter(|(name, _)| name != "seed") {
                 assert_eq!(read.protocol(name), text, "{name}");
             }
         }
@@ -381,9 +383,9 @@ fn what_is_said_of_a_row_holds_for_most_of_its_seeds() {
             .map(|seed| {
                 let mut record = point("fern", "NeRF", seed, 20.0);
                 let floor = if (seed as usize) < 4 - lost { 12.0 } else { 20.5 };
-                record.metrics.push(("floor_psnr".into(), Some(floor)));
-                record.protocol.push(("inactive_by".into(), "colour".into()));
-                record.inactive_levels = if (seed as usize) < inactive { vec!["t".into()] } else { vec![] };
+                record.result.metrics.push(("floor_psnr".into(), Some(floor)));
+                record.result.protocol.push(("inactive_by".into(), "colour".into()));
+                record.result.inactive_levels = if (seed as usize) < inactive { vec!["t".into()] } else { vec![] };
                 record
             })
             .collect();
@@ -445,7 +447,7 @@ fn what_is_said_of_a_row_holds_for_most_of_its_seeds() {
 fn inactive_sites_are_worded_by_what_was_judged() {
     let mut records = records();
     for record in records.iter_mut().filter(|record| record.row == "Aug-NeRF") {
-        record.protocol.push(("inactive_by".into(), "colour".into()));
+        record.result.protocol.push(("inactive_by".into(), "colour".into()));
     }
     let table = Table::new(&spec(), &records, false).unwrap();
     let by_colour = "sites that move the rendered colours by less than half an 8-bit step on average: Aug-NeRF";
@@ -455,7 +457,7 @@ fn inactive_sites_are_worded_by_what_was_judged() {
         "{text}"
     );
     assert!(text.contains("| Aug-NeRF † |"), "one mark");
-    let figure = rows_figure(page(&spec()), &table, &records, "fern", "psnr").unwrap().unwrap().caption;
+    let figure = rows_figure(page(&spec()), &table, &records, "fern", "psnr").unwrap().caption;
     assert!(figure.contains("8-bit") && !figure.contains("effect"), "{figure}");
 }
 
@@ -464,14 +466,14 @@ fn inactive_sites_are_worded_by_what_was_judged() {
 fn cells_that_a_method_leaves_empty_are_explained() {
     let with_tv = |row: &str, tv: Option<f64>| {
         let mut record = point("chair", row, 0, 25.0);
-        record.metrics.push(("tv".into(), tv));
+        record.result.metrics.push(("tv".into(), tv));
         record
     };
     let failed = unmeasured(point("chair", "+ TV Reg.", 0, 0.0), Status::Failed, "collapsed");
     let spec = TableSpec { metrics: vec!["psnr".into(), "tv".into()], ..spec() };
     let text = |srn: &str| {
         let mut other = with_tv("output & only", None);
-        other.protocol.push(("srn".into(), srn.into()));
+        other.result.protocol.push(("srn".into(), srn.into()));
         let records = [with_tv("NeRF", Some(2.0)), other, failed.clone()];
         table_markdown(&Table::new(&spec, &records, false).unwrap())
     };
@@ -486,7 +488,7 @@ fn a_verdict_on_depth_over_own_pixels_comes_with_a_note() {
     let note = |metric: &str| {
         let spec = TableSpec { metrics: vec![metric.into()], ..spec() };
         let mut records = records();
-        records.iter_mut().flat_map(|record| &mut record.metrics).for_each(|(name, _)| *name = metric.into());
+        records.iter_mut().flat_map(|record| &mut record.result.metrics).for_each(|(name, _)| *name = metric.into());
         table_markdown(&Table::new(&spec, &records, false).unwrap()).contains("on different pixels")
     };
     assert!(note("depth_mae") && note("depth_rmse"));
@@ -614,7 +616,7 @@ fn methods_that_are_not_run_carry_the_paper_s_numbers_alone() {
 fn what_rows_differ_in_by_design_is_said() {
     let mut records = records();
     for record in records.iter_mut().filter(|record| record.row == "Aug-NeRF" && record.axes.is_empty()) {
-        for (name, text) in record.protocol.iter_mut().filter(|(name, _)| name == "steps") {
+        for (name, text) in record.result.protocol.iter_mut().filter(|(name, _)| name == "steps") {
             *text = format!("{name} 500");
         }
     }
@@ -662,7 +664,7 @@ fn words_are_the_same_in_every_format_and_follow_holm() {
         assert_eq!((is_about(&text, "higher"), is_about(&text, "lower")), (1, 0), "{text}");
         assert_eq!(is_about(&text, "not distinguishable"), 0, "{text}");
     }
-    let figure = rows_figure(page(&spec()), &table, &records, "fern", "psnr").unwrap().unwrap().svg;
+    let figure = rows_figure(page(&spec()), &table, &records, "fern", "psnr").unwrap().svg;
     let words = |word: &str| figure.matches(&format!(">\n{word}\n<")).count();
     assert_eq!((words("better"), words("worse"), words("not distinguishable")), (1, 0, 0));
     // One interval is blue, with its triangle; none is orange.
@@ -732,9 +734,9 @@ fn what_training_differs_in_is_said_and_the_rate_stands_in_the_caption() {
     let mut records = records();
     for record in records.iter_mut().filter(|record| record.status == Status::Done) {
         let octaves = if record.row == "Aug-NeRF" { "16" } else { "6" };
-        record.protocol.push(("learning_rate".into(), "0.0005 to 0.000005".into()));
-        record.protocol.push(("position_octaves".into(), octaves.into()));
-        record.protocol.push(("lambda".into(), octaves.into()));
+        record.result.protocol.push(("learning_rate".into(), "0.0005 to 0.000005".into()));
+        record.result.protocol.push(("position_octaves".into(), octaves.into()));
+        record.result.protocol.push(("lambda".into(), octaves.into()));
     }
     let markdown = table_markdown(&Table::new(&spec(), &records, false).unwrap());
     assert!(markdown.contains("rows differ in position_octaves: 6 (NeRF"), "{markdown}");
@@ -747,7 +749,7 @@ fn what_training_differs_in_is_said_and_the_rate_stands_in_the_caption() {
 #[test]
 fn tables_say_what_a_corruption_costs_the_baseline() {
     let noisy = |mut record: Record| {
-        record.protocol.push(("corruption".into(), "gaussian-noise 3 (std 0.18)".into()));
+        record.result.protocol.push(("corruption".into(), "gaussian-noise 3 (std 0.18)".into()));
         record
     };
     let records = |scene: &str| -> Vec<Record> {

@@ -6,7 +6,8 @@ use crate::common::assert_says;
 use crate::common::files::{entries, files, rows, text};
 use crate::common::program::{self, augnerf};
 use crate::sweep_run::Costs;
-use augnerf::sweep::{Claim, Definition, Point, PointResult, SHIPPED, Sharing, SweepFolder, TEMPLATE, expand};
+use augnerf::report::PointResult;
+use augnerf::sweep::{Claim, Definition, Point, SHIPPED, Sharing, SweepFolder, TEMPLATE, expand};
 use tempfile::TempDir;
 
 const BASE: &str = r#"
@@ -125,12 +126,12 @@ fn chosen_rows_have_the_statistics_of_what_is_shown() {
     assert_says(&collect(&["--rows", "NeRF", "--out", "results/one"], 4), &["complete tables", "--out"]);
     // Somebody's own figures, some of which have names of ours.
     std::fs::create_dir(dir.path().join("paper")).unwrap();
-    std::fs::write(dir.path().join("paper/rows_overview.png"), "mine").unwrap();
+    std::fs::write(dir.path().join("paper/rows_overview.svg"), "mine").unwrap();
     assert_says(
         &collect(&["--rows", "NeRF", "--out", "paper"], 4),
         &["paper holds files that are not a view", "--out"],
     );
-    assert_eq!(text(&dir.path().join("paper/rows_overview.png")), "mine");
+    assert_eq!(text(&dir.path().join("paper/rows_overview.svg")), "mine");
     collect(&["--rows", "NeRF", "--out", "pair"], 0);
     collect(&["--rows", "NeRF,A, long", "--out", "pair"], 0);
     // Of results alone, without the points, the same comes out; their own tables are left to `verify`.
@@ -165,11 +166,11 @@ fn results_replace_only_those_of_their_sweep() {
     assert_says(&said, &["tables holds results of the sweep 'one', which those of 'two' would replace", "--out"]);
     // A figure of somebody's own with a name of ours.
     std::fs::create_dir(at("paper")).unwrap();
-    std::fs::write(at("paper/curves_mine.png"), "mine").unwrap();
+    std::fs::write(at("paper/curves_mine.svg"), "mine").unwrap();
     let said = collect(&["runs/one", "--out", "paper"], 4);
     assert_says(&said, &["paper holds files that are not results of a sweep", "--out"]);
-    assert_eq!(entries(&at("paper")), [at("paper/curves_mine.png")]);
-    assert_eq!(text(&at("paper/curves_mine.png")), "mine");
+    assert_eq!(entries(&at("paper")), [at("paper/curves_mine.svg")]);
+    assert_eq!(text(&at("paper/curves_mine.svg")), "mine");
     // A view takes the place of chosen rows alone.
     collect(&["runs/one", "--rows", "NeRF,B", "--out", "view"], 0);
     assert_says(&collect(&["runs/one", "--out", "view"], 4), &["view holds files that are not results of a sweep"]);
@@ -242,30 +243,6 @@ fn labels_that_read_as_missing_values_are_refused() {
         assert_says(&demand(dir.path(), &across, 2), &[&refused]);
         assert_says(&demand(dir.path(), &["compare", "a", "b", "--label", label, "--label", "b"], 2), &[&refused]);
     }
-}
-
-#[cfg(unix)]
-#[test]
-fn points_have_the_names_of_their_rows() {
-    let dir = TempDir::new().unwrap();
-    let odd = BASE.replace("name = \"B\"", "name = \"B/2: \\\"x\\\"\"");
-    let (folder, points) = finished(dir.path(), "one", &odd, &[]);
-    demand(dir.path(), &["sweep", "collect", "runs/one"], 0);
-    let named = |row: &str, seed: u64| folder.join("by-name").join(row).join(format!("seed-{seed}"));
-    for point in &points {
-        let row = point.places[0].row.replace("B/2: \"x\"", "B-2- -x-");
-        let link = named(&row, point.config.seed);
-        assert!(std::fs::read_link(&link).unwrap().is_relative());
-        assert!(link.join("result.json").is_file(), "{}", link.display());
-        assert!(link.canonicalize().unwrap().ends_with(&point.id));
-    }
-    // A moved folder takes its links along; what no longer belongs goes.
-    std::fs::create_dir(folder.join("by-name/old")).unwrap();
-    let moved = dir.path().join("runs/moved");
-    std::fs::rename(&folder, &moved).unwrap();
-    assert!(moved.join("by-name/NeRF/seed-1/result.json").is_file());
-    demand(dir.path(), &["sweep", "collect", "runs/moved"], 0);
-    assert!(!moved.join("by-name/old").exists() && moved.join("by-name/NeRF/seed-1/result.json").is_file());
 }
 
 #[test]

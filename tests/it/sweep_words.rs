@@ -1,16 +1,14 @@
 //! What commands of sweeps say and how they end: estimates, exit codes, ranges of seeds, pruning, folders of somebody else.
 
 use std::fs;
-use std::io::{BufRead, BufReader};
 use std::path::Path;
-use std::process::Stdio;
 use std::time::Duration;
 
 use tempfile::TempDir;
 
 use crate::common::assert_says;
 use crate::common::files::{entries, points_of};
-use crate::common::program::{augnerf, demand, wait_for};
+use crate::common::program::{augnerf, demand};
 use augnerf::runtime::Runtime;
 use augnerf::sweep::{Definition, Point, Trainings, expand, plan_costs};
 
@@ -185,35 +183,13 @@ fn a_sweep_says_how_long_it_takes_and_how_it_ended() {
     fs::write(entries(&root.join("runs/tiny/points"))[0].join("failed.json"), r#"{"reason":"no","exit_code":5}"#)
         .unwrap();
     run(root, &["sweep", "run", "sweeps/tiny.toml"], 7);
-    // Frames have a time, objects are one a line, and the code is that of the state.
-    let said = run(root, &["sweep", "status", "runs/tiny", "--watch", "1"], 7);
-    assert_says(&said, &[" UTC\n", "row NeRF: ", " of 1 done", "row TV, weak: ", ", 1 failed"]);
+    let said = run(root, &["sweep", "status", "runs/tiny"], 7);
+    assert_says(&said, &["row NeRF: ", " of 1 done", "row TV, weak: ", ", 1 failed"]);
     // A point is no run; its run is in it.
     for command in ["eval", "resume", "render"] {
-        let said = run(root, &[command, "runs/tiny/by-name/NeRF/seed-0"], 5);
-        assert_says(&said, &["seed-0 is a point of a sweep; its run is runs/tiny/by-name/NeRF/seed-0/run"]);
-    }
-    let frames = printed(root, &["sweep", "status", "runs/tiny", "--watch", "1", "--json"]);
-    assert!(frames.lines().all(|line| line.starts_with("{\"folder\":")) && frames.lines().count() == 1, "{frames}");
-}
-
-/// Who has seen enough of a watch closes the pipe: the watch ends as a single look does.
-#[test]
-fn a_watch_that_nobody_reads_ends() {
-    let dir = workplace();
-    run(dir.path(), &["sweep", "run", "--create", "sweeps/tiny.toml"], 0);
-    for further in [&[][..], &["--json"]] {
-        let mut watch = augnerf(&[&["sweep", "status", "runs/tiny", "--watch", "1"], further].concat());
-        let mut child = watch.current_dir(dir.path()).stdout(Stdio::piped()).stderr(Stdio::null()).spawn().unwrap();
-        let mut first = String::new();
-        BufReader::new(child.stdout.take().unwrap()).read_line(&mut first).unwrap();
-        assert!(first.ends_with(" UTC\n") || first.starts_with("{\"folder\":"), "{first}");
-        let mut status = None;
-        wait_for("the watch's end", || {
-            status = child.try_wait().unwrap();
-            status.is_some()
-        });
-        assert_eq!(status.unwrap().code(), Some(11));
+        let point = entries(&root.join("runs/tiny/points"))[0].display().to_string();
+        let said = run(root, &[command, &point], 5);
+        assert_says(&said, &["is a point of a sweep; its run is", "/run"]);
     }
 }
 
@@ -396,7 +372,7 @@ fn every_table_says_how_often_a_pixel_was_seen() {
 }
 
 #[test]
-fn a_large_sweep_is_summed_up_and_its_names_sort() {
+fn a_large_sweep_is_summed_up() {
     let dir = workplace();
     let root = dir.path();
     run(root, &["sweep", "run", "--create", "sweeps/tiny.toml", "--seeds", "0-59"], 0);
@@ -405,8 +381,6 @@ fn a_large_sweep_is_summed_up_and_its_names_sort() {
     let said = status(&[]);
     assert_says(&said, &["of 120 points, those that run or failed are listed; --all", "row NeRF: 0 of 60 done"]);
     assert_eq!((waiting(&said), waiting(&status(&["--all"]))), (0, 120));
-    #[cfg(unix)]
-    assert!(entries(&root.join("runs/tiny/by-name/NeRF"))[9].ends_with("seed-09"));
 }
 
 #[test]

@@ -371,11 +371,9 @@ fn assert_attack(dir: &Path, folder: &Path) {
     is_mean_of("shift.xyz", &|log| log.iter().sum::<f64>() / 4.0);
     is_mean_of("first.shift.xyz", &|log| log[0]);
     is_mean_of("last.shift.xyz", &|log| log[3]);
-    assert!(folder.join("attack_builtin.svg").exists());
     let shift = &line["last.shift.xyz"];
     let other = shift[..shift.len() - 1].to_string() + if shift.ends_with('1') { "2" } else { "1" };
     assert_found(dir, &folder.join("attack.csv"), shift, &other, &["WRONG", "attack.csv, line 2"]);
-    assert_found(dir, &folder.join("attack_builtin.svg"), "density", "densitY", &["attack_builtin.svg, line"]);
 }
 
 /// A sweep of a second, collected, verified, trained again.
@@ -405,14 +403,14 @@ row = [{ name = "NeRF" }, { name = "equal", set = { "field.depth" = 3 }, budget 
     assert_says(&verify(dir.path(), &["--retrain", "2", "--update"], 10), &["psnr is '", "points.csv has ''"]);
     std::fs::write(&points, kept).unwrap();
     assert_says(&verify(dir.path(), &["--update"], 0), &["written anew"]);
-    // Pictures of surfaces cannot be made again: they are held to their hash.
-    assert_says(&said, &["surfaces_builtin.svg: it has its hash under [pinned]"]);
+    // A page with images of the runs cannot be made again: it is held to its hash.
+    assert_says(&said, &["report.html: it has its hash under [pinned]"]);
     let points = points_of(&folder);
     assert!(points.iter().all(|row| row["mesh"].ends_with("not compared") && row["chamfer"].is_empty()), "{points:?}");
-    assert_found(dir.path(), &folder.join("surfaces_builtin.svg"), "NeRF", "NerF", &["SHA-256"]);
+    assert_found(dir.path(), &folder.join("report.html"), "NeRF", "NerF", &["SHA-256"]);
     assert_attack(dir.path(), &folder);
     // Curves come from the logs that are kept.
     std::fs::remove_file(folder.join("scalars.csv.gz")).unwrap();
     assert_says(&verify(dir.path(), &[], 10), &["curves_builtin_psnr.svg: the points do not make it"]);
-    assert_says(&verify(dir.path(), &[], 10), &["attack.csv: the points do not make it", "attack_builtin.svg: the"]);
+    assert_says(&verify(dir.path(), &[], 10), &["attack.csv: the points do not make it"]);
 }

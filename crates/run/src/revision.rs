@@ -26,7 +26,7 @@ pub fn version() -> &'static str {
     env!("CARGO_PKG_VERSION")
 }
 
-/// The features that the program was built with: `png-figures`, ...
+/// The features that the program was built with: `baselines`, ...
 pub fn features() -> impl Iterator<Item = &'static str> {
     env!("AUGNERF_FEATURES").split_whitespace()
 }
@@ -43,7 +43,7 @@ mod tests {
         let is_checkout = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("../../.git").exists();
         assert!(hexadecimal || (revision() == "unknown" && !is_checkout), "{}", revision());
         assert!(version().split('.').count() == 3);
-        assert_eq!(features().any(|feature| feature == "png-figures"), cfg!(feature = "png-figures"));
+        assert_eq!(features().any(|feature| feature == "baselines"), cfg!(feature = "baselines"));
         assert!(!features().any(|feature| feature == "default"));
     }
 }

@@ -66,7 +66,7 @@ impl Claimed {
     }
 
     /// What became of a worker whose lock is free.
-    pub(super) fn fate(&self) -> String {
+    pub fn fate(&self) -> String {
         let elsewhere = if self.host == host_name() { "" } else { ", or this machine cannot see its lock" };
         format!("its worker, {}, was killed at step {}{elsewhere}", self.who(), self.step)
     }

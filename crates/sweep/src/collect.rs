@@ -1,9 +1,8 @@
 //! Makes the tables and figures of a sweep from its files.
 
-use std::fs::File;
+use std::fs;
 use std::path::{Path, PathBuf};
 
-use crate::augment::Site;
 use crate::base::files::{check_own, clean_temporaries, remove, wait_and_hold, write_atomic};
 use crate::base::{Error, Result};
 
@@ -12,8 +11,8 @@ use super::folder::{DEFINITION, STEP_SECONDS, SweepFolder};
 use super::outputs::SweepOutputs;
 use super::points::Point;
 use super::provenance::Provenance;
-use crate::report::exporters::{Collected, Content, EXPORTERS};
-use crate::report::plots::{Curve, Seeds, Shifts, Surface};
+use crate::report::exporters::{Collected, EXPORTERS, File};
+use crate::report::plots::{Curve, Seeds};
 use crate::report::statistics::mean;
 use crate::report::tables::{AttackLine, Table};
 use crate::report::{RowSpec, Status, TableSpec};
@@ -67,7 +66,7 @@ pub fn check_results_place(results: &Path, name: &str, folder: &SweepFolder) -> 
 
 /// Returns whether a folder holds more than hidden entries, pages, what systems leave, and the files named in `besides`.
 pub(super) fn holds_files(folder: &Path, besides: &[&str]) -> bool {
-    let names = std::fs::read_dir(folder).into_iter().flatten().flatten().map(|entry| entry.file_name());
+    let names = fs::read_dir(folder).into_iter().flatten().flatten().map(|entry| entry.file_name());
     names
         .map(|name| name.to_string_lossy().into_owned())
         .any(|name| !is_ignored(&name) && !besides.contains(&name.as_str()))
@@ -81,7 +80,7 @@ fn is_ignored(name: &str) -> bool {
 /// the state that it saw under the lock. If the file system has no locks, each file is still complete.
 pub struct Results {
     path: PathBuf,
-    _held: Option<File>,
+    _held: Option<fs::File>,
 }
 
 impl Results {
@@ -92,7 +91,7 @@ impl Results {
         if is_of_sweep {
             check_own(path, true)?;
         }
-        std::fs::create_dir_all(path).map_err(|e| Error::unwritable(path, &e))?;
+        fs::create_dir_all(path).map_err(|e| Error::unwritable(path, &e))?;
         let held = wait_and_hold(path);
         if held.is_some() {
             clean_temporaries(path)?;
@@ -106,14 +105,14 @@ impl Results {
     }
 
     /// Writes files into the folder, and deletes old tables and figures that are not among them.
-    pub(super) fn put(&self, files: &[(String, Vec<u8>)]) -> Result<()> {
+    pub(super) fn put(&self, files: &[File]) -> Result<()> {
         files.iter().try_for_each(|(name, bytes)| write_atomic(&self.path.join(name), bytes))?;
         self.delete_others(files)
     }
 
-    fn delete_others(&self, written: &[(String, Vec<u8>)]) -> Result<()> {
+    fn delete_others(&self, written: &[File]) -> Result<()> {
         let own = |name: &str| name == PAGE || EXPORTERS.iter().any(|exporter| exporter.owns(name));
-        for entry in std::fs::read_dir(&self.path).map_err(|e| Error::unreadable(&self.path, &e))? {
+        for entry in fs::read_dir(&self.path).map_err(|e| Error::unreadable(&self.path, &e))? {
             let path = entry.map_err(|e| Error::unreadable(&self.path, &e))?.path();
             let Some(name) = path.file_name().map(|name| name.to_string_lossy()) else { continue };
             if own(&name) && !written.iter().any(|(written, _)| *written == name) {
@@ -122,17 +121,6 @@ impl Results {
         }
         Ok(())
     }
-}
-
-/// Receives a file by its name below the results folder.
-pub type Taking<'a> = &'a mut dyn FnMut(&str, Content) -> Result<()>;
-
-/// Adds a file, unless it is a PNG, whose pixels no page needs.
-pub(super) fn keep_shown(figures: &mut Vec<(String, Vec<u8>)>, name: &str, content: &Content) -> Result<()> {
-    if let Content::Bytes(bytes) = content {
-        figures.push((name.into(), bytes.clone()));
-    }
-    Ok(())
 }
 
 impl Collector<'_> {
@@ -151,22 +139,19 @@ impl Collector<'_> {
         provenance.missing.retain(|missing| self.outputs.records.iter().any(|record| missing.names(record)));
         let spec = self.spec();
         let table = self.inputs(&spec).write(results, &mut files);
-        for (name, bytes) in &files {
-            // The page shows images of the runs.
-            if name == PAGE || EXPORTERS.iter().any(|exporter| exporter.owns(name) && !exporter.repeats()) {
-                provenance.pinned.insert(name.clone(), sha256(bytes));
-            }
-        }
+        // The page shows images of the runs.
+        let page = files.iter().find(|(name, _)| name == PAGE);
+        provenance.pinned.extend(page.map(|(name, bytes)| (name.clone(), sha256(bytes))));
         provenance.inputs.insert(DEFINITION.into(), sha256(self.definition.to_toml().as_bytes()));
         provenance.write(&results.path)?;
         results.put(&files)?;
         table
     }
 
-    /// Passes the files of all exporters to `take`. Files that show no rows side by side come first; the others are
-    /// made only if rows are comparable. Returns the table.
-    pub fn files(&self, take: Taking) -> Result<Table> {
-        self.inputs(&self.spec()).files(take)
+    /// Returns the table, and adds the files of all exporters to `files`. Files that show no rows side by side come first;
+    /// the others are made only if rows are comparable.
+    pub fn files(&self, files: &mut Vec<File>) -> Result<Table> {
+        self.inputs(&self.spec()).files(files)
     }
 
     fn spec(&self) -> TableSpec {
@@ -195,18 +180,15 @@ pub(super) struct TableInputs<'a> {
 
 impl TableInputs<'_> {
     /// Returns the table and adds all files, with the page if there is a table.
-    pub fn write(&self, results: &Results, files: &mut Vec<(String, Vec<u8>)>) -> Result<Table> {
-        let table = self.files(&mut |name, content| {
-            files.push((name.to_string(), content.bytes()?.into_owned()));
-            Ok(())
-        })?;
+    pub fn write(&self, results: &Results, files: &mut Vec<File>) -> Result<Table> {
+        let table = self.files(files)?;
         let page = self.page(&table, files, &results.path)?;
         files.push((PAGE.into(), page.into_bytes()));
         Ok(table)
     }
 
     /// See [`Collector::files`].
-    pub fn files(&self, take: Taking) -> Result<Table> {
+    pub fn files(&self, files: &mut Vec<File>) -> Result<Table> {
         let records = &self.outputs.records;
         let mut collected = Collected {
             spec: self.spec,
@@ -217,19 +199,14 @@ impl TableInputs<'_> {
             table: None,
             curves: &[],
             attacks: &[],
-            shifts: &[],
-            surfaces: &[],
         };
-        export(&collected, take)?;
+        export(&collected, files)?;
         let table = Table::new(self.spec, records, self.force)?;
         let scenes: Vec<&str> = table.scenes().into_iter().map(|(scene, _)| scene).collect();
         let curves: Vec<_> = scenes.iter().map(|scene| (scene.to_string(), self.curves(scene))).collect();
-        let shifts: Vec<_> = scenes.iter().map(|scene| (scene.to_string(), self.shifts(scene))).collect();
-        let surfaces: Vec<_> = scenes.iter().map(|scene| (scene.to_string(), self.surfaces(scene))).collect();
         let attacks = self.attacks(&table);
-        (collected.table, collected.attacks) = (Some(&table), &attacks);
-        (collected.curves, collected.shifts, collected.surfaces) = (&curves, &shifts, &surfaces);
-        export(&collected, take)?;
+        (collected.table, collected.attacks, collected.curves) = (Some(&table), &attacks, &curves);
+        export(&collected, files)?;
         Ok(table)
     }
 
@@ -249,17 +226,6 @@ impl TableInputs<'_> {
             }
         }
         curves
-    }
-
-    /// Returns how far the attack moved colours, row by row and site by site, for the points without axis values.
-    fn shifts(&self, scene: &str) -> Vec<Shifts> {
-        let of_row = |row: &RowSpec| {
-            let points = self.done(scene, row);
-            let of_site = |site: Site| (site, self.logged(&points, &format!("shift.{}", site.name())));
-            let sites: Vec<_> = Site::ALL.into_iter().map(of_site).filter(|(_, seeds)| !seeds.is_empty()).collect();
-            (!sites.is_empty()).then(|| Shifts { label: row.name.clone(), sites })
-        };
-        self.spec.rows.iter().filter_map(of_row).collect()
     }
 
     /// Returns the effect of the attack, line by line of a table.
@@ -291,15 +257,6 @@ impl TableInputs<'_> {
         scalars.map(|scalars| scalars.pairs("step", column)).filter(|curve| !curve.is_empty()).collect()
     }
 
-    /// Returns the surface of each row's first point that has one.
-    fn surfaces(&self, scene: &str) -> Vec<Surface> {
-        let of_row = |row: &RowSpec| {
-            let picture = self.plain(scene, row).find_map(|point| self.outputs.surfaces.get(&point.id))?;
-            Some((row.name.clone(), picture.clone()))
-        };
-        self.spec.rows.iter().filter_map(of_row).collect()
-    }
-
     /// Returns the seconds of a point's training steps, if clock times are shown.
     fn seconds_of(&self, point: &Point) -> Option<f64> {
         let (_, clocks) = self.outputs.timing.iter().filter(|_| self.with_timing).find(|(id, _)| *id == point.id)?;
@@ -307,12 +264,10 @@ impl TableInputs<'_> {
     }
 }
 
-/// Passes on the files of the exporters that need a table, or of those that need none.
-fn export(collected: &Collected, take: Taking) -> Result<()> {
+/// Adds the files of the exporters that need a table, or of those that need none.
+fn export(collected: &Collected, files: &mut Vec<File>) -> Result<()> {
     for exporter in EXPORTERS.into_iter().filter(|exporter| exporter.needs_table() == collected.table.is_some()) {
-        for (name, content) in exporter.export(collected)? {
-            take(&name, content)?;
-        }
+        files.extend(exporter.export(collected)?);
     }
     Ok(())
 }

@@ -39,7 +39,7 @@ pub fn add_common_depth(records: &mut [Record], errors_of: impl Fn(&str) -> Resu
             let Some(errors) = errors_of(&id)? else { continue };
             let metrics = measured(&errors, &mask);
             for record in records.iter_mut().filter(|record| record.id == id && record.status == Status::Done) {
-                record.metrics.extend(metrics.iter().map(|(key, value)| (key.to_string(), *value)));
+                record.result.metrics.extend(metrics.iter().map(|(key, value)| (key.to_string(), *value)));
             }
         }
     }
@@ -108,6 +108,7 @@ fn measured(errors: &DepthErrors, mask: &[Vec<bool>]) -> [(&'static str, Option<
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::report::PointResult;
 
     const NAN: f32 = f32::NAN;
 
@@ -116,13 +117,9 @@ mod tests {
             id: id.into(),
             scene: "s".into(),
             row: id.into(),
-            axes: vec![],
             seed: Some(seed),
             status: Status::Done,
-            reason: String::new(),
-            metrics: vec![],
-            protocol: vec![],
-            inactive_levels: vec![],
+            ..Record::default()
         }
     }
 
@@ -164,8 +161,11 @@ mod tests {
     fn errors_of_another_number_of_views_than_were_measured_are_damage() {
         let errors = |id: &str| Ok(Some(DepthErrors { views: vec![vec![1.0]; id.len()] }));
         let measured = |id: &str, depth: Option<f64>| Record {
-            protocol: vec![("views_evaluated".into(), "2".into())],
-            metrics: vec![("depth_left_out".into(), depth)],
+            result: PointResult {
+                protocol: vec![("views_evaluated".into(), "2".into())],
+                metrics: vec![("depth_left_out".into(), depth)],
+                ..PointResult::default()
+            },
             ..record(id, 0)
         };
         let said = |id: &str, depth| add_common_depth(&mut [measured(id, depth)], errors).err().map(|e| e.to_string());

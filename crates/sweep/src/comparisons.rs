@@ -7,8 +7,8 @@ use serde::{Deserialize, Serialize};
 use crate::base::files::write_atomic;
 use crate::base::input::{TEXT_BYTES, read_text};
 use crate::base::{Error, Result};
-use crate::report::exporters::Content;
-use crate::report::plots::{Width, comparisons_figure};
+use crate::report::exporters::File;
+use crate::report::plots::comparisons_figure;
 use crate::report::{Comparisons, Record, Unit, distinct};
 use crate::settings::registry::{Effect, REGISTRY};
 use crate::settings::value_at;
@@ -180,7 +180,7 @@ impl ComparisonRequest {
     }
 
     /// Returns the files of the folder with their names.
-    pub fn files(&self, comparisons: &Comparisons) -> Result<Vec<(String, Content)>> {
+    pub fn files(&self, comparisons: &Comparisons) -> Vec<File> {
         let file = self.file();
         let stem = file.trim_end_matches(".toml");
         let request = toml::to_string(self).expect("plain data");
@@ -192,13 +192,8 @@ impl ComparisonRequest {
         if comparisons.unit == Unit::Scene {
             texts.push((SCENES_CSV.into(), comparisons.scenes_csv()));
         }
-        let texts = texts.into_iter().map(|(name, text)| (name, Content::Bytes(text.into_bytes())));
-        let mut files: Vec<(String, Content)> = texts.collect();
-        for width in Width::ALL {
-            let name = format!("{stem}{}", width.suffix());
-            files.extend(comparisons_figure(comparisons, width)?.into_iter().flat_map(|figure| figure.files(&name)));
-        }
-        Ok(files)
+        let figure = comparisons_figure(comparisons).into_iter().flat_map(|figure| figure.files(stem));
+        texts.into_iter().map(|(name, text)| (name, text.into_bytes())).chain(figure).collect()
     }
 
     /// Returns the comparisons for readers, with the seeds if some are chosen.
@@ -229,8 +224,7 @@ impl ComparisonRequest {
             return Err(Error::Output(format!("{folder} holds {holds}: name another folder with --out")));
         }
         std::fs::create_dir_all(folder).map_err(|e| Error::unwritable(folder, &e))?;
-        let files = self.files(comparisons)?;
-        files.iter().try_for_each(|(name, content)| write_atomic(&folder.join(name), &content.bytes()?))
+        self.files(comparisons).iter().try_for_each(|(name, bytes)| write_atomic(&folder.join(name), bytes))
     }
 }
 

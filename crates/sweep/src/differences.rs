@@ -42,10 +42,11 @@ fn compare(prefix: &str, before: &Table, after: &Table, found: &mut Vec<String>)
             {
                 found.extend(a.iter().map(|part| format!("{key} '{}'", name(part))));
             }
-            (Some(Value::String(a)), Some(Value::String(b))) => found.push(format!("{path} ('{a}' is now '{b}')")),
-            (Some(_), Some(_)) => found.push(path),
-            (Some(_), None) => found.push(format!("{path} (now absent)")),
-            (None, _) => found.push(format!("{path} (new)")),
+            (Some(Value::Array(_) | Value::Table(_)), Some(_)) => found.push(path),
+            (Some(a), Some(b)) => found.push(format!("{path} ({} is now {})", text(a), text(b))),
+            (Some(a), None) => found.push(format!("{path} ({}, now absent)", text(a))),
+            (None, Some(b)) => found.push(format!("{path} (new: {})", text(b))),
+            (None, None) => {}
         }
     }
 }
@@ -69,6 +70,14 @@ fn compare_named(what: &str, before: &[Value], after: &[Value], found: &mut Vec<
         if let (Some(Value::Table(a)), Value::Table(b)) = (same, part) {
             compare(&format!("{what} '{}': ", name(part)), a, b, found);
         }
+    }
+}
+
+fn text(value: &Value) -> String {
+    match value {
+        Value::String(text) => format!("'{text}'"),
+        Value::Array(_) | Value::Table(_) => "several values".into(),
+        other => other.to_string(),
     }
 }
 
@@ -100,6 +109,6 @@ mod tests {
         let steps = |after: &mut Definition| {
             after.row[1].set.insert("train.steps".into(), 7.into());
         };
-        assert_eq!(said(steps), "row 'Aug': set.train.steps (new)");
+        assert_eq!(said(steps), "row 'Aug': set.train.steps (new: 7)");
     }
 }

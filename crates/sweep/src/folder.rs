@@ -215,27 +215,20 @@ impl SweepFolder {
         for point in points {
             let state = self.point(&point.id).state(point)?;
             for place in &point.places {
-                let record = Record {
+                let mut record = Record {
                     id: point.id.clone(),
                     scene: point.scene.clone(),
                     row: place.row.clone(),
                     axes: place.axes.clone(),
                     seed: Some(point.config.seed),
                     status: state.status,
-                    // The rest of a state depends on the clock.
-                    reason: match state.status {
-                        Status::Failed | Status::NoData => state.reason.clone(),
-                        _ => String::new(),
-                    },
-                    metrics: state.result.metrics.clone(),
-                    protocol: match (state.status, &state.result.protocol) {
-                        (Status::Done, own) => {
-                            [own.clone(), varied.columns(point, &place.axes, Some(own.as_slice()))].concat()
-                        }
-                        (_, own) => own.clone(),
-                    },
-                    inactive_levels: state.result.inactive_levels.clone(),
+                    reason: state.reason.clone(),
+                    result: state.result.clone(),
                 };
+                if state.status == Status::Done {
+                    let columns = varied.columns(point, &place.axes, Some(&state.result.protocol));
+                    record.result.protocol.extend(columns);
+                }
                 records.push(record.ordered());
             }
         }

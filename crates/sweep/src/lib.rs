@@ -11,13 +11,12 @@
 
 #![warn(missing_docs)]
 
-pub(crate) use augnerf_core::{augment, base, data, metrics, runtime, settings, space};
+pub(crate) use augnerf_core::{base, data, metrics, runtime, settings, space};
 pub(crate) use augnerf_report::{draw, report};
 pub(crate) use augnerf_run::{compare, revision, run, train};
 
 mod axes;
 mod budget;
-mod by_name;
 mod checks;
 mod claim;
 mod collect;
@@ -48,7 +47,7 @@ mod view;
 mod words;
 mod worker;
 
-pub use axes::{Axis, AxisPoint, RandomSpan, Scale, Span};
+pub use axes::{Axis, AxisPoint};
 pub use budget::{Clock, StepCosts, evaluations_per_step, steps_within};
 pub use claim::{Claim, Claimed, Progress, Sharing};
 pub use collect::{Collector, PAGE, Results, check_results_place};
@@ -61,13 +60,13 @@ pub use outputs::{Scalars, SweepOutputs};
 pub use pace::Pace;
 pub use page::check_page_place;
 pub use planning::{CostGroup, Estimate, begin, plan, plan_costs};
-pub use point_folder::{Failure, PointFolder, PointResult, PointState};
+pub use point_folder::{Failure, PointFolder, PointState};
 pub use points::{Point, expand};
 pub use provenance::{Missing, Provenance};
 pub use runner::{Options, Runner, Unmeasured, Work};
 pub use shipped::{SHIPPED, TEMPLATE, template, write_new};
 pub use step_seconds::PublishedCosts;
-pub use training::{Brief, Cost, Trainings};
+pub use training::{Cost, Trainings};
 pub use view::{Origin, Selection, Source, View, split_names};
 pub use words::{check_name, check_text};
 pub use worker::last_words;

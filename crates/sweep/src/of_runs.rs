@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use serde::Deserialize;
 use serde_json::{Map, Value};
 
-use super::collect::{TableInputs, keep_shown};
+use super::collect::TableInputs;
 use super::comparability::{by_seed, must_match};
 use super::layout::TablePosition;
 use super::outputs::SweepOutputs;
@@ -16,7 +16,7 @@ use crate::base::{Error, Result};
 use crate::compare::{differing_settings, labels};
 use crate::metrics::{Metric, PSNR, PSNR_FLOAT, PSNR_OF_MEAN, Scope};
 use crate::report::tables::Table;
-use crate::report::{Record, RowSpec, Status, TableSpec, distinct};
+use crate::report::{PointResult, Record, RowSpec, Status, TableSpec, distinct};
 use crate::run::{RunDir, cell};
 use crate::settings::Config;
 
@@ -99,13 +99,14 @@ impl RunsTable {
             id: id.clone(),
             scene: scene.clone(),
             row: row.clone(),
-            axes: Vec::new(),
             seed: Some(config.seed),
             status: Status::Done,
-            reason: String::new(),
-            metrics,
-            protocol: evaluated.protocol.iter().map(|(name, value)| (name.clone(), cell(value))).collect(),
-            inactive_levels: inactive.collect(),
+            result: PointResult {
+                metrics,
+                protocol: evaluated.protocol.iter().map(|(name, value)| (name.clone(), cell(value))).collect(),
+                inactive_levels: inactive.collect(),
+            },
+            ..Record::default()
         };
         self.outputs.records.push(record);
         let places = vec![TablePosition { row, axes: Vec::new() }];
@@ -150,7 +151,7 @@ impl RunsTable {
         let inputs =
             TableInputs { spec: &self.spec, outputs: &self.outputs, points: &self.points, force: true, with_timing };
         let mut figures = Vec::new();
-        let table = inputs.files(&mut |name, content| keep_shown(&mut figures, name, &content))?;
+        let table = inputs.files(&mut figures)?;
         let page = inputs.page(&table, &figures, folder)?;
         Ok((table, page))
     }

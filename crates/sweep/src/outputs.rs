@@ -10,10 +10,10 @@ use flate2::{Compression, GzBuilder, read::GzDecoder};
 use crate::base::csv::{column_names, csv_text, hash_cell, plain_hash};
 use crate::base::files::{read_json, write_atomic};
 use crate::base::input::{TABLE_BYTES, read_bytes};
-use crate::base::{Error, Image, Result};
+use crate::base::{Error, Result};
 use crate::report::tables::{Constants, PointTiming, constants};
 use crate::report::{Record, Status};
-use crate::run::{DepthErrors, RunDir, read_picture};
+use crate::run::{DepthErrors, RunDir};
 use crate::runtime::Timing;
 
 use super::common_depth::{add_common_depth, wants_depth};
@@ -38,8 +38,6 @@ pub struct SweepOutputs {
     pub timing: Vec<PointTiming>,
     /// Logs by the points' names, for points that have one.
     pub scalars: BTreeMap<String, Scalars>,
-    /// Images of the points' surfaces, by the points' names; not kept next to the tables.
-    pub surfaces: BTreeMap<String, Image>,
     /// Run folders of the points that are done, by the points' names; not kept next to the tables.
     pub runs: BTreeMap<String, PathBuf>,
     /// `step_seconds.json`, if budgets in seconds needed it.
@@ -86,10 +84,6 @@ impl SweepOutputs {
         if let Some(bytes) = optional(&run.join("scalars.csv"))? {
             let scalars = Scalars::parse(bytes.as_slice()).map_err(|e| damaged(&run.join("scalars.csv"), &e))?;
             self.scalars.insert(id.into(), scalars);
-        }
-        let picture = RunDir::surface_picture_in(run);
-        if picture.exists() {
-            self.surfaces.insert(id.into(), read_picture(&picture)?);
         }
         Ok(())
     }

@@ -11,11 +11,11 @@ use crate::base::files::{
 use crate::base::input::{TEXT_BYTES, read_text};
 use crate::base::{Class, Error, Result};
 use crate::metrics::{Metric, Scope};
-use crate::report::Status;
+use crate::report::{PointResult, Status};
 use crate::run::RunDir;
 use crate::settings::Config;
 
-use super::claim::{CLAIM, Claim, Claimed, Sharing};
+use super::claim::{CLAIM, Claim, Sharing};
 use super::points::Point;
 
 /// What to do with a damaged file of a point.
@@ -30,24 +30,6 @@ const STOPS: &str = "stops.json";
 struct Stops {
     /// Turns, one after the other, that began with the training done and ended before the evaluation did.
     evaluations: u32,
-}
-
-/// What a finished point leaves.
-#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
-pub struct PointResult {
-    /// Name and value of each metric.
-    pub metrics: Vec<(String, Option<f64>)>,
-    /// Name and text of each field of the protocol.
-    pub protocol: Vec<(String, String)>,
-    /// Sites that were inactive, by what the protocol's `inactive_by` says.
-    pub inactive_levels: Vec<String>,
-}
-
-impl PointResult {
-    /// The value of a metric by its key, as `psnr`; none where it was not measured.
-    pub fn metric(&self, name: &str) -> Option<f64> {
-        self.metrics.iter().find(|(known, _)| known == name).and_then(|(_, value)| *value)
-    }
 }
 
 /// Why a point ended without a result.
@@ -71,12 +53,10 @@ impl Failure {
 pub struct PointState {
     /// How far it is.
     pub status: Status,
-    /// Why it failed or waits; empty otherwise.
+    /// Why it failed or has no data; empty otherwise.
     pub reason: String,
-    /// Its result; empty unless done.
+    /// What it left; empty unless done.
     pub result: PointResult,
-    /// Who works on it.
-    pub claim: Option<Claimed>,
 }
 
 /// The folder of one point.
@@ -234,7 +214,7 @@ impl PointFolder {
 
     /// What the files say about a point.
     pub fn state(&self, point: &Point) -> Result<PointState> {
-        let state = |status, reason: String| PointState { status, reason, result: PointResult::default(), claim: None };
+        let state = |status, reason: String| PointState { status, reason, result: PointResult::default() };
         if let Some(result) = self.result()? {
             return Ok(PointState { result, ..state(Status::Done, String::new()) });
         }
@@ -242,17 +222,11 @@ impl PointFolder {
             let first = failure.reason.lines().next().unwrap_or_default().to_string();
             return Ok(state(Status::Failed, first));
         }
-        match Claim::look(&self.path) {
-            Some(claim) if claim.alive => {
-                Ok(PointState { claim: Some(claim), ..state(Status::Running, String::new()) })
-            }
-            Some(claim) => {
-                Ok(PointState { reason: claim.fate(), claim: Some(claim), ..state(Status::Waiting, String::new()) })
-            }
-            None => Ok(match &point.no_data {
-                Some(reason) => state(Status::NoData, reason.clone()),
-                None => state(Status::Waiting, String::new()),
-            }),
-        }
+        let claim = Claim::look(&self.path);
+        Ok(match (claim, &point.no_data) {
+            (Some(claim), _) if claim.alive => state(Status::Running, String::new()),
+            (None, Some(reason)) => state(Status::NoData, reason.clone()),
+            _ => state(Status::Waiting, String::new()),
+        })
     }
 }

@@ -39,8 +39,13 @@ pub struct Point {
 impl Point {
     /// Returns a label for people: row, scene, seed.
     pub fn label(&self) -> String {
+        format!("{} · seed {}", self.cell(), self.config.seed)
+    }
+
+    /// Returns the same without the seed.
+    pub fn cell(&self) -> String {
         let place = &self.places[0];
-        format!("{} · {} · seed {}", label(&place.row, &place.axes), self.scene, self.config.seed)
+        format!("{} · {}", label(&place.row, &place.axes), self.scene)
     }
 
     /// Locates the scene below `data_root`.

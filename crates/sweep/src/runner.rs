@@ -8,13 +8,14 @@ use std::time::{Duration, Instant, SystemTime};
 
 use crate::base::{Class, Error, Event, Listener, Result};
 use crate::metrics::PSNR;
+use crate::report::PointResult;
 use crate::run::RunDir;
 use crate::runtime::Runtime;
 
 use super::claim::{Claim, Progress, Sharing, is_taken};
 use super::folder::SweepFolder;
 use super::pace::{Pace, spent};
-use super::point_folder::{Failure, PointFolder, PointResult};
+use super::point_folder::{Failure, PointFolder};
 use super::points::Point;
 use super::worker;
 
@@ -309,7 +310,7 @@ impl Runner<'_> {
         Ok((stops >= MOST_SHORT_TURNS).then(|| Failure {
             reason: format!(
                 "the training is done, and {stops} turns were stopped before its evaluation was: give a turn more time \
-                 (sweep slurm --time) and try again with --retry-failed"
+                 (sbatch --time) and try again with --retry-failed"
             ),
             exit_code: Class::Internal.exit_code(),
         }))

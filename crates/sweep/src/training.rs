@@ -11,7 +11,7 @@ use crate::base::{Error, Event, Listener, Result};
 use crate::data::corruption::corrupt;
 use crate::data::{self, Scene, seen_views};
 use crate::metrics::Lpips;
-use crate::report::label;
+use crate::report::{PointResult, label};
 use crate::revision::revision;
 use crate::run::{
     Existing, Finished, Job, Report, RunDir, SMOOTHNESS_SIDE, Setup, SmoothnessReport, Viewer, columns, locate_scene,
@@ -25,7 +25,7 @@ use crate::train::Trainer;
 use super::budget::{Clock, StepCosts};
 use super::claim::Progress;
 use super::layout::Refused;
-use super::point_folder::{PointFolder, PointResult};
+use super::point_folder::PointFolder;
 use super::points::Point;
 use super::runner::Work;
 
@@ -61,6 +61,8 @@ pub struct Trainings<'a> {
     pub smoothness: bool,
     /// Receives progress of loading, training and measuring.
     pub events: &'a dyn Listener,
+    /// Seconds that each training is timed for.
+    calibration: f64,
     scenes: Mutex<Vec<(String, Arc<Scene>)>>,
     /// Seconds of a step by its shape, for shapes that budgets needed.
     seconds: Mutex<BTreeMap<String, f64>>,
@@ -80,9 +82,15 @@ impl<'a> Trainings<'a> {
             lpips_weights,
             smoothness,
             events,
+            calibration: CALIBRATION,
             scenes: Mutex::default(),
             seconds: Mutex::default(),
         }
+    }
+
+    /// Times a few steps of each training: for estimates, which need no budget to the step.
+    pub fn brief(self) -> Self {
+        Trainings { calibration: ESTIMATE, ..self }
     }
 
     /// Returns the scene of a configuration, and the configuration resolved by it.
@@ -271,14 +279,16 @@ impl StepCosts for Trainings<'_> {
         if configs.is_empty() {
             return Ok(());
         }
-        let minutes = (CALIBRATION * configs.len() as f64 / 60.0).ceil();
+        let minutes = (self.calibration * configs.len() as f64 / 60.0).ceil();
         let what = format!(
             "timing the steps of {} trainings, which budgets in seconds need; this takes about {minutes} min, or longer where \
              {LEAST_STEPS} steps of a training take longer",
             configs.len()
         );
-        self.events.on(Event::Note(&what));
-        let timed = self.time_steps(configs, CALIBRATION)?;
+        if self.calibration > ESTIMATE {
+            self.events.on(Event::Note(&what));
+        }
+        let timed = self.time_steps(configs, self.calibration)?;
         let measured = timed.iter().map(|steps| mean_without_hiccups(steps));
         let mut seconds = self.seconds.lock().unwrap_or_else(PoisonError::into_inner);
         seconds.extend(configs.iter().map(|config| config.step_shape()).zip(measured));
@@ -292,28 +302,6 @@ impl StepCosts for Trainings<'_> {
             threads: self.runtime.threads(),
             code_revision: revision().to_string(),
         })
-    }
-}
-
-/// Costs from a few steps of each training: for estimates, which need no budget to the step.
-pub struct Brief<'a>(pub &'a Trainings<'a>);
-
-impl StepCosts for Brief<'_> {
-    fn seconds_per_step(&self, config: &Config) -> Result<f64> {
-        let known = || self.0.seconds.lock().unwrap_or_else(PoisonError::into_inner).get(&config.step_shape()).copied();
-        if known().is_none() {
-            self.prepare(&[config])?;
-        }
-        Ok(known().expect("just measured"))
-    }
-
-    fn prepare(&self, configs: &[&Config]) -> Result<()> {
-        for config in configs {
-            let seconds = median(&self.0.time_steps(&[config], ESTIMATE)?[0]);
-            let mut known = self.0.seconds.lock().unwrap_or_else(PoisonError::into_inner);
-            known.insert(config.step_shape(), seconds);
-        }
-        Ok(())
     }
 }
 

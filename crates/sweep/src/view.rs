@@ -162,7 +162,6 @@ impl View {
         let own: HashSet<String> = self.outputs.timing.iter().map(|(id, _)| id.clone()).collect();
         self.outputs.timing.extend(source.outputs.timing.iter().filter(|(id, _)| !own.contains(id)).cloned());
         self.outputs.scalars.extend(source.outputs.scalars.clone());
-        self.outputs.surfaces.extend(source.outputs.surfaces.clone());
         self.outputs.runs.extend(source.outputs.runs.clone());
     }
 
@@ -281,7 +280,7 @@ impl View {
             return Ok(());
         }
         let records = &mut self.outputs.records;
-        records.iter_mut().for_each(|record| record.metrics.retain(|(name, _)| !is_common(name)));
+        records.iter_mut().for_each(|record| record.result.metrics.retain(|(name, _)| !is_common(name)));
         if !wants_depth(&self.spec.metrics) {
             return Ok(());
         }

@@ -7,15 +7,12 @@ use clap::Args;
 use crate::base::{Error, Result};
 use crate::cli::answer::Answer;
 use crate::cli::progress::print;
-use crate::draw::SVG_ALONE;
+use crate::report::Record;
 use crate::report::tables::{Table, table_terminal};
 use crate::sweep::{Selection, View, check_name};
 
 use super::opened::Opened;
-use super::{
-    How, PointState, RESULTS, RUNS, check_any_data, check_done, collect, name_of, states_of_records, table_json,
-    terminal_width,
-};
+use super::{How, RESULTS, RUNS, check_any_data, check_done, collect, name_of, table_json, terminal_width};
 
 pub const EXAMPLES: &str = "Examples:
   augnerf sweep collect runs/tab4_fern  # tables and figures, in results/
@@ -71,27 +68,26 @@ impl CollectArguments {
             check_name("the sweep's name", name).map_err(Error::Config)?;
             sweep.name.clone_from(name);
         }
-        let (table, results, states) = match selection.is_all() && self.merge.is_empty() {
+        let (table, results, records) = match selection.is_all() && self.merge.is_empty() {
             true => {
                 sweep.check_runs()?;
                 let results = self.results(&sweep.name)?;
                 let how = How { force: self.force, with_timing: self.with_timing };
-                let states = sweep.states()?;
-                check_any_data(&states)?;
+                let records = sweep.records()?;
+                check_any_data(&records)?;
                 (
                     collect((&sweep.folder, &sweep.definition, &sweep.points), &sweep.name, &results, how)?,
                     results,
-                    states,
+                    records,
                 )
             }
             false => self.view(sweep, selection)?,
         };
         self.answer.give(&table_json(&table, &results), || {
             print(&table_terminal(&table, terminal_width()))?;
-            print(&format!("tables: {}", results.display()))?;
-            SVG_ALONE.into_iter().try_for_each(print)
+            print(&format!("tables: {}", results.display()))
         })?;
-        check_done(&states)
+        check_done(&records)
     }
 
     fn open(&self, path: &Path) -> Result<Opened> {
@@ -108,8 +104,8 @@ impl CollectArguments {
         }))
     }
 
-    /// Writes the chosen rows, and returns how the points of these rows stand.
-    fn view(&self, first: Opened, selection: Selection) -> Result<(Table, PathBuf, Vec<PointState>)> {
+    /// Writes the chosen rows, and returns the records of their points.
+    fn view(&self, first: Opened, selection: Selection) -> Result<(Table, PathBuf, Vec<Record>)> {
         let Some(results) = self.out.clone() else {
             return Err(Error::Config(
                 "--baseline, --rows, --metrics and --merge need a folder of their own; name it with --out".into(),
@@ -119,7 +115,7 @@ impl CollectArguments {
         let sweeps: Vec<Opened> = std::iter::once(first).chain(others).collect();
         let sources = sweeps.iter().map(Opened::source).collect::<Result<Vec<_>>>()?;
         let view = View::new(&name_of(&results)?, &sources, selection)?;
-        let states = states_of_records(view.point_records());
-        Ok((view.write(&results, self.force, self.with_timing)?, results, states))
+        let records = view.point_records().to_vec();
+        Ok((view.write(&results, self.force, self.with_timing)?, results, records))
     }
 }

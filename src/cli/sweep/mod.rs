@@ -23,7 +23,7 @@ use crate::sweep::{
 };
 
 use super::LpipsWeights;
-use super::progress::{Console, duration, report};
+use super::progress::{Console, duration};
 
 mod across;
 mod collect;
@@ -232,7 +232,6 @@ fn begin_folder(
     let begun = begin(&folder, definition, location.data_root.as_deref(), extend, &costs, &check);
     let points = begun.map_err(elsewhere)?;
     costs.note().iter().for_each(|note| console.say(note));
-    link_by_name(&folder, &points);
     Ok((folder, points))
 }
 
@@ -303,45 +302,10 @@ fn name_of(folder: &Path) -> Result<String> {
     Ok(name)
 }
 
-/// Writes links to points by their rows' names, or prints why there are none.
-fn link_by_name(folder: &SweepFolder, points: &[Point]) {
-    let said = folder.link_by_name(points).unwrap_or_else(|error| Some(error.to_string()));
-    said.iter().for_each(|why| report(why));
-}
-
-/// How a point stands.
-struct PointState {
-    label: String,
-    scene: String,
-    status: Status,
-    /// Why it failed or has no data.
-    reason: String,
-}
-
-/// Returns how the points of a sweep's folder stand.
-fn states_of(folder: &SweepFolder, points: &[Point]) -> Result<Vec<PointState>> {
-    let of_point = |point: &Point| {
-        let state = folder.point(&point.id).state(point)?;
-        Ok(PointState { label: point.label(), scene: point.scene.clone(), status: state.status, reason: state.reason })
-    };
-    points.iter().map(of_point).collect()
-}
-
 /// Returns one record of each point. Several rows may show a point. In two sweeps, it may be done in one alone.
 fn one_of_each(records: &[Record]) -> impl Iterator<Item = &Record> {
     let mut seen = HashSet::new();
     records.iter().filter(move |record| seen.insert((record.id.as_str(), record.status.name())))
-}
-
-/// Returns how the points of some records stand.
-fn states_of_records(records: &[Record]) -> Vec<PointState> {
-    let of_record = |record: &Record| PointState {
-        label: record.point_label(),
-        scene: record.scene.clone(),
-        status: record.status,
-        reason: record.reason.clone(),
-    };
-    one_of_each(records).map(of_record).collect()
 }
 
 /// Prints how long the points that are left take here, and warns of the paper's own settings.
@@ -382,15 +346,17 @@ fn how_long((left, all): (usize, usize), estimate: Estimate, definition: &Defini
 ///
 /// # Errors
 /// [`Error::PointsFailed`], [`Error::PointsWaiting`] or [`Error::PointsWithoutData`], with the reasons.
-fn check_done(states: &[PointState]) -> Result<()> {
-    let count = |status| states.iter().filter(|state| state.status == status).count();
-    let (all, done) = (states.len(), count(Status::Done));
+fn check_done(records: &[Record]) -> Result<()> {
+    let points: Vec<&Record> = one_of_each(records).collect();
+    let of = |status| points.iter().filter(move |point| point.status == status);
+    let count = |status| of(status).count();
+    let (all, done) = (points.len(), count(Status::Done));
     let [failed, waiting, running, no_data] =
         [Status::Failed, Status::Waiting, Status::Running, Status::NoData].map(count);
     if failed > 0 {
         return Err(Error::PointsFailed(format!(
             "{failed} of {all} points failed ({done} are done); run them again with --retry-failed:{}",
-            reasons(states)
+            reasons(of(Status::Failed).map(|point| (point.reason.as_str(), point.point_label())))
         )));
     }
     if waiting + running > 0 {
@@ -399,13 +365,12 @@ fn check_done(states: &[PointState]) -> Result<()> {
         )));
     }
     if no_data > 0 {
-        let missing: Vec<&PointState> = states.iter().filter(|state| state.status == Status::NoData).collect();
-        let scenes: BTreeSet<&str> = missing.iter().map(|state| state.scene.as_str()).collect();
+        let scenes: BTreeSet<&str> = of(Status::NoData).map(|point| point.scene.as_str()).collect();
+        let reason = of(Status::NoData).map(|point| point.reason.as_str()).next().unwrap_or_default();
         return Err(Error::PointsWithoutData(format!(
-            "{no_data} of {all} points have no data here ({done} are done), because scenes are missing: {} ({}); put them into \
-             --data-root (AUGNERF_DATA) and run the sweep again",
-            scenes.into_iter().collect::<Vec<_>>().join(", "),
-            missing[0].reason
+            "{no_data} of {all} points have no data here ({done} are done), because scenes are missing: {} ({reason}); put them \
+             into --data-root (AUGNERF_DATA) and run the sweep again",
+            scenes.into_iter().collect::<Vec<_>>().join(", ")
         )));
     }
     Ok(())
@@ -415,18 +380,18 @@ fn check_done(states: &[PointState]) -> Result<()> {
 ///
 /// # Errors
 /// [`Error::PointsWithoutData`].
-fn check_any_data(states: &[PointState]) -> Result<()> {
-    let is_lost = states.iter().all(|state| state.status == Status::NoData);
-    if is_lost { check_done(states) } else { Ok(()) }
+fn check_any_data(records: &[Record]) -> Result<()> {
+    let is_lost = records.iter().all(|record| record.status == Status::NoData);
+    if is_lost { check_done(records) } else { Ok(()) }
 }
 
-/// Lists the reasons of failed points, each once with the points that it is of.
-fn reasons(states: &[PointState]) -> String {
-    let mut by_reason: Vec<(&str, Vec<&str>)> = Vec::new();
-    for state in states.iter().filter(|state| state.status == Status::Failed) {
-        match by_reason.iter_mut().find(|(reason, _)| *reason == state.reason) {
-            Some((_, labels)) => labels.push(&state.label),
-            None => by_reason.push((&state.reason, vec![&state.label])),
+/// Lists the reasons of failed points, each once with the labels of the points that it is of.
+fn reasons<'a>(failed: impl Iterator<Item = (&'a str, String)>) -> String {
+    let mut by_reason: Vec<(&str, Vec<String>)> = Vec::new();
+    for (own, label) in failed {
+        match by_reason.iter_mut().find(|(reason, _)| *reason == own) {
+            Some((_, labels)) => labels.push(label),
+            None => by_reason.push((own, vec![label])),
         }
     }
     by_reason.iter().map(|(reason, labels)| format!("\n  {}: {reason}", labels.join("; "))).collect()
@@ -448,7 +413,6 @@ fn collect(
     how: How,
 ) -> Result<Table> {
     check_results_place(results, name, folder)?;
-    link_by_name(folder, points);
     let results = Results::take(results).map_err(elsewhere)?;
     let outputs = &SweepOutputs::of_folder(folder, definition, points)?;
     let How { force, with_timing } = how;

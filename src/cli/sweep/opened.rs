@@ -3,10 +3,11 @@
 use std::path::Path;
 
 use crate::base::{Error, Result};
+use crate::report::Record;
 use crate::sweep::verify::Archive;
 use crate::sweep::{Definition, Point, Source, SweepFolder, SweepOutputs};
 
-use super::{PointState, begun, name_of, states_of, states_of_records};
+use super::{begun, name_of};
 
 /// A sweep in a folder.
 pub struct Opened {
@@ -58,17 +59,17 @@ impl Opened {
         }
     }
 
-    /// Returns how the points stand: as the folder says, or as its results say.
-    pub fn states(&self) -> Result<Vec<PointState>> {
+    /// Returns the points' records: as the folder says, or as its results say.
+    pub fn records(&self) -> Result<Vec<Record>> {
         match &self.kept {
-            Some(outputs) => Ok(states_of_records(&outputs.records)),
-            None => states_of(&self.folder, &self.points),
+            Some(outputs) => Ok(outputs.records.clone()),
+            None => self.folder.records(&self.definition, &self.points),
         }
     }
 
-    /// Returns the outputs that results keep; `None` for a folder with the points themselves.
-    pub fn kept(&self) -> Option<&SweepOutputs> {
-        self.kept.as_ref()
+    /// Returns whether the folder holds results, not the points themselves.
+    pub fn is_results(&self) -> bool {
+        self.kept.is_some()
     }
 
     /// Returns the sweep as the source of a view.

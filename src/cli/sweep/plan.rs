@@ -10,7 +10,7 @@ use crate::cli::Compute;
 use crate::cli::answer::Answer;
 use crate::cli::progress::{Console, print, print_shown};
 use crate::runtime::Runtime;
-use crate::sweep::{Brief, Point, Trainings, plan_costs};
+use crate::sweep::{Point, Trainings, plan_costs};
 
 use super::{Changes, Location, duration, planned_points};
 
@@ -80,15 +80,14 @@ impl PlanArguments {
         let begun = Instant::now();
         let definition = self.changes.definition(&self.location)?;
         let folder = self.location.folder()?;
-        let trainings = Trainings::new(runtime.clone(), (Vec::new(), String::new()), false, console);
-        let brief = Brief(&trainings);
+        let trainings = Trainings::new(runtime.clone(), (Vec::new(), String::new()), false, console).brief();
         let checked = || {
             console.say(&format!(
                 "timing some steps of the points; this takes {} s at most, or longer where the first steps alone take longer",
                 LIMIT.as_secs()
             ));
         };
-        let points = planned_points(&self.location, &definition, (&trainings, &brief), console, checked)?;
+        let points = planned_points(&self.location, &definition, (&trainings, &trainings), console, checked)?;
         let say = |words: &str| if self.answer.json { Ok(()) } else { print(words) };
         say(&format!("{} points", points.len()))?;
         let left: Vec<&Point> =
@@ -99,7 +98,7 @@ impl PlanArguments {
         plan_costs(&left, &trainings, LIMIT.saturating_sub(begun.elapsed()), |group| {
             let group = Group {
                 points: group.points.len(),
-                label: group.points[0].label(),
+                label: group_label(group.points),
                 measured: group.measured,
                 seconds_per_step: group.cost.seconds_per_step,
                 seconds: group.seconds,
@@ -157,6 +156,16 @@ impl Planned {
                 LIMIT.as_secs()
             )),
         }
+    }
+}
+
+/// Returns what points of one cost are: the first, without its seed if others differ in that alone.
+fn group_label(points: &[&Point]) -> String {
+    let first = points[0];
+    match points {
+        [only] => only.label(),
+        _ if points.iter().all(|point| point.cell() == first.cell()) => first.cell(),
+        _ => format!("{} and others", first.cell()),
     }
 }
 

@@ -8,15 +8,14 @@ use crate::cli::answer::Answer;
 use crate::cli::progress::{Console, print, report};
 use crate::cli::signals::catch_signals;
 use crate::cli::{Compute, LpipsWeights, whole};
-use crate::draw::SVG_ALONE;
 use crate::report::Status;
 use crate::report::tables::table_terminal;
 use crate::runtime::Runtime;
 use crate::sweep::{Options, Runner, Sharing, Trainings, Unmeasured};
 
 use super::{
-    Changes, How, Location, PointState, begin_folder, by_weights, check_any_data, check_done, collect, reasons,
-    say_how_long, say_what_is_missing, states_of, table_json, terminal_width, trainings,
+    Changes, How, Location, begin_folder, by_weights, check_any_data, check_done, collect, reasons, say_how_long,
+    say_what_is_missing, table_json, terminal_width, trainings,
 };
 
 pub const EXAMPLES: &str = "Examples:
@@ -101,9 +100,9 @@ impl RunArguments {
         let (name, results) = (self.location.name()?, self.location.results()?);
         let (folder, points) =
             begin_folder(&self.location, &definition, self.extend, (&trainings, &trainings), &console)?;
-        let states = states_of(&folder, &points)?;
-        check_any_data(&states)?;
-        if self.remeasure || states.iter().any(|state| state.status != Status::Done) {
+        let records = folder.records(&definition, &points)?;
+        check_any_data(&records)?;
+        if self.remeasure || records.iter().any(|record| record.status != Status::Done) {
             say_what_is_missing(&definition, &trainings, &console);
         }
         let options = Options {
@@ -138,10 +137,9 @@ impl RunArguments {
             })?;
         }
         console.say(&format!("tables: {}", results.display()));
-        SVG_ALONE.into_iter().for_each(|note| console.say(note));
         // An error of points comes before an error of the table.
-        let done = check_done(&states_of(&folder, &points)?);
-        if let Err(error) = check_remeasured(unmeasured, points.len()) {
+        let done = check_done(&folder.records(&definition, &points)?);
+        if let Err(error) = check_remeasured(&unmeasured, points.len()) {
             // Its code comes before those of points that wait or have no data.
             done.err().iter().for_each(|done| report(&done.to_string()));
             return Err(error);
@@ -155,20 +153,16 @@ impl RunArguments {
 ///
 /// # Errors
 /// [`Error::PointsFailed`], with the reasons.
-fn check_remeasured(unmeasured: Vec<Unmeasured>, all: usize) -> Result<()> {
-    let state = |Unmeasured { label, failure }| PointState {
-        label,
-        status: Status::Failed,
-        scene: String::new(),
-        reason: failure.reason.lines().next().unwrap_or_default().into(),
-    };
-    let states: Vec<PointState> = unmeasured.into_iter().map(state).collect();
-    if states.is_empty() {
+fn check_remeasured(unmeasured: &[Unmeasured], all: usize) -> Result<()> {
+    if unmeasured.is_empty() {
         return Ok(());
     }
+    let failed = unmeasured
+        .iter()
+        .map(|Unmeasured { label, failure }| (failure.reason.lines().next().unwrap_or_default(), label.clone()));
     Err(Error::PointsFailed(format!(
         "{} of {all} points could not be measured again and keep their results; try them again with --remeasure:{}",
-        states.len(),
-        reasons(&states)
+        unmeasured.len(),
+        reasons(failed)
     )))
 }

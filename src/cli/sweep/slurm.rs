@@ -6,21 +6,21 @@ use clap::Args;
 use serde_json::json;
 
 use crate::base::{Error, Result, quoted};
+use crate::cli::LpipsWeights;
 use crate::cli::answer::Answer;
 use crate::cli::progress::Console;
-use crate::cli::{LpipsWeights, whole};
 use crate::runtime::Runtime;
 use crate::settings::Config;
-use crate::sweep::slurm::{Request, Script};
+use crate::sweep::slurm::Script;
 use crate::sweep::{Point, StepCosts, SweepFolder};
 
 use super::{Changes, Location, begin_folder, say_how_long, say_what_is_missing, trainings};
 
 pub const EXAMPLES: &str = "Examples:
-  augnerf sweep slurm sweeps/paper/tab1_llff.toml --time 12:00:00 --mem 8G --cpus 8
-  augnerf sweep slurm FILE --partition gpu --gres gpu:1 --device gpu --sbatch=--account=lab
+  augnerf sweep slurm sweeps/paper/tab1_llff.toml
+  augnerf sweep slurm FILE --device gpu  # for sbatch --gres gpu:1
 
-Prints the path of the script; `sbatch` submits it. All machines must see the sweep's folder. `squeue` shows the tasks, `scancel` stops them with a \
+Prints the path of the script. `sbatch --time 12:00:00 --mem 8G --cpus-per-task 8 SCRIPT` submits it, with any other options. All machines must see the sweep's folder. `squeue` shows the tasks, `scancel` stops them with a \
 checkpoint, and `augnerf sweep collect` writes the tables.";
 
 #[derive(Args)]
@@ -29,32 +29,6 @@ pub struct SlurmArguments {
     location: Location,
     #[command(flatten)]
     changes: Changes,
-    /// Partition [default: Slurm's]
-    #[arg(long, value_name = "NAME", help_heading = "Hardware")]
-    partition: Option<String>,
-    /// Time limit of a task: 90 (minutes), 12:00:00 or 2-00:00:00 [default: Slurm's]
-    #[arg(long, help_heading = "Hardware")]
-    time: Option<String>,
-    /// Memory of a task: 8G [default: Slurm's]
-    #[arg(long, help_heading = "Hardware")]
-    mem: Option<String>,
-    /// CPU cores and threads of a task [default: Slurm's, often 1]
-    #[arg(
-        long,
-        value_name = "N",
-        value_parser = whole::<u16>(1..=1024),
-        help_heading = "Hardware"
-    )]
-    cpus: Option<u16>,
-    /// Generic resources of a task: gpu:1
-    #[arg(long, value_name = "LIST", help_heading = "Hardware")]
-    gres: Option<String>,
-    /// Most tasks that run at once [default: no limit]
-    #[arg(long, value_name = "N", value_parser = whole::<u32>(1..=u32::MAX.into()), help_heading = "Hardware")]
-    array_limit: Option<u32>,
-    /// Further option of sbatch: --sbatch=--account=lab
-    #[arg(long, value_name = "OPTION", allow_hyphen_values = true, help_heading = "Hardware")]
-    sbatch: Vec<String>,
     /// Run failed points, too
     #[arg(long)]
     retry_failed: bool,
@@ -78,8 +52,7 @@ impl SlurmArguments {
         let console = Console::new(self.quiet);
         let definition = self.changes.definition(&self.location)?;
         let (name, path) = (self.location.name()?, absolute(self.location.folder()?.path())?);
-        let mut script =
-            Script { name: &name, folder: &path, request: self.request(), points: vec![], command: vec![] };
+        let mut script = Script { name: &name, folder: &path, points: vec![], command: vec![] };
         script.check()?;
         self.device.as_deref().map_or(Ok(()), Runtime::check_name)?;
         // Unreadable weights are an error here, not in every task.
@@ -94,18 +67,6 @@ impl SlurmArguments {
         script.points = self.left(&points, &folder)?;
         script.command = self.command(&path)?;
         self.write(&script, &folder, points.len(), &console)
-    }
-
-    fn request(&self) -> Request {
-        Request {
-            partition: self.partition.clone(),
-            time: self.time.clone(),
-            mem: self.mem.clone(),
-            cpus: self.cpus,
-            gres: self.gres.clone(),
-            at_once: self.array_limit,
-            further: self.sbatch.clone(),
-        }
     }
 
     /// Returns the points that have not ended and have a scene here, by name.

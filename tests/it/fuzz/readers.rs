@@ -10,14 +10,15 @@ use augnerf::data::cameras::{self, Dataparser};
 use augnerf::data::{self, WorldToScene, images};
 use augnerf::methods::SiteSummary;
 use augnerf::metrics::{Backbone, Lpips};
+use augnerf::report::PointResult;
 use augnerf::report::tables::{Table, points_csv};
 use augnerf::run::{DepthErrors, Foreign, Matching, Networks, RunDir, Scalars, Truth, pictures, score};
 use augnerf::settings::{Axes, Config, DataConfig, Method, build, parse_assignment};
 use augnerf::space::{read_mesh, sample};
 use augnerf::sweep::verify::{Archive, Outcome, Verifier};
 use augnerf::sweep::{
-    Collector, Definition, Point, PointFolder, PointResult, PublishedCosts, Results, StepCosts, SweepFolder,
-    SweepOutputs, Trainings, expand,
+    Collector, Definition, Point, PointFolder, PublishedCosts, Results, StepCosts, SweepFolder, SweepOutputs,
+    Trainings, expand,
 };
 use augnerf::train::checkpoint;
 use candle_core::{DType, Device};
@@ -196,7 +197,7 @@ fn begun_sweep(path: &Path) -> (SweepFolder, Definition, Vec<Point>) {
 }
 
 /// A sweep whose points are done, each with the files of its run.
-pub fn done_sweep(path: &Path) -> (SweepFolder, Definition, Vec<Point>) {
+fn done_sweep(path: &Path) -> (SweepFolder, Definition, Vec<Point>) {
     let (folder, definition, points) = begun_sweep(path);
     for (point, psnr) in points.iter().zip([21.5, 22.25]) {
         let of_point: PointFolder = folder.point(&point.id);
@@ -205,14 +206,9 @@ pub fn done_sweep(path: &Path) -> (SweepFolder, Definition, Vec<Point>) {
         let metrics = vec![("psnr".into(), Some(psnr)), ("ssim".into(), None)];
         of_point.finish(&PointResult { metrics, protocol, inactive_levels: Vec::new() }).unwrap();
         let run = of_point.run();
-        fs::create_dir_all(run.join("renders")).unwrap();
-        let surface = RunDir::surface_picture_in(&run);
-        for (sound, file) in [
-            ("run/timing.json", run.join("timing.json")),
-            ("point/curves.csv", run.join("scalars.csv")),
-            ("picture/grey.png", surface),
-        ] {
-            fs::copy(fixtures().join("sound").join(sound), file).unwrap();
+        fs::create_dir_all(&run).unwrap();
+        for (sound, file) in [("run/timing.json", "timing.json"), ("point/curves.csv", "scalars.csv")] {
+            fs::copy(fixtures().join("sound").join(sound), run.join(file)).unwrap();
         }
     }
     (folder, definition, points)

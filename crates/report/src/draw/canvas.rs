@@ -1,9 +1,4 @@
-//! Drawings, as SVG and PNG from the same marks.
-//!
-//! A canvas holds a list of marks. The SVG is these marks as text. The PNG is the same marks, drawn with an embedded font,
-//! so that it does not depend on the fonts of the machine.
-
-use std::borrow::Cow;
+//! Drawings as SVG: a canvas holds a list of marks, which the SVG has as text.
 
 use base64::Engine;
 use base64::engine::general_purpose::STANDARD;
@@ -12,8 +7,6 @@ use svg::{Document, Node};
 
 pub use super::panel::{Panel, range, tick_texts, ticks};
 use super::pictures::encode_png8;
-use super::raster;
-pub use super::raster::FINENESS;
 pub use super::words::{text_width, wrapped};
 use crate::base::{Error, Image, Result};
 
@@ -24,92 +17,25 @@ pub struct Figure {
     pub svg: String,
     /// What it shows, and on the next line how it is read; empty if the figure says so itself.
     pub caption: String,
-    canvas: Canvas,
 }
 
-/// A file's bytes, or what makes them: pixels take most of a figure's time, and are drawn only where somebody wants them.
-#[derive(Clone)]
-pub enum Content {
-    /// The bytes.
-    Bytes(Vec<u8>),
-    /// The marks of a PNG.
-    Png(Canvas),
-}
+/// Name and content of a file.
+pub type File = (String, Vec<u8>);
 
 impl Figure {
-    /// The PNG file, twice as fine; none without the feature `png-figures`.
-    ///
-    /// # Errors
-    /// [`Error::Output`]: it cannot be drawn.
-    pub fn png(&self) -> Result<Option<Vec<u8>>> {
-        raster::png(&self.canvas)
-    }
-
-    /// `NAME.svg`, with the feature `png-figures` `NAME.png`, and the caption as `NAME.txt`. Both widths share a caption.
-    pub fn files(self, name: &str) -> impl Iterator<Item = (String, Content)> {
-        let png = raster::SVG_ALONE.is_none().then(|| (format!("{name}.png"), Content::Png(self.canvas)));
-        let has_own = !self.caption.is_empty() && !name.ends_with(Width::Column.suffix());
-        let caption = has_own.then(|| (format!("{name}.txt"), Content::Bytes(self.caption.into_bytes())));
-        let svg = (format!("{name}.svg"), Content::Bytes(self.svg.into_bytes()));
-        std::iter::once(svg).chain(png).chain(caption)
+    /// Returns `NAME.svg`, and the caption as `NAME.txt`.
+    pub fn files(self, name: &str) -> Vec<File> {
+        let caption = (!self.caption.is_empty()).then(|| (format!("{name}.txt"), self.caption.into_bytes()));
+        std::iter::once((format!("{name}.svg"), self.svg.into_bytes())).chain(caption).collect()
     }
 }
 
-impl Content {
-    /// The bytes of the file.
-    ///
-    /// # Errors
-    /// [`Error::Output`]: a figure cannot be drawn.
-    pub fn bytes(&self) -> Result<Cow<'_, [u8]>> {
-        match self {
-            Content::Bytes(bytes) => Ok(Cow::Borrowed(bytes)),
-            Content::Png(canvas) => Ok(Cow::Owned(raster::png(canvas)?.expect("made where PNGs are drawn alone"))),
-        }
-    }
-}
-
-/// Width of a figure in print. Its letters have 7 pt in both.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Width {
-    /// 17 cm: a page's text.
-    Page,
-    /// 8.3 cm: one of two columns.
-    Column,
-}
-
-impl Width {
-    /// Both.
-    pub const ALL: [Width; 2] = [Width::Page, Width::Column];
-
-    /// The width in units of a canvas.
-    pub const fn units(self) -> f64 {
-        match self {
-            Width::Page => 895.0,
-            Width::Column => 437.0,
-        }
-    }
-
-    /// The end of a figure's file name.
-    pub fn suffix(self) -> &'static str {
-        match self {
-            Width::Page => "",
-            Width::Column => "_column",
-        }
-    }
-
-    /// Returns the first for a page, the second for a column.
-    pub fn pick<T>(self, page: T, column: T) -> T {
-        match self {
-            Width::Page => page,
-            Width::Column => column,
-        }
-    }
-}
-
+/// Width of a figure: 17 cm in print, where letters have 7 pt.
+pub const PAGE: f64 = 895.0;
 /// Centimetres of a canvas's unit.
-pub(super) const CENTIMETRES: f64 = 17.0 / Width::Page.units();
+const CENTIMETRES: f64 = 17.0 / PAGE;
 
-/// Fonts whose letters are as wide as those of the embedded one.
+/// Fonts whose letters are as wide as those of the embedded one, by which texts are measured.
 const FONT_FAMILY: &str = "Arial, Helvetica, Liberation Sans, sans-serif";
 /// Size of letters: 7 pt in print.
 pub const TEXT: f64 = 13.0;
@@ -123,7 +49,7 @@ const FAR: f64 = 1e6;
 
 /// Red, green, blue.
 #[derive(Clone, Copy)]
-pub struct Colour(pub(super) u8, pub(super) u8, pub(super) u8);
+pub struct Colour(u8, u8, u8);
 
 impl Colour {
     /// The nearest to one of three shares.
@@ -173,11 +99,10 @@ pub enum Anchor {
 }
 
 /// Length of a dash and of the gap after it, in pixels.
-pub(super) const DASHES: [f32; 2] = [6.0, 4.0];
+const DASHES: [f32; 2] = [6.0, 4.0];
 
 /// One element of a drawing.
-#[derive(Clone)]
-pub(super) enum Mark {
+enum Mark {
     Line {
         points: Vec<(f64, f64)>,
         colour: Colour,
@@ -212,26 +137,23 @@ pub(super) enum Mark {
 }
 
 /// What a figure is made of, in pixels from the upper left corner.
-#[derive(Clone)]
 pub struct Canvas {
     /// Width in pixels.
     pub width: f64,
     /// Height in pixels.
     pub height: f64,
-    /// Pixels of the PNG to one of the SVG.
-    pub fineness: f64,
-    pub(super) marks: Vec<Mark>,
+    marks: Vec<Mark>,
 }
 
 impl Canvas {
     /// Returns an empty canvas of this size in pixels.
     pub fn new(width: f64, height: f64) -> Canvas {
-        Canvas { width, height, fineness: FINENESS, marks: Vec::new() }
+        Canvas { width, height, marks: Vec::new() }
     }
 
     /// A canvas of a figure's width with its title, which wraps. The height ends below the title.
-    pub fn titled(width: Width, title: &str) -> Canvas {
-        let mut canvas = Canvas::new(width.units(), 0.0);
+    pub fn titled(title: &str) -> Canvas {
+        let mut canvas = Canvas::new(PAGE, 0.0);
         canvas.height = canvas.lines((SIDE, 20.0), canvas.width - 2.0 * SIDE, title, BLACK);
         canvas
     }
@@ -312,23 +234,13 @@ impl Canvas {
         self.height += LINE_HEIGHT / 2.0;
     }
 
-    /// The figure's files.
-    pub fn finish(self) -> Result<Figure> {
-        Ok(Figure { svg: self.svg(), caption: String::new(), canvas: self })
-    }
-
-    /// The PNG's pixels, which only the feature `png-figures` draws.
-    pub fn raster(self) -> Result<Image> {
-        raster::image(&self)
-    }
-
-    /// Returns width and height, rounded up to whole pixels.
-    pub(super) fn size(&self) -> (f64, f64) {
-        (self.width.ceil(), self.height.ceil())
+    /// Returns the figure, without a caption.
+    pub fn finish(self) -> Figure {
+        Figure { svg: self.svg(), caption: String::new() }
     }
 
     fn svg(&self) -> String {
-        let (width, height) = self.size();
+        let (width, height) = (self.width.ceil(), self.height.ceil());
         let [wide, high] = [width, height].map(|units| format!("{}cm", (units * CENTIMETRES * 100.0).round() / 100.0));
         let mut document = Document::new().set("viewBox", (0, 0, width, height)).set("width", wide).set("height", high);
         document.append(Rectangle::new().set("width", width).set("height", height).set("fill", "white"));
@@ -384,13 +296,8 @@ impl Mark {
     }
 }
 
-/// Returns the finite points, clamped to [`FAR`] and rounded to a tenth of a pixel.
+/// Returns the finite points, clamped to [`FAR`].
 fn drawable(points: &[(f64, f64)]) -> Vec<(f64, f64)> {
     let finite = points.iter().filter(|(x, y)| x.is_finite() && y.is_finite());
-    finite.map(|(x, y)| (tenths(x.clamp(-FAR, FAR)), tenths(y.clamp(-FAR, FAR)))).collect()
-}
-
-/// Rounds a length as the SVG writes it, so that SVG and PNG draw the same.
-fn tenths(length: f64) -> f64 {
-    format!("{length:.1}").parse().expect("a number's own digits")
+    finite.map(|(x, y)| (x.clamp(-FAR, FAR), y.clamp(-FAR, FAR))).collect()
 }

@@ -1,15 +1,10 @@
-//! Drawing: figures in SVG and PNG, images, depth maps, animations.
+//! Drawing: figures in SVG, images, depth maps, animations.
 
 pub mod canvas;
-#[cfg(feature = "png-figures")]
-mod disc;
-#[cfg(feature = "png-figures")]
-mod letters;
 mod mp4;
 pub mod numbers;
 mod panel;
 pub mod pictures;
-mod raster;
 mod reel;
 mod scripts;
 mod words;
@@ -20,5 +15,4 @@ pub use pictures::{
     SOLID, beside, depth_colour, depth_range, depth_range_of, encode_jpeg, encode_png8, pixel_errors, quantise,
     scale_colour, stripe, write_depth16, write_png8,
 };
-pub use raster::SVG_ALONE;
 pub use reel::Reel;

@@ -1,7 +1,7 @@
 //! Round numbers across a range, and rectangles with a vertical scale.
 
 use super::canvas::{Anchor, BLACK, Canvas, GRID, TEXT};
-use super::numbers::{numbers, power};
+use super::numbers::numbers;
 use super::words::text_width;
 
 /// Values beyond are drawn there, and nearer to one another than [`LEAST_SPAN`] as equal: a scale has to have a length.
@@ -93,18 +93,7 @@ impl Panel {
     pub fn frame(&self, drawing: &mut Canvas, numbers: bool) {
         let (values, step) = ticks(self.range, (self.height / 40.0) as usize + 1);
         let texts = self::numbers(&values, step);
-        self.frame_at(drawing, values.into_iter().zip(texts), numbers);
-    }
-
-    /// The same of a range of decimal logarithms, with lines at powers of ten.
-    pub fn log_frame(&self, drawing: &mut Canvas, numbers: bool) {
-        let (values, _) = ticks(self.range, (self.height / 20.0) as usize);
-        let whole = values.into_iter().filter(|value| value.fract() == 0.0);
-        self.frame_at(drawing, whole.map(|value| (value, power(10f64.powf(value)))), numbers);
-    }
-
-    fn frame_at(&self, drawing: &mut Canvas, marks: impl Iterator<Item = (f64, String)>, numbers: bool) {
-        for (value, text) in marks {
+        for (value, text) in values.into_iter().zip(texts) {
             let y = self.y(value);
             drawing.line(&[(self.left, y), (self.right(), y)], GRID, 1.0);
             if numbers {

@@ -1,12 +1,15 @@
 //! Widths of texts, and lines that fit into one.
 
-use super::{raster, scripts};
+use super::scripts;
+
+/// Liberation Sans without hints; where it comes from stands beside it.
+const FACE: &[u8] = include_bytes!("../../../../assets/fonts/augnerf-sans.ttf");
 
 /// Width of a text in pixels.
 pub fn text_width(text: &str, size: f64) -> f64 {
-    let face = ttf_parser::Face::parse(raster::FACE, 0).expect("the embedded font is a font");
+    let face = ttf_parser::Face::parse(FACE, 0).expect("the embedded font is a font");
     let advance = |letter: char| {
-        let (letter, scale) = scripts::plain(letter).map_or((letter, 1.0), |(plain, _)| (plain, scripts::SCALE));
+        let (letter, scale) = scripts::plain(letter).map_or((letter, 1.0), |plain| (plain, scripts::SCALE));
         let advance = face.glyph_index(letter).and_then(|glyph| face.glyph_hor_advance(glyph)).unwrap_or(500);
         f64::from(advance) * scale
     };

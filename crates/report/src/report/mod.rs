@@ -12,4 +12,6 @@ pub mod tables;
 
 pub use comparisons::{Compared, Comparisons, OverScenes, Unit};
 pub use published::{PUBLISHED_NOTE, PublishedProtocol, PublishedRow, published_rows};
-pub use record::{AxisParts, AxisValue, PublishedKey, Record, RowSpec, Status, TableSpec, distinct, label};
+pub use record::{
+    AxisParts, AxisValue, PointResult, PublishedKey, Record, RowSpec, Status, TableSpec, distinct, label,
+};

@@ -313,19 +313,14 @@ mod tests {
     #[test]
     fn differences_name_what_is_known_to_differ() {
         let mut record = Record {
-            id: String::new(),
             scene: "fern".into(),
             row: "Aug-NeRF".into(),
-            axes: Vec::new(),
             seed: Some(0),
             status: Status::Done,
-            reason: String::new(),
-            metrics: Vec::new(),
-            protocol: Vec::new(),
-            inactive_levels: Vec::new(),
+            ..Record::default()
         };
         let mut set = |fields: &[(&str, &str)]| {
-            record.protocol = fields.iter().map(|(name, text)| (name.to_string(), text.to_string())).collect();
+            record.result.protocol = fields.iter().map(|(name, text)| (name.to_string(), text.to_string())).collect();
             record.clone()
         };
         let record = set(&[("width", "101"), ("height", "76"), ("steps", "500000"), ("field_width", "64")]);

@@ -8,8 +8,8 @@ use crate::settings::columns::field_order;
 /// The column that says how often a training pixel was seen.
 pub(super) const EPOCHS: &str = "epochs";
 
-/// One point of a sweep: a configuration with its seed, and its results.
-#[derive(Clone, Debug, PartialEq)]
+/// One point of a sweep at one position of its table: a configuration with its seed, and its results.
+#[derive(Clone, Debug, Default, PartialEq)]
 pub struct Record {
     /// Content hash: the name of the point's folder.
     pub id: String,
@@ -25,12 +25,26 @@ pub struct Record {
     pub status: Status,
     /// First line of why it failed or has no data; empty otherwise.
     pub reason: String,
+    /// What it left; empty until the point is done.
+    pub result: PointResult,
+}
+
+/// What a finished point leaves: the content of its `result.json`.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct PointResult {
     /// Name and value of each metric; a missing one is absent or `None`.
     pub metrics: Vec<(String, Option<f64>)>,
-    /// Name and text of each field of the protocol; empty until the point is done.
+    /// Name and text of each field of the protocol.
     pub protocol: Vec<(String, String)>,
     /// Sites that were inactive by the measure in the protocol's `inactive_by`.
     pub inactive_levels: Vec<String>,
+}
+
+impl PointResult {
+    /// Returns a metric's value, if there is one.
+    pub fn metric(&self, name: &str) -> Option<f64> {
+        self.metrics.iter().find(|(known, _)| known == name).and_then(|(_, value)| *value)
+    }
 }
 
 /// A point's position on one axis.
@@ -58,7 +72,7 @@ pub fn label(row: &str, axes: &[AxisValue]) -> String {
 }
 
 /// Progress of a point.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Status {
     /// Measured; has metrics.
@@ -66,6 +80,7 @@ pub enum Status {
     /// Training is in progress.
     Running,
     /// Not started, or stopped with a checkpoint.
+    #[default]
     Waiting,
     /// Ended with an error.
     Failed,
@@ -107,7 +122,7 @@ impl Record {
 
     /// Returns a metric's value, if there is one.
     pub fn metric(&self, name: &str) -> Option<f64> {
-        self.metrics.iter().find(|(known, _)| known == name).and_then(|(_, value)| *value)
+        self.result.metric(name)
     }
 
     /// Returns whether the PSNR is no higher than that of the training views' best single colour. `None` if one of both is
@@ -123,13 +138,13 @@ impl Record {
 
     /// Returns the record with its protocol in one order, whichever program measured it.
     pub fn ordered(mut self) -> Record {
-        self.protocol.sort_by_key(|(name, _)| field_order(name));
+        self.result.protocol.sort_by_key(|(name, _)| field_order(name));
         self
     }
 
     /// Returns a protocol field's text; empty if there is none.
     pub fn protocol(&self, name: &str) -> &str {
-        self.protocol.iter().find(|(known, _)| known == name).map_or("", |(_, text)| text)
+        self.result.protocol.iter().find(|(known, _)| known == name).map_or("", |(_, text)| text)
     }
 }
 

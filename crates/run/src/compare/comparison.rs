@@ -159,14 +159,10 @@ struct RunFacts<'a> {
 }
 
 impl Comparison {
-    /// Writes `compare.png` (`compare.svg` without the feature `png-figures`; either holds the pixels of images) and
-    /// `compare.json` into a folder.
+    /// Writes `compare.svg`, which holds the pixels of images, and `compare.json` into a folder.
     pub fn write(&self, folder: &Path) -> Result<()> {
         let figure = comparison_figure::draw(self)?;
-        match figure.png()? {
-            Some(png) => write_atomic(&folder.join("compare.png"), &png)?,
-            None => write_atomic(&folder.join("compare.svg"), figure.svg.as_bytes())?,
-        }
+        write_atomic(&folder.join("compare.svg"), figure.svg.as_bytes())?;
         write_json(&folder.join("compare.json"), &self.file())
     }
 

@@ -6,7 +6,7 @@ use super::display_size::DisplaySize;
 use super::parts::{colour_bar, note, striped, trained_on};
 use super::window::{Window, crop};
 use crate::base::{Image, Result};
-use crate::draw::canvas::{Anchor, BLACK, Canvas, Figure, GREY, LINE_HEIGHT, ORANGE, PAPER, TEXT, Width, text_width};
+use crate::draw::canvas::{Anchor, BLACK, Canvas, Figure, GREY, LINE_HEIGHT, ORANGE, PAGE, PAPER, TEXT, text_width};
 use crate::draw::{depth_colour, scale_colour};
 
 /// Heads of the columns.
@@ -27,8 +27,7 @@ struct ComparisonFigure<'a> {
 impl ComparisonFigure<'_> {
     fn draw(&self) -> Result<Figure> {
         let scale = &self.scale;
-        let mut canvas = Canvas::new(Width::Page.units(), 0.0);
-        canvas.fineness = scale.fineness;
+        let mut canvas = Canvas::new(PAGE, 0.0);
         let width = canvas.width - 2.0 * scale.margin;
         let mut y = canvas.lines((scale.margin, 20.0), width, &self.comparison.first().title(), BLACK) + 4.0;
         for (column, name) in HEADS.iter().enumerate() {
@@ -49,7 +48,7 @@ impl ComparisonFigure<'_> {
         }
         canvas.height = self.draw_bars(&mut canvas, y)? + 4.0;
         canvas.caption(&self.caption());
-        canvas.finish()
+        Ok(canvas.finish())
     }
 
     /// Draws the view and, if there are any, the differences between the runs' errors and the depth.

@@ -2,9 +2,9 @@
 
 use crate::base::{Image, Result};
 use crate::data::resample;
-use crate::draw::canvas::{Canvas, FINENESS, Width};
+use crate::draw::canvas::{Canvas, PAGE};
 
-/// Least and most columns of a view in the PNG, as far as whole factors allow.
+/// Least and most columns of a view in the figure, as far as whole factors allow.
 const DISPLAY_COLUMNS: (usize, usize) = (400, 1024);
 /// Pixels of a figure's margin and of the gap between two views of 400 pixels.
 const MARGIN: f64 = 40.0;
@@ -17,43 +17,23 @@ pub struct DisplaySize {
     /// Size in the canvas's units.
     pub width: f64,
     pub height: f64,
-    /// Pixels of the PNG to a unit.
-    pub fineness: f64,
     /// Margin of the figure, and gap between two views, in units.
     pub margin: f64,
     pub gap: f64,
 }
 
 impl DisplaySize {
-    /// Returns the size of a view that stands alone.
-    pub fn alone(image: &Image) -> DisplaySize {
-        DisplaySize::with(image, |_| FINENESS)
-    }
-
     /// Returns the size of each of `columns` views side by side on a page.
     pub fn on_page(image: &Image, columns: usize) -> DisplaySize {
-        DisplaySize::with(image, |pixels| {
-            let k = pixels / DISPLAY_COLUMNS.0 as f64;
-            let all = columns as f64 * pixels + (columns - 1) as f64 * (GAP * k).round() + 2.0 * (MARGIN * k).round();
-            all / Width::Page.units()
-        })
-    }
-
-    fn with(image: &Image, fineness: impl Fn(f64) -> f64) -> DisplaySize {
         let times = DISPLAY_COLUMNS.0.div_ceil(image.width) as f64;
         let shrink = image.width.div_ceil(DISPLAY_COLUMNS.1);
         let pixels = |length: usize| (length / shrink).max(1) as f64 * times;
         let (width, height) = (pixels(image.width), pixels(image.height));
-        let (fineness, k) = (fineness(width), width / DISPLAY_COLUMNS.0 as f64);
-        let units = |pixels: f64| pixels / fineness;
-        DisplaySize {
-            shrink,
-            width: units(width),
-            height: units(height),
-            fineness,
-            margin: units((MARGIN * k).round()),
-            gap: units((GAP * k).round()),
-        }
+        let k = width / DISPLAY_COLUMNS.0 as f64;
+        let (margin, gap) = ((MARGIN * k).round(), (GAP * k).round());
+        let all = columns as f64 * width + (columns - 1) as f64 * gap + 2.0 * margin;
+        let units = |pixels: f64| pixels / (all / PAGE);
+        DisplaySize { shrink, width: units(width), height: units(height), margin: units(margin), gap: units(gap) }
     }
 
     /// Returns the left edge of a column.

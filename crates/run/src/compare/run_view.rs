@@ -18,8 +18,6 @@ pub struct RunView {
     pub steps: (u64, u64),
     /// Figures name the steps: the runs that are shown together differ in them, or one is unfinished.
     names_steps: bool,
-    /// Place of its row in the sweep that it is of, which decides its colour.
-    pub row: Option<usize>,
     /// Provenance of its numbers.
     pub protocol: Protocol,
     /// The held-out view.
@@ -32,8 +30,6 @@ pub struct RunView {
     pub bounds: (f64, f64),
     /// Position of a pixel's ray from the pixel's corner.
     pub(super) shift: f64,
-    /// The field is queried at Gaussians of intervals, not at points.
-    pub queries_gaussians: bool,
     /// Every setting that can change a number, by its name in `config.toml`.
     pub(super) settings: Vec<(String, String)>,
 }
@@ -55,14 +51,12 @@ impl RunView {
             label,
             steps: (state.step, config.train.steps),
             names_steps: false,
-            row: None,
             protocol: Protocol::new(config, scene, state),
             view: scene.test[index].read()?,
             index,
             ndc: scene.ndc,
             bounds: scene.bounds(),
             shift: config.data.origin_of_pixels().shift(),
-            queries_gaussians: config.field.encoding.queries_gaussians(),
             settings: settings(config),
         })
     }

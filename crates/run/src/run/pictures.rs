@@ -7,12 +7,8 @@ use serde::Serialize;
 
 use crate::base::files::write_json;
 use crate::base::{Image, Result};
-use crate::compare::{DisplaySize, colour_bar};
 use crate::data::{Scene, View};
-use crate::draw::canvas::{Anchor, BLACK, Canvas, LINE_HEIGHT, TEXT};
-use crate::draw::{
-    Reel, SOLID, SVG_ALONE, beside, depth_colour, depth_range, depth_range_of, stripe, write_depth16, write_png8,
-};
+use crate::draw::{Reel, SOLID, beside, depth_colour, depth_range, depth_range_of, stripe, write_depth16, write_png8};
 
 use super::RenderedView;
 
@@ -111,34 +107,13 @@ impl<'a> PathPictures<'a> {
 }
 
 /// Images of held-out views: `NAME_rgb.png`, `NAME_truth.png`, `NAME_depth.png`, `NAME_depth16.png`, `NAME_beside.png`
-/// (rendering, ground truth and depth under their names, with a colour bar) and `depth.json`. A masked view also has `NAME_mask.png` (white counts), and
+/// (rendering, ground truth and depth) and `depth.json`. A masked view also has `NAME_mask.png` (white counts), and
 /// stripes over the masked ground truth in `NAME_beside.png`.
 pub struct Pictures<'a> {
     folder: &'a Path,
     scene: &'a Scene,
     count: usize,
     range: RefCell<Option<(f32, f32)>>,
-}
-
-/// Returns rendering, ground truth and depth beside one another, each under its name, with the colour bar of depth. Without
-/// the feature `png-figures`, the images alone.
-fn side_by_side(images: &[&Image; 3], range: (f32, f32), unit: &str) -> Result<Image> {
-    if SVG_ALONE.is_some() {
-        return beside(images, GAP);
-    }
-    let scale = DisplaySize::alone(images[0]);
-    let left = |column: usize| column as f64 * (scale.width + GAP as f64);
-    let mut canvas = Canvas::new(left(3) - GAP as f64, 0.0);
-    for (column, name) in ["rendering", "ground truth", "depth"].iter().enumerate() {
-        canvas.text((left(column), LINE_HEIGHT / 2.0), name, TEXT, Anchor::Left, BLACK);
-    }
-    for (column, image) in images.iter().enumerate() {
-        let at = (left(column), LINE_HEIGHT);
-        if column == 2 { scale.draw_map(&mut canvas, at, image)? } else { scale.draw(&mut canvas, at, image)? }
-    }
-    let bar = LINE_HEIGHT + scale.height + 6.0;
-    canvas.height = colour_bar(&mut canvas, (left(2), bar), scale.width, range, true, &format!("depth ({unit})"))?;
-    canvas.raster()
 }
 
 impl<'a> Pictures<'a> {
@@ -171,8 +146,7 @@ impl<'a> Pictures<'a> {
         if let Some(mask) = &view.mask {
             stripe(&mut truth, mask);
         }
-        let unit = if self.scene.ndc.is_some() { "NDC" } else { "scene units" };
-        write_png8(&file("beside"), &side_by_side(&[&rendered.image, &truth, &colours], range, unit)?)
+        write_png8(&file("beside"), &beside(&[&rendered.image, &truth, &colours], GAP)?)
     }
 
     /// Writes `depth.json`.

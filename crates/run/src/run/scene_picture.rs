@@ -4,11 +4,11 @@ use crate::base::Result;
 use crate::base::rng::{Random, Stream};
 use crate::data::pose::{self, Vec3};
 use crate::data::{Camera, Scene, UnseenCameras, View};
-use crate::draw::canvas::{Anchor, BLACK, BLUE, Canvas, Colour, Figure, GREY, ORANGE, PALETTE, SIDE, TEXT, Width};
+use crate::draw::canvas::{Anchor, BLACK, BLUE, Canvas, Colour, Figure, GREY, ORANGE, PAGE, PALETTE, SIDE, TEXT};
 use crate::settings::Resolved;
 
 /// Side of a panel.
-const PANEL: f64 = (Width::Page.units() - 2.0 * SIDE - GAP) / 2.0;
+const PANEL: f64 = (PAGE - 2.0 * SIDE - GAP) / 2.0;
 const GAP: f64 = 24.0;
 /// Limit on drawn points; more points are thinned evenly.
 const MOST_POINTS: usize = 6000;
@@ -38,11 +38,11 @@ struct Panel {
 /// (grey), box (green) and rays from near to far, from two sides.
 ///
 /// # Errors
-/// The figure cannot be drawn, or the training cameras do not suit `regularizer.unseen_poses`.
+/// The training cameras do not suit `regularizer.unseen_poses`.
 pub fn scene_picture(config: &Resolved, scene: &Scene) -> Result<Figure> {
     let unseen = unseen_cameras(config, scene)?;
     let title = format!("{}: {} views to train on, {} held out", scene.name, scene.train.len(), scene.test.len());
-    let mut canvas = Canvas::titled(Width::Page, &title);
+    let mut canvas = Canvas::titled(&title);
     let top = canvas.height + 20.0;
     let [right, forward, up] = axes(scene);
     let (middle, half, is_cut) = shown(scene);
@@ -56,7 +56,7 @@ pub fn scene_picture(config: &Resolved, scene: &Scene) -> Result<Figure> {
     }
     canvas.height = top + PANEL + 6.0;
     canvas.caption(&caption(scene, &unseen, half, is_cut));
-    canvas.finish()
+    Ok(canvas.finish())
 }
 
 /// Returns some cameras of a run's unseen rays, or none if it reads none.

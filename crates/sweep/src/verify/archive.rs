@@ -3,12 +3,13 @@
 use std::path::{Path, PathBuf};
 
 use crate::base::{Error, Result};
-use crate::collect::{Collector, PAGE, TableInputs, Taking, keep_shown};
+use crate::collect::{Collector, PAGE, TableInputs};
 use crate::definition::Definition;
 use crate::folder::SweepFolder;
 use crate::outputs::{SweepOutputs, optional, read_scalars};
 use crate::points::Point;
 use crate::provenance::Provenance;
+use crate::report::exporters::File;
 use crate::report::tables::{Table, read_points, read_timing};
 use crate::report::{Status, label};
 
@@ -73,8 +74,8 @@ impl Archive {
         Ok(Archive { path: path.to_path_buf(), definition, points, outputs, provenance, with_timing })
     }
 
-    /// Hands over every table and figure. Rows that may not stand side by side are marked, as `--force` does.
-    pub fn files(&self, take: Taking) -> Result<Table> {
+    /// Returns the table, and adds every table and figure to `files`. Rows that may not stand side by side are marked, as `--force` does.
+    pub fn files(&self, files: &mut Vec<File>) -> Result<Table> {
         let collector = Collector {
             outputs: &self.outputs,
             definition: &self.definition,
@@ -83,13 +84,13 @@ impl Archive {
             force: true,
             with_timing: self.with_timing,
         };
-        collector.files(take)
+        collector.files(files)
     }
 
     /// The page of a results' folder: without pictures of views, which lie with the runs.
     pub fn page(&self, runs: Option<&SweepFolder>) -> Result<(Table, String)> {
         let mut figures = Vec::new();
-        let table = self.files(&mut |name, content| keep_shown(&mut figures, name, &content))?;
+        let table = self.files(&mut figures)?;
         // Those that nothing makes again, as they were committed.
         for name in self.provenance.pinned.keys() {
             if let Some(bytes) = optional(&self.path.join(name))? {

@@ -1,17 +1,15 @@
 //! Comparisons over sweeps and scenes, made again from the results of these sweeps.
 
-use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 use super::Verifier;
 use super::archive::Archive;
-use super::files::{Compared, is_spare, not_kept};
+use super::files::{Compared, Made, is_spare, not_kept};
 use super::findings::Findings;
 use super::tree::sweeps_named;
 use crate::base::{Error, Result};
 use crate::comparisons::ComparisonRequest;
 use crate::folder::DEFINITION;
-use crate::report::exporters::Content;
 use crate::view::{Origin, Source};
 
 /// Compares a folder's files with what the sweeps make, or, with `update`, writes what differs.
@@ -22,7 +20,7 @@ pub fn check(verifier: &Verifier, path: &Path, findings: &mut Findings) -> Resul
     let sources: Vec<Source> = archives.iter().map(source_of).collect();
     let labels = kept.labels();
     let (asked, comparisons) = kept.answer(&sources, &labels)?;
-    let made: BTreeMap<String, Content> = asked.files(&comparisons)?.into_iter().collect();
+    let made: Made = asked.files(&comparisons).into_iter().collect();
     let compared = Compared::new(verifier, path, made.iter(), |name| is_spare(path, name), findings)?;
     compared.report(&format!("from comparisons of {sweeps} sweeps, of which {request} has the hashes"), findings);
     not_kept(&compared.absent, None, path, findings);

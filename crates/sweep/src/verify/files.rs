@@ -13,7 +13,7 @@ use crate::collect::{PAGE, TIMING};
 use crate::folder::{DEFINITION, PLAN, STEP_SECONDS};
 use crate::outputs::{SCALARS, optional};
 use crate::provenance::{Archived, PROVENANCE};
-use crate::report::exporters::{Content, EXPORTERS, OF_LOGS};
+use crate::report::exporters::{EXPORTERS, OF_LOGS};
 use crate::report::tables::{Constants, Table};
 use crate::report::{Record, Status};
 use crate::train::sha256;
@@ -27,7 +27,7 @@ pub fn is_kept(name: &str) -> bool {
 }
 
 /// Files by their names.
-pub type Made = BTreeMap<String, Content>;
+pub type Made = BTreeMap<String, Vec<u8>>;
 
 /// A sweep's results, and what its points make.
 pub struct Collected {
@@ -40,12 +40,9 @@ pub struct Collected {
 impl Collected {
     /// Reads a results' folder and makes its tables and figures.
     pub fn read(path: &Path, data_root: Option<&Path>) -> Result<Collected> {
-        let (archive, mut made) = (Archive::read(path, data_root)?, Made::new());
-        let table = archive.files(&mut |name, content| {
-            made.insert(name.into(), content);
-            Ok(())
-        })?;
-        Ok(Collected { archive, table, made })
+        let (archive, mut files) = (Archive::read(path, data_root)?, Vec::new());
+        let table = archive.files(&mut files)?;
+        Ok(Collected { archive, table, made: files.into_iter().collect() })
     }
 }
 
@@ -182,12 +179,12 @@ impl Compared {
     pub fn new<'m>(
         verifier: &Verifier,
         folder: &Path,
-        made: impl Iterator<Item = (&'m String, &'m Content)>,
+        made: impl Iterator<Item = (&'m String, &'m Vec<u8>)>,
         may_lack: impl Fn(&str) -> bool,
         findings: &mut Findings,
     ) -> Result<Compared> {
         let mut compared = Compared { count: 0, wrong: Vec::new(), absent: Vec::new() };
-        for (name, content) in made {
+        for (name, bytes) in made {
             let path = folder.join(name);
             let found = optional(&path)?;
             if found.is_none() && may_lack(name) && !verifier.all {
@@ -195,15 +192,14 @@ impl Compared {
                 continue;
             }
             compared.count += 1;
-            let bytes = content.bytes()?;
-            if found.as_deref() == Some(&bytes) {
+            if found.as_ref() == Some(bytes) {
                 continue;
             }
             if verifier.update {
-                write_atomic(&path, &bytes)?;
+                write_atomic(&path, bytes)?;
                 findings.holds(format!("{name}: written anew"));
             } else {
-                compared.wrong.push(difference(name, found.as_deref(), &bytes));
+                compared.wrong.push(difference(name, found.as_deref(), bytes));
             }
         }
         Ok(compared)
@@ -217,7 +213,7 @@ impl Compared {
 
 /// Whether a file is a picture.
 pub fn is_figure(name: &str) -> bool {
-    name.ends_with(".svg") || name.ends_with(".png")
+    name.ends_with(".svg")
 }
 
 /// Whether a file shows a CSV table once more, as Markdown or LaTeX.
@@ -228,7 +224,7 @@ fn is_twin(name: &str) -> bool {
 /// Whether a folder may do without a file: a picture, the caption of a picture that it does without, too, or a CSV table's twin.
 pub fn is_spare(folder: &Path, name: &str) -> bool {
     let has = |ending: &str| folder.join(name).with_extension(ending).exists();
-    is_figure(name) || is_twin(name) || name.ends_with(".txt") && !has("svg") && !has("png")
+    is_figure(name) || is_twin(name) || name.ends_with(".txt") && !has("svg")
 }
 
 /// Says in one line what is not there, and where it is to be had.
@@ -284,12 +280,11 @@ fn pin(name: &str, list: &str, hash: &str, bytes: &[u8], findings: &mut Findings
     }
 }
 
-/// Why a file must not be pinned; none where it may be. What is made of logs, and surfaces, are made of what a results' folder may
-/// lack.
+/// Why a file must not be pinned; none where it may be. What is made of logs is made of what a results' folder may lack.
 fn no_pin(sweep: &Collected, name: &str) -> Option<String> {
-    let Some(owner) = EXPORTERS.iter().find(|exporter| exporter.owns(name)) else {
+    if !EXPORTERS.iter().any(|exporter| exporter.owns(name)) {
         return KEPT.contains(&name).then(|| "tables are made of it".into());
-    };
+    }
     let provenance = &sweep.archive.provenance;
     let is_archived = provenance.archived.iter().any(|archived| archived.files.contains_key(SCALARS));
     let is_missing = provenance.missing.iter().any(|missing| missing.what.contains(SCALARS));
@@ -298,7 +293,6 @@ fn no_pin(sweep: &Collected, name: &str) -> Option<String> {
         // With or without the logs, which one may get.
         () if of_logs && is_archived => None,
         () if sweep.made.contains_key(name) => Some("the points make it".into()),
-        () if !owner.repeats() => None,
         () if !of_logs => Some("the points do not make it".into()),
         () if is_missing => None,
         () => Some(format!("no [[missing]] says why there is no {SCALARS} to make it of")),
@@ -316,10 +310,7 @@ fn others(sweep: &Collected, update: bool, findings: &mut Findings) -> Result<()
         if accounted {
             continue;
         }
-        let without_png = name.ends_with(".png") && made.contains_key(&name.replace(".png", ".svg"));
-        if without_png {
-            findings.not_checked(format!("{name}: this program is built without PNG figures"));
-        } else if !EXPORTERS.iter().any(|exporter| exporter.owns(&name)) {
+        if !EXPORTERS.iter().any(|exporter| exporter.owns(&name)) {
             findings.not_checked(format!("{name}: nothing here makes it, and {PROVENANCE} does not name it"));
         } else if update {
             let path = archive.path.join(&name);

@@ -9,9 +9,8 @@ use crate::base::{Error, Result};
 use crate::claim::Sharing;
 use crate::folder::SweepFolder;
 use crate::metrics::{METRICS, Needs, Scope};
-use crate::point_folder::PointResult;
 use crate::points::Point;
-use crate::report::{Record, distinct};
+use crate::report::{PointResult, Record, distinct};
 use crate::revision::revision;
 use crate::runner::{Options, Runner};
 
@@ -85,7 +84,7 @@ fn differences(archive: &Archive, record: &Record, result: &PointResult, open: &
     for metric in METRICS.iter().filter(|metric| metric.scope != Scope::Common) {
         let key = metric.key;
         // Metrics that are younger than the points are not in their file.
-        let Some((_, then)) = record.metrics.iter().find(|(name, _)| name == key) else { continue };
+        let Some((_, then)) = record.result.metrics.iter().find(|(name, _)| name == key) else { continue };
         let (then, now) = (csv_number(*then), csv_number(result.metric(key)));
         let weights_differ = matches!(metric.needs, Needs::Lpips(_))
             && (now.is_empty() || !records.iter().any(|record| record.metric(key).is_some()));
@@ -99,14 +98,14 @@ fn differences(archive: &Archive, record: &Record, result: &PointResult, open: &
     let may_differ = |name: &str| OF_THE_PROGRAM.contains(&name) || !is_own && HASHES.contains(&name);
     for (name, now) in result.protocol.iter().filter(|(name, _)| !may_differ(name)) {
         // Columns that are younger than the points are not in their file.
-        let then = record.protocol.iter().find(|(known, _)| known == name).map(|(_, then)| then);
+        let then = record.result.protocol.iter().find(|(known, _)| known == name).map(|(_, then)| then);
         if then.is_some_and(|then| then != now && !(name == "lpips_weights" && (then.is_empty() || now.is_empty()))) {
             let then = record.protocol(name);
             wrong.push(format!("{}: {name} is '{now}', points.csv has '{then}'", record.point_label()));
         }
     }
-    if record.inactive_levels != result.inactive_levels {
-        let (then, now) = (record.inactive_levels.join(" "), result.inactive_levels.join(" "));
+    if record.result.inactive_levels != result.inactive_levels {
+        let (then, now) = (record.result.inactive_levels.join(" "), result.inactive_levels.join(" "));
         wrong.push(format!("{}: inactive_levels is '{now}', points.csv has '{then}'", record.point_label()));
     }
     wrong

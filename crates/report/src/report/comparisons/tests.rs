@@ -1,18 +1,19 @@
 use super::*;
-use crate::report::{AxisValue, Record, RowSpec, Status, TableSpec};
+use crate::report::{AxisValue, PointResult, Record, RowSpec, Status, TableSpec};
+
+fn measured(metric: &str, value: Option<f64>) -> PointResult {
+    PointResult { metrics: vec![(metric.into(), value)], ..PointResult::default() }
+}
 
 fn record(scene: &str, row: &str, seed: u64, psnr: Option<f64>) -> Record {
     Record {
         id: format!("{scene}-{row}-{seed}"),
         scene: scene.into(),
         row: row.into(),
-        axes: vec![],
         seed: Some(seed),
         status: if psnr.is_some() { Status::Done } else { Status::Waiting },
-        reason: String::new(),
-        metrics: vec![("psnr".into(), psnr)],
-        protocol: vec![],
-        inactive_levels: vec![],
+        result: measured("psnr", psnr),
+        ..Record::default()
     }
 }
 
@@ -121,7 +122,7 @@ fn seeds_that_learned_nothing_are_said() {
     let mut records = records();
     for record in &mut records {
         let lost = record.scene == "b" && (record.row == "NeRF" || (record.row == "TV" && record.seed == Some(1)));
-        record.metrics.push(("floor_psnr".into(), Some(if lost { 40.0 } else { 5.0 })));
+        record.result.metrics.push(("floor_psnr".into(), Some(if lost { 40.0 } else { 5.0 })));
     }
     let found = over_scenes(&records);
     let counts = &found.lines[0].over.as_ref().unwrap().no_better_than_one_colour;
@@ -172,7 +173,7 @@ fn a_scene_counts_once() {
 #[test]
 fn where_less_is_better_the_best_has_the_least() {
     let as_lpips = |record: Record| Record {
-        metrics: vec![("lpips_squeeze".into(), record.metric("psnr").map(|psnr| psnr / 100.0))],
+        result: measured("lpips_squeeze", record.metric("psnr").map(|psnr| psnr / 100.0)),
         ..record
     };
     let records: Vec<Record> = records().into_iter().map(as_lpips).collect();
@@ -189,7 +190,7 @@ fn a_baseline_with_axes_is_that_of_the_same_values() {
     let of = |value: &str, more: f64| -> Vec<Record> {
         let raised = |mut record: Record| {
             let psnr = record.metric("psnr").map(|psnr| psnr + if record.row == "NeRF" { more } else { 0.0 });
-            record.metrics = vec![("psnr".into(), psnr)];
+            record.result = measured("psnr", psnr);
             Record { axes: axes(value), ..record }
         };
         records().into_iter().map(raised).collect()

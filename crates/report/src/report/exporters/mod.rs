@@ -1,9 +1,9 @@
 //! The files that are made from a sweep's points: one exporter each, and the list of all.
 
 use crate::base::{Error, Result};
-pub use crate::draw::canvas::Content;
+pub use crate::draw::canvas::File;
 
-use super::plots::{Curve, Shifts, Surface};
+use super::plots::Curve;
 use super::tables::{AttackLine, Constants, PointTiming, Table};
 use super::{Record, TableSpec};
 
@@ -28,10 +28,6 @@ pub struct Collected<'a> {
     pub curves: &'a [(String, Vec<Curve>)],
     /// Effect of the attack, line by line of the table.
     pub attacks: &'a [AttackLine<'a>],
-    /// How far the attack moves colours during training, by scene.
-    pub shifts: &'a [(String, Vec<Shifts>)],
-    /// Images of surfaces by scene.
-    pub surfaces: &'a [(String, Vec<Surface>)],
 }
 
 impl<'a> Collected<'a> {
@@ -46,9 +42,6 @@ impl<'a> Collected<'a> {
     }
 }
 
-/// Name and content of a file.
-pub type File = (String, Content);
-
 /// Makes files from a sweep's points.
 pub trait Exporter: Sync {
     /// Returns whether its files show rows side by side. They are written only if rows are comparable.
@@ -57,20 +50,15 @@ pub trait Exporter: Sync {
     /// Returns whether a file in the results folder is its own, to be deleted before it is written again.
     fn owns(&self, file: &str) -> bool;
 
-    /// Returns whether its files are made of what is kept next to the tables. Other files need the runs.
-    fn repeats(&self) -> bool {
-        true
-    }
-
     /// Returns the files, by their names below the results folder.
     fn export(&self, collected: &Collected) -> Result<Vec<File>>;
 }
 
 /// The exporters that read the points' logs, which a results folder may lack.
-pub static OF_LOGS: [&dyn Exporter; 3] = [&text::ATTACK_CSV, &figures::CURVES, &figures::ATTACK];
+pub static OF_LOGS: [&dyn Exporter; 2] = [&text::ATTACK_CSV, &figures::CURVES];
 
 /// All exporters, in the order of writing.
-pub static EXPORTERS: [&dyn Exporter; 12] = [
+pub static EXPORTERS: [&dyn Exporter; 9] = [
     &text::POINTS_CSV,
     &text::TIMING_CSV,
     &text::TABLE_CSV,
@@ -79,8 +67,5 @@ pub static EXPORTERS: [&dyn Exporter; 12] = [
     &text::LATEX,
     &figures::ROWS,
     &figures::AXES,
-    &figures::HEATMAPS,
     &figures::CURVES,
-    &figures::ATTACK,
-    &figures::SURFACES,
 ];

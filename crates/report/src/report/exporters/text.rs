@@ -3,7 +3,7 @@
 use crate::base::Result;
 use crate::report::tables::{attack_csv, points_csv, table_csv, table_latex, table_markdown, timing_csv};
 
-use super::{Collected, Content, Exporter, File};
+use super::{Collected, Exporter, File};
 
 /// One file of text.
 pub struct TextFile {
@@ -61,6 +61,6 @@ impl Exporter for TextFile {
 
     fn export(&self, collected: &Collected) -> Result<Vec<File>> {
         let text = (self.text)(collected)?;
-        Ok(text.into_iter().map(|text| (self.name.to_string(), Content::Bytes(text.into_bytes()))).collect())
+        Ok(text.into_iter().map(|text| (self.name.to_string(), text.into_bytes())).collect())
     }
 }

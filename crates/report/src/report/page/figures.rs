@@ -1,26 +1,24 @@
 //! The figures, inline in the page.
 
 use crate::base::{Error, Result};
-use crate::report::plots::Width;
 use crate::report::tables::Table;
 
-/// A figure as wide screens and as narrow ones show it, with its caption.
+/// A figure with its caption.
 pub struct Drawn {
     pub name: String,
     /// What it shows.
     pub title: String,
     /// How it is read.
     pub caption: String,
-    pub page: String,
-    pub column: String,
+    pub svg: String,
 }
 
 impl Drawn {
-    /// Takes the SVGs of a page and of a column, and the lines of a caption; the name is the title of a figure without.
-    pub fn new(name: &str, page: &[u8], column: &[u8], caption: &str) -> Result<Drawn> {
+    /// Takes an SVG and the lines of a caption; the name is the title of a figure without.
+    pub fn new(name: &str, svg: &[u8], caption: &str) -> Result<Drawn> {
         let (title, caption) = caption.split_once('\n').unwrap_or((name, ""));
         let [title, caption] = [title, caption].map(|text| text.trim().to_string());
-        Ok(Drawn { name: name.into(), title, caption, page: inline(name, page)?, column: inline(name, column)? })
+        Ok(Drawn { name: name.into(), title, caption, svg: inline(name, svg)? })
     }
 }
 
@@ -29,17 +27,16 @@ const SECONDS: &str = "_seconds";
 /// Returns the figures among the files, in order, each with its version against seconds if there is one; without those of
 /// a metric that is the same for all rows.
 pub fn figures(table: &Table, files: &[(String, Vec<u8>)]) -> Result<Vec<Vec<Drawn>>> {
-    let suffix = Width::Column.suffix();
     let file = |file: String| files.iter().find(|(known, _)| *known == file).map(|(_, bytes)| bytes.as_slice());
     let svgs = files.iter().filter_map(|(name, bytes)| Some((name.strip_suffix(".svg")?, bytes)));
     let mut figures: Vec<Vec<Drawn>> = Vec::new();
     let same = same_for_all(table);
-    for (name, bytes) in svgs.filter(|(name, _)| !name.ends_with(suffix)) {
+    for (name, bytes) in svgs {
         if same.iter().any(|place| name.split_once('_').is_some_and(|(_, rest)| rest == place)) {
             continue;
         }
         let caption = String::from_utf8_lossy(file(format!("{name}.txt")).unwrap_or_default());
-        let drawn = Drawn::new(name, bytes, file(format!("{name}{suffix}.svg")).unwrap_or(bytes), &caption)?;
+        let drawn = Drawn::new(name, bytes, &caption)?;
         match figures.iter_mut().find(|figure| name.strip_suffix(SECONDS) == Some(figure[0].name.as_str())) {
             Some(figure) => figure.push(drawn),
             None => figures.push(vec![drawn]),

@@ -2,7 +2,7 @@
 
 use super::figures::Drawn;
 use crate::base::Result;
-use crate::report::plots::{Width, comparisons_figure};
+use crate::report::plots::comparisons_figure;
 use crate::report::tables::{Heading, Judgement, Table};
 use crate::report::{Compared, Comparisons};
 
@@ -41,9 +41,8 @@ pub fn over(table: &Table) -> Result<Option<Over>> {
     if all.scenes.len() < FEWEST_SCENES {
         return Ok(None);
     }
-    let [page, column] = Width::ALL.map(|width| comparisons_figure(&all, width));
-    let drawn =
-        page?.zip(column?).map(|(a, b)| Drawn::new("over_scenes", a.svg.as_bytes(), b.svg.as_bytes(), &a.caption));
+    let figure = comparisons_figure(&all);
+    let drawn = figure.map(|figure| Drawn::new("over_scenes", figure.svg.as_bytes(), &figure.caption));
     let row = |line: &Compared| {
         let [label, _, difference, simultaneous, p, said] = all.cells(line);
         let signs = line.over.as_ref().and_then(|over| over.signs);

@@ -5,7 +5,6 @@ use super::pairs::Tests;
 use super::places::Places;
 use super::series::{Series, absent, places, series};
 use super::{Figure, SPREAD_NOTE, Spread, Stroke, Style, canvas, legend, metric_label, range_of};
-use crate::base::Result;
 use crate::draw::canvas::{
     Anchor, BLACK, BLUE, Canvas, GREY, GRID, LINE_HEIGHT, PAPER, Panel, SIDE, TEXT, text_width, wrapped,
 };
@@ -13,9 +12,9 @@ use crate::draw::numbers::number;
 use crate::metrics::Metric;
 use crate::report::{Record, Status, distinct};
 
-/// Panels side by side of a page and of a column, and their heights.
-const ACROSS: (usize, usize) = (3, 2);
-const HEIGHT: (f64, f64) = (170.0, 130.0);
+/// Panels side by side, and their height.
+const ACROSS: usize = 3;
+const HEIGHT: f64 = 170.0;
 /// Room at the left for the numbers.
 const LEFT: f64 = 62.0;
 const GAP: f64 = 22.0;
@@ -29,28 +28,28 @@ const FIRST: f64 = 14.0;
 
 /// Draws the panels of a scene's points with axes, by axis (down) and level (across). Returns `None` if there are no
 /// such points.
-pub fn axes_figure(style: Style, records: &[Record], scene: &str, metric: &str) -> Result<Option<Figure>> {
+pub fn axes_figure(style: Style, records: &[Record], scene: &str, metric: &str) -> Option<Figure> {
     let records: Vec<&Record> = records.iter().filter(|record| record.scene == scene).collect();
     let all = series(&records, metric);
     let baseline = baseline(style, &records, metric);
     let drawn = range_of(metric, drawn(&all, baseline.as_ref()));
-    let Some(range) = drawn.filter(|_| !all.is_empty()) else { return Ok(None) };
-    let range = with_label(range, metric, style.width.pick(HEIGHT.0, HEIGHT.1));
+    let range = drawn.filter(|_| !all.is_empty())?;
+    let range = with_label(range, metric);
     let tests = Tests::new(&all);
     let figure = Axes { style, all: &all, baseline: baseline.as_ref(), tests: &tests, metric, range };
-    let mut drawing = canvas(style.width);
+    let mut drawing = canvas();
     for axis in distinct(all.iter().map(|series| series.axis)) {
         figure.draw_axis(&mut drawing, axis);
     }
     if let Some((name, _)) = &baseline {
         legend::draw(&mut drawing, &[(name, BASELINE)]);
     }
-    style.finish(drawing, &format!("{} on {scene}", metric_label(metric)), &figure.caption(&records))
+    Some(style.finish(drawing, &format!("{} on {scene}", metric_label(metric)), &figure.caption(&records)))
 }
 
 /// Returns the range with room for the best value's label, which stands beyond its dot.
-fn with_label((low, high): (f64, f64), metric: &str, height: f64) -> (f64, f64) {
-    let room = (high - low) * LABEL / (height - LABEL);
+fn with_label((low, high): (f64, f64), metric: &str) -> (f64, f64) {
+    let room = (high - low) * LABEL / (HEIGHT - LABEL);
     match Metric::find(metric).and_then(|metric| metric.direction.sign()) {
         Some(sign) if sign > 0.0 => (low, high + room),
         Some(_) => (low - room, high),
@@ -83,7 +82,7 @@ impl<'f, 'a> Axes<'f, 'a> {
     fn draw_axis(&self, drawing: &mut Canvas, axis: &str) {
         let columns = columns(self.all);
         // A single panel is as wide as the figure.
-        let across = self.style.width.pick(ACROSS.0, ACROSS.1).min(columns.len().max(1));
+        let across = ACROSS.min(columns.len().max(1));
         let names = distinct(self.all.iter().filter(|s| s.axis == axis).map(|s| s.panel));
         let parts = |name: &str| self.style.spec.parts_of(axis, name);
         let (first, gap) = self.margins();
@@ -101,12 +100,11 @@ impl<'f, 'a> Axes<'f, 'a> {
                 false => LINE_HEIGHT * names.iter().map(Vec::len).max().unwrap_or(1) as f64,
             };
             let top = drawing.height + LINE_HEIGHT + named + 2.0;
-            let height = self.style.width.pick(HEIGHT.0, HEIGHT.1);
             let leftmost = levels.iter().enumerate().map(|(index, level)| place(index, level.name)).min();
             for (index, level) in levels.iter().enumerate() {
                 let column = place(index, level.name);
                 let left = first + column as f64 * (width + gap);
-                let panel = Panel { left, top, width, height, range: self.range };
+                let panel = Panel { left, top, width, height: HEIGHT, range: self.range };
                 panel.frame(drawing, Some(column) == leftmost);
                 if Some(column) == leftmost {
                     let at = (SIDE, top - named - 12.0);
@@ -119,7 +117,7 @@ impl<'f, 'a> Axes<'f, 'a> {
             let ticks = most(|level| level.ticks.iter().map(Vec::len).max().unwrap_or(1));
             let verdicts = most(|level| level.verdicts.iter().map(Vec::len).sum());
             let named = wrapped(axis, width, TEXT).len() as f64;
-            drawing.height = top + height + FIRST + LINE_HEIGHT * (ticks + named + verdicts) + 4.0;
+            drawing.height = top + HEIGHT + FIRST + LINE_HEIGHT * (ticks + named + verdicts) + 4.0;
         }
     }
 
@@ -334,9 +332,9 @@ mod tests {
 
     #[test]
     fn the_label_of_the_best_value_has_room_beyond_it() {
-        assert_eq!(with_label((0.0, 146.0), "psnr", 170.0), (0.0, 170.0));
-        assert_eq!(with_label((0.0, 146.0), "lpips_vgg", 170.0), (-24.0, 146.0));
-        assert_eq!(with_label((0.0, 146.0), "occupied", 170.0), (0.0, 146.0));
+        assert_eq!(with_label((0.0, 146.0), "psnr"), (0.0, 170.0));
+        assert_eq!(with_label((0.0, 146.0), "lpips_vgg"), (-24.0, 146.0));
+        assert_eq!(with_label((0.0, 146.0), "occupied"), (0.0, 146.0));
     }
 
     #[test]

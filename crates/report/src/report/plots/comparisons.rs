@@ -2,15 +2,14 @@
 
 use super::differences::{Differences, MARKS, NOT_SHOWN, colour};
 use super::{Figure, metric_label};
-use crate::base::Result;
-use crate::draw::canvas::{Anchor, Colour, GREY, TEXT, Width};
+use crate::draw::canvas::{Anchor, Colour, GREY, TEXT};
 use crate::report::tables::Judgement;
 use crate::report::{Compared, Comparisons, Unit, distinct};
 
 /// Draws the differences of all lines, with each scene's, or returns `None` without lines.
-pub fn comparisons_figure(all: &Comparisons, width: Width) -> Result<Option<Figure>> {
+pub fn comparisons_figure(all: &Comparisons) -> Option<Figure> {
     if all.lines.is_empty() {
-        return Ok(None);
+        return None;
     }
     let lines = all.best_first();
     let stated = distinct(lines.iter().filter(|line| line.comparison.is_some()).map(|line| line.margin()));
@@ -28,7 +27,7 @@ pub fn comparisons_figure(all: &Comparisons, width: Width) -> Result<Option<Figu
         margin,
         caption: caption(all, margin),
     };
-    figure.figure(width, |drawing, scale, y, index| {
+    Some(figure.figure(|drawing, scale, y, index| {
         let line = lines[index];
         for unit in line.units().iter().flatten() {
             drawing.dot((scale.x(unit.mean), y), 2.5, GREY, 0.4);
@@ -40,7 +39,7 @@ pub fn comparisons_figure(all: &Comparisons, width: Width) -> Result<Option<Figu
             Some(comparison) => scale.difference(drawing, y, &all.metric, comparison),
             None => drawing.text((scale.left + 6.0, y), &all.judged(line), TEXT, Anchor::Left, GREY),
         }
-    })
+    }))
 }
 
 /// Returns the second interval of a line and its colour: that of all sweeps at once, or that of one more scene.

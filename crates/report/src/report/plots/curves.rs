@@ -2,7 +2,6 @@
 
 use super::ends::{self, End};
 use super::{Figure, Spread, Stroke, Style, canvas};
-use crate::base::Result;
 use crate::draw::canvas::{Anchor, BLACK, Canvas, GREY, LINE_HEIGHT, Panel, SIDE, TEXT, tick_texts, wrapped};
 use crate::metrics::PSNR;
 use crate::report::statistics::mean;
@@ -19,9 +18,9 @@ const FROM: f64 = 0.1;
 /// A row is far from the others if its last difference is this multiple of theirs, and at least [`FAR`] dB.
 const TIMES: f64 = 4.0;
 const FAR: f64 = 1.0;
-/// Room for numbers at the left, and for names at the right of a page and of a column.
+/// Room for numbers at the left, and for names at the right.
 const LEFT: f64 = 62.0;
-const NAMES: (f64, f64) = (190.0, 120.0);
+const NAMES: f64 = 190.0;
 
 /// Log points of each seed: step and value.
 pub type Seeds = Vec<Vec<(f64, f64)>>;
@@ -54,7 +53,7 @@ impl Curve {
 }
 
 /// Steps, with the spread of the values of all seeds.
-pub(super) type Line = Vec<(f64, Spread)>;
+type Line = Vec<(f64, Spread)>;
 
 fn spreads(seeds: &[Vec<(f64, f64)>]) -> Line {
     let Some(first) = seeds.first() else { return Vec::new() };
@@ -82,7 +81,7 @@ fn smoothed(points: &[(f64, f64)]) -> Vec<(f64, f64)> {
 }
 
 /// Returns a line of means at the log points themselves.
-pub(super) fn unsmoothed(seeds: &[Vec<(f64, f64)>]) -> Line {
+fn unsmoothed(seeds: &[Vec<(f64, f64)>]) -> Line {
     spreads(&seeds.iter().map(|seed| finite(seed)).collect::<Vec<_>>())
 }
 
@@ -99,7 +98,7 @@ fn range_of<'a>(lines: impl Iterator<Item = &'a Line>) -> Option<(f64, f64)> {
 }
 
 /// Returns where the axis of steps ends: rows that train for much longer than the others do not squeeze them.
-pub(super) fn axis_end(lasts: &[f64]) -> f64 {
+fn axis_end(lasts: &[f64]) -> f64 {
     let mut sorted = lasts.to_vec();
     sorted.sort_by(f64::total_cmp);
     let usual = sorted.get(sorted.len() / 2).copied().unwrap_or(1.0);
@@ -108,26 +107,26 @@ pub(super) fn axis_end(lasts: &[f64]) -> f64 {
 }
 
 /// Returns the part of a line up to the axis's end.
-pub(super) fn cut(line: &Line, end: f64) -> Line {
+fn cut(line: &Line, end: f64) -> Line {
     line.iter().copied().filter(|(step, _)| *step <= end).collect()
 }
 
 /// A panel over steps.
-pub(super) struct Plot {
-    pub(super) panel: Panel,
+struct Plot {
+    panel: Panel,
     /// The last step.
-    pub(super) end: f64,
+    end: f64,
     /// Quantity of the x axis.
-    pub(super) along: &'static str,
+    along: &'static str,
 }
 
 impl Plot {
-    pub(super) fn x(&self, step: f64) -> f64 {
+    fn x(&self, step: f64) -> f64 {
         self.panel.left + self.panel.width * step / self.end
     }
 
     /// Draws the numbers of the x axis and the names of both axes; returns the position after them.
-    pub(super) fn axis(&self, drawing: &mut Canvas, title: &[String]) -> f64 {
+    fn axis(&self, drawing: &mut Canvas, title: &[String]) -> f64 {
         let panel = &self.panel;
         for (mark, text) in tick_texts((0.0, self.end), panel.width) {
             drawing.text((self.x(mark), panel.bottom() + 12.0), &text, TEXT, Anchor::Middle, BLACK);
@@ -141,7 +140,7 @@ impl Plot {
     }
 
     /// Draws a line of means with its band.
-    pub(super) fn line(&self, drawing: &mut Canvas, line: &Line, stroke: Stroke) {
+    fn line(&self, drawing: &mut Canvas, line: &Line, stroke: Stroke) {
         let banded: Vec<(f64, (f64, f64))> = line.iter().filter_map(|(step, s)| Some((*step, s.band?))).collect();
         if banded.len() > 1 {
             let upper = banded.iter().map(|(step, (_, high))| (self.x(*step), self.panel.y(*high)));
@@ -198,17 +197,17 @@ impl<'a> Row<'a> {
 
 /// Draws means over seeds against steps. If views were evaluated during training, a panel shows held-out and training
 /// views. Returns `None` without points.
-pub fn curves_figure(style: Style, scene: &str, curves: &[Curve]) -> Result<Option<Figure>> {
+pub fn curves_figure(style: Style, scene: &str, curves: &[Curve]) -> Option<Figure> {
     figure(style, scene, "step", curves)
 }
 
 /// Draws the same against seconds of training, for the curves whose seconds are known.
-pub fn seconds_figure(style: Style, scene: &str, curves: &[Curve]) -> Result<Option<Figure>> {
+pub fn seconds_figure(style: Style, scene: &str, curves: &[Curve]) -> Option<Figure> {
     let curves: Vec<Curve> = curves.iter().filter_map(Curve::in_seconds).collect();
     figure(style, scene, "seconds of training", &curves)
 }
 
-fn figure(style: Style, scene: &str, along: &'static str, curves: &[Curve]) -> Result<Option<Figure>> {
+fn figure(style: Style, scene: &str, along: &'static str, curves: &[Curve]) -> Option<Figure> {
     let rows = curves.iter().map(|curve| Row::new(style, curve)).filter(|row| !row.rays.is_empty());
     let mut rows: Vec<Row> = rows.collect();
     let all = rows.len();
@@ -216,7 +215,7 @@ fn figure(style: Style, scene: &str, along: &'static str, curves: &[Curve]) -> R
     // A single log is no curve.
     let has_curve = rows.iter().any(|row| row.rays.len() > 1 || row.held_out.len() > 1);
     if !has_curve || range_of(rows.iter().map(|row| &row.rays)).is_none() {
-        return Ok(None);
+        return None;
     }
     let end = axis_end(&rows.iter().map(Row::last).collect::<Vec<f64>>());
     let longer: Vec<String> = rows.iter().filter(|row| row.last() > end).map(|row| further(row, along)).collect();
@@ -224,9 +223,9 @@ fn figure(style: Style, scene: &str, along: &'static str, curves: &[Curve]) -> R
         [&mut row.rays, &mut row.held_out, &mut row.seen].into_iter().for_each(|line| *line = cut(line, end));
     }
     let curves = Curves { style, rows: &rows, end, along };
-    let mut drawing = canvas(style.width);
+    let mut drawing = canvas();
     let rays = rows.iter().map(|row| (row, vec![(row.rays.clone(), row.stroke)])).collect();
-    curves.draw(&mut drawing, "PSNR of the step's rays (dB)", rays, (210.0, 160.0));
+    curves.draw(&mut drawing, "PSNR of the step's rays (dB)", rays, 210.0);
     // Seconds of two rows do not fall together.
     if along == "step" {
         curves.draw_differences(&mut drawing);
@@ -236,9 +235,9 @@ fn figure(style: Style, scene: &str, along: &'static str, curves: &[Curve]) -> R
         (row, vec![line(&row.held_out, false), line(&row.seen, true)])
     });
     let title = "PSNR of whole views (dB): held-out, and training (dashed)";
-    curves.draw(&mut drawing, title, evaluated.collect(), (190.0, 160.0));
+    curves.draw(&mut drawing, title, evaluated.collect(), 190.0);
     let against = if along == "step" { "" } else { ", against seconds" };
-    style.finish(drawing, &format!("Training on {scene}{against}"), &caption(all, &rows, &longer))
+    Some(style.finish(drawing, &format!("Training on {scene}{against}"), &caption(all, &rows, &longer)))
 }
 
 /// Keeps the baseline and the best other rows, if there are many.
@@ -270,16 +269,15 @@ struct Curves<'f, 'a> {
 
 impl Curves<'_, '_> {
     /// Draws a panel below everything: the lines of rows, the first of each named at its end; nothing without lines.
-    fn draw(&self, drawing: &mut Canvas, title: &str, rows: Vec<(&Row, Vec<(Line, Stroke)>)>, height: (f64, f64)) {
+    fn draw(&self, drawing: &mut Canvas, title: &str, rows: Vec<(&Row, Vec<(Line, Stroke)>)>, height: f64) {
         let lines = rows.iter().flat_map(|(_, lines)| lines).map(|(line, _)| line);
         let Some(range) = range_of(lines) else { return };
-        let room = self.style.width.pick(NAMES.0, NAMES.1);
         let title = wrapped(title, drawing.width - LEFT - SIDE, TEXT);
         let panel = Panel {
             left: LEFT,
             top: drawing.height + LINE_HEIGHT * title.len() as f64 + 4.0,
-            width: drawing.width - LEFT - room - SIDE,
-            height: self.style.width.pick(height.0, height.1),
+            width: drawing.width - LEFT - NAMES - SIDE,
+            height,
             range,
         };
         let plot = Plot { panel, end: self.end, along: self.along };
@@ -295,7 +293,7 @@ impl Curves<'_, '_> {
             let end = own.iter().find_map(|(line, _)| plot.places(line).last().copied());
             named.extend(end.map(|at| End { at, stroke: row.stroke, name: row.label }));
         }
-        ends::draw(drawing, &plot.panel, room, named);
+        ends::draw(drawing, &plot.panel, NAMES, named);
         drawing.height = foot;
     }
 
@@ -318,7 +316,7 @@ impl Curves<'_, '_> {
             let rows = compared.iter().zip(&is_far).filter(|(_, own)| **own == far);
             let rows = rows.map(|((row, line), _)| (*row, vec![(line.clone(), row.stroke)])).collect();
             let title = format!("{what} (dB), difference to {}{group}", baseline.unwrap_or(&"the baseline"));
-            self.draw(drawing, &title, rows, (150.0, 130.0));
+            self.draw(drawing, &title, rows, 150.0);
         }
     }
 }

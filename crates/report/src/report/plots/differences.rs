@@ -1,9 +1,8 @@
 //! Differences with their intervals on a horizontal scale, one line each.
 
 use super::{Figure, canvas, captioned, range_of};
-use crate::base::Result;
 use crate::draw::canvas::{
-    Anchor, BLACK, BLUE, Canvas, Colour, GREY, GRID, LINE_HEIGHT, ORANGE, SIDE, TEXT, Width, text_width, tick_texts,
+    Anchor, BLACK, BLUE, Canvas, Colour, GREY, GRID, LINE_HEIGHT, ORANGE, PAGE, SIDE, TEXT, text_width, tick_texts,
     wrapped,
 };
 use crate::report::tables::{Comparison, Judgement, Line};
@@ -19,10 +18,10 @@ pub(super) const NOT_SHOWN: &str = "Grey: no difference is shown, which proves n
 
 /// Height of the ends of a further interval.
 const WHISKER: f64 = 5.0;
-/// Room of the words at the right: of a page, and of a column, which has none.
-const WORDS: (f64, f64) = (190.0, 0.0);
+/// Room of the words at the right.
+const WORDS: f64 = 190.0;
 /// Most room of the names.
-const NAMES: (f64, f64) = (250.0, 150.0);
+const NAMES: f64 = 250.0;
 
 /// A figure of differences alone: a name, a difference and words on each line.
 pub(super) struct Differences<'a> {
@@ -41,33 +40,25 @@ pub(super) struct Differences<'a> {
 
 impl Differences<'_> {
     /// Draws the figure; `draw` draws the marks of a line at a height.
-    pub(super) fn figure(
-        &self,
-        width: Width,
-        draw: impl Fn(&mut Canvas, &Scale, f64, usize),
-    ) -> Result<Option<Figure>> {
-        let mut drawing = canvas(width);
+    pub(super) fn figure(&self, draw: impl Fn(&mut Canvas, &Scale, f64, usize)) -> Figure {
+        let mut drawing = canvas();
         let names: Vec<String> = self.lines.iter().map(|(name, _)| name.clone()).collect();
         let widest = names.iter().map(|name| text_width(name, TEXT)).fold(60.0, f64::max);
-        let room = widest.min(width.pick(NAMES.0, NAMES.1));
-        let words_room = width.pick(WORDS.0, WORDS.1);
+        let room = widest.min(NAMES);
         let left = SIDE + room + 10.0;
         let margins = || self.margin.into_iter().flat_map(|margin| [-margin, margin]);
         let mut scale = Scale {
             left,
-            width: width.units() - left - words_room - SIDE - 10.0,
+            width: PAGE - left - WORDS - SIDE - 10.0,
             top: 0.0,
             range: range_of(self.metric, self.values.iter().copied().chain([0.0]).chain(margins()))
                 .unwrap_or((-1.0, 1.0)),
         };
         let head = scale.head(&self.head);
         scale.top = drawing.height + head.len() as f64 * LINE_HEIGHT + 8.0;
-        let words: Vec<Vec<String>> = self.lines.iter().map(|(_, words)| wrapped(words, words_room, TEXT)).collect();
-        let mut heights = heights(&names, room);
-        if words_room > 0.0 {
-            let rooms = words.iter().map(|lines| lines.len() as f64 * LINE_HEIGHT + 6.0);
-            heights = heights.into_iter().zip(rooms).map(|(a, b)| a.max(b)).collect();
-        }
+        let words: Vec<Vec<String>> = self.lines.iter().map(|(_, words)| wrapped(words, WORDS, TEXT)).collect();
+        let rooms = words.iter().map(|lines| lines.len() as f64 * LINE_HEIGHT + 6.0);
+        let heights: Vec<f64> = heights(&names, room).into_iter().zip(rooms).map(|(a, b)| a.max(b)).collect();
         let (middles, bottom) = middles(&heights, scale.top);
         scale.frame(&mut drawing, &head, bottom);
         scale.zero(&mut drawing, bottom);
@@ -77,12 +68,10 @@ impl Differences<'_> {
         for (index, ((name, words), y)) in names.iter().zip(&words).zip(middles).enumerate() {
             drawing.name((left - 10.0, y), room, name);
             draw(&mut drawing, &scale, y, index);
-            if words_room > 0.0 {
-                let first = y - LINE_HEIGHT * (words.len() as f64 - 1.0) / 2.0;
-                for (index, line) in words.iter().enumerate() {
-                    let at = (scale.right() + 10.0, first + LINE_HEIGHT * index as f64);
-                    drawing.text(at, line, TEXT, Anchor::Left, GREY);
-                }
+            let first = y - LINE_HEIGHT * (words.len() as f64 - 1.0) / 2.0;
+            for (index, line) in words.iter().enumerate() {
+                let at = (scale.right() + 10.0, first + LINE_HEIGHT * index as f64);
+                drawing.text(at, line, TEXT, Anchor::Left, GREY);
             }
         }
         drawing.height = bottom + FOOT;

@@ -1,7 +1,7 @@
 //! Names at the right ends of lines.
 
 use super::Stroke;
-use crate::draw::canvas::{Anchor, BLACK, Canvas, GREY, LINE_HEIGHT, Panel, TEXT, wrapped};
+use crate::draw::canvas::{Anchor, BLACK, Canvas, GRID, LINE_HEIGHT, Panel, TEXT, wrapped};
 
 /// Gap between a panel and the names, which a leader crosses.
 const LEADER: f64 = 18.0;
@@ -26,8 +26,8 @@ pub(super) fn draw(drawing: &mut Canvas, panel: &Panel, room: f64, mut ends: Vec
         let first = top + LINE_HEIGHT / 2.0 - 1.0;
         let edge = (panel.right(), end.at.1);
         if end.at.0 < edge.0 - 1.0 {
-            // Nothing was measured here.
-            drawing.dashed(&[end.at, edge], GREY, 0.7);
+            // Nothing was measured here: as pale as the grid, so that it is no curve.
+            drawing.line(&[end.at, edge], GRID, 1.0);
         }
         let leader = [edge, (panel.right() + 4.0, end.at.1), (panel.right() + LEADER, first)];
         Stroke { width: 1.2, dashed: false, ..end.stroke }.draw(drawing, &leader);

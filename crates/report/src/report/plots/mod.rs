@@ -1,10 +1,9 @@
 //! Figures of a sweep.
 //!
-//! Each is drawn for a page and for one of two columns ([`Width`]); long names wrap. Title and caption stand beside the
-//! figure, in [`Figure::caption`]. A row has one colour in all figures. Blue is better, orange worse, grey not shown.
+//! Each is as wide as a page; long names wrap. Title and caption stand beside the figure, in [`Figure::caption`]. A row has
+//! one colour in all figures. Blue is better, orange worse, grey not shown.
 
-use crate::base::Result;
-use crate::draw::canvas::{Canvas, Colour, PALETTE, range};
+use crate::draw::canvas::{Canvas, Colour, PAGE, PALETTE, range};
 use crate::metrics::{Digits, Metric};
 use crate::report::TableSpec;
 use crate::report::statistics::{mean, standard_deviation};
@@ -14,24 +13,17 @@ mod comparisons;
 mod curves;
 mod differences;
 mod ends;
-mod heatmap;
 mod legend;
 mod pairs;
 mod places;
 mod rows;
 mod series;
-mod shifts;
-mod surfaces;
 
 pub use crate::draw::Figure;
-pub use crate::draw::canvas::Width;
 pub use axes::axes_figure;
 pub use comparisons::comparisons_figure;
 pub use curves::{Curve, Seeds, curves_figure, seconds_figure};
-pub use heatmap::heatmap_figures;
 pub use rows::rows_figure;
-pub use shifts::{Shifts, shifts_figure};
-pub use surfaces::{Surface, surfaces_figure};
 
 /// Free height above everything.
 const TOP: f64 = 8.0;
@@ -41,13 +33,11 @@ const TOP: f64 = 8.0;
 pub struct Style<'a> {
     /// The sweep's rows; a row's place decides its colour.
     pub spec: &'a TableSpec,
-    /// Width in print.
-    pub width: Width,
 }
 
 impl Style<'_> {
     /// Finishes a figure with what it shows and its caption, to which settings that were changed for all rows belong.
-    fn finish(&self, drawing: Canvas, shows: &str, caption: &str) -> Result<Option<Figure>> {
+    fn finish(&self, drawing: Canvas, shows: &str, caption: &str) -> Figure {
         let changed = match self.spec.changed.as_str() {
             "" => String::new(),
             changed => format!(" All rows: {changed}."),
@@ -91,15 +81,13 @@ impl Stroke {
 }
 
 /// Returns an empty canvas of a figure's width.
-fn canvas(width: Width) -> Canvas {
-    Canvas::new(width.units(), TOP)
+fn canvas() -> Canvas {
+    Canvas::new(PAGE, TOP)
 }
 
 /// Finishes a figure with what it shows and how it is read.
-fn captioned(drawing: Canvas, shows: &str, caption: &str) -> Result<Option<Figure>> {
-    let mut figure = drawing.finish()?;
-    figure.caption = format!("{shows}\n{caption}\n");
-    Ok(Some(figure))
+fn captioned(drawing: Canvas, shows: &str, caption: &str) -> Figure {
+    Figure { caption: format!("{shows}\n{caption}\n"), ..drawing.finish() }
 }
 
 /// Returns a range around values of a metric, which spans ten units of its last digit or more: what tables do not tell

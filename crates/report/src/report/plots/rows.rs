@@ -2,33 +2,26 @@
 
 use super::differences::{FOOT, MARKS, NOT_SHOWN, Scale, absent, heights, middles, words};
 use super::{Figure, Stroke, Style, canvas, metric_label, range_of};
-use crate::base::Result;
-use crate::draw::canvas::{Anchor, Canvas, GREY, LINE_HEIGHT, SIDE, TEXT, Width, text_width};
+use crate::draw::canvas::{Anchor, Canvas, GREY, LINE_HEIGHT, PAGE, SIDE, TEXT, text_width};
 use crate::metrics::Metric;
-use crate::report::tables::{Cell, Comparison, Line, Table};
+use crate::report::tables::{Cell, Line, Table};
 use crate::report::{Record, Status, distinct};
 use crate::settings::columns::InactiveBy;
 
-/// Most room of the names for a page and a column.
-const NAMES: (f64, f64) = (230.0, 118.0);
+/// Most room of the names.
+const NAMES: f64 = 230.0;
 const GAP: f64 = 30.0;
 
 /// Draws one horizontal line for each line of the scene. Returns `None` if nothing is measured, or there is only one
 /// line.
-pub fn rows_figure(
-    style: Style,
-    table: &Table,
-    records: &[Record],
-    scene: &str,
-    metric: &str,
-) -> Result<Option<Figure>> {
-    let Some(column) = table.metrics.iter().position(|known| known == metric) else { return Ok(None) };
+pub fn rows_figure(style: Style, table: &Table, records: &[Record], scene: &str, metric: &str) -> Option<Figure> {
+    let column = table.metrics.iter().position(|known| known == metric)?;
     let lines: Vec<&Line> = table.lines.iter().filter(|line| line.scene == scene && !line.quoted).collect();
     if lines.len() < 2 {
-        return Ok(None);
+        return None;
     }
     let seeds: Vec<Vec<f64>> = lines.iter().map(|line| seeds(line, records, metric)).collect();
-    let Some(values) = range_of(metric, seeds.iter().flatten().copied()) else { return Ok(None) };
+    let values = range_of(metric, seeds.iter().flatten().copied())?;
     let cells: Vec<&Cell> = lines.iter().map(|line| &line.cells[column]).collect();
     let ends = cells.iter().filter_map(|cell| cell.comparison).flat_map(|comparison| {
         let (low, high) = comparison.interval.unwrap_or((comparison.difference, comparison.difference));
@@ -36,8 +29,8 @@ pub fn rows_figure(
     });
     let differences = range_of(metric, ends.chain([0.0])).unwrap_or((-1.0, 1.0));
     let names: Vec<String> = lines.iter().map(|line| label(line)).collect();
-    let mut drawing = canvas(style.width);
-    let [mut left, mut right] = scales(style.width, &names, &said(style.width, &cells), values, differences);
+    let mut drawing = canvas();
+    let [mut left, mut right] = scales(&names, &said(&cells), values, differences);
     let heads = [left.head(metric_label(metric)), right.head(&difference_head(&lines, metric))];
     let top = drawing.height + heads.iter().map(Vec::len).max().unwrap_or(1) as f64 * LINE_HEIGHT + 8.0;
     (left.top, right.top) = (top, top);
@@ -51,35 +44,25 @@ pub fn rows_figure(
         draw_mean(&mut drawing, &left, y, (line, cell), seeds, style.stroke(&line.row));
         let Some(comparison) = &cell.comparison else { continue };
         right.difference(&mut drawing, y, metric, comparison);
-        let at = (right.right() + 8.0, y);
-        drawing.text(at, &verdict(style.width, metric, comparison), TEXT, Anchor::Left, GREY);
+        drawing.text((right.right() + 8.0, y), &words(metric, comparison), TEXT, Anchor::Left, GREY);
     }
     drawing.height = bottom + FOOT;
-    style.finish(drawing, &format!("{} on {scene}", metric_label(metric)), &caption(&lines, column))
+    Some(style.finish(drawing, &format!("{} on {scene}", metric_label(metric)), &caption(&lines, column)))
 }
 
 /// Places both scales beside the names.
-fn scales(width: Width, names: &[String], said: &[String], values: (f64, f64), differences: (f64, f64)) -> [Scale; 2] {
+fn scales(names: &[String], said: &[String], values: (f64, f64), differences: (f64, f64)) -> [Scale; 2] {
     let widest = |texts: &[String], least: f64| texts.iter().map(|text| text_width(text, TEXT)).fold(least, f64::max);
-    let names = widest(names, 60.0).min(width.pick(NAMES.0, NAMES.1));
+    let names = widest(names, 60.0).min(NAMES);
     let left = SIDE + names + 10.0;
-    let each = (width.units() - left - GAP - widest(said, 10.0) - 8.0 - SIDE) / 2.0;
+    let each = (PAGE - left - GAP - widest(said, 10.0) - 8.0 - SIDE) / 2.0;
     let scale = |left: f64, range: (f64, f64)| Scale { left, width: each, top: 0.0, range };
     [scale(left, values), scale(left + each + GAP, differences)]
 }
 
 /// Returns what stands at the end of each line.
-fn said(width: Width, cells: &[&Cell]) -> Vec<String> {
-    let of = |cell: &&Cell| cell.comparison.map(|comparison| verdict(width, &cell.metric, &comparison));
-    cells.iter().filter_map(of).collect()
-}
-
-/// Returns a verdict in words for a page; a column has room for a sign of equivalence.
-fn verdict(width: Width, metric: &str, comparison: &Comparison) -> String {
-    match width {
-        Width::Page => words(metric, comparison),
-        Width::Column => if comparison.is_equivalent() { "≈" } else { "" }.into(),
-    }
+fn said(cells: &[&Cell]) -> Vec<String> {
+    cells.iter().filter_map(|cell| Some(words(&cell.metric, &cell.comparison?))).collect()
 }
 
 /// Returns `difference to NeRF (dB), 95 % interval`.

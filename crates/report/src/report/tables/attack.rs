@@ -110,7 +110,7 @@ pub fn attack_csv(lines: &[AttackLine]) -> Option<String> {
 mod tests {
     use super::*;
     use crate::report::tables::Table;
-    use crate::report::{Record, RowSpec, Status, TableSpec};
+    use crate::report::{PointResult, Record, RowSpec, Status, TableSpec};
 
     /// Two rows of two seeds each, the second's `xyz` inactive.
     fn table() -> Table {
@@ -119,13 +119,14 @@ mod tests {
             id: format!("{row}-{seed}"),
             scene: "fern".into(),
             row: row.into(),
-            axes: vec![],
             seed: Some(seed),
             status: Status::Done,
-            reason: String::new(),
-            metrics: vec![("psnr".into(), Some(20.0))],
-            protocol: vec![],
-            inactive_levels: if row == names[1] { vec!["xyz".into()] } else { vec![] },
+            result: PointResult {
+                metrics: vec![("psnr".into(), Some(20.0))],
+                inactive_levels: if row == names[1] { vec!["xyz".into()] } else { vec![] },
+                ..PointResult::default()
+            },
+            ..Record::default()
         };
         let row = |name: &&str| RowSpec { name: name.to_string(), ..RowSpec::default() };
         let spec =

@@ -40,9 +40,11 @@ pub fn points_csv(records: &[Record], timing: &[PointTiming], constants: &Consta
         text("seed", |record| record.seed.into()),
         text("status", |record| record.status.name().into()),
         text("reason", |record| record.reason.as_str().into()),
-        text("inactive_levels", |record| record.inactive_levels.join(" ").into()),
+        text("inactive_levels", |record| record.result.inactive_levels.join(" ").into()),
     ]);
-    for metric in distinct(records.iter().flat_map(|record| record.metrics.iter().map(|(name, _)| name.as_str()))) {
+    for metric in
+        distinct(records.iter().flat_map(|record| record.result.metrics.iter().map(|(name, _)| name.as_str())))
+    {
         // Numbers of an earlier attempt are not the point's.
         let measured = |record: &Record| record.metric(metric).filter(|_| record.status == Status::Done);
         columns.push(column(metric, records.iter().map(|record| measured(record).into())));

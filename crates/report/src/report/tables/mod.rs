@@ -47,19 +47,16 @@ use crate::settings::columns::{INACTIVE_BY, InactiveBy, is_per_seed};
 /// ```
 /// # mod augnerf { pub use augnerf_core::*; pub use augnerf_report::*; }
 /// use augnerf::report::tables::{Table, table_markdown};
-/// use augnerf::report::{Record, RowSpec, Status, TableSpec};
+/// use augnerf::report::{PointResult, Record, RowSpec, Status, TableSpec};
 ///
 /// let record = |row: &str, seed: u64, psnr| Record {
 ///     id: format!("{row}-{seed}"),
 ///     scene: "fern".into(),
 ///     row: row.into(),
-///     axes: vec![],
 ///     seed: Some(seed),
 ///     status: Status::Done,
-///     reason: String::new(),
-///     metrics: vec![("psnr".into(), Some(psnr))],
-///     protocol: vec![],
-///     inactive_levels: vec![],
+///     result: PointResult { metrics: vec![("psnr".into(), Some(psnr))], ..PointResult::default() },
+///     ..Record::default()
 /// };
 /// let row = |name: &str, baseline: Option<&str>| RowSpec {
 ///     name: name.into(),
@@ -94,7 +91,7 @@ pub struct Table {
 }
 
 /// Points that differ only in their seed.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, Default, PartialEq)]
 pub struct Line {
     /// The scene's name.
     pub scene: String,
@@ -147,7 +144,7 @@ pub struct Line {
 }
 
 /// One metric of a line.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, Default, PartialEq)]
 pub struct Cell {
     /// The metric's name.
     pub metric: String,
@@ -337,47 +334,27 @@ fn line(spec: &TableSpec, group: &Group, groups: &[Group]) -> Line {
 
 /// Returns the sites that were inactive, and with how many seeds.
 fn inactive_levels(group: &Group) -> Vec<(String, usize)> {
-    let sites = distinct(group.done().flat_map(|point| point.inactive_levels.iter()));
-    let seeds = |site: &String| group.done().filter(|point| point.inactive_levels.contains(site)).count();
+    let sites = distinct(group.done().flat_map(|point| point.result.inactive_levels.iter()));
+    let seeds = |site: &String| group.done().filter(|point| point.result.inactive_levels.contains(site)).count();
     sites.into_iter().map(|site| (site.clone(), seeds(site))).collect()
 }
 
 /// Returns a line for a method that is not run here, or `None` if the paper has no number for the scene.
 fn quoted_line(spec: &TableSpec, row: &RowSpec, scene: &str) -> Option<Line> {
     let published = row.published.as_ref()?.find(scene)?;
-    let cell = |metric: &String| Cell {
-        metric: metric.clone(),
-        n: 0,
-        mean: None,
-        deviation: None,
-        comparison: None,
-        published: published.metric(metric),
-    };
+    let cell =
+        |metric: &String| Cell { metric: metric.clone(), published: published.metric(metric), ..Cell::default() };
     Some(Line {
         scene: scene.into(),
         row: row.name.clone(),
-        axes: String::new(),
         label: row.name.clone(),
-        baseline: None,
-        ours: false,
         quoted: true,
-        ids: Vec::new(),
-        points: 0,
-        status: String::new(),
-        reason: String::new(),
-        inactive_levels: Vec::new(),
-        floor_psnr: None,
-        no_better_than_one_colour: Vec::new(),
         cells: spec.metrics.iter().map(cell).collect(),
         published_lpips: Some(published.lpips).filter(|_| spec.has_any("lpips_")),
         published_average: Some(published.average).filter(|_| spec.has_any("average_")),
         published_protocol: published.protocol().text(),
-        protocol_difference: String::new(),
-        epochs: None,
         published_epochs: published.protocol().epochs(),
-        protocol: Vec::new(),
-        differs: Vec::new(),
-        mixed: Vec::new(),
+        ..Line::default()
     })
 }
 
@@ -414,7 +391,7 @@ fn shared_protocol(group: &Group) -> (Vec<(String, String)>, Vec<String>) {
 
 /// Returns the names of a point's protocol fields, without the scene.
 fn protocol_names(point: &Record) -> impl Iterator<Item = &str> {
-    point.protocol.iter().map(|(name, _)| name.as_str()).filter(|name| *name != "scene")
+    point.result.protocol.iter().map(|(name, _)| name.as_str()).filter(|name| *name != "scene")
 }
 
 /// Returns a record's label without its row.

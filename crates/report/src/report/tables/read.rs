@@ -4,7 +4,7 @@ use super::delimited::POSITION;
 use super::sheet::{Constants, fields_of};
 use crate::base::csv::{column_names, plain_hash};
 use crate::metrics::Metric;
-use crate::report::{AxisValue, Record, Status};
+use crate::report::{AxisValue, PointResult, Record, Status};
 
 /// Columns that every line fills.
 const NEEDED: [&str; 5] = ["id", "scene", "row", "seed", "status"];
@@ -74,9 +74,11 @@ pub fn read_points(
             seed: Some(seed.parse().map_err(|_| format!("line {line}: seed '{seed}' is not an integer from 0 up"))?),
             status,
             reason: cell("reason").into(),
-            metrics: metrics.iter().map(metric).collect::<Result<_, String>>()?,
-            protocol,
-            inactive_levels: cell("inactive_levels").split_whitespace().map(String::from).collect(),
+            result: PointResult {
+                metrics: metrics.iter().map(metric).collect::<Result<_, String>>()?,
+                protocol,
+                inactive_levels: cell("inactive_levels").split_whitespace().map(String::from).collect(),
+            },
         };
         records.push(record.ordered());
     }
