@@ -7,7 +7,9 @@ use serde_json::json;
 
 use crate::base::files::AtomicDir;
 use crate::base::{Error, Result};
-use crate::compare::{Comparison, Profile, Profiles, RunView, Window, check_box, check_profiled, labels, name_steps};
+use crate::compare::{
+    Comparison, Profile, Profiles, RunView, Window, check_box, check_overlay, check_profiled, labels, name_steps,
+};
 use crate::data::View;
 use crate::report::label;
 use crate::run::{OpenOptions, RunDir, Trained, Viewer};
@@ -215,7 +217,7 @@ pub struct CompareArguments {
     /// Width of the searched box in pixels [default: a fifth of the view's]
     #[arg(long, value_name = "N", value_parser = whole::<u32>(1..=u32::MAX.into()), help_heading = "Output")]
     box_width: Option<u32>,
-    /// Write density, transmittance, weight and colour along the ray of a pixel (column and row, from 0) instead
+    /// Plot density, transmittance, weight and colour along the ray of a pixel (column and row, from 0) instead
     #[arg(long, value_name = "X,Y", conflicts_with_all = ["zoom", "box_width"], help_heading = "Output")]
     ray: Option<String>,
     /// Output folder, new or empty [default: RUN/renders/compare (or ray) of the first run, replaced]
@@ -235,7 +237,10 @@ impl CompareArguments {
         self.out.as_deref().map_or(Ok(()), AtomicDir::check_vacant)?;
         match ray {
             None => self.compute.run(|runtime, console| self.compare(&runs, zoom, runtime, console)),
-            Some(pixel) => self.compute.run(|runtime, console| self.profile(&runs, pixel, runtime, console)),
+            Some(pixel) => {
+                check_overlay(runs.len())?;
+                self.compute.run(|runtime, console| self.profile(&runs, pixel, runtime, console))
+            }
         }
     }
 

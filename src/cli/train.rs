@@ -26,6 +26,9 @@ use super::{Compute, LpipsWeights, Sources};
 /// Steps from which on settings are the paper's.
 const PAPER_STEPS: u64 = 100_000;
 
+/// Seconds of training from which on pictures are drawn before its end.
+const PREVIEWS_FROM: f64 = 10.0;
+
 pub const RESUME_EXAMPLES: &str = "Examples:
   augnerf resume runs/fern-nerf-*
   augnerf resume RUN --data ~/data/fern  # the scene has moved
@@ -241,6 +244,7 @@ fn train(mut job: Job, folder: &Path, console: &Console, page: Option<&LivePage>
     if let Some(estimate) = job.estimate(&signal)? {
         console.say(&how_long(estimate));
     }
+    let job = job.with_previews(PREVIEWS_FROM);
     let finished = match page {
         Some(page) => page.train(job, &signal, console)?,
         None => job.train(console, &signal)?,

@@ -362,7 +362,7 @@ fn a_profile_repeats_byte_for_byte_and_its_variation_is_that_of_its_table() {
     let (dir, again) = (write(), write());
     let written = files(dir.path(), &[]);
     let names: Vec<&str> = written.iter().map(|(name, _)| name.to_str().unwrap()).collect();
-    assert_eq!(names, ["ray.csv", "ray.json"]);
+    assert_eq!(names, ["ray.csv", "ray.json", "ray.svg"]);
     assert!(written == files(again.path(), &[]), "equal runs give other bytes");
     let report = json(&dir.path().join("ray.json"));
     let mut table = csv::Reader::from_path(dir.path().join("ray.csv")).unwrap();

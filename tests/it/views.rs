@@ -1,15 +1,17 @@
 //! Views that are trained on, kept for choices, held out, and measured though they were trained on.
 
+use std::path::Path;
 use std::sync::Mutex;
-use std::sync::atomic::AtomicUsize;
+use std::sync::atomic::{AtomicUsize, Ordering};
 
 use augnerf::base::{Event, Listener};
 use augnerf::data::{self, Scene, seen_views};
 use augnerf::metrics::{Backbone, LPIPS, MeanMetrics, PSNR, Scope, measure};
-use augnerf::run::{Existing, Job, Setup, Viewer, load_scene};
+use augnerf::run::{Existing, Job, RunDir, Setup, Viewer, load_scene, read_picture};
 use augnerf::settings::{DataConfig, DataKind, EvalSplit, Preset, TrainViews, build, parse_assignment};
 use tempfile::TempDir;
 
+use crate::common::files::assert_same_files;
 use crate::common::needs::scene as scene_folder;
 use crate::common::program::refuse;
 use crate::common::{runtime, tiny_config, tiny_scene, trained};
@@ -186,4 +188,60 @@ fn splits_of_fern_are_disjoint_and_its_hash_stays() {
 fn the_embedded_scenes_hash_stays() {
     let config = DataConfig { kind: DataKind::BuiltinBlender, ..DataConfig::default() };
     assert_eq!(data::load(&config, 0, &()).unwrap().hash(), "8170e777f8d1");
+}
+
+/// After a tenth of the steps the first held-out view is there to look at. A stopped run keeps it, the evaluation replaces it,
+/// and nothing else shows that it was drawn.
+#[test]
+fn a_first_picture_comes_early_and_leaves_a_run_as_it_was() {
+    /// Stops the training at its first picture.
+    struct Stop<'a>(&'a Path, &'a AtomicUsize);
+    impl Listener for Stop<'_> {
+        fn on(&self, event: Event<'_>) {
+            if let Event::Note(line) = event {
+                assert!(line.starts_with("step 2: ") && line.contains(self.0.to_str().unwrap()), "{line}");
+                assert!(line.ends_with("_beside.png in the end"), "{line}");
+                self.1.store(15, Ordering::SeqCst);
+            }
+        }
+    }
+    for settings in [
+        &["method=nerf"][..],
+        &["method=aug-mip-nerf"],
+        &["method=srn", "srn.width=24", "train.chunk=16"],
+        &["method=nv", "nv.resolution=16", "nv.divide=16", "nv.warp_resolution=4"],
+        &[
+            "method=llff",
+            "data.kind=builtin-forward",
+            "llff.planes=8",
+            "llff.inputs=3",
+            "llff.window=16",
+            "llff.crop=8",
+        ],
+    ] {
+        let set: Vec<_> = SMALL.iter().chain(settings).map(|text| parse_assignment(text).unwrap()).collect();
+        let set = [
+            set,
+            vec![parse_assignment("train.steps=20").unwrap(), parse_assignment("train.checkpoint_every=2").unwrap()],
+        ]
+        .concat();
+        let (config, scene) = load_scene(build(Some(Preset::Smoke), None, &set).unwrap(), &()).unwrap();
+        let folder = TempDir::new().unwrap();
+        let [plain, path] = ["plain", "run"].map(|name| folder.path().join(name));
+        let setup = || Setup { config: config.clone(), scene: &scene, lpips: &[], runtime: runtime().clone() };
+        let signal = AtomicUsize::new(0);
+        Job::create(&plain, Existing::Refuse, setup()).unwrap().train(&(), &signal).unwrap();
+        let picture = path.join("renders/preview.png");
+        let stopped = Job::create(&path, Existing::Refuse, setup()).unwrap().with_previews(0.0);
+        let stopped = stopped.train(&Stop(&picture, &signal), &signal).err();
+        assert!(matches!(stopped, Some(augnerf::base::Error::Interrupted { .. })), "{settings:?}: {stopped:?}");
+        let drawn = read_picture(&picture).unwrap();
+        assert!(drawn.width > 2 * drawn.height && drawn.pixels.iter().any(|value| *value != drawn.pixels[0]));
+        signal.store(0, Ordering::SeqCst);
+        let resumed = Job::resume(RunDir::take(&path).unwrap(), setup()).unwrap().with_previews(0.0);
+        resumed.train(&(), &signal).unwrap();
+        let last = picture.with_file_name(format!("{}_beside.png", scene.test[0].name));
+        assert!(!picture.exists() && last.is_file(), "{}", last.display());
+        assert_same_files(&plain, &path, &["timing.json", "run.lock"]);
+    }
 }

@@ -47,6 +47,36 @@ pub(super) fn parse(file: &Path, text: &[u8]) -> Result<Value> {
     serde_json::from_slice(&quote_no_numbers(text)).map_err(|e| invalid(&e))
 }
 
+/// Returns the keys of the first frame of a JSON file that lists frames, and of the file itself.
+fn keys_of_frames(file: &Path) -> Option<(Vec<String>, Vec<String>)> {
+    let is_json = file.extension().is_some_and(|ending| ending.eq_ignore_ascii_case("json"));
+    let value = is_json.then(|| read(file).ok()).flatten()?;
+    let keys = |value: &Value| Some(value.as_object()?.keys().cloned().collect::<Vec<String>>());
+    Some((keys(value["frames"].get(0)?)?, keys(&value)?))
+}
+
+/// Returns whether a JSON file lists frames as a scene's poses do.
+pub(super) fn lists_frames(file: &Path) -> bool {
+    keys_of_frames(file).is_some_and(|(of_frame, _)| of_frame.iter().any(|key| key == "file_path"))
+}
+
+/// Says of a JSON file that lists frames under other keys what to rename.
+pub(super) fn other_frames(file: &Path) -> Option<String> {
+    let (of_frame, of_file) = keys_of_frames(file)?;
+    let there = || of_frame.iter().chain(&of_file).map(String::as_str);
+    let words: Vec<String> = ["file_path", "transform_matrix", foreign::FOCAL]
+        .iter()
+        .filter_map(|key| foreign::instead(key, there()))
+        .collect();
+    (!words.is_empty()).then(|| {
+        format!(
+            "{} lists frames under other keys than a transforms.json: {}; call the result transforms.json",
+            file.display(),
+            words.join("; ")
+        )
+    })
+}
+
 /// What Python's and JavaScript's writers write for numbers that are not finite.
 const NO_NUMBERS: [&[u8]; 3] = [b"-Infinity", b"Infinity", b"NaN"];
 

@@ -7,6 +7,7 @@ mod differences;
 mod display_size;
 mod parts;
 mod profile;
+mod profile_figure;
 mod run_view;
 mod window;
 
@@ -14,5 +15,6 @@ pub use comparison::Comparison;
 pub use comparison::check_box;
 pub use differences::{Difference, differences, differing_settings};
 pub use profile::{Profile, Profiles, Samples, check_profiled};
+pub use profile_figure::check_overlay;
 pub use run_view::{RunView, labels, name_steps};
 pub use window::{Window, crop, most_different};

@@ -6,6 +6,7 @@ use candle_core::{DType, Tensor};
 use serde::Serialize;
 
 use super::differences::File;
+use super::profile_figure;
 use super::run_view::RunView;
 use crate::base::files::{write_atomic, write_json};
 use crate::base::{Error, Result};
@@ -113,6 +114,11 @@ impl Profile {
         })
     }
 
+    /// Returns the samples of the last pass of an evaluation.
+    pub(super) fn evaluated(&self) -> &Samples {
+        self.fine.as_ref().unwrap_or(&self.coarse)
+    }
+
     /// Returns the total variation of density: the sum of |change| between even samples. Smaller is smoother.
     pub fn density_variation(&self) -> f64 {
         self.even.density.windows(2).map(|pair| f64::from((pair[1] - pair[0]).abs())).sum()
@@ -184,8 +190,9 @@ struct RunFacts {
 }
 
 impl Profiles {
-    /// Writes `ray.csv` and `ray.json` into a folder.
+    /// Writes `ray.svg`, `ray.csv` and `ray.json` into a folder.
     pub fn write(&self, folder: &Path) -> Result<()> {
+        write_atomic(&folder.join("ray.svg"), profile_figure::draw(self)?.svg.as_bytes())?;
         let path = folder.join("ray.csv");
         let unwritable =
             |error: &dyn std::fmt::Display| Error::Output(format!("cannot write {}: {error}", path.display()));

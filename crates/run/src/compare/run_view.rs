@@ -30,6 +30,8 @@ pub struct RunView {
     pub bounds: (f64, f64),
     /// Position of a pixel's ray from the pixel's corner.
     pub(super) shift: f64,
+    /// The field is queried at Gaussians of intervals, not at points.
+    pub queries_gaussians: bool,
     /// Every setting that can change a number, by its name in `config.toml`.
     pub(super) settings: Vec<(String, String)>,
 }
@@ -57,6 +59,7 @@ impl RunView {
             ndc: scene.ndc,
             bounds: scene.bounds(),
             shift: config.data.origin_of_pixels().shift(),
+            queries_gaussians: config.field.encoding.queries_gaussians(),
             settings: settings(config),
         })
     }

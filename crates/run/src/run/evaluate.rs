@@ -112,7 +112,7 @@ impl Viewer<'_> {
 
     /// Renders every `stride`-th pixel across and down, from the first one on, as an image of these. `stop_check` is called
     /// as in [`Viewer::render_unless`].
-    fn render_every(
+    pub(super) fn render_every(
         &self,
         renderer: &dyn Renderer,
         stride: usize,
@@ -320,7 +320,7 @@ impl Viewer<'_> {
 }
 
 /// Returns every `stride`-th pixel of a photo and of its mask, across and down.
-fn every(view: &View, stride: usize) -> (Image, Option<Vec<bool>>) {
+pub(super) fn every(view: &View, stride: usize) -> (Image, Option<Vec<bool>>) {
     let (columns, rows) = (view.image.width, view.image.height);
     let mask = view.mask.as_ref().map(|mask| {
         let kept = |y: usize| (0..columns).step_by(stride).map(move |x| mask[y * columns + x]);

@@ -21,6 +21,7 @@ mod mesh_picture;
 mod metrics;
 mod named_mesh;
 mod pictures;
+mod preview;
 mod protocol;
 mod scalars;
 mod scene_file;

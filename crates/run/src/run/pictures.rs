@@ -1,12 +1,12 @@
 //! Images that training and rendering write.
 
 use std::cell::RefCell;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use serde::Serialize;
 
-use crate::base::files::write_json;
-use crate::base::{Image, Result};
+use crate::base::files::{remove, write_json};
+use crate::base::{Error, Image, Result};
 use crate::data::{Scene, View};
 use crate::draw::{Reel, SOLID, beside, depth_colour, depth_range, depth_range_of, stripe, write_depth16, write_png8};
 
@@ -116,6 +116,14 @@ pub struct Pictures<'a> {
     range: RefCell<Option<(f32, f32)>>,
 }
 
+/// Returns rendering, ground truth and depth in `colours` side by side.
+fn with_truth(mut truth: Image, mask: Option<&[bool]>, rendered: &RenderedView, colours: &Image) -> Result<Image> {
+    if let Some(mask) = mask {
+        stripe(&mut truth, mask);
+    }
+    beside(&[&rendered.image, &truth, colours], GAP)
+}
+
 impl<'a> Pictures<'a> {
     /// Writes images of the first `count` views.
     pub fn new(folder: &'a Path, scene: &'a Scene, count: usize) -> Pictures<'a> {
@@ -130,10 +138,7 @@ impl<'a> Pictures<'a> {
         let Image { width, height, .. } = rendered.image;
         let file = |what: &str| self.folder.join(format!("{}_{what}.png", view.name));
         // The first view's range colours all views.
-        let range = *self.range.borrow_mut().get_or_insert_with(|| {
-            let range = depth_range(&rendered.depth, Some(&rendered.acc));
-            range.unwrap_or((self.scene.near as f32, self.scene.far as f32))
-        });
+        let range = *self.range.borrow_mut().get_or_insert_with(|| self.depth_range(rendered));
         let colours = depth_picture(rendered, range)?;
         write_png8(&file("rgb"), &rendered.image)?;
         write_png8(&file("truth"), &view.image)?;
@@ -142,15 +147,31 @@ impl<'a> Pictures<'a> {
         if let Some(mask) = &view.mask {
             write_png8(&file("mask"), &mask_picture(mask, width, height))?;
         }
-        let mut truth = view.image.as_ref().clone();
-        if let Some(mask) = &view.mask {
-            stripe(&mut truth, mask);
-        }
-        write_png8(&file("beside"), &beside(&[&rendered.image, &truth, &colours], GAP)?)
+        let all = with_truth(view.image.as_ref().clone(), view.mask.as_deref(), rendered, &colours)?;
+        write_png8(&file("beside"), &all)
     }
 
-    /// Writes `depth.json`.
+    fn depth_range(&self, rendered: &RenderedView) -> (f32, f32) {
+        let range = depth_range(&rendered.depth, Some(&rendered.acc));
+        range.unwrap_or((self.scene.near as f32, self.scene.far as f32))
+    }
+
+    /// Returns the path of the image of an unfinished training.
+    pub fn preview_path(&self) -> PathBuf {
+        self.folder.join("preview.png")
+    }
+
+    /// Writes the image of an unfinished training: a rendering of the first view, beside its ground truth and depth.
+    pub fn preview(&self, truth: Image, mask: Option<&[bool]>, rendered: &RenderedView) -> Result<()> {
+        let range = self.depth_range(rendered);
+        let all = with_truth(truth, mask, rendered, &depth_picture(rendered, range)?)?;
+        write_png8(&self.preview_path(), &all)
+    }
+
+    /// Writes `depth.json` and deletes the image of the unfinished training.
     pub fn finish(&self) -> Result<()> {
+        let preview = self.preview_path();
+        remove(&preview).map_err(|error| Error::unwritable(&preview, &error))?;
         if self.count == 0 {
             return Ok(());
         }
