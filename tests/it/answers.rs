@@ -5,8 +5,9 @@ use std::collections::BTreeMap;
 use std::path::Path;
 use std::process::Command;
 
+use crate::common::assert_says;
 use crate::common::files::{json, text};
-use crate::common::program::{augnerf, demand, printed, refuse, succeed};
+use crate::common::program::{Place, augnerf, demand, printed, refuse, set, succeed};
 use serde_json::Value;
 use tempfile::TempDir;
 
@@ -48,13 +49,18 @@ const COMMANDS: [&str; 22] = [
 /// Commands that print JSON in any case, or need more than this test sets up.
 const ELSEWHERE: [&str; 3] = ["bench", "score", "sweep across"];
 
-/// A command line's words and the name of its command.
-fn words(line: &str) -> (Vec<String>, String) {
-    let line = line.replace("TINY", TINY);
-    let words: Vec<String> = line.split_whitespace().map(String::from).collect();
-    let named = if ["data", "sweep"].contains(&words[0].as_str()) { 2 } else { 1 };
-    let name = words[..named].join(" ");
-    (words, name)
+/// The settings of a run put in, and the name of the command.
+fn of_run(line: &str) -> (String, String) {
+    let words: Vec<&str> = line.split(' ').collect();
+    let named = if ["data", "sweep"].contains(&words[0]) { 2 } else { 1 };
+    (line.replace("TINY", TINY), words[..named].join(" "))
+}
+
+/// The answer of a command, which is all that it prints.
+fn answer(place: &Place, line: &str) -> Value {
+    let printed = place.printed(&format!("{} --json", of_run(line).0));
+    assert_eq!(printed.lines().count(), 1, "{line}: {printed}");
+    serde_json::from_str(&printed).unwrap_or_else(|e| panic!("{line}: {e}: {printed}"))
 }
 
 /// Keys of each command's answer, as the page has them.
@@ -69,38 +75,22 @@ fn documented() -> BTreeMap<String, Vec<String>> {
 
 /// All commands that take the flag, `sweep run` and the like.
 fn commands_with(flag: &str) -> Vec<String> {
-    fn visit(command: &clap::Command, path: &str, flag: &str, found: &mut Vec<String>) {
-        for inner in command.get_subcommands() {
-            let path = format!("{path} {}", inner.get_name()).trim().to_string();
-            found.extend(inner.get_arguments().any(|own| own.get_long() == Some(flag)).then(|| path.clone()));
-            visit(inner, &path, flag, found);
-        }
-    }
-    let mut found = Vec::new();
-    visit(&augnerf::cli::command(), "", flag, &mut found);
-    found
+    let takes = |command: &clap::Command| command.get_arguments().any(|own| own.get_long() == Some(flag));
+    let all = crate::common::commands().into_iter().filter(|(_, command)| takes(command));
+    all.filter_map(|(path, _)| path.strip_prefix("augnerf ").map(String::from)).collect()
 }
 
 #[test]
 fn every_answer_as_json_is_one_object_with_the_keys_of_its_page() {
-    let dir = TempDir::new().unwrap();
-    std::fs::write(dir.path().join("tiny.toml"), SWEEP).unwrap();
+    let place = Place::with("tiny.toml", SWEEP);
     let documented = documented();
     let mut seen = Vec::new();
     for line in COMMANDS {
-        let (mut words, name) = words(line);
-        words.push("--json".into());
-        let arguments: Vec<&str> = words.iter().map(String::as_str).collect();
-        let output = augnerf(&arguments).current_dir(dir.path()).output().unwrap();
-        let said = String::from_utf8_lossy(&output.stderr);
-        assert!(output.status.success(), "{line}: {said}");
-        let printed = String::from_utf8(output.stdout).unwrap();
-        assert_eq!(printed.lines().count(), 1, "{line}: {printed}");
-        let answer: Value = serde_json::from_str(&printed).unwrap_or_else(|e| panic!("{line}: {e}: {printed}"));
+        let (answer, (_, name)) = (answer(&place, line), of_run(line));
         let keys: Vec<&String> = answer.as_object().unwrap().keys().collect();
         let wanted = documented.get(&name).unwrap_or_else(|| panic!("docs/scripting.md has no row for {name}"));
         assert_eq!(keys, wanted.iter().collect::<Vec<_>>(), "{line}");
-        check(&name, &answer, dir.path());
+        check(&name, &answer, place.path());
         seen.push(name);
     }
     seen.extend(ELSEWHERE.map(String::from));
@@ -139,43 +129,33 @@ fn check(name: &str, answer: &Value, dir: &Path) {
 
 #[test]
 fn a_run_s_folder_is_printed_also_where_nothing_else_is() {
-    let dir = TempDir::new().unwrap();
-    let (mut words, _) = words("train -q TINY");
-    words.extend(["--set".into(), "train.keep_checkpoints=3".into()]);
-    let arguments: Vec<&str> = words.iter().map(String::as_str).collect();
-    let output = augnerf(&arguments).current_dir(dir.path()).output().unwrap();
+    let place = Place::new();
+    let output = place.command(&of_run("train -q TINY --set train.keep_checkpoints=3").0).output().unwrap();
     let named = String::from_utf8(output.stdout).unwrap();
     assert!(output.status.success() && output.stderr.is_empty(), "{}", String::from_utf8_lossy(&output.stderr));
-    let run = dir.path().join(named.strip_suffix('\n').unwrap());
-    assert!(run.join("metrics.json").is_file(), "{named}");
+    let run = named.strip_suffix('\n').unwrap();
+    assert!(place.at(run).join("metrics.json").is_file(), "{named}");
 
     // Other checkpoints and views leave what the run says of itself.
-    let own = text(&run.join("metrics.json"));
-    let eval = |further: &[&str]| {
-        let arguments = [&["eval", run.to_str().unwrap(), "--json", "-q"], further].concat();
-        serde_json::from_str::<Value>(&printed(&arguments)).unwrap()
-    };
-    let early = eval(&["--step", "5"]);
+    let own = place.text(&format!("{run}/metrics.json"));
+    let eval = |further: &str| answer(&place, &format!("eval {run} -q {further}"));
+    let early = eval("--step 5");
     assert_eq!((&early["step"], &early["split"]), (&5.into(), &"test".into()));
-    assert!(run.join("eval/step_000000005/metrics.csv").is_file());
-    let trained = eval(&["--split", "train"]);
-    assert_eq!(
-        (&trained["split"], &trained["views"], &trained["training_views"]),
-        (&"train".into(), &40.into(), &0.into())
-    );
-    let val = eval(&["--split", "val"]);
+    assert!(place.at(run).join("eval/step_000000005/metrics.csv").is_file());
+    let trained = eval("--split train");
+    let told = ["split", "views", "training_views"].map(|key| trained[key].clone());
+    assert_eq!(told, [Value::from("train"), 40.into(), 0.into()]);
+    let val = eval("--split val");
     assert_eq!((&val["split"], &val["step"]), (&"val".into(), &12.into()));
     assert!(val["mean"]["psnr"] != trained["mean"]["psnr"]);
-    assert_eq!(text(&run.join("metrics.json")), own);
-    let refused = demand(&mut augnerf(&["eval", run.to_str().unwrap(), "--step", "6"]), 5);
-    assert!(refused.contains("no checkpoint of step 6") && refused.contains("5, 10, 12"), "{refused}");
+    assert_eq!(place.text(&format!("{run}/metrics.json")), own);
+    place.refuses(&format!("eval {run} --step 6"), 5, &["no checkpoint of step 6", "5, 10, 12"]);
 }
 
 /// Flags with which a command answers something else.
 #[test]
 fn a_flag_that_asks_something_else_has_its_own_keys() {
-    let dir = TempDir::new().unwrap();
-    std::fs::write(dir.path().join("tiny.toml"), SWEEP).unwrap();
+    let place = Place::with("tiny.toml", SWEEP);
     let page = text(&Path::new(env!("CARGO_MANIFEST_DIR")).join("docs/scripting.md"));
     for (line, keys) in [
         ("train --out a TINY", &[][..]),
@@ -190,12 +170,7 @@ fn a_flag_that_asks_something_else_has_its_own_keys() {
         ("bench --devices", &["devices"]),
         ("sweep run tiny.toml --create", &["folder", "points"]),
     ] {
-        let (mut words, _) = words(line);
-        words.push("--json".into());
-        let arguments: Vec<&str> = words.iter().map(String::as_str).collect();
-        let output = augnerf(&arguments).current_dir(dir.path()).output().unwrap();
-        assert!(output.status.success(), "{line}: {}", String::from_utf8_lossy(&output.stderr));
-        let answer: Value = serde_json::from_slice(&output.stdout).unwrap();
+        let answer = answer(&place, line);
         let found: Vec<&String> = answer.as_object().unwrap().keys().collect();
         assert!(keys.is_empty() || found == keys, "{line}: {found:?}");
         for key in keys {
@@ -207,11 +182,9 @@ fn a_flag_that_asks_something_else_has_its_own_keys() {
 /// A script goes on with what a command left, which is all that is printed where it is quiet.
 #[test]
 fn what_a_command_leaves_is_printed_also_where_nothing_else_is() {
-    let dir = TempDir::new().unwrap();
+    let place = Place::new();
     let say = |line: &str| {
-        let (words, _) = words(line);
-        let output = augnerf(&words.iter().map(String::as_str).collect::<Vec<_>>()).current_dir(dir.path()).output();
-        let output = output.unwrap();
+        let output = place.command(&of_run(line).0).output().unwrap();
         let said = String::from_utf8_lossy(&output.stderr);
         assert!(output.status.success() && said.is_empty(), "{line}: {said}");
         String::from_utf8(output.stdout).unwrap()
@@ -228,58 +201,37 @@ fn what_a_command_leaves_is_printed_also_where_nothing_else_is() {
         ("mesh -q a --resolution 16 --threshold 0.01", "a/mesh"),
     ] {
         assert_eq!(say(line), format!("{left}\n"), "{line}");
-        assert!(dir.path().join(left).exists(), "{line}");
+        assert!(place.at(left).exists(), "{line}");
     }
 }
 
 #[test]
 fn training_says_what_it_trains_and_when_it_evaluates() {
-    let dir = TempDir::new().unwrap();
-    let (words, _) = words("train TINY");
-    let arguments: Vec<&str> = words.iter().map(String::as_str).collect();
-    let output = augnerf(&arguments).current_dir(dir.path()).output().unwrap();
-    let said = String::from_utf8(output.stderr).unwrap();
+    let place = Place::new();
+    let train = |further: &str| place.run(&format!("{} {further}", of_run("train TINY").0), 0);
+    let said = train("");
     let first = said.lines().next().unwrap();
     assert_eq!(first, "nerf on builtin: 40 views of 16 x 16 pixels, 8 held out; 12 steps of 64 rays");
-    let with_term = augnerf(&arguments)
-        .args(["--set", "regularizer.kind=occlusion", "--out", "term"])
-        .current_dir(dir.path())
-        .output()
-        .unwrap();
-    let said_of_term = String::from_utf8(with_term.stderr).unwrap();
-    assert!(said_of_term.starts_with("nerf + occlusion 0.01 on builtin: "), "{said_of_term}");
-    let place = |words: &str| said.find(words).unwrap_or_else(|| panic!("{words}: {said}"));
-    assert!(
-        place("step 12/12") < place("evaluating: 8 views")
-            && place("evaluating: 8 views") < place("held-out views: PSNR"),
-        "{said}"
-    );
-}
-
-/// Settings without effect, and terms that are far too strong, are named.
-#[test]
-fn what_has_no_effect_or_far_too_much_is_said() {
-    let dir = TempDir::new().unwrap();
-    let train = |further: &[&str]| {
-        let (mut arguments, _) = words("train TINY");
-        arguments.extend(further.iter().flat_map(|set| ["--set".to_string(), set.to_string()]));
-        let arguments: Vec<&str> = arguments.iter().map(String::as_str).collect();
-        let output = augnerf(&arguments).current_dir(dir.path()).output().unwrap();
-        String::from_utf8(output.stderr).unwrap()
-    };
-    let idle = ["perturb.lambda=0.5", "regularizer.weight=[]", "data.corruption.severity=5", "data.validation=3"];
-    let said = train(&[&idle[..], &["train.steps=13"]].concat());
-    let idle = said.find("--set perturb.lambda has no effect: method nerf has no perturbed pass").expect(&said);
-    assert!(idle < said.find("step 13/13").unwrap(), "{said}");
-    assert!(said.contains("--set regularizer.weight has no effect: regularizer.kind names no term"), "{said}");
-    assert!(said.contains("--set data.corruption.severity has no effect: data.corruption.kind is \"none\""), "{said}");
-    assert!(said.contains("--set data.validation has no effect: the scene has splits of its own"), "{said}");
+    let at = |words: &str| said.find(words).unwrap_or_else(|| panic!("{words}: {said}"));
+    let places = ["step 12/12", "evaluating: 8 views", "held-out views: PSNR"].map(at);
+    assert!(places.is_sorted(), "{said}");
+    let with_term = train("--set regularizer.kind=occlusion --out term");
+    assert!(with_term.starts_with("nerf + occlusion 0.01 on builtin: "), "{with_term}");
+    // Settings without effect, and terms that are far too strong, are named.
+    let idle = "perturb.lambda=0.5 regularizer.weight=[] data.corruption.severity=5 data.validation=3 train.steps=13";
+    let said = train(&format!("{} --out idle", set(idle)));
+    let words = [
+        "--set perturb.lambda has no effect: method nerf has no perturbed pass",
+        "--set regularizer.weight has no effect: regularizer.kind names no term",
+        "--set data.corruption.severity has no effect: data.corruption.kind is \"none\"",
+        "--set data.validation has no effect: the scene has splits of its own",
+    ];
+    assert_says(&said, &words);
+    assert!(said.find(words[0]).unwrap() < said.find("step 13/13").unwrap(), "{said}");
     assert!(!said.contains("train.steps has no effect") && !said.contains("times the photometric loss"), "{said}");
-    let said = train(&["regularizer.kind=l1", "regularizer.weight=1000", "train.learning_rate=1e-9"]);
-    assert!(
-        said.contains("regularizer l1: weight 1e3 x value is ") && said.contains("augnerf train --balance"),
-        "{said}"
-    );
+    let strong = "regularizer.kind=l1 regularizer.weight=1000 train.learning_rate=1e-9";
+    let said = train(&format!("{} --out strong", set(strong)));
+    assert_says(&said, &["regularizer l1: weight 1e3 x value is ", "augnerf train --balance"]);
     assert!(!said.contains("has no effect"), "{said}");
 }
 
@@ -324,21 +276,6 @@ fn a_scene_that_is_not_here_is_looked_for_below_the_data_folder() {
     let print = ["train", "--data", "small", "--print-config"];
     let printed = demand(augnerf(&print).env("AUGNERF_DATA", root.join("synthetic")).current_dir(dir.path()), 0);
     assert!(printed.contains("kind = \"blender\"") && printed.contains("(AUGNERF_DATA)"), "{printed}");
-}
-
-#[test]
-fn every_command_has_an_example() {
-    fn visit(command: &clap::Command, path: &str) {
-        for inner in command.get_subcommands() {
-            let path = format!("{path} {}", inner.get_name());
-            if !inner.has_subcommands() {
-                let help = inner.get_after_help().map(ToString::to_string).unwrap_or_default();
-                assert!(help.contains("Example") && help.contains("augnerf "), "{path} has no example");
-            }
-            visit(inner, &path);
-        }
-    }
-    visit(&augnerf::cli::command(), "augnerf");
 }
 
 #[test]

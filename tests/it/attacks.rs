@@ -2,11 +2,12 @@
 
 use std::fs;
 use std::path::{Path, PathBuf};
+use std::sync::OnceLock;
 
 use tempfile::TempDir;
 
 use crate::common::files::entries;
-use crate::common::program::{refuse, succeed};
+use crate::common::program::{Place, set};
 use crate::fuzz::memory::most_taken;
 
 fn fixture(name: &str) -> PathBuf {
@@ -15,12 +16,10 @@ fn fixture(name: &str) -> PathBuf {
 
 /// Tries to import a file; nothing may be left where the run would be.
 fn import_is_refused(name: &str, words: &[&str]) {
-    let dir = TempDir::new().unwrap();
-    let (file, out) = (fixture(name), dir.path().join("run"));
-    let small = ["--preset", "smoke", "--set", "data.width=12", "--set", "train.rays=16"];
-    let import = ["import", file.to_str().unwrap(), "--out", out.to_str().unwrap()];
-    refuse(&[&import[..], &small, &["--set", "perturb.injection_layer=1"]].concat(), 3, words);
-    assert_eq!(entries(dir.path()), Vec::<PathBuf>::new(), "{name}");
+    let place = Place::new();
+    let small = set("data.width=12 train.rays=16 perturb.injection_layer=1");
+    place.refuses(&format!("import {} --out run --preset smoke{small}", fixture(name).display()), 3, words);
+    assert_eq!(entries(place.path()), Vec::<PathBuf>::new(), "{name}");
 }
 
 #[test]
@@ -32,14 +31,11 @@ fn an_import_loses_no_layer() {
     import_is_refused("config_brackets.safetensors", &["its configuration"]);
 }
 
-/// A small finished run of the built-in scene.
-fn trained(dir: &Path) -> PathBuf {
-    let out = dir.join("run");
-    let small = ["data.width=12", "field.width=16", "train.rays=32", "train.steps=4", "eval.pictures=1"];
-    let mut arguments = vec!["train", "--preset", "smoke", "--quiet", "--out", out.to_str().unwrap()];
-    small.iter().for_each(|setting| arguments.extend(["--set", setting]));
-    succeed(&arguments);
-    out
+/// A folder with a small finished run of the built-in scene.
+fn trained() -> Place {
+    static RUN: OnceLock<Place> = OnceLock::new();
+    let small = set("data.width=12 field.width=16 train.rays=32 train.steps=4 eval.pictures=1");
+    Place::copy_of(&RUN, |place| drop(place.run(&format!("train --preset smoke --quiet --out run{small}"), 0)))
 }
 
 /// Whoever measures a run of somebody else writes into its folder alone.
@@ -47,27 +43,19 @@ fn trained(dir: &Path) -> PathBuf {
 #[test]
 fn links_in_a_run_lead_no_write_out_of_it() {
     use std::os::unix::fs::symlink;
-    let dir = TempDir::new().unwrap();
-    let run = trained(dir.path());
-    let victim = dir.path().join("victim");
-    let folder = dir.path().join("folder");
+    let place = trained();
+    let [run, victim, folder] = ["run", "victim", "folder"].map(|name| place.at(name));
     fs::create_dir_all(folder.join("path")).unwrap();
     fs::write(folder.join("path/keep"), "keep").unwrap();
-    let linked = |name: &str, to: &Path, commands: &[&[&str]]| {
+    let linked = |name: &str, to: &Path, lines: &[&str]| {
         fs::write(&victim, "keep").unwrap();
-        let (entry, aside) = (run.join(name), dir.path().join("aside"));
+        let (entry, aside) = (run.join(name), place.at("aside"));
         let was_there = entry.symlink_metadata().is_ok();
         if was_there {
             fs::rename(&entry, &aside).unwrap();
         }
         symlink(to, &entry).unwrap();
-        for command in commands {
-            refuse(
-                &[&command[..1], &[run.to_str().unwrap()], &command[1..]].concat(),
-                4,
-                &["is a symbolic link", name],
-            );
-        }
+        lines.iter().for_each(|line| place.refuses(line, 4, &["is a symbolic link", name]));
         assert_eq!(fs::read_to_string(&victim).unwrap(), "keep", "{name}");
         assert!(folder.join("path/keep").is_file(), "{name}");
         fs::remove_file(&entry).unwrap();
@@ -76,49 +64,40 @@ fn links_in_a_run_lead_no_write_out_of_it() {
         }
     };
     for name in ["metrics.json", "metrics.csv", "depth_errors.gz", "run.lock", "timing.json"] {
-        linked(name, &victim, &[&["eval"], &["eval", "--smoothness"], &["resume"]]);
+        linked(name, &victim, &["eval run", "eval run --smoothness", "resume run"]);
     }
-    linked("smoothness.csv", &victim, &[&["eval", "--smoothness"]]);
-    linked("renders", &folder, &[&["eval"], &["render", "--frames", "2"]]);
-    linked("checkpoints", &folder, &[&["resume"]]);
+    linked("smoothness.csv", &victim, &["eval run --smoothness"]);
+    linked("renders", &folder, &["eval run", "render run --frames 2"]);
+    linked("checkpoints", &folder, &["resume run"]);
     // A picture among the renders is replaced, and what it led to stays.
     fs::write(&victim, "keep").unwrap();
     let picture = entries(&run.join("renders")).into_iter().find(|file| file.extension().is_some()).unwrap();
     fs::remove_file(&picture).unwrap();
     symlink(&victim, &picture).unwrap();
-    succeed(&["resume", run.to_str().unwrap(), "--quiet"]);
+    place.run("resume run --quiet", 0);
     assert_eq!(fs::read_to_string(&victim).unwrap(), "keep");
 }
 
-/// A pipe in the place of a file is not waited for.
+/// A pipe in the place of a file is not waited for. Settings that a crash of the machine emptied are not all defaults. Scores
+/// replace no picture.
 #[cfg(target_os = "linux")]
 #[test]
-fn pipes_in_a_run_are_not_waited_for() {
-    let dir = TempDir::new().unwrap();
-    let run = trained(dir.path());
+fn a_run_s_files_are_files_with_content() {
+    let place = trained();
     for name in ["depth_errors.gz", "metrics.json", "run.lock"] {
-        let file = run.join(name);
+        let file = place.at("run").join(name);
         fs::remove_file(&file).unwrap();
         assert!(std::process::Command::new("mkfifo").arg(&file).status().unwrap().success());
-        for command in ["eval", "render", "export"] {
-            let out = dir.path().join("a.safetensors");
-            let file = [out.to_str().unwrap()];
-            let last = if command == "export" { &file[..] } else { &[] };
-            refuse(&[&[command, run.to_str().unwrap()], last].concat(), 4, &[name, "neither a file nor a folder"]);
+        for line in ["eval run", "render run", "export run a.safetensors"] {
+            place.refuses(line, 4, &[name, "neither a file nor a folder"]);
         }
         fs::remove_file(&file).unwrap();
         fs::write(&file, "").unwrap();
     }
-}
-
-/// Settings that a crash of the machine emptied are not all defaults.
-#[test]
-fn an_emptied_configuration_is_an_error() {
-    let dir = TempDir::new().unwrap();
-    let run = trained(dir.path());
-    fs::write(run.join("config.toml"), "\n").unwrap();
+    place.refuses("score run/renders run --out 0.png", 2, &["--out", "the name of an image"]);
+    place.write("run/config.toml", "\n");
     for command in ["resume", "eval", "render"] {
-        refuse(&[command, run.to_str().unwrap()], 5, &["config.toml is empty"]);
+        place.refuses(&format!("{command} run"), 5, &["config.toml is empty"]);
     }
 }
 
@@ -129,16 +108,6 @@ fn a_colour_profile_takes_no_more_memory_than_a_picture() {
     // The picture is read, with or without its profile, or refused.
     let (_, taken) = most_taken(|| augnerf::data::images::read(&file, (16, 16)).is_ok());
     assert!(taken < 40 << 20, "{taken} bytes");
-}
-
-#[test]
-fn scores_do_not_replace_a_picture() {
-    let dir = TempDir::new().unwrap();
-    let run = trained(dir.path());
-    let renders = run.join("renders");
-    let out = dir.path().join("0.png");
-    let arguments = ["score", renders.to_str().unwrap(), run.to_str().unwrap(), "--out", out.to_str().unwrap()];
-    refuse(&arguments, 2, &["--out", "the name of an image"]);
 }
 
 /// A limit of file sizes ends in a sentence, not in a signal.

@@ -207,10 +207,17 @@ fn pose_values() {
         (14, 28.0, ["view 2", "one camera"]),
         (12, -1.0, ["view 2", "mirrored"]),
         (12, 3.0, ["view 2", "length 1.0000, 1.0000 and 3.0000"]),
+        // Numbers that f32 cannot hold, as they are and after poses are scaled.
+        (15, 5e-324, ["view 2", "depth bounds"]),
+        (3, 1e39, ["view 2", "column 3"]),
     ] {
         with(column, value);
         refuses(config(dir.path()), &[&words[..], &["poses_bounds.npy"]].concat());
     }
+    let scaled =
+        [0.0, 1e11, 0.2, 0.3].map(|x| std::array::from_fn(|column| if column == 15 { 2e-6 } else { row(x)[column] }));
+    write_poses(dir.path(), &scaled);
+    refuses(config(dir.path()), &["view", "1e12"]);
     // Turned by half a turn about the up axis: still a rotation, but not facing forward.
     let mut rows = [0.0, 0.1, 0.2, 0.3].map(row);
     rows[2][1] = -1.0;
@@ -265,7 +272,9 @@ fn captures_of_unknown_lenses() {
         ("\"scale\": 1", vec!["fl_x", "camera_angle_x"]),
         ("\"fl_x\": -3", vec!["fl_x", "-3", "positive"]),
         ("\"fl_x\": 20, \"camera_model\": \"OPENCV_FISHEYE\"", vec!["OPENCV_FISHEYE", "PINHOLE", "undistort"]),
-        ("\"fl_x\": 20, \"is_fisheye\": true", vec!["is_fisheye"]),
+        ("\"fl_x\": 20, \"is_fisheye\": true", vec!["is_fisheye", "is true", "pinhole"]),
+        ("\"fl_x\": 20, \"is_fisheye\": 1", vec!["is_fisheye", "1", "true or false"]),
+        ("\"fl_x\": 20, \"is_fisheye\": \"true\"", vec!["is_fisheye", "true or false"]),
         ("\"fl_x\": 20, \"k4\": 0.1", vec!["k4", "0.1", "undistort"]),
         ("\"fl_x\": 20, \"k1\": -5", vec!["cannot be undone"]),
         ("\"fl_x\": 20, \"w\": 12, \"h\": 16", vec!["16x12", "12x16"]),

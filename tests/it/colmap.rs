@@ -3,10 +3,8 @@
 use std::fmt::Write as _;
 use std::fs;
 use std::path::Path;
-use std::sync::Mutex;
 
 use augnerf::base::rng::{Random, Stream};
-use augnerf::base::{Event, Listener};
 use augnerf::data::formats::builtin::export;
 use augnerf::data::pose::{self, Pose, Vec3};
 use augnerf::data::{self, Camera, PointRays, Scene, View};
@@ -15,9 +13,10 @@ use augnerf::settings::{Config, DataConfig, DataKind, PixelOrigin};
 use augnerf::space::read_mesh;
 use tempfile::TempDir;
 
+use crate::captures::Notes;
 use crate::common::assert_says;
 use crate::common::files::write_poses;
-use crate::common::program::{printed, refuse, succeed};
+use crate::common::program::{self, Place, printed, refuse};
 
 /// What COLMAP knows of a photograph: number, world to camera, camera, file.
 pub struct Photograph {
@@ -437,7 +436,7 @@ fn images_that_are_gone_are_left_out_and_named() {
     let export = Export::new();
     export.model().write(&export.capture().join("sparse/0"), false);
     fs::remove_file(export.capture().join("images/r_1.png")).unwrap();
-    let heard = Heard::default();
+    let heard = Notes::default();
     let config =
         DataConfig { dir: export.capture().display().to_string(), kind: DataKind::Colmap, ..DataConfig::default() };
     let config = DataConfig { downscale: Some(1), ..config };
@@ -462,24 +461,6 @@ fn images_that_are_gone_are_left_out_and_named() {
     assert_says(&heard.text(), &["are not there", "most of them: check that the model is this capture's"]);
 }
 
-/// Keeps the notes that it hears.
-#[derive(Default)]
-struct Heard(Mutex<Vec<String>>);
-
-impl Heard {
-    fn text(&self) -> String {
-        self.0.lock().unwrap().join("\n")
-    }
-}
-
-impl Listener for Heard {
-    fn on(&self, event: Event) {
-        if let Event::Note(note) = event {
-            self.0.lock().unwrap().push(note.into());
-        }
-    }
-}
-
 /// From a folder to a mesh in the capture's units, as a user goes.
 #[test]
 fn a_colmap_folder_is_checked_drawn_trained_and_meshed() {
@@ -494,29 +475,20 @@ fn a_colmap_folder_is_checked_drawn_trained_and_meshed() {
     assert!(fs::read_to_string(&picture).unwrap().contains("<svg"));
     refuse(&["data", "check", &capture, "--picture", "scene.gif"], 2, &["--picture", ".svg"]);
 
-    let run = export.dir.path().join("run").display().to_string();
-    let small =
-        ["field.width=16", "field.depth=2", "field.skips=[]", "train.rays=32", "train.steps=2", "eval.pictures=0"];
-    let small = small.iter().flat_map(|set| ["--set", set]);
-    let train = ["train", "--data", &capture, "--preset", "smoke", "--out", &run, "-q"];
-    succeed(&train.into_iter().chain(small).collect::<Vec<&str>>());
-    let json = |file: &str| -> serde_json::Value {
-        serde_json::from_str(&fs::read_to_string(Path::new(&run).join(file)).unwrap()).unwrap()
-    };
-    let scene = json("scene.json");
+    let (place, set) = (Place::new(), program::set);
+    let small = "field.width=16 field.depth=2 field.skips=[] train.rays=32 train.steps=2 eval.pictures=0";
+    place.run(&format!("train --data {capture} --preset smoke --out run -q{}", set(small)), 0);
+    let scene = place.json("run/scene.json");
     assert!(scene["world_to_scene"]["scale"].as_f64().unwrap() > 0.0 && scene["box"].is_array(), "{scene}");
-    let config: toml::Table = fs::read_to_string(Path::new(&run).join("config.toml")).unwrap().parse().unwrap();
+    let config: toml::Table = place.text("run/config.toml").parse().unwrap();
     assert_eq!(config["data"]["pixel_origin"].as_str(), Some("centre"));
 
     let vertices = |units: &str| {
-        let out = export.dir.path().join(format!("mesh in {units}")).display().to_string();
         // Any level set will do: that of the middle of the densities there.
-        let mesh = ["mesh", &run, "--resolution", "8", "--units", units, "--cap", "--out", &out, "-q"];
-        let threshold = threshold(&mesh);
-        succeed(&mesh.into_iter().chain(["--threshold", &threshold]).collect::<Vec<&str>>());
-        let report: serde_json::Value =
-            serde_json::from_str(&fs::read_to_string(format!("{out}/mesh.json")).unwrap()).unwrap();
-        (read_mesh(Path::new(&out).join("mesh.ply").as_path()).unwrap().vertices, report)
+        let mesh = format!("mesh run --resolution 8 --units {units} --cap --out {units} -q --threshold");
+        let message = place.run(&format!("{mesh} 1e9"), 2);
+        place.run(&format!("{mesh} {}", threshold_of(&message)), 0);
+        (read_mesh(&place.at(units).join("mesh.ply")).unwrap().vertices, place.json(&format!("{units}/mesh.json")))
     };
     let ((scene_units, _), (capture_units, report)) = (vertices("scene"), vertices("capture"));
     assert_eq!(report["units"], "capture");
@@ -527,16 +499,18 @@ fn a_colmap_folder_is_checked_drawn_trained_and_meshed() {
         assert!(pose::length(pose::sub(back, scene.map(f64::from))) < 1e-5);
     }
     // Whatever their names are, the files are known to have other units.
-    let file = |units: &str| export.dir.path().join(format!("mesh in {units}/mesh.ply")).display().to_string();
-    let (in_scene, in_capture) = (file("scene"), file("capture"));
-    refuse(&["mesh", &in_scene, "--chamfer", &in_capture], 2, &["different coordinates", "--units capture"]);
-    succeed(&["mesh", &in_capture, "--chamfer", &in_capture, "--points", "200"]);
+    let both = "mesh scene/mesh.ply --chamfer capture/mesh.ply";
+    place.refuses(both, 2, &["different coordinates", "--units capture"]);
+    place.run("mesh capture/mesh.ply --chamfer capture/mesh.ply --points 200", 0);
 }
 
 /// A threshold that has a level set: what the refusal of one that has none names.
 pub fn threshold(mesh: &[&str]) -> String {
     let command: Vec<&str> = mesh.iter().copied().chain(["--threshold", "1e9"]).collect();
-    let message = String::from_utf8(crate::common::program::run(&command).stderr).unwrap();
+    threshold_of(&String::from_utf8(program::run(&command).stderr).unwrap())
+}
+
+fn threshold_of(message: &str) -> String {
     let (_, rest) = message.split_once("a threshold of ").unwrap_or_else(|| panic!("{message}"));
     rest.split_once(' ').unwrap().0.to_string()
 }
@@ -572,8 +546,9 @@ fn a_capture_in_llff_format_that_goes_around_is_read_without_ndc() {
         config.data.dir = dir.path().display().to_string();
         config.data.downscale = Some(1);
         change(&mut config);
-        let heard = Heard::default();
-        (load_scene(config, &heard), heard.text())
+        let heard = Notes::default();
+        let loaded = load_scene(config, &heard);
+        (loaded, heard.text())
     };
     arc(dir.path(), 120.0);
     let (loaded, said) = load(|_| ());

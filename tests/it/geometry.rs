@@ -1,34 +1,28 @@
 //! Meshes, their comparison, and depth, as a user meets them.
 
 use std::collections::HashMap;
-use std::path::Path;
+use std::sync::OnceLock;
 
-use crate::common::files::{json, newest, points_of, rows, seal, text};
+use crate::common::assert_says;
+use crate::common::files::{newest, points_of, rows, seal};
 use crate::common::needs::scene;
-use crate::common::program::{self, printed, refuse, succeed};
+use crate::common::program::{Place, set};
 use augnerf::data::vector::{cross, dot, sub};
 use augnerf::data::{self, View};
 use augnerf::settings::{DataConfig, DataKind};
-use tempfile::TempDir;
 
-/// A run of a second or two on the embedded scene at 24 x 24.
-fn trained(dir: &TempDir, further: &[&str]) -> String {
-    let out = dir.path().join("run").display().to_string();
-    let settings = [
-        "data.width=24",
-        "field.width=32",
-        "sampling.coarse=16",
-        "sampling.fine=16",
-        "train.rays=128",
-        "train.steps=150",
-        "train.precrop_steps=5",
-        "eval.pictures=0",
-    ];
-    let mut arguments = vec!["train", "--quiet", "--preset", "smoke", "--out", &out];
-    arguments.extend(settings.iter().flat_map(|setting| ["--set", setting]));
-    arguments.extend(further);
-    succeed(&arguments);
-    out
+/// A folder with a run of a second or two on the embedded scene at 24 x 24.
+fn trained(further: &str) -> Place {
+    let train = |place: &Place| {
+        let small = "data.width=24 field.width=32 sampling.coarse=16 sampling.fine=16 train.rays=128 train.steps=150 \
+            train.precrop_steps=5 eval.pictures=0";
+        place.run(&format!("train --quiet --preset smoke --out run{} {further}", set(small)), 0);
+    };
+    static PLAIN: OnceLock<Place> = OnceLock::new();
+    match further {
+        "" => Place::copy_of(&PLAIN, train),
+        _ => Place::copy_of(&OnceLock::new(), train),
+    }
 }
 
 /// The numbers of a table of one line.
@@ -44,19 +38,17 @@ fn number(row: &HashMap<String, String>, name: &str) -> f64 {
 
 #[test]
 fn a_run_is_drawn_compared_and_drawn_again_alike() {
-    let dir = TempDir::new().unwrap();
-    let run = trained(&dir, &[]);
-    let mesh = Path::new(&run).join("mesh");
-    let draw = ["mesh", &run, "--quiet", "--resolution", "48", "--threshold", "1.5", "--cap", "--format", "ply,obj"];
-    succeed(&[&draw[..], &["--density"]].concat());
-    let report = json(&mesh.join("mesh.json"));
+    let place = trained("");
+    let draw = "mesh run --quiet --resolution 48 --threshold 1.5 --cap --format ply,obj";
+    place.run(&format!("{draw} --density"), 0);
+    let report = place.json("run/mesh/mesh.json");
     assert_eq!(report["closed"], true, "a capped level set is closed: {report}");
     assert!(report["area"].as_f64().unwrap() > 0.1 && report["volume"].as_f64().unwrap() > 0.0);
     assert_eq!(report["protocol"]["dataset"], "builtin-blender");
     assert_eq!(report["box"], serde_json::json!([[-1.2, -1.2, -1.2], [1.2, 1.2, 1.2]]));
 
     // The volume is the density that the report speaks of.
-    let volume = std::fs::read(mesh.join("density.npy")).unwrap();
+    let volume = std::fs::read(place.at("run/mesh/density.npy")).unwrap();
     let values: Vec<f32> = volume[128..].as_chunks::<4>().0.iter().map(|bytes| f32::from_le_bytes(*bytes)).collect();
     assert_eq!(values.len(), 48 * 48 * 48);
     assert!(String::from_utf8_lossy(&volume[..128]).contains("(48, 48, 48)"));
@@ -64,42 +56,32 @@ fn a_run_is_drawn_compared_and_drawn_again_alike() {
     assert!((report["density"]["largest"].as_f64().unwrap() - largest).abs() < 1e-6 * largest);
     let inside = values.iter().filter(|&&value| value >= 1.5).count() as f64 / values.len() as f64;
     assert_eq!(report["density"]["inside"], inside);
-
-    lies_in_the_field(&text(&mesh.join("mesh.obj")), &values);
+    lies_in_the_field(&place.text("run/mesh/mesh.obj"), &values);
 
     // A denser surface covers less, and a better threshold is named.
     let covered = |report: &serde_json::Value| report["coverage"]["covered"].as_f64().unwrap();
-    let threshold = (0.95 * largest).to_string();
-    let dense = dir.path().join("dense").display().to_string();
-    succeed(&["mesh", &run, "--quiet", "--resolution", "48", "--threshold", &threshold, "--out", &dense]);
-    let dense = json(&Path::new(&dense).join("mesh.json"));
-    assert!(
-        covered(&dense) < covered(&report) && covered(&report) <= 1.0,
-        "{} {}",
-        report["coverage"],
-        dense["coverage"]
-    );
+    place.run(&format!("mesh run --quiet --resolution 48 --threshold {} --out dense", 0.95 * largest), 0);
+    let dense = place.json("dense/mesh.json");
+    assert!(covered(&dense) < covered(&report) && covered(&report) <= 1.0, "{report} {dense}");
     assert!(dense["coverage"]["better_threshold"].as_f64().unwrap() < 0.95 * largest);
 
     // Both files hold one mesh, at 0 from itself.
-    let (ply, obj) = (mesh.join("mesh.ply"), mesh.join("mesh.obj"));
-    let [ply, obj] = [ply, obj].map(|file| file.display().to_string());
+    let [ply, obj] = ["ply", "obj"].map(|format| place.at(&format!("run/mesh/mesh.{format}")));
     let first = std::fs::read(&ply).unwrap();
-    let compared =
-        only_row(&printed(&["mesh", &ply, "--chamfer", &obj, "--points", "5000", "--within", "0.001", "--quiet"]));
-    assert!(number(&compared, "chamfer") < 1e-5, "{compared:?}");
-    assert_eq!(number(&compared, "f_score_0.001"), 1.0);
-    let itself = only_row(&printed(&["mesh", &run, "--chamfer", &ply, "--points", "5000"]));
-    assert_eq!(number(&itself, "chamfer"), 0.0);
-    let truth = only_row(&printed(&["mesh", &run, "--chamfer", "builtin", "--points", "5000", "--within", "0.1"]));
+    let compared = |line: &str| only_row(&place.printed(&format!("mesh {line} --points 5000")));
+    let both = compared("run/mesh/mesh.ply --chamfer run/mesh/mesh.obj --within 0.001 --quiet");
+    assert!(number(&both, "chamfer") < 1e-5, "{both:?}");
+    assert_eq!(number(&both, "f_score_0.001"), 1.0);
+    assert_eq!(number(&compared("run --chamfer run/mesh/mesh.ply"), "chamfer"), 0.0);
+    let truth = compared("run --chamfer builtin --within 0.1");
     assert!(number(&truth, "chamfer") > number(&truth, "floor"));
 
     // The same bytes again; the earlier files are replaced as a whole.
-    succeed(&["mesh", &run, "--quiet", "--resolution", "48", "--threshold", "1.5", "--cap", "--threads", "1"]);
+    place.run("mesh run --quiet --resolution 48 --threshold 1.5 --cap --threads 1", 0);
     assert_eq!(std::fs::read(&ply).unwrap(), first);
-    assert!(!Path::new(&obj).exists() && !mesh.join("density.npy").exists());
-    succeed(&[&draw[..], &["--largest"]].concat());
-    let largest = json(&mesh.join("mesh.json"));
+    assert!(!obj.exists() && !place.at("run/mesh/density.npy").exists());
+    place.run(&format!("{draw} --largest"), 0);
+    let largest = place.json("run/mesh/mesh.json");
     assert_eq!(largest["components"], report["components"]);
     let (left, all) = (largest["area"].as_f64().unwrap(), report["area"].as_f64().unwrap());
     assert!(if largest["components"] == 1 { left == all } else { left < all }, "{left} of {all}");
@@ -149,75 +131,64 @@ fn lies_in_the_field(obj: &str, values: &[f32]) {
 
 #[test]
 fn a_surface_that_cannot_be_drawn_costs_no_other_metric() {
-    let dir = TempDir::new().unwrap();
-    let run = trained(&dir, &["--set", "eval.mesh.resolution=16", "--set", "eval.mesh.threshold=1e6"]);
-    let mean = json(&Path::new(&run).join("metrics.json"))["mean"].clone();
+    let place = trained(&set("eval.mesh.resolution=16 eval.mesh.threshold=1e6"));
+    let mean = &place.json("run/metrics.json")["mean"];
     assert!(mean["psnr"].as_f64().unwrap() > 5.0 && mean["depth_mae"].is_number());
     assert!(mean["chamfer"].is_null() && mean["f_score"].is_null());
-    let output = program::run(&["eval", &run]);
-    let words = String::from_utf8(output.stderr).unwrap();
-    assert!(words.contains("stay empty") && words.contains("a threshold of"), "{words}");
+    assert_says(&place.run("eval run", 0), &["stay empty", "a threshold of"]);
 }
 
 #[test]
 fn what_cannot_be_drawn_is_refused_with_what_could() {
-    let dir = TempDir::new().unwrap();
-    let run = trained(&dir, &[]);
-    let draw = |further: &[&'static str]| [&["mesh", &*run.clone().leak(), "--resolution", "24"][..], further].concat();
-    refuse(&draw(&["--threshold", "1e6"]), 2, &["1000000", "runs from 0", "a threshold of"]);
-    refuse(&draw(&["--memory", "0.001"]), 2, &["24", "even 8 would take about"]);
-    refuse(&draw(&["--threshold", "0.5", "--memory", "0.2"]), 2, &["outgrows", "may fit", "triangles"]);
-    refuse(&draw(&["--threshold=-1"]), 2, &["--threshold", "positive"]);
-    refuse(&draw(&["--bbox", "1,1,1,0,0,0"]), 2, &["--bbox", "corners"]);
-    refuse(&draw(&["--bbox", "8,8,8,9,9,9"]), 2, &["outside of"]);
-    refuse(&draw(&["--resolution", "4"]), 2, &["resolution"]);
-    refuse(&["mesh", &run, "--resolution", "0"], 2, &["8 to 1024"]);
-    refuse(&["mesh", &dir.path().join("none").display().to_string()], 5, &["missing"]);
-    assert!(!Path::new(&run).join("mesh").exists(), "a refusal leaves nothing");
-
-    refuse(&["mesh", &run, "--chamfer", "builtin"], 3, &["has no mesh yet", "augnerf mesh"]);
-    refuse(&["mesh", "builtin", "--chamfer", "/nowhere/a.ply"], 3, &["/nowhere/a.ply"]);
-    refuse(&["mesh", &run, "--chamfer", "builtin", "--cap"], 2, &["--cap: --chamfer compares meshes that exist"]);
-    refuse(&["mesh", "builtin", "--chamfer", "builtin", "--points", "3"], 2, &["--points", "100 to"]);
-    refuse(&["mesh", "builtin", "--chamfer", "builtin", "--within", "0"], 2, &["--within", "positive"]);
-    let bare = dir.path().join("bare.obj");
-    std::fs::write(&bare, "v 0 0 0\nv 1 0 0\nv 0 1 0\n").unwrap();
-    refuse(&["mesh", "builtin", "--chamfer", &bare.display().to_string()], 3, &["bare.obj", "no faces"]);
-}
-
-#[test]
-fn what_a_refusal_names_works() {
-    let dir = TempDir::new().unwrap();
-    let run = trained(&dir, &[]);
+    let place = trained("");
+    for (flags, words) in [
+        ("--resolution 24 --threshold 1e6", &["1000000", "runs from 0", "a threshold of"][..]),
+        ("--resolution 24 --memory 0.001", &["24", "even 8 would take about"]),
+        ("--resolution 24 --threshold 0.5 --memory 0.2", &["outgrows", "may fit", "triangles"]),
+        ("--resolution 24 --threshold=-1", &["--threshold", "positive"]),
+        ("--resolution 24 --bbox 1,1,1,0,0,0", &["--bbox", "corners"]),
+        ("--resolution 24 --bbox 8,8,8,9,9,9", &["outside of"]),
+        ("--resolution 4", &["resolution"]),
+        ("--resolution 0", &["8 to 1024"]),
+    ] {
+        place.refuses(&format!("mesh run {flags}"), 2, words);
+    }
+    place.refuses("mesh none", 5, &["missing"]);
+    assert!(!place.at("run/mesh").exists(), "a refusal leaves nothing");
+    place.write("bare.obj", "v 0 0 0\nv 1 0 0\nv 0 1 0\n");
+    for (line, code, words) in [
+        ("run --chamfer builtin", 3, &["has no mesh yet", "augnerf mesh"][..]),
+        ("builtin --chamfer /nowhere/a.ply", 3, &["/nowhere/a.ply"]),
+        ("run --chamfer builtin --cap", 2, &["--cap: --chamfer compares meshes that exist"]),
+        ("builtin --chamfer builtin --points 3", 2, &["--points", "100 to"]),
+        ("builtin --chamfer builtin --within 0", 2, &["--within", "positive"]),
+        ("builtin --chamfer bare.obj", 3, &["bare.obj", "no faces"]),
+    ] {
+        place.refuses(&format!("mesh {line}"), code, words);
+    }
+    // What a refusal names works.
     let whole = "--bbox=-1.2,-1.2,-1.2,1.2,1.2,1.2";
     let aside = "--bbox=-6,-1,-1,1,1,1";
-    for (option, refused) in [
-        ("--threshold", [whole, "--resolution", "32", "--memory", "100", "--threshold", "1e6"]),
-        ("--resolution", [whole, "--resolution", "200", "--memory", "1.2", "--threshold", "1"]),
-        ("--resolution", [whole, "--resolution", "181", "--memory", "1.2", "--threshold", "1"]),
-        ("--resolution", [whole, "--resolution", "100", "--memory", "1.2", "--threshold", "2"]),
-        ("--resolution", [aside, "--resolution", "110", "--memory", "1.2", "--threshold", "2"]),
+    for (option, value, others) in [
+        ("--threshold", "1e6", format!("{whole} --resolution 32 --memory 100")),
+        ("--resolution", "200", format!("{whole} --memory 1.2 --threshold 1")),
+        ("--resolution", "181", format!("{whole} --memory 1.2 --threshold 1")),
+        ("--resolution", "100", format!("{whole} --memory 1.2 --threshold 2")),
+        ("--resolution", "110", format!("{aside} --memory 1.2 --threshold 2")),
     ] {
         let before = if option == "--threshold" { "a threshold of " } else { "a resolution of about " };
-        let draw = |options: &[&str]| program::run(&[&["mesh", &run, "--quiet"], options].concat());
-        let output = draw(&refused);
-        assert!(!output.status.success(), "{refused:?}");
-        let message = String::from_utf8(output.stderr).unwrap();
+        let draw = |value: &str| format!("mesh run --quiet {others} {option} {value}");
+        let message = place.run(&draw(value), 2);
         let (_, rest) = message.rsplit_once(before).unwrap_or_else(|| panic!("{message}"));
-        let mut options = refused;
-        let at = options.iter().position(|&given| given == option).unwrap();
-        options[at + 1] = rest.split_whitespace().next().unwrap();
-        let output = draw(&options);
-        assert!(output.status.success(), "{message} {options:?}: {}", String::from_utf8_lossy(&output.stderr));
-        assert!(json(&Path::new(&run).join("mesh/mesh.json"))["faces"].as_u64().unwrap() > 0);
+        place.run(&draw(rest.split_whitespace().next().unwrap()), 0);
+        assert!(place.json("run/mesh/mesh.json")["faces"].as_u64().unwrap() > 0);
     }
 }
 
 #[test]
 fn broken_weights_are_named() {
-    let dir = TempDir::new().unwrap();
-    let run = trained(&dir, &[]);
-    let checkpoint = newest(&Path::new(&run).join("checkpoints"));
+    let place = trained("");
+    let checkpoint = newest(&place.at("run/checkpoints"));
     let file = checkpoint.join("state.safetensors");
     let mut tensors = candle_core::safetensors::load(&file, &candle_core::Device::Cpu).unwrap();
     let bias = tensors.get_mut("fine.density.bias").unwrap();
@@ -225,17 +196,15 @@ fn broken_weights_are_named() {
     candle_core::safetensors::save(&tensors, &file).unwrap();
     // Broken by training, not on the disk.
     seal(&checkpoint);
-    refuse(&["mesh", &run, "--resolution", "16"], 6, &["the density at", "is NaN", "weights are broken"]);
+    place.refuses("mesh run --resolution 16", 6, &["the density at", "is NaN", "weights are broken"]);
 }
 
 #[test]
 fn a_mesh_of_a_hash_field_was_queried_at_points() {
-    let dir = TempDir::new().unwrap();
-    let set = ["--set", "field.encoding=hash", "--set", "field.hash.log2_table=8", "--set", "train.steps=2"];
-    let run = trained(&dir, &set);
+    let place = trained(&set("field.encoding=hash field.hash.log2_table=8 train.steps=2"));
     // Low enough for any start.
-    succeed(&["mesh", &run, "--quiet", "--resolution", "8", "--threshold", "1e-6", "--cap"]);
-    let report = json(&Path::new(&run).join("mesh/mesh.json"));
+    place.run("mesh run --quiet --resolution 8 --threshold 1e-6 --cap", 0);
+    let report = place.json("run/mesh/mesh.json");
     assert!(report["variance"].is_null() && report["vertices"].as_u64() > Some(0), "{report}");
 }
 
@@ -245,14 +214,11 @@ fn an_evaluation_measures_depth_and_where_asked_the_surface() {
 }
 
 fn measures_depth_and_surface(method: &str) {
-    let dir = TempDir::new().unwrap();
-    let mesh =
-        ["--set", "eval.mesh.resolution=32", "--set", "eval.mesh.threshold=1.5", "--set", "eval.mesh.points=5000"];
     // MipNeRF's own rate is still warming up within so few steps.
-    let rate = ["--set", "train.schedule=exponential", "--set", "train.steps=400"];
-    let run = trained(&dir, &[&["--method", method], &mesh[..], &rate[..]].concat());
-    let path = Path::new(&run).join("metrics.json");
-    let metrics = json(&path);
+    let settings = "eval.mesh.resolution=32 eval.mesh.threshold=1.5 eval.mesh.points=5000 train.schedule=exponential \
+        train.steps=400";
+    let place = trained(&format!("--method {method}{}", set(settings)));
+    let metrics = place.json("run/metrics.json");
     let mean = &metrics["mean"];
     for name in ["depth_mae", "depth_rmse", "depth_roughness", "depth_roughness_truth", "normal_roughness", "chamfer"] {
         assert!(mean[name].as_f64().unwrap() > 0.0, "{name}: {mean}");
@@ -262,61 +228,55 @@ fn measures_depth_and_surface(method: &str) {
     assert!((0.0..=1.0).contains(&mean["f_score"].as_f64().unwrap()));
     let words = metrics["protocol"]["mesh"].as_str().unwrap();
     assert!(words.contains("32^3") && words.contains("builtin") && words.contains("5000 points"), "{words}");
-    let table = std::fs::read_to_string(Path::new(&run).join("metrics.csv")).unwrap();
+    let table = place.text("run/metrics.csv");
     assert!(table.lines().next().unwrap().contains("depth_mae,depth_rmse,depth_left_out"), "{table}");
     // Once more from the checkpoint.
-    succeed(&["eval", &run, "--quiet"]);
-    assert_eq!(json(&path), metrics);
+    place.run("eval run --quiet", 0);
+    assert_eq!(place.json("run/metrics.json"), metrics);
     // And by hand, from the files.
-    succeed(&["mesh", &run, "--quiet", "--resolution", "32", "--threshold", "1.5"]);
-    let variance = json(&Path::new(&run).join("mesh/mesh.json"))["variance"][2].as_f64();
+    place.run("mesh run --quiet --resolution 32 --threshold 1.5", 0);
+    let variance = place.json("run/mesh/mesh.json")["variance"][2].as_f64();
     assert_eq!(variance.is_some(), method == "mip-nerf");
     assert!(variance.is_none_or(|found| (found / ((2.4f64 / 32.0).powi(2) / 12.0) - 1.0).abs() < 1e-12));
-    let compared = only_row(&printed(&["mesh", &run, "--chamfer", "builtin", "--points", "5000", "--within", "0.02"]));
+    let compared = only_row(&place.printed("mesh run --chamfer builtin --points 5000 --within 0.02"));
     assert!((number(&compared, "chamfer") - mean["chamfer"].as_f64().unwrap()).abs() < 1e-6);
     assert!((number(&compared, "f_score_0.02") - mean["f_score"].as_f64().unwrap()).abs() < 1e-3);
 }
 
 #[test]
 fn without_a_reference_mesh_no_training_begins() {
-    let dir = TempDir::new().unwrap();
-    let out = dir.path().join("run").display().to_string();
-    let train = |further: &[&'static str]| {
-        let start = ["train", "--quiet", "--out", &*out.clone().leak()];
-        let small = ["eval.mesh.resolution=32", "data.width=24", "train.rays=64"].map(|setting| ["--set", setting]);
-        [&start[..], &small.concat(), further].concat()
-    };
-    refuse(&train(&["--set", "data.kind=builtin-forward"]), 2, &["eval.mesh.reference", "needs a reference mesh"]);
-    refuse(&train(&["--set", "eval.mesh.reference=/nowhere/a.ply"]), 3, &["/nowhere/a.ply"]);
-    let line = dir.path().join("line.obj");
-    std::fs::write(&line, "v 0 0 0\nv 1 0 0\nv 2 0 0\nf 1 2 3\n").unwrap();
-    let reference = format!("eval.mesh.reference={}", line.display()).leak();
-    refuse(&train(&["--set", reference]), 3, &["line.obj", "no area"]);
-    refuse(&train(&["--set", "eval.mesh.box=[[8,8,8],[9,9,9]]"]), 2, &["eval.mesh.box", "outside of"]);
-    let beyond = ["--set", "data.kind=builtin-forward", "--set", "eval.mesh.box=[[-1,-1,-1],[1,1,1.5]]"];
-    let mesh = dir.path().join("a.obj");
-    std::fs::write(&mesh, "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n").unwrap();
-    let reference = format!("eval.mesh.reference={}", mesh.display()).leak();
-    refuse(&train(&[&beyond[..], &["--set", reference]].concat()), 2, &["eval.mesh.box", "1.5"]);
-    refuse(&train(&["--set", "eval.mesh.threshold=0"]), 2, &["eval.mesh.threshold"]);
-    refuse(&train(&["--set", "eval.mesh.resolution=2000"]), 2, &["eval.mesh.resolution", "1024"]);
-    assert!(!Path::new(&out).exists());
+    let place = Place::new();
+    place.write("line.obj", "v 0 0 0\nv 1 0 0\nv 2 0 0\nf 1 2 3\n");
+    place.write("a.obj", "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n");
+    let forward = "data.kind=builtin-forward";
+    let beyond = format!("{forward} eval.mesh.box=[[-1,-1,-1],[1,1,1.5]] eval.mesh.reference=a.obj");
+    for (settings, code, words) in [
+        (forward, 2, ["eval.mesh.reference", "needs a reference mesh"]),
+        ("eval.mesh.reference=/nowhere/a.ply", 3, ["/nowhere/a.ply", ""]),
+        ("eval.mesh.reference=line.obj", 3, ["line.obj", "no area"]),
+        ("eval.mesh.box=[[8,8,8],[9,9,9]]", 2, ["eval.mesh.box", "outside of"]),
+        (&beyond, 2, ["eval.mesh.box", "1.5"]),
+        ("eval.mesh.threshold=0", 2, ["eval.mesh.threshold", ""]),
+        ("eval.mesh.resolution=2000", 2, ["eval.mesh.resolution", "1024"]),
+    ] {
+        let small = set("eval.mesh.resolution=32 data.width=24 train.rays=64");
+        place.refuses(&format!("train --quiet --out run{small}{}", set(settings)), code, &words);
+    }
+    assert!(!place.at("run").exists());
 }
 
 #[test]
 fn a_scene_in_ndc_has_its_mesh_and_depth_in_scene_units() {
-    let dir = TempDir::new().unwrap();
-    let run = trained(&dir, &["--set", "data.kind=builtin-forward"]);
-    let mean = json(&Path::new(&run).join("metrics.json"))["mean"].clone();
+    let place = trained(&set("data.kind=builtin-forward"));
+    let mean = &place.json("run/metrics.json")["mean"];
     // Depths of the forward scene are between 1 and 4 units: an error in NDC would be under 1, in wrong units far
     // above.
     assert!((1e-3..2.0).contains(&mean["depth_mae"].as_f64().unwrap()), "{mean}");
-    succeed(&["mesh", &run, "--quiet", "--resolution", "32", "--threshold", "1", "--cap", "--format", "obj"]);
-    let mesh = Path::new(&run).join("mesh");
-    let report = json(&mesh.join("mesh.json"));
+    place.run("mesh run --quiet --resolution 32 --threshold 1 --cap --format obj", 0);
+    let report = place.json("run/mesh/mesh.json");
     assert_eq!((&report["box_units"], &report["closed"]), (&"NDC".into(), &true.into()));
     assert!(report["volume"].as_f64().unwrap() > 0.0, "the map from NDC turns triangles over");
-    let text = text(&mesh.join("mesh.obj"));
+    let text = place.text("run/mesh/mesh.obj");
     let depths =
         text.lines().filter(|line| line.starts_with("v ")).map(|line| line.split(' ').nth(3).unwrap().parse().unwrap());
     assert!(depths.clone().count() > 10 && depths.into_iter().all(|z: f64| z < -1.0), "beyond the near plane");
@@ -389,70 +349,47 @@ fn the_chairs_depth_maps_agree_between_views() {
 
 #[test]
 fn a_sweep_has_columns_of_geometry_and_says_what_they_need() {
-    let dir = TempDir::new().unwrap();
-    let path = |name: &str| dir.path().join(name).display().to_string();
-    let definition = |surface: &str| {
-        format!(
+    let place = Place::new();
+    let sweep = |name: &str, surface: &str| {
+        let definition = format!(
             "title = \"geometry\"\npreset = \"smoke\"\nscenes = [\"builtin\"]\nseeds = [0]\n\
              metrics = [\"psnr\", \"chamfer\", \"f_score\", \"depth_mae\", \"normal_roughness\"]\n\
              [set]\n\"data.width\" = 24\n\"field.width\" = 16\n\"sampling.coarse\" = 8\n\"sampling.fine\" = 8\n\
              \"train.rays\" = 64\n\"train.steps\" = 40\n\"eval.pictures\" = 0\n{surface}\n[[row]]\nname = \"NeRF\"\n"
-        )
+        );
+        place.write(&format!("{name}.toml"), definition);
+        format!("sweep run {name}.toml --out {name} --quiet")
     };
-    let sweep = |name: &str, surface: &str| {
-        let file = path(&format!("{name}.toml"));
-        std::fs::write(&file, definition(surface)).unwrap();
-        let arguments = ["sweep", "run", &file, "--out", &path(name), "--quiet"];
-        arguments.map(String::from).to_vec()
-    };
-    fn plain(arguments: &[String]) -> Vec<&str> {
-        arguments.iter().map(String::as_str).collect()
-    }
-    refuse(&plain(&sweep("bare", "")), 2, &["NeRF", "chamfer", "eval.mesh.resolution"]);
+    place.refuses(&sweep("bare", ""), 2, &["NeRF", "chamfer", "eval.mesh.resolution"]);
     // A density that none of these densities reaches: no surface, so no number.
     let none = sweep("none", "\"eval.mesh\" = { resolution = 16, threshold = 1e6 }");
-    succeed(&plain(&none));
+    place.run(&none, 0);
     // What stays missing is looked for once a run, not for ever.
-    succeed(&[plain(&none), vec!["--remeasure"]].concat());
-    let some = sweep("some", "\"eval.mesh\" = { resolution = 16, threshold = 0.01, points = 2000 }");
-    succeed(&plain(&some));
+    place.run(&format!("{none} --remeasure"), 0);
+    place.run(&sweep("some", "\"eval.mesh\" = { resolution = 16, threshold = 0.01, points = 2000 }"), 0);
     for (name, there) in [("none", false), ("some", true)] {
-        let row = points_of(&dir.path().join(name).join("results")).remove(0);
-        let cell = |name: &str| &row[name];
-        assert_eq!((!cell("chamfer").is_empty(), !cell("f_score").is_empty()), (there, there), "{name}");
-        assert!(cell("depth_mae").parse::<f64>().unwrap() > 0.0 && !cell("normal_roughness").is_empty());
-        assert!(cell("mesh").contains("16^3"), "{name}: {}", cell("mesh"));
+        let row = points_of(&place.at(name).join("results")).remove(0);
+        assert_eq!((!row["chamfer"].is_empty(), !row["f_score"].is_empty()), (there, there), "{name}");
+        assert!(row["depth_mae"].parse::<f64>().unwrap() > 0.0 && !row["normal_roughness"].is_empty());
+        assert!(row["mesh"].contains("16^3"), "{name}: {}", row["mesh"]);
     }
 }
 
 #[test]
 fn a_mesh_is_drawn_as_a_picture_from_several_sides() {
-    let dir = tempfile::tempdir().unwrap();
-    let file = dir.path().join("mesh.png");
-    let name = file.to_str().unwrap();
-    program::succeed(&[
-        "mesh",
-        "builtin",
-        "--picture",
-        name,
-        "--at",
-        "0.1,0.6",
-        "--columns",
-        "64",
-        "--paint",
-        "colours",
-    ]);
-    let picture = image::open(&file).unwrap().to_rgb8();
+    let place = Place::new();
+    place.run("mesh builtin --picture mesh.png --at 0.1,0.6 --columns 64 --paint colours", 0);
+    let picture = image::open(place.at("mesh.png")).unwrap().to_rgb8();
     assert_eq!(picture.dimensions(), (64 + 4 + 64, 64));
     let coloured = picture.pixels().filter(|pixel| pixel.0.iter().max().unwrap() - pixel.0.iter().min().unwrap() > 60);
     assert!(coloured.count() > 100);
-    for (arguments, words) in [
-        (&["mesh", "builtin"][..], &["--picture FILE.png"][..]),
-        (&["mesh", "builtin", "--picture", name, "--view", "1"], &["no held-out views", "--at"]),
-        (&["mesh", "builtin", "--picture", name, "--at", "1.5"], &["--at 1.5: out of range"]),
-        (&["mesh", "builtin", "--picture", "mesh.jpg"], &["mesh.jpg", ".png"]),
+    for (flags, code, words) in [
+        ("", 2, &["--picture FILE.png"][..]),
+        ("--picture mesh.png --view 1", 2, &["no held-out views", "--at"]),
+        ("--picture mesh.png --at 1.5", 2, &["--at 1.5: out of range"]),
+        ("--picture mesh.jpg", 2, &["mesh.jpg", ".png"]),
+        ("--picture nowhere/mesh.png", 4, &["no folder nowhere"]),
     ] {
-        program::refuse(arguments, 2, words);
+        place.refuses(&format!("mesh builtin {flags}"), code, words);
     }
-    program::refuse(&["mesh", "builtin", "--picture", "nowhere/mesh.png"], 4, &["no folder nowhere"]);
 }

@@ -1,84 +1,50 @@
 //! Fields on a hash grid through everything that is done with a run, and through every kind of second pass.
 
-use std::path::Path;
-use std::sync::{Mutex, MutexGuard, OnceLock, PoisonError};
-
-use crate::common::files::{json, points_of, rows, text};
-use crate::common::program::{printed, succeed};
+use crate::common::files::rows;
+use crate::common::program::{Place, set};
 use crate::common::{parameters, tiny_config, trained};
 use augnerf::augment::{Passes, Site};
-use augnerf::settings::{DensityActivation, Encoding, Method, OutputPlace, PerturbField, REGULARIZERS, Regularizer};
-use tempfile::TempDir;
+use augnerf::settings::{DensityActivation, Encoding, Method, OutputPlace, REGULARIZERS};
 
 /// A run of half a second on the embedded scene at 16 x 16, in a box that rays enter and leave.
 const SMALL: &str = "data.width=16 field.encoding=hash field.width=16 field.view_width=16 field.hash.levels=4 \
     field.hash.log2_table=10 field.hash.coarsest=4 field.hash.finest=32 sampling.coarse=16 sampling.fine=16 \
     train.rays=128 train.chunk=64";
 
-fn small() -> Vec<&'static str> {
-    SMALL.split_whitespace().flat_map(|setting| ["--set", setting]).collect()
-}
-
-/// A run of NeRF and one of Aug-NeRF, which tests add folders of their own to: one at a time, as a run's lock demands.
-fn pair() -> (MutexGuard<'static, ()>, [&'static str; 2]) {
-    static ALONE: Mutex<()> = Mutex::new(());
-    let alone = ALONE.lock().unwrap_or_else(PoisonError::into_inner);
-    static DIR: OnceLock<(TempDir, [String; 2])> = OnceLock::new();
-    let (_, runs) = DIR.get_or_init(|| {
-        let dir = TempDir::new().unwrap();
-        let runs = ["nerf", "aug-nerf"].map(|method| {
-            let out = dir.path().join(method).display().to_string();
-            let train = ["train", "--quiet", "--preset", "fast", "--method", method, "--out", &out];
-            let short = ["--set", "train.steps=80", "--set", "eval.pictures=0"];
-            succeed(&[&train[..], &small(), &short].concat());
-            out
-        });
-        (dir, runs)
-    });
-    (alone, runs.each_ref().map(String::as_str))
-}
-
+/// A run of NeRF and one of Aug-NeRF, which are evaluated, rendered, compared, and drawn as a mesh.
 #[test]
-fn a_run_on_a_grid_is_evaluated_and_rendered() {
-    let (_alone, [run, _]) = pair();
-    let path = Path::new(run).join("metrics.json");
-    let metrics = json(&path);
+fn runs_on_a_grid_go_through_every_command() {
+    let place = Place::new();
+    for method in ["nerf", "aug-nerf"] {
+        let small = set(&format!("{SMALL} train.steps=80 eval.pictures=0"));
+        place.run(&format!("train --quiet --preset fast --method {method} --out {method}{small}"), 0);
+    }
+    let metrics = place.json("nerf/metrics.json");
     assert!(metrics["mean"]["psnr"].as_f64().unwrap() > 15.0, "{metrics}");
     assert!(metrics["protocol"]["hash_grid"].as_str().unwrap().contains("4 x 2, 2^10, 4 to 32"), "{metrics}");
-    succeed(&["eval", "--quiet", run]);
-    assert_eq!(json(&path), metrics, "the checkpoint gives the same numbers as the trained fields");
-    succeed(&["render", "--quiet", run, "--frames", "2"]);
+    place.run("eval --quiet nerf", 0);
+    assert_eq!(place.json("nerf/metrics.json"), metrics, "the checkpoint gives the numbers of the trained fields");
+    place.run("render --quiet nerf --frames 2", 0);
     for file in ["rgb_001.png", "depth_001.png", "depth.json"] {
-        assert!(Path::new(run).join("renders/path").join(file).is_file(), "{file}");
+        assert!(place.at("nerf/renders/path").join(file).is_file(), "{file}");
     }
-}
 
-#[test]
-fn runs_on_a_grid_are_compared_and_profiled() {
-    let dir = TempDir::new().unwrap();
-    let (_alone, [a, b]) = pair();
-    let [compared, ray] = ["compared", "ray"].map(|name| dir.path().join(name).display().to_string());
-    succeed(&["compare", "-q", a, b, "--out", &compared]);
-    let report = json(&Path::new(&compared).join("compare.json"));
+    place.run("compare -q nerf aug-nerf --out compared", 0);
+    let report = place.json("compared/compare.json");
     for run in report["runs"].as_array().unwrap() {
         assert_eq!(run["protocol"]["hash_grid"], report["runs"][0]["protocol"]["hash_grid"]);
         assert!(run["protocol"]["hash_grid"].is_string(), "{run}");
     }
-    succeed(&["compare", "-q", a, b, "--ray", "8,8", "--out", &ray]);
-    let table = rows(&text(&Path::new(&ray).join("ray.csv")));
-    let density = |row: &std::collections::HashMap<String, String>| row["density"].parse::<f64>().unwrap();
-    assert!(table.iter().any(|row| density(row) > 0.0) && table.iter().any(|row| density(row) == 0.0));
-}
+    place.run("compare -q nerf aug-nerf --ray 8,8 --out ray", 0);
+    let densities = rows(&place.text("ray/ray.csv")).into_iter().map(|row| row["density"].parse::<f64>().unwrap());
+    let densities: Vec<f64> = densities.collect();
+    assert!(densities.iter().any(|density| *density > 0.0) && densities.contains(&0.0));
 
-#[test]
-fn a_run_on_a_grid_is_drawn_as_a_mesh() {
-    let (_alone, [run, _]) = pair();
-    let draw = ["mesh", run, "--quiet", "--resolution", "24", "--threshold", "1", "--cap"];
-    succeed(&draw);
-    let report = json(&Path::new(run).join("mesh/mesh.json"));
+    place.run("mesh nerf --quiet --resolution 24 --threshold 1 --cap", 0);
+    let report = place.json("nerf/mesh/mesh.json");
     assert_eq!(report["closed"], true, "{report}");
     assert!(report["area"].as_f64().unwrap() > 0.05, "{report}");
-    let table = rows(&printed(&["eval", "--smoothness", "--quiet", "--lattice", "8", run]));
+    let table = rows(&place.printed("eval --smoothness --quiet --lattice 8 nerf"));
     assert!(
         table.iter().all(|row| row["tv"].parse::<f64>().unwrap() > 0.0 && row["laplacian"].is_empty()),
         "{table:?}"
@@ -87,41 +53,12 @@ fn a_run_on_a_grid_is_drawn_as_a_mesh() {
 
 #[test]
 fn weights_of_terms_are_balanced_on_a_grid() {
-    let further = ["--set", "field.hash.interpolation=smoothstep", "--set", "regularizer.points_per_step=64"];
-    let balance = ["train", "--balance=3", "--quiet", "--preset", "fast"];
-    let table = rows(&printed(&[&balance[..], &small(), &further].concat()));
+    let smooth = set(&format!("{SMALL} field.hash.interpolation=smoothstep regularizer.points_per_step=64"));
+    let table = rows(&Place::new().printed(&format!("train --balance=3 --quiet --preset fast{smooth}")));
     // The scene has no triangulated points.
     assert_eq!(table.len(), 5 * (REGULARIZERS.len() - 1), "five shares of each term: {table:?}");
     for row in table.into_iter().filter(|row| row["term_norm"].parse() != Ok(0.0)) {
         assert!(row["weight"].parse::<f64>().unwrap() > 0.0, "{row:?}");
-    }
-}
-
-#[test]
-fn a_sweep_of_grids_ends_in_its_table() {
-    let dir = TempDir::new().unwrap();
-    let settings = SMALL.split_whitespace().map(|setting| {
-        let (name, value) = setting.split_once('=').unwrap();
-        let value = if value.parse::<u32>().is_ok() { value.to_string() } else { format!("\"{value}\"") };
-        format!("\"{name}\" = {value}\n")
-    });
-    let definition = format!(
-        "title = \"grids\"\npreset = \"fast\"\nscenes = [\"builtin\"]\nseeds = [0, 1]\nmetrics = [\"psnr\", \"tv\"]\n\
-         baseline = \"NeRF\"\n[set]\n{}\"train.steps\" = 10\n\"eval.pictures\" = 0\n[[row]]\nname = \"NeRF\"\n\
-         [[row]]\nname = \"Aug-NeRF\"\nset = {{ method = \"aug-nerf\" }}\n",
-        settings.collect::<String>()
-    );
-    let file = dir.path().join("grids.toml").display().to_string();
-    std::fs::write(&file, definition).unwrap();
-    let out = dir.path().join("out").display().to_string();
-    succeed(&["sweep", "run", &file, "--out", &out, "--quiet"]);
-    let points = points_of(&Path::new(&out).join("results"));
-    assert_eq!(points.len(), 4, "two rows, two seeds");
-    for point in points {
-        assert!(
-            point["psnr"].parse::<f64>().unwrap() > 5.0 && point["hash_grid"].contains("4 x 2, 2^10, 4 to 32"),
-            "{point:?}"
-        );
     }
 }
 
@@ -158,33 +95,4 @@ fn each_site_is_attacked_alone_on_a_grid() {
         assert!(measured.gain.is_finite() && measured.shift > 0.0, "{measured:?}");
         assert!(site != Site::Rgb || measured.gain > 0.0, "{measured:?}");
     }
-}
-
-/// A separate field learns from the perturbed loss alone; the evaluated one from the clean loss alone.
-#[test]
-fn a_separate_field_leaves_the_evaluated_grid_alone() {
-    let with = |method, field| on_a_grid(method, |config| config.perturb.field = field);
-    let start = trained(&with(Method::AugNerf, PerturbField::Separate), 0);
-    let nerf = trained(&with(Method::Nerf, PerturbField::Shared), 2);
-    let shared = trained(&with(Method::AugNerf, PerturbField::Shared), 2);
-    let separate = trained(&with(Method::AugNerf, PerturbField::Separate), 2);
-    let evaluated = |trainer| parameters(trainer, &["coarse", "fine"]);
-    assert!(!evaluated(&nerf).is_empty());
-    assert_ne!(evaluated(&nerf), evaluated(&shared));
-    assert_eq!(evaluated(&nerf), evaluated(&separate));
-    assert_ne!(parameters(&start, &["adversarial"]), parameters(&separate, &["adversarial"]));
-}
-
-/// The distortion loss is reported, and descended: with it rays end in one place more than without.
-#[test]
-fn the_distortion_loss_is_descended_on_a_grid() {
-    let spread = |weight: f64| {
-        let config = on_a_grid(Method::Nerf, |config| {
-            config.regularizer.kind = vec![Regularizer::Distortion];
-            config.regularizer.weight = vec![weight];
-        });
-        trained(&config, 60).step(false).unwrap().term("regularizer.distortion").unwrap()
-    };
-    let (weak, strong) = (spread(1e-9), spread(0.3));
-    assert!(strong > 0.0 && strong < 0.9 * weak, "{strong} with the term, {weak} without");
 }

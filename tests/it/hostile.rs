@@ -6,7 +6,6 @@ use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
-use crate::common::files::write_poses;
 use crate::common::program::{augnerf, demand, refuse, succeed};
 use crate::common::{assert_says, assert_takes_at_most};
 use augnerf::base::Error;
@@ -185,24 +184,6 @@ fn numbers_that_f32_cannot_hold_are_refused_with_file_and_field() {
 }
 
 #[test]
-fn a_pose_file_of_depth_bounds_that_cannot_be_scaled_is_refused() {
-    let dir = TempDir::new().unwrap();
-    fs::create_dir(dir.path().join("images")).unwrap();
-    for i in 0..2 {
-        image::RgbImage::new(16, 12).save(dir.path().join(format!("images/{i}.png"))).unwrap();
-    }
-    let check = |near: f64, origin: f64| {
-        let row = |x: f64| [0., 1., 0., x, 12., -1., 0., 0., 0., 16., 0., 0., 1., 0., 14., near, 2.0 * near];
-        write_poses(dir.path(), &[row(0.0), row(origin)]);
-        augnerf(&["data", "check", dir.path().to_str().unwrap(), "--set", "data.downscale=1"])
-    };
-    demand(&mut check(1.0, 0.1), 0);
-    assert_says(&demand(&mut check(5e-324, 0.1), 3), &["poses_bounds.npy", "view 0", "depth bounds"]);
-    assert_says(&demand(&mut check(1.0, 1e39), 3), &["poses_bounds.npy", "view 1", "column 3"]);
-    assert_says(&demand(&mut check(2e-6, 1e11), 3), &["view", "1e12"]);
-}
-
-#[test]
 fn a_terminal_gets_no_commands_and_no_megabytes_from_files() {
     let dir = TempDir::new().unwrap();
     let config = dir.path().join("config.toml");
@@ -302,32 +283,4 @@ fn pictures_that_memory_does_not_hold_are_refused_before_they_are_decoded() {
     }
     let arguments = ["data", "check", dir.path().to_str().unwrap(), "--set", "data.downscale=1"];
     refuse(&arguments, 3, &["2 images of 1000000x1000000 pixels", "GiB", "data.downscale"]);
-}
-
-/// Names of rows that browsers and LaTeX would obey.
-#[test]
-fn names_of_rows_are_words_in_every_file() {
-    let dir = TempDir::new().unwrap();
-    let mut run = augnerf(&["sweep", "run", fixture("inj.toml").to_str().unwrap(), "--quiet"]);
-    demand(run.current_dir(dir.path()), 0);
-    let read = |name: &str| fs::read_to_string(dir.path().join("results/inj").join(name)).unwrap();
-    for name in ["table.md", "rows_builtin_psnr.svg"] {
-        let text = read(name);
-        assert!(!text.replace("\\<", "").contains("<script>") && text.contains("script"), "{name}: {text}");
-    }
-    assert_eq!(read("report.html").matches("<script").count(), 1, "the page has one script, its own");
-    let (markdown, latex) = (read("table.md"), read("table.tex"));
-    assert!(!markdown.contains("[click](") && !markdown.contains("![img]("), "{markdown}");
-    assert!(!latex.contains("\\input{") && !latex.contains("& 50%") && latex.contains("etc/passwd"), "{latex}");
-}
-
-#[test]
-fn names_with_control_characters_are_refused() {
-    let sound = fs::read_to_string(fixture("inj.toml")).unwrap();
-    for name in ["line1\\nline2", "para1\\n\\npara2", "x\\u0000y", "\\u001b[31mred", "\\ttab"] {
-        let text = sound.replace("&lt;b&gt;", name);
-        assert!(text != sound);
-        let message = refused(|| augnerf::sweep::Definition::parse(&text, "inj.toml"));
-        assert_says(&message, &["control character"]);
-    }
 }

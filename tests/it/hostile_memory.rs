@@ -8,6 +8,7 @@ use std::time::Duration;
 use crate::common::assert_says;
 use crate::common::program::augnerf;
 use crate::hostile::scene;
+use crate::verify::results;
 use augnerf::settings::{DataKind, Preset, build, parse_assignment};
 use tempfile::TempDir;
 
@@ -48,20 +49,6 @@ fn refused_within_memory(arguments: &[&str], code: i32, words: &[&str]) {
     panic!("{arguments:?} was never seen at work");
 }
 
-/// A results' folder with a file of its own.
-fn committed_with(name: &str, bytes: &[u8]) -> (TempDir, String) {
-    let dir = TempDir::new().unwrap();
-    let folder = dir.path().join("smoke");
-    fs::create_dir(&folder).unwrap();
-    for entry in fs::read_dir(Path::new(env!("CARGO_MANIFEST_DIR")).join("results/checks/smoke")).unwrap() {
-        let path = entry.unwrap().path();
-        fs::copy(&path, folder.join(path.file_name().unwrap())).unwrap();
-    }
-    fs::write(folder.join(name), bytes).unwrap();
-    let folder = folder.to_str().unwrap().to_string();
-    (dir, folder)
-}
-
 #[test]
 fn poses_of_millions_of_values_are_refused_as_they_are_read() {
     let dir = scene(r#""camera_angle_x": 0.7"#, "0.5");
@@ -86,12 +73,14 @@ fn plans_of_more_points_than_a_sweep_has_are_refused_as_they_are_read() {
     let points = vec![point.as_str(); 10_001].join(",");
     let text = format!(r#"{{"data_root": null, "points": [{points}]}}"#);
     assert!(text.len() < 64 << 20, "{}", text.len());
-    let (_dir, folder) = committed_with("points.json", text.as_bytes());
-    let (code, said, most) = watched(&mut augnerf(&["verify", &folder]));
+    let (_dir, folder) = results("smoke");
+    fs::write(folder.join("points.json"), text).unwrap();
+    let folder = folder.to_str().unwrap();
+    let (code, said, most) = watched(&mut augnerf(&["verify", folder]));
     assert!(code == 5 && most < 1024.0, "{most} MiB: {said}");
     assert_says(&said, &["points.json", "more than 10000 points"]);
-    let (_dir, folder) = committed_with("points.json", &vec![b' '; 65 << 20]);
-    refused_within_memory(&["verify", &folder], 10, &["points.json", "more than 64 MiB"]);
+    fs::write(Path::new(folder).join("points.json"), vec![b' '; 65 << 20]).unwrap();
+    refused_within_memory(&["verify", folder], 10, &["points.json", "more than 64 MiB"]);
 }
 
 /// What a training of the plain core is said to take is near what it takes: neither is more than one and a half times the

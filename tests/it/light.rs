@@ -1,127 +1,70 @@
 //! One operation from raw output to the loss gives the numbers of many, to the bit: forward and back.
 
-use crate::common::{flat, tiny_config, tiny_scene};
-use augnerf::augment::{Deltas, Draw, Norm, PassGeometry, Passes, PixelScale, SampleDensity, Sets, Site};
+use crate::common::flat;
+use crate::common::pass::Setting;
+use augnerf::augment::{Deltas, Draw, Norm, Sets, Site};
 use augnerf::base::rng::{Random, Stream};
-use augnerf::data::{RayBuffer, RayParts, Rays};
 use augnerf::field::Field;
-use augnerf::render::{
-    Pass, PassLoss, Perturbation, clean_pass, clean_pass_loss, perturbed_pass, perturbed_pass_loss, sampling,
-};
-use augnerf::settings::{Contraction, DensityActivation, Encoding, FieldConfig, HashConfig, Method, Resolved};
+use augnerf::render::{PassLoss, clean_pass, clean_pass_loss, perturbed_pass, perturbed_pass_loss};
+use augnerf::settings::{Contraction, DensityActivation, Encoding, FieldConfig, HashConfig, Method};
 use candle_core::{DType, Device, Tensor, Var};
 
 const CPU: Device = Device::Cpu;
-const RAYS: usize = 5;
-const SAMPLES: usize = 7;
 
-/// A pass of a small f32 field.
-struct Setting {
-    config: Resolved,
-    field: Field,
-    rays: Rays,
-    t_vals: Tensor,
-    noise: Option<Tensor>,
-    background: Option<[f32; 3]>,
-    target: Tensor,
-    sets: Sets,
+/// A pass of a small f32 field, with density noise and a background, or with neither.
+fn small(method: Method, rich: bool, norm: Norm) -> Setting {
+    let setting = Setting::new(method, 5, (5, 7), DType::F32, |config| {
+        config.sites[Site::Rgb].epsilon = Some(0.1.into());
+        config.sites[Site::Rgb].norm = Some(norm);
+        config.sites[Site::Density].epsilon = Some(0.3.into());
+    });
+    let noise = setting.noise.clone().filter(|_| rich);
+    Setting { noise, background: rich.then_some([0.9, 0.2, 0.4]), ..setting }
 }
 
-impl Setting {
-    /// With density noise and a background, or with neither.
-    fn new(method: Method, rich: bool, norm: Norm) -> Setting {
-        let config = tiny_config(method, |config| {
-            config.perturb.sites.iter_mut().for_each(|(_, site)| site.passes = Passes::Both);
-            config.perturb.sites[Site::Rgb].epsilon = Some(0.1.into());
-            config.perturb.sites[Site::Rgb].norm = Some(norm);
-            config.perturb.sites[Site::Density].epsilon = Some(0.3.into());
-        });
-        let scene = tiny_scene();
-        let pixels: Vec<_> = (0..RAYS as u32).map(|i| (&scene.train[0].camera, 3 * i, 15 - 2 * i)).collect();
-        let rays =
-            RayBuffer::new(&pixels, None, Default::default(), RayParts::ALL).to_tensors(DType::F32, &CPU).unwrap();
-        let mut random = Random::new(5, Stream::Jitter, 0);
-        let mut draw = |shape: &[usize]| random.uniform_tensor(shape, DType::F32, &CPU).unwrap();
-        let columns = SAMPLES + usize::from(method.encoding().at_intervals());
-        let jitter = draw(&[RAYS, columns]);
-        let t_vals = sampling::stratified(
-            (2.0, 6.0),
-            augnerf::settings::Spacing::Depth,
-            RAYS,
-            columns,
-            Some(&jitter),
-            &rays.origins,
-        )
-        .unwrap();
-        let (noise, target) = (draw(&[RAYS, SAMPLES]), draw(&[RAYS, 3]));
-        let geometry = PassGeometry {
-            is_coarse: true,
-            t_vals: &t_vals,
-            samples: SAMPLES,
-            direction_norm: &rays.direction_norm,
-            bounds: (2.0, 6.0),
-            coarse_samples: columns,
-            cap_samples: columns,
-            width: config.field.width,
-            pixel: PixelScale { width: 16.0, height: 16.0, focal: 20.0, ndc: false },
-            density: SampleDensity::OWN,
-        };
-        let sets = Sets::new(&config.perturb.numbers, &config.perturb.set_choices(), &geometry).unwrap();
-        let field = Field::init(&config.field, 1, 0, DType::F32, &CPU).unwrap();
-        let (noise, background) = (rich.then_some(noise), rich.then_some([0.9, 0.2, 0.4]));
-        Setting { config, field, rays, t_vals, noise, background, target, sets }
-    }
+/// The same of a field of another kind.
+fn of(setting: Setting, config: FieldConfig) -> Setting {
+    let field = Field::init(&config, 1, 0, DType::F32, &CPU).unwrap();
+    Setting { field, ..setting }
+}
 
-    /// The same of a field of another kind.
-    fn of(self, config: FieldConfig) -> Setting {
-        let field = Field::init(&config, 1, 0, DType::F32, &CPU).unwrap();
-        Setting { field, ..self }
-    }
+fn in_exp(setting: Setting) -> Setting {
+    let config = FieldConfig { density_activation: DensityActivation::Exp, ..setting.field.config().clone() };
+    of(setting, config)
+}
 
-    fn in_exp(self) -> Setting {
-        let config = FieldConfig { density_activation: DensityActivation::Exp, ..self.field.config().clone() };
-        self.of(config)
-    }
+/// On a hash grid as training makes them, in a box that rays enter and leave; of a method with intervals, as grids
+/// have them.
+fn on_a_grid(setting: Setting) -> Setting {
+    let hash = HashConfig {
+        levels: 4,
+        log2_table: 8,
+        coarsest: 3,
+        finest: Some(14),
+        bounds: Some([[-1.2; 3], [1.4; 3]]),
+        contraction: Some(Contraction::None),
+        ..HashConfig::default()
+    };
+    let density_activation = DensityActivation::Exp;
+    let config = FieldConfig { encoding: Encoding::Hash, hash, density_activation, ..setting.field.config().clone() };
+    let setting = of(setting, config);
+    let mut values: Vec<Tensor> = setting.field.variables().iter().map(|(_, var)| var.as_tensor().clone()).collect();
+    values[0] = (&values[0] * 1e4).unwrap();
+    let field = Field::from_parameters(setting.field.config(), values).unwrap();
+    Setting { field, ..setting }
+}
 
-    /// On a hash grid as training makes them, in a box that rays enter and leave; of a method with intervals, as grids
-    /// have them.
-    fn on_a_grid(self) -> Setting {
-        let hash = HashConfig {
-            levels: 4,
-            log2_table: 8,
-            coarsest: 3,
-            finest: Some(14),
-            bounds: Some([[-0.7; 3], [0.9; 3]]),
-            contraction: Some(Contraction::None),
-            ..HashConfig::default()
-        };
-        let density_activation = DensityActivation::Exp;
-        let config = FieldConfig { encoding: Encoding::Hash, hash, density_activation, ..self.field.config().clone() };
-        let setting = self.of(config);
-        let mut values: Vec<Tensor> =
-            setting.field.variables().iter().map(|(_, var)| var.as_tensor().clone()).collect();
-        values[0] = (&values[0] * 1e4).unwrap();
-        let field = Field::from_parameters(setting.field.config(), values).unwrap();
-        Setting { field, ..setting }
+/// A random delta of each site, tracked.
+fn deltas(setting: &Setting) -> (Deltas, Vec<Var>) {
+    let mut deltas = setting.sets.draw(Draw::Uniform, |site| Random::part(3, Stream::Search, 0, site as u64)).unwrap();
+    let mut variables = Vec::new();
+    for (site, _) in setting.sets.iter() {
+        // Beyond the set's end, too: what is used is projected.
+        let variable = Var::from_tensor(&(deltas.get(site).unwrap() * 1.3).unwrap()).unwrap();
+        deltas.set(site, variable.as_tensor().clone());
+        variables.push(variable);
     }
-
-    fn pass(&self) -> Pass<'_> {
-        let Setting { rays, t_vals, noise, background, .. } = self;
-        Pass { rays, t_vals, density_noise: noise.as_ref(), background: *background, scales_gradients: false }
-    }
-
-    /// A random delta of each site, tracked.
-    fn deltas(&self) -> (Deltas, Vec<Var>) {
-        let mut deltas = self.sets.draw(Draw::Uniform, |site| Random::part(3, Stream::Search, 0, site as u64)).unwrap();
-        let mut variables = Vec::new();
-        for (site, _) in self.sets.iter() {
-            // Beyond the set's end, too: what is used is projected.
-            let variable = Var::from_tensor(&(deltas.get(site).unwrap() * 1.3).unwrap()).unwrap();
-            deltas.set(site, variable.as_tensor().clone());
-            variables.push(variable);
-        }
-        (deltas, variables)
-    }
+    (deltas, variables)
 }
 
 fn bits(tensor: &Tensor) -> Vec<u32> {
@@ -152,9 +95,9 @@ fn all(field: &Field, out: &PassLoss, variables: &[Var]) -> Vec<Vec<u32>> {
 /// Fields of every activation, at points and at Gaussians, and on a grid that ends; poor settings and rich ones.
 fn settings(norm: Norm) -> Vec<(String, Setting)> {
     let of = |rich: bool| {
-        let new = |method| Setting::new(method, rich, norm);
+        let new = |method| small(method, rich, norm);
         let points = new(Method::AugNerf);
-        let [exp, grid] = [new(Method::AugNerf).in_exp(), new(Method::AugMipNerf).on_a_grid()];
+        let [exp, grid] = [in_exp(new(Method::AugNerf)), on_a_grid(new(Method::AugMipNerf))];
         [("ReLU", points), ("softplus", new(Method::AugMipNerf)), ("exp", exp), ("grid", grid)]
             .map(|(name, setting)| (format!("{name}, rich: {rich}"), setting))
     };
@@ -185,17 +128,10 @@ fn a_perturbed_pass_is_lit_by_one_operation() {
                 setting.sets = kept;
             }
             let (one, many) = (setting.field.recording().unwrap(), setting.field.recording().unwrap());
-            let perturb = &setting.config.perturb;
-            let (deltas, variables) = setting.deltas();
-            let perturbation = |deltas| Perturbation {
-                deltas,
-                sets: &setting.sets,
-                injection_layer: perturb.injection_layer,
-                output: perturb.output,
-            };
+            let (deltas, variables) = deltas(&setting);
             let (lit, used) =
-                perturbed_pass_loss(&one, setting.pass(), perturbation(&deltas), &setting.target).unwrap();
-            let plain = perturbed_pass(&many, setting.pass(), perturbation(&deltas)).unwrap();
+                perturbed_pass_loss(&one, setting.pass(), setting.perturbation(&deltas), &setting.target).unwrap();
+            let plain = perturbed_pass(&many, setting.pass(), setting.perturbation(&deltas)).unwrap();
             for (site, _) in setting.sets.iter() {
                 let (found, expected) = (used.get(site).unwrap(), plain.used.deltas.get(site).unwrap());
                 assert_eq!(bits(found), bits(expected), "{name}: delta of {}", site.name());
@@ -212,7 +148,7 @@ fn a_perturbed_pass_is_lit_by_one_operation() {
 /// On a grid that ends rays have samples on both sides, of which those outside add nothing and learn nothing.
 #[test]
 fn samples_outside_a_grid_are_empty() {
-    let setting = Setting::new(Method::AugMipNerf, true, Norm::Linf).on_a_grid();
+    let setting = on_a_grid(small(Method::AugMipNerf, true, Norm::Linf));
     let field = setting.field.recording().unwrap();
     let lit = clean_pass_loss(&field, setting.pass(), &setting.target).unwrap();
     let (raw, weights) = (flat(&lit.raw_density), flat(&lit.composite.weights));
@@ -228,11 +164,9 @@ fn samples_outside_a_grid_are_empty() {
 /// What it cannot do goes the long way: a ball of colours.
 #[test]
 fn other_sets_go_the_long_way() {
-    let setting = Setting::new(Method::AugNerf, true, Norm::L2);
-    let (deltas, _) = setting.deltas();
-    let perturb = &setting.config.perturb;
-    let (injection_layer, output) = (perturb.injection_layer, perturb.output);
-    let perturbation = Perturbation { deltas: &deltas, sets: &setting.sets, injection_layer, output };
+    let setting = small(Method::AugNerf, true, Norm::L2);
+    let (deltas, _) = deltas(&setting);
+    let perturbation = setting.perturbation(&deltas);
     let recording = setting.field.recording().unwrap();
     let (out, _) = perturbed_pass_loss(&recording, setting.pass(), perturbation, &setting.target).unwrap();
     assert!(out.composite.rgb.track_op());
@@ -241,7 +175,7 @@ fn other_sets_go_the_long_way() {
 /// A NaN in the weights reaches the loss.
 #[test]
 fn nan_is_not_swallowed() {
-    let setting = Setting::new(Method::AugNerf, true, Norm::Linf);
+    let setting = small(Method::AugNerf, true, Norm::Linf);
     let names: Vec<String> = setting.field.variables().iter().map(|(name, _)| name.clone()).collect();
     for broken in ["rgb.bias", "density.bias"] {
         let values = setting.field.variables().iter().zip(&names).map(|((_, var), name)| {

@@ -1,16 +1,14 @@
 //! Methods without radiance fields: what cannot be asked of them is refused in a sentence, and their protocol is theirs.
 
-use crate::common::files::json;
-use crate::common::program::{refuse, succeed};
-use crate::common::{assert_says, tiny_scene};
+use crate::common::program::{Place, set};
+use crate::common::{assert_says, record, row_against, tiny_scene};
 use augnerf::base::Result;
 use augnerf::report::tables::{Table, table_latex, table_markdown};
-use augnerf::report::{PointResult, Record, RowSpec, Status, TableSpec};
+use augnerf::report::{Record, TableSpec};
 use augnerf::run::{check_measurable, surface_threshold};
 use augnerf::settings::columns::find;
 use augnerf::settings::{Capability, Config, DataKind, Extent, Preset, Representation, build, parse_assignment};
 use augnerf::sweep::{Definition, StepCosts, expand};
-use tempfile::TempDir;
 
 /// The methods, and why each has no density in space; none where it has one.
 const BASELINES: [(&str, Option<&str>); 3] = [
@@ -108,12 +106,15 @@ fn every_lack_has_its_reason_and_every_reason_is_told() {
 
 #[test]
 fn commands_that_need_fields_are_refused_before_anything_is_computed() {
+    let place = Place::new();
     for (method, _) in BASELINES {
-        refuse(&["train", "--balance", "--method", method, "--preset", "smoke"], 2, &["--balance with method", method]);
-        refuse(&["bench", "--method", method, "--coarse", "8"], 2, &["--coarse 8", method, "omit the flag"]);
+        let balance = format!("train --balance --method {method} --preset smoke");
+        place.refuses(&balance, 2, &["--balance with method", method]);
+        let coarse = format!("bench --method {method} --coarse 8");
+        place.refuses(&coarse, 2, &["--coarse 8", method, "omit the flag"]);
     }
-    refuse(&["bench", "--method", "llff", "--rays", "8"], 2, &["--rays 8", "llff"]);
-    refuse(&["bench", "--method", "srn", "--set", "srn.width=8"], 2, &["srn.width", "its own flag"]);
+    place.refuses("bench --method llff --rays 8", 2, &["--rays 8", "llff"]);
+    place.refuses("bench --method srn --set srn.width=8", 2, &["srn.width", "its own flag"]);
 }
 
 /// A step of every row takes a second.
@@ -149,20 +150,8 @@ fn budgets_of_evaluations_are_for_fields_and_those_of_seconds_for_all() {
 
 #[test]
 fn columns_of_other_methods_are_empty() {
-    const OF_FIELDS: [&str; 12] = [
-        "field_width",
-        "field_depth",
-        "init",
-        "density_activation",
-        "samples_coarse",
-        "samples_fine",
-        "coarse_weight",
-        "encoding",
-        "position_octaves",
-        "jitter",
-        "density_noise",
-        "spacing",
-    ];
+    const OF_FIELDS: &str = "field_width field_depth init density_activation samples_coarse samples_fine coarse_weight encoding \
+        position_octaves jitter density_noise spacing";
     let applies = |method: &str, column: &str| {
         let config = draft(&[&format!("method={method}")]).unwrap();
         (find(column).unwrap_or_else(|| panic!("{column}")).applies)(&config)
@@ -172,7 +161,7 @@ fn columns_of_other_methods_are_empty() {
         for (other, _) in BASELINES {
             assert_eq!(applies(method, other), other == method, "{method} {other}");
         }
-        for column in OF_FIELDS {
+        for column in OF_FIELDS.split(' ') {
             assert_eq!([applies(method, column), applies("nerf", column)], [false, true], "{method} {column}");
         }
         for column in ["rays", "batching", "chunk"] {
@@ -210,19 +199,7 @@ fn open_numbers_follow_from_the_scene() {
 /// A table of rows with and without fields says what each is: captions and notes of differences are about what all have.
 #[test]
 fn tables_tell_what_rows_without_fields_are() {
-    let record = |row: &str, protocol: &[(&str, &str)]| Record {
-        id: row.into(),
-        scene: "chair".into(),
-        row: row.into(),
-        seed: Some(0),
-        status: Status::Done,
-        result: PointResult {
-            metrics: vec![("psnr".into(), Some(20.0))],
-            protocol: protocol.iter().map(|(name, value)| (name.to_string(), value.to_string())).collect(),
-            ..PointResult::default()
-        },
-        ..Record::default()
-    };
+    let record = |row, protocol: &[(&str, &str)]| record("chair", row, 0, &[("psnr", Some(20.0))], protocol);
     let nerf = [("width", "200"), ("field_width", "64"), ("field_depth", "8"), ("rays", "512")];
     let records = [
         record("NeRF", &nerf),
@@ -231,7 +208,7 @@ fn tables_tell_what_rows_without_fields_are() {
         record("LLFF (trained on the scene)", &[("width", "200"), ("llff", "32 planes")]),
     ];
     let printed = |records: &[Record]| {
-        let rows = records.iter().map(|record| RowSpec { name: record.row.clone(), ..RowSpec::default() }).collect();
+        let rows = records.iter().map(|record| row_against(&record.row, None)).collect();
         let spec = TableSpec { metrics: vec!["psnr".into()], rows, ..TableSpec::default() };
         let table = Table::new(&spec, records, false).unwrap();
         (table_markdown(&table), table_latex(&table))
@@ -255,78 +232,58 @@ fn tables_tell_what_rows_without_fields_are() {
 /// Runs in NDC stand beside those with rays in the world, depths of both in scene units.
 #[test]
 fn runs_with_and_without_ndc_are_compared_in_scene_units() {
-    let dir = TempDir::new().unwrap();
-    let path = |name: &str| dir.path().join(name).display().to_string();
-    let [world, ndc] = ["world", "ndc"].map(|name| {
-        let (out, mapped) = (path(name), format!("data.ndc={}", name == "ndc"));
-        let small = [
-            "data.kind=builtin-forward",
-            &mapped,
-            "data.width=24",
-            "field.width=16",
-            "train.steps=8",
-            "eval.pictures=0",
-        ];
-        let set = small.iter().flat_map(|setting| ["--set", setting]);
-        let train = ["train", "--quiet", "--preset", "smoke", "--out", &out].into_iter().chain(set);
-        succeed(&train.collect::<Vec<_>>());
-        out
-    });
-    let compared = |runs: &[&String], out: &str| {
-        let runs = runs.iter().map(|run| run.as_str());
-        succeed(&["compare", "--quiet", "--out", out].into_iter().chain(runs).collect::<Vec<_>>());
-        let file = json(&std::path::Path::new(out).join("compare.json"));
+    let place = Place::new();
+    for (name, mapped) in [("world", false), ("ndc", true)] {
+        let small = set("data.kind=builtin-forward data.width=24 field.width=16 train.steps=8 eval.pictures=0");
+        place.run(&format!("train --quiet --preset smoke --out {name}{small} --set data.ndc={mapped}"), 0);
+    }
+    let compared = |runs: &str, out: &str| {
+        place.run(&format!("compare --quiet --out {out} {runs}"), 0);
+        let file = place.json(&format!("{out}/compare.json"));
         let end = |i: usize| file["depth_colours"][i].as_f64().unwrap();
         (file["depth_unit"].as_str().unwrap().to_string(), end(0), end(1))
     };
-    let (unit, near, far) = compared(&[&ndc], &path("alone"));
+    let (unit, near, far) = compared("ndc", "alone");
     assert!(unit == "NDC" && near >= 0.0 && far <= 1.0, "{unit} {near} {far}");
-    for (name, runs) in [("first", [&ndc, &world]), ("second", [&world, &ndc])] {
+    for (name, runs) in [("first", "ndc world"), ("second", "world ndc")] {
         // NDC begin a unit before the cameras' mean.
-        let (unit, near, far) = compared(&runs, &path(name));
+        let (unit, near, far) = compared(runs, name);
         assert!(unit == "scene units" && near > 0.5 && far > near && far.is_finite(), "{unit} {near} {far}");
     }
-    refuse(&["compare", &ndc, &world, "--ray", "8,8", "--out", &path("ray")], 2, &["one interval"]);
+    place.refuses("compare ndc world --ray 8,8 --out ray", 2, &["one interval"]);
 }
 
 /// A run of a second refuses in the words of its method; what does not hang on fields is done.
 #[test]
 fn runs_without_fields_refuse_what_needs_them() {
-    let dir = TempDir::new().unwrap();
-    let path = |name: &str| dir.path().join(name).display().to_string();
+    let place = Place::new();
     let small = "data.width=24 data.test_skip=20 train.steps=2 train.rays=32 eval.pictures=0 eval.train_views=0 srn.width=8 \
                  nv.resolution=8 nv.divide=16 nv.warp_resolution=4 llff.window=24 llff.crop=8 llff.planes=8";
     for (method, no_density) in BASELINES {
-        let run = path(method);
-        let set = small.split_whitespace().flat_map(|setting| ["--set", setting]);
-        let train = ["train", "--quiet", "--preset", "smoke", "--method", method, "--out", &run];
-        succeed(&train.into_iter().chain(set).collect::<Vec<_>>());
+        place.run(&format!("train --quiet --preset smoke --method {method} --out {method}{}", set(small)), 0);
         if let Some(why) = no_density {
-            refuse(&["mesh", &run], 2, &["a mesh of this run with method", method, why, "augnerf compare"]);
+            let words = ["a mesh of this run with method", method, why, "augnerf compare"];
+            place.refuses(&format!("mesh {method}"), 2, &words);
+            place.refuses(&format!("mesh {method} --chamfer builtin"), 2, &[why]);
         }
-        let why = no_density.unwrap_or("trilinear");
-        refuse(&["eval", "--smoothness", &run], 2, &[method, "no l1, TV or Laplacian", why]);
-        refuse(
-            &["compare", &run, "--ray", "8,8"],
-            2,
-            &["a profile along a ray with method", method, "augnerf compare"],
-        );
-        if let Some(why) = no_density {
-            refuse(&["mesh", &run, "--chamfer", "builtin"], 2, &[why]);
-        }
-        let metrics = dir.path().join(method).join("metrics.json");
-        let before = json(&metrics);
-        succeed(&["eval", "--quiet", &run]);
-        assert_eq!(json(&metrics), before, "{method}: the checkpoint gives the numbers of the trained method");
-        refuse(&["export", &run, &path("x.safetensors")], 2, &["export with method", method, "radiance fields"]);
+        let words = [method, "no l1, TV or Laplacian", no_density.unwrap_or("trilinear")];
+        place.refuses(&format!("eval --smoothness {method}"), 2, &words);
+        let words = ["a profile along a ray with method", method, "augnerf compare"];
+        place.refuses(&format!("compare {method} --ray 8,8"), 2, &words);
+        let metrics = || place.json(&format!("{method}/metrics.json"));
+        let before = metrics();
+        place.run(&format!("eval --quiet {method}"), 0);
+        assert_eq!(metrics(), before, "{method}: the checkpoint gives the numbers of the trained method");
+        let words = ["export with method", method, "radiance fields"];
+        place.refuses(&format!("export {method} x.safetensors"), 2, &words);
         let protocol = &before["protocol"];
         assert!(protocol["field_width"].is_null() && protocol[method].is_string(), "{protocol}");
     }
-    let bench = ["bench", "--method", "llff", "--steps", "1", "--set", "llff.window=32", "--set", "llff.crop=16"];
-    succeed(&[&bench[..], &["--set", "llff.planes=8"]].concat());
-    succeed(&["bench", "--method", "srn", "--steps", "1", "--rays", "4", "--width", "8"]);
-    let smaller =
-        ["nv.resolution=8", "nv.divide=16", "nv.warp_resolution=4"].into_iter().flat_map(|set| ["--set", set]);
-    let bench = ["bench", "--method", "nv", "--steps", "1", "--rays", "4"].into_iter().chain(smaller);
-    succeed(&bench.collect::<Vec<_>>());
+    for bench in [
+        "llff --set llff.window=32 --set llff.crop=16 --set llff.planes=8",
+        "srn --rays 4 --width 8",
+        "nv --rays 4 --set nv.resolution=8 --set nv.divide=16 --set nv.warp_resolution=4",
+    ] {
+        place.run(&format!("bench --steps 1 --method {bench}"), 0);
+    }
 }

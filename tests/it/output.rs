@@ -1,36 +1,12 @@
-//! The output side through its public interface: refusals, what a kill leaves, files that other
-//! programs read.
+//! The output side through its public interface: refusals, and files that other programs read.
 
 use std::fs;
 use std::path::Path;
 
 use augnerf::base::Image;
-use augnerf::base::files::{AtomicDir, clean_temporaries, write_atomic, write_named};
+use augnerf::base::files::{write_atomic, write_named};
 use augnerf::draw::{Reel, beside, depth_colour, depth_range, write_depth16, write_png8};
 use augnerf::run::{Existing, RunDir, Scalars};
-
-fn finished_run(path: &Path) {
-    let run = RunDir::create(path, Existing::Refuse, 0).unwrap();
-    write_atomic(&run.config(), b"seed = 1\n").unwrap();
-    fs::write(run.checkpoints().join("weights"), "w").unwrap();
-}
-
-#[test]
-fn an_existing_run_is_refused_unless_it_may_be_overwritten() {
-    let dir = tempfile::tempdir().unwrap();
-    let path = dir.path().join("run");
-    finished_run(&path);
-    fs::write(path.join("notes.txt"), "mine").unwrap();
-    let error = RunDir::create(&path, Existing::Refuse, 0).unwrap_err();
-    assert_eq!(error.exit_code(), 4);
-    for part in [path.to_str().unwrap(), "--overwrite", "augnerf resume"] {
-        assert!(error.to_string().contains(part), "{error}");
-    }
-    assert!(path.join("config.toml").exists());
-    let run = RunDir::create(&path, Existing::Replace, 0).unwrap();
-    assert!(!run.config().exists() && !run.checkpoints().join("weights").exists());
-    assert_eq!(fs::read_to_string(path.join("notes.txt")).unwrap(), "mine");
-}
 
 #[test]
 fn a_strangers_folder_is_never_touched() {
@@ -42,32 +18,6 @@ fn a_strangers_folder_is_never_touched() {
         assert!(error.to_string().contains("not a run folder"), "{error}");
     }
     assert_eq!(fs::read_dir(dir.path()).unwrap().count(), 2);
-}
-
-#[test]
-fn a_file_in_the_way_is_named() {
-    let dir = tempfile::tempdir().unwrap();
-    let file = dir.path().join("file");
-    fs::write(&file, "keep").unwrap();
-    for path in [file.clone(), file.join("below/run")] {
-        let error = RunDir::create(&path, Existing::Replace, 0).unwrap_err();
-        assert_eq!(error.exit_code(), 4);
-        assert!(error.to_string().contains("file"), "{error}");
-    }
-    assert_eq!(fs::read_to_string(&file).unwrap(), "keep");
-}
-
-#[test]
-fn only_a_run_is_opened() {
-    let dir = tempfile::tempdir().unwrap();
-    fs::write(dir.path().join("file"), "").unwrap();
-    for path in [dir.path().to_path_buf(), dir.path().join("missing"), dir.path().join("file")] {
-        let error = RunDir::open(&path).unwrap_err();
-        assert_eq!(error.exit_code(), 5);
-        assert!(error.to_string().contains(path.to_str().unwrap()), "{error}");
-    }
-    finished_run(&dir.path().join("run"));
-    assert!(RunDir::open(&dir.path().join("run")).is_ok());
 }
 
 #[test]
@@ -84,27 +34,6 @@ fn two_trainers_do_not_share_a_run() {
     drop(first);
     second.lock().unwrap();
     second.lock().unwrap();
-}
-
-#[test]
-fn a_kill_while_a_checkpoint_is_written_leaves_the_last_one() {
-    let dir = tempfile::tempdir().unwrap();
-    finished_run(&dir.path().join("run"));
-    let run = RunDir::open(&dir.path().join("run")).unwrap();
-    let target = run.checkpoints().join("step-000010");
-    let whole = AtomicDir::new(&target).unwrap();
-    fs::write(whole.path().join("weights"), "ten").unwrap();
-    whole.commit().unwrap();
-    // A kill runs no destructor, and gives up the lock.
-    let killed = AtomicDir::new(&run.checkpoints().join("step-000020")).unwrap();
-    let left = run.checkpoints().join(killed.path().file_name().unwrap());
-    drop(killed);
-    fs::create_dir(&left).unwrap();
-    fs::write(left.join("weights"), "twe").unwrap();
-    assert!(!run.checkpoints().join("step-000020").exists());
-    assert_eq!(clean_temporaries(&run.checkpoints()).unwrap(), 1);
-    assert_eq!(fs::read_to_string(target.join("weights")).unwrap(), "ten");
-    assert_eq!(clean_temporaries(&run.checkpoints()).unwrap(), 0);
 }
 
 #[cfg(target_os = "linux")]

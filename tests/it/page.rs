@@ -5,47 +5,29 @@ use std::path::Path;
 use augnerf::base::Image;
 use augnerf::report::page::{Film, Page, ShownScene, ViewOfRow, ViewOfScene};
 use augnerf::report::tables::{AttackLine, Table};
-use augnerf::report::{AxisValue, PointResult, Record, RowSpec, Status, TableSpec};
+use augnerf::report::{AxisValue, Record, Status, TableSpec};
 
-use crate::common::assert_says;
 use crate::common::files::{json, text};
 use crate::common::program::{augnerf, demand};
+use crate::common::{assert_says, record, row_against};
 
 const ROOT: &str = env!("CARGO_MANIFEST_DIR");
 /// A name that is a script where it is not escaped.
 pub const ROW: &str = "<script>document.title = 'run'</script>\" onload=\"x";
 
-fn measured(psnr: Option<f64>) -> PointResult {
-    PointResult { metrics: vec![("psnr".into(), psnr)], ..PointResult::default() }
-}
-
 /// Three rows with three seeds each: the second better than the first, the third not.
 fn table() -> (Table, Vec<Record>) {
     let gains = [("NeRF", [0.0, 0.0, 0.0]), (ROW, [0.5, 0.51, 0.49]), ("TV", [0.1, -0.2, 0.05])];
-    let point = |row: &str, seed: u64, psnr: f64| Record {
-        id: format!("{}-{seed}", row.len()),
-        scene: "fern".into(),
-        row: row.into(),
-        seed: Some(seed),
-        status: Status::Done,
-        result: PointResult {
-            metrics: vec![("psnr".into(), Some(psnr)), ("ssim".into(), Some(psnr / 40.0)), ("lpips_vgg".into(), None)],
-            protocol: [("scene", "fern"), ("width", "8"), ("steps", if row == "TV" { "20" } else { "10" })]
-                .map(|(name, text)| (name.to_string(), text.to_string()))
-                .to_vec(),
-            ..PointResult::default()
-        },
-        ..Record::default()
+    let point = |row: &str, seed: u64, psnr: f64| {
+        let metrics = [("psnr", Some(psnr)), ("ssim", Some(psnr / 40.0)), ("lpips_vgg", None)];
+        let protocol = [("scene", "fern"), ("width", "8"), ("steps", if row == "TV" { "20" } else { "10" })];
+        Record { id: format!("{}-{seed}", row.len()), ..record("fern", row, seed, &metrics, &protocol) }
     };
     let of_row = |(row, gains): (&str, [f64; 3])| -> Vec<Record> {
         gains.into_iter().zip(0..).map(|(gain, seed)| point(row, seed, 20.0 + seed as f64 + gain)).collect()
     };
     let records: Vec<Record> = gains.into_iter().flat_map(of_row).collect();
-    let row = |name: &str| RowSpec {
-        name: name.into(),
-        baseline: (name != "NeRF").then(|| "NeRF".into()),
-        ..RowSpec::default()
-    };
+    let row = |name: &str| row_against(name, (name != "NeRF").then_some("NeRF"));
     let spec = TableSpec {
         name: "tiny".into(),
         title: "Tiny & <b>bold</b>".into(),
@@ -62,20 +44,15 @@ pub fn page_of_axes() -> String {
     let places = ["0.001", "0.1", "10"].into_iter().flat_map(|weight| ["l1", "tv"].map(|kind| (weight, kind)));
     let point = |(index, (weight, kind)): (usize, (&str, &str))| Record {
         id: format!("p{index}"),
-        scene: "fern".into(),
-        row: "NeRF".into(),
         axes: vec![value("weight", weight), value("kind", kind)],
-        seed: Some(0),
         status: if index == 5 { Status::Failed } else { Status::Done },
-        result: measured((index != 5).then_some(20.0 + index as f64)),
-        ..Record::default()
+        ..record("fern", "NeRF", 0, &[("psnr", (index != 5).then_some(20.0 + index as f64))], &[])
     };
     let records: Vec<Record> = places.enumerate().map(point).collect();
-    let row = RowSpec { name: "NeRF".into(), ..RowSpec::default() };
     let spec = TableSpec {
         name: "axes".into(),
         metrics: vec!["psnr".into()],
-        rows: vec![row],
+        rows: vec![row_against("NeRF", None)],
         varied: true,
         ..TableSpec::default()
     };
@@ -207,26 +184,18 @@ fn the_page_has_captions_and_shows_videos() {
 fn a_training_has_one_row_and_a_fact_one_line() {
     let value =
         |axis: &str, value: &str| vec![AxisValue { axis: axis.into(), panel: String::new(), value: value.into() }];
-    let point = |id: &str, seed: u64, axes: Vec<AxisValue>| Record {
-        id: format!("{id}{seed}"),
-        scene: "fern".into(),
-        row: "Aug-NeRF".into(),
-        axes,
-        seed: Some(seed),
-        status: Status::Done,
-        result: PointResult {
-            protocol: vec![("inactive_by".into(), "colour".into()), ("data_hash".into(), format!("hash {seed}"))],
-            inactive_levels: vec!["view".into()],
-            ..measured(Some(20.0 + seed as f64))
-        },
-        ..Record::default()
+    let point = |id: &str, seed: u64, axes: Vec<AxisValue>| {
+        let protocol = [("inactive_by", "colour"), ("data_hash", &format!("hash {seed}"))];
+        let mut record = record("fern", "Aug-NeRF", seed, &[("psnr", Some(20.0 + seed as f64))], &protocol);
+        record.result.inactive_levels = vec!["view".into()];
+        Record { id: format!("{id}{seed}"), axes, ..record }
     };
     let places =
         [("a", value("steps", "3")), ("a", value("epsilon", "0.06274509803921569")), ("b", value("steps", "1"))];
     let records: Vec<Record> =
         places.iter().flat_map(|(id, axes)| [0, 1].map(|seed| point(id, seed, axes.clone()))).collect();
-    let row = RowSpec { name: "Aug-NeRF".into(), ..RowSpec::default() };
-    let spec = TableSpec { metrics: vec!["psnr".into()], rows: vec![row], ..TableSpec::default() };
+    let rows = vec![row_against("Aug-NeRF", None)];
+    let spec = TableSpec { metrics: vec!["psnr".into()], rows, ..TableSpec::default() };
     let page = page_without_pictures(&spec, &records);
     let results = page.split("class=\"results").nth(1).unwrap().split("</table>").next().unwrap();
     assert_eq!(results.matches("<th scope=\"row\">").count(), 2, "{results}");
@@ -259,26 +228,13 @@ fn pages_have_no_empty_columns_and_no_raw_backticks() {
 #[test]
 fn rows_are_compared_over_scenes() {
     let page_of = |scenes: &[&str]| {
-        let point = |scene: &str, row: &str, seed: u64, psnr: f64| Record {
-            id: format!("{scene}-{row}-{seed}"),
-            scene: scene.into(),
-            row: row.into(),
-            seed: Some(seed),
-            status: Status::Done,
-            result: measured(Some(psnr)),
-            ..Record::default()
-        };
+        let point = |scene: &str, row, seed, psnr| record(scene, row, seed, &[("psnr", Some(psnr))], &[]);
         let of_scene = |(index, scene): (usize, &&str)| {
             let (level, gain) = (20.0 + 4.0 * index as f64, 1.0 + 0.01 * index as f64);
             [0, 1].map(|seed| [point(scene, "NeRF", seed, level), point(scene, "TV", seed, level + gain)]).concat()
         };
         let records: Vec<Record> = scenes.iter().enumerate().flat_map(of_scene).collect();
-        let row = |name: &str, baseline: Option<&str>| RowSpec {
-            name: name.into(),
-            baseline: baseline.map(String::from),
-            ..RowSpec::default()
-        };
-        let rows = vec![row("NeRF", None), row("TV", Some("NeRF"))];
+        let rows = vec![row_against("NeRF", None), row_against("TV", Some("NeRF"))];
         let spec = TableSpec { metrics: vec!["psnr".into()], rows, ..TableSpec::default() };
         page_without_pictures(&spec, &records)
     };

@@ -9,7 +9,7 @@ use augnerf::settings::{DataConfig, DataKind};
 use serde_json::{Value, json};
 use tempfile::TempDir;
 
-use crate::common::files::json as read_json;
+use crate::common::files::{json as read_json, write_poses};
 use crate::common::needs::scene as scene_folder;
 
 /// Pixels a side of the exported pictures.
@@ -130,23 +130,18 @@ fn llff_orbits_are_in_the_middle_of_every_frame() {
     let frames = document["frames"].as_array().unwrap();
     let images = dir.path().join("images");
     std::fs::create_dir(&images).unwrap();
-    let mut rows: Vec<f64> = Vec::new();
+    let mut rows: Vec<[f64; 17]> = Vec::new();
     for (index, frame) in frames.iter().enumerate() {
         let picture =
             dir.path().join(frame["file_path"].as_str().unwrap().trim_start_matches("./")).with_extension("png");
         std::fs::copy(picture, images.join(format!("{index:03}.png"))).unwrap();
         let number = |row: usize, column: usize| frame["transform_matrix"][row][column].as_f64().unwrap();
         // Columns down, right, back, place, and height, width, focal length.
-        for (row, size) in [16.0, 16.0, 22.0].into_iter().enumerate() {
-            rows.extend([-number(row, 1), number(row, 0), number(row, 2), number(row, 3), size]);
-        }
-        rows.extend([2.0, 6.0]);
+        let row =
+            |row: usize| [-number(row, 1), number(row, 0), number(row, 2), number(row, 3), [16.0, 16.0, 22.0][row]];
+        rows.push([&row(0)[..], &row(1), &row(2), &[2.0, 6.0]].concat().try_into().unwrap());
     }
-    let header = format!("{{'descr': '<f8', 'fortran_order': False, 'shape': ({}, 17), }}\n", frames.len());
-    let mut npy = b"\x93NUMPY\x01\x00".to_vec();
-    npy.extend((header.len() as u16).to_le_bytes());
-    npy.extend(header.bytes().chain(rows.iter().flat_map(|v| v.to_le_bytes())));
-    std::fs::write(dir.path().join("poses_bounds.npy"), npy).unwrap();
+    write_poses(dir.path(), &rows);
     let scene = load(dir.path(), |config| (config.ndc, config.spherify) = (false, true));
     assert_eq!((scene.kind, scene.train.len()), ("llff", 35));
     assert_shown(&scene, 0.2);

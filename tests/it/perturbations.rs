@@ -1,17 +1,14 @@
 //! What the perturbed pass and the search promise.
 
-use crate::common::{flat, parameters, tiny_config, tiny_scene, trained};
-use augnerf::augment::{Deltas, Draw, Norm, PassGeometry, Passes, PixelScale, SampleDensity, Sets, Site, worst_case};
+use crate::common::pass::Setting;
+use crate::common::{flat, parameters, put_on_grid, tiny_config, tiny_scene, trained};
+use augnerf::augment::{Deltas, Draw, Norm, PassGeometry, Passes, PixelScale, SampleDensity, Sets, Site};
 use augnerf::base::rng::{Random, Stream};
-use augnerf::data::{RayBuffer, RayParts, Rays};
+use augnerf::data::{RayBuffer, RayParts};
 use augnerf::field::Field;
-use augnerf::render::{
-    FixedSamples, Pass, Perturbation, PerturbedOutput, clean_pass, perturbed_pass, photometric_loss, sampling,
-};
+use augnerf::render::{FixedSamples, Pass, Perturbation, PerturbedOutput, clean_pass, perturbed_pass};
 use augnerf::runtime::Runtime;
-use augnerf::settings::{
-    DeltaSource, Method, OutputPlace, PerturbConfig, PerturbField, ResolvedPerturb, SecondPass, Sizes,
-};
+use augnerf::settings::{DeltaSource, Method, OutputPlace, PerturbConfig, PerturbField, SecondPass, Sizes};
 use augnerf::train::Trainer;
 use candle_core::{DType, Device, Tensor, Var};
 use proptest::prelude::*;
@@ -41,102 +38,15 @@ fn geometry<'a>(
     }
 }
 
-/// A pass of a small f64 field: all that a loss of the deltas needs.
-struct Setting {
-    field: Field,
-    rays: Rays,
-    t_vals: Tensor,
-    noise: Tensor,
-    target: Tensor,
-    sets: Sets,
-    config: ResolvedPerturb,
-}
-
-impl Setting {
-    fn new(seed: u64, rays: usize, samples: usize, change: impl FnOnce(&mut PerturbConfig)) -> Setting {
-        Setting::of(Method::AugNerf, seed, (rays, samples), change)
-    }
-
-    fn of(
-        method: Method,
-        seed: u64,
-        (rays, samples): (usize, usize),
-        change: impl FnOnce(&mut PerturbConfig),
-    ) -> Setting {
-        let config = tiny_config(method, |config| {
-            // Sites that are off by default, too.
-            config.perturb.sites.iter_mut().for_each(|(_, site)| site.passes = Passes::Both);
-            // Large enough that f64 differences see them.
-            config.perturb.sites[Site::Feature].epsilon = Some(0.05.into());
-            config.perturb.sites[Site::Rgb].epsilon = Some(0.03.into());
-            config.perturb.sites[Site::Density].epsilon = Some(0.1.into());
-            change(&mut config.perturb);
-        });
-        let scene = tiny_scene();
-        let mut random = Random::new(seed, Stream::Jitter, 0);
-        let pixels: Vec<_> = (0..rays).map(|_| (&scene.train[0].camera, random.below(16), random.below(16))).collect();
-        let rays =
-            RayBuffer::new(&pixels, None, Default::default(), RayParts::ALL).to_tensors(DType::F64, &CPU).unwrap();
-        let draw = |random: &mut Random, shape: &[usize]| random.uniform_tensor(shape, DType::F64, &CPU).unwrap();
-        let columns = samples + usize::from(method.encoding().at_intervals());
-        let jitter = draw(&mut random, &[rays.len(), columns]);
-        let t_vals = sampling::stratified(
-            (2.0, 6.0),
-            augnerf::settings::Spacing::Depth,
-            rays.len(),
-            columns,
-            Some(&jitter),
-            &rays.origins,
-        )
-        .unwrap();
-        let noise = draw(&mut random, &[rays.len(), samples]);
-        let target = draw(&mut random, &[rays.len(), 3]);
-        let pixel = PixelScale { width: 16.0, height: 16.0, focal: 20.0, ndc: false };
-        let norm = &rays.direction_norm;
-        let geometry = PassGeometry { samples, ..geometry(&t_vals, norm, (2.0, 6.0), 16, pixel) };
-        let perturb = config.perturb.clone();
-        let sets = Sets::new(&perturb.numbers, &perturb.set_choices(), &geometry).unwrap();
-        let field = Field::init(&config.field, seed, 0, DType::F64, &CPU).unwrap();
-        Setting { field, rays, t_vals, noise, target, sets, config: perturb }
-    }
-
-    fn pass(&self) -> Pass<'_> {
-        Pass {
-            rays: &self.rays,
-            t_vals: &self.t_vals,
-            density_noise: Some(&self.noise),
-            background: Some([1.0; 3]),
-            scales_gradients: false,
-        }
-    }
-
-    fn perturbation<'a>(&'a self, deltas: &'a Deltas) -> Perturbation<'a> {
-        let (injection_layer, output) = (self.config.injection_layer, self.config.output);
-        Perturbation { deltas, sets: &self.sets, injection_layer, output }
-    }
-
-    /// Loss with a tracked graph, and the deltas as used.
-    fn loss(&self, deltas: &Deltas) -> (Tensor, Deltas) {
-        let out = perturbed_pass(&self.field, self.pass(), self.perturbation(deltas)).unwrap();
-        (photometric_loss(&out.pass.composite.rgb, &self.target).unwrap(), out.used.deltas)
-    }
-
-    fn loss_value(&self, deltas: &Deltas) -> f64 {
-        self.loss(deltas).0.to_scalar().unwrap()
-    }
-
-    fn draw(&self, index: u64) -> Deltas {
-        self.sets.draw(Draw::Uniform, |site| Random::part(3, Stream::Search, index, site as u64)).unwrap()
-    }
-
-    fn search(&self, start: Deltas) -> Deltas {
-        let frozen = self.field.frozen().unwrap();
-        worst_case(&self.sets, &self.config.numbers, self.config.step_unit, start, |at| {
-            let out = perturbed_pass(&frozen, self.pass(), self.perturbation(at.deltas))?;
-            Ok((photometric_loss(&out.pass.composite.rgb, &self.target)?, out.used.deltas))
-        })
-        .unwrap()
-    }
+/// A pass of a small f64 field.
+fn setting(method: Method, seed: u64, size: (usize, usize), change: impl FnOnce(&mut PerturbConfig)) -> Setting {
+    Setting::new(method, seed, size, DType::F64, |config| {
+        // Large enough that f64 differences see them.
+        config.sites[Site::Feature].epsilon = Some(0.05.into());
+        config.sites[Site::Rgb].epsilon = Some(0.03.into());
+        config.sites[Site::Density].epsilon = Some(0.1.into());
+        change(config);
+    })
 }
 
 /// `tensor` with entry `index` moved by `by`.
@@ -163,7 +73,7 @@ fn loss_gradients_in_every_delta_equal_finite_differences() {
         .into_iter()
         .flat_map(|method| [OutputPlace::After, OutputPlace::Before].map(|output| (method, output)));
     for (method, output) in cases {
-        let setting = Setting::of(method, 1, (4, 6), |config| config.output = output);
+        let setting = setting(method, 1, (4, 6), |config| config.output = output);
         // Half-size deltas: away from the bounds of their sets.
         let mut deltas = setting.draw(0);
         for site in Site::ALL {
@@ -209,7 +119,7 @@ fn loss_gradients_in_weights_equal_finite_differences() {
 }
 
 fn weights_equal_finite_differences(method: Method) {
-    let setting = Setting::of(method, 1, (4, 6), |_| {});
+    let setting = setting(method, 1, (4, 6), |_| {});
     let deltas = setting.search(setting.draw(0));
     let gradients = setting.loss(&deltas).0.backward().unwrap();
     for (name, var) in setting.field.variables() {
@@ -236,7 +146,7 @@ fn epsilon_zero_is_the_clean_pass_exactly() {
 }
 
 fn epsilon_zero_is_clean(method: Method) {
-    let setting = Setting::of(method, 2, (5, 7), |config| {
+    let setting = setting(method, 2, (5, 7), |config| {
         for site in Site::ALL {
             config.sites[site].epsilon = Some(0.0.into());
         }
@@ -289,7 +199,7 @@ proptest! {
         mip in any::<bool>(),
     ) {
         let method = if mip { Method::AugMipNerf } else { Method::AugNerf };
-        let setting = Setting::of(method, seed, (3, 5), |config| {
+        let setting = setting(method, seed, (3, 5), |config| {
             for site in Site::ALL {
                 let delta = &mut config.sites[site];
                 (delta.epsilon, delta.step_size, delta.steps) = (Some(epsilon.into()), Some(step_size), Some(steps));
@@ -343,7 +253,7 @@ fn the_search_raises_the_loss_and_beats_random_deltas_on_a_trained_field() {
     for only in Site::ALL.map(Some).into_iter().chain([None]) {
         let (mut clean, mut random, mut worst) = (0.0, 0.0, 0.0);
         for batch in 0..8 {
-            let mut setting = Setting::new(batch, 32, 8, |config| {
+            let mut setting = setting(Method::AugNerf, batch, (32, 8), |config| {
                 *config = PerturbConfig { sizes: Sizes::Calibrated, injection_layer: 2, ..PerturbConfig::default() };
                 for site in Site::ALL {
                     let alone = only.is_none_or(|only| only == site);
@@ -351,7 +261,7 @@ fn the_search_raises_the_loss_and_beats_random_deltas_on_a_trained_field() {
                 }
             });
             setting.field = Field::from_parameters(&config.field, weights.clone()).unwrap();
-            setting.noise = setting.noise.zeros_like().unwrap();
+            setting.noise = None;
             clean += setting.loss_value(&Deltas::default());
             random += setting.loss_value(&setting.draw(batch));
             worst += setting.loss_value(&setting.search(setting.draw(batch)));
@@ -366,16 +276,24 @@ const EVALUATED: [&str; 2] = ["coarse", "fine"];
 
 #[test]
 fn a_shared_field_learns_from_the_perturbed_loss_and_a_separate_one_leaves_the_evaluated_fields_alone() {
-    let with = |method, field| tiny_config(method, |config| config.perturb.field = field);
-    let nerf = trained(&with(Method::Nerf, PerturbField::Shared), 1);
-    let shared = trained(&with(Method::AugNerf, PerturbField::Shared), 1);
-    let separate = trained(&with(Method::AugNerf, PerturbField::Separate), 1);
-    for role in EVALUATED {
-        assert_ne!(parameters(&nerf, &[role]), parameters(&shared, &[role]), "{role}");
-        assert_eq!(parameters(&nerf, &[role]), parameters(&separate, &[role]), "{role}");
+    for on_grid in [false, true] {
+        let trained = |method, field, steps| {
+            let config = tiny_config(method, |config| {
+                if on_grid {
+                    put_on_grid(config, 10);
+                }
+                config.perturb.field = field;
+            });
+            trained(&config, steps)
+        };
+        let nerf = trained(Method::Nerf, PerturbField::Shared, 2);
+        let shared = trained(Method::AugNerf, PerturbField::Shared, 2);
+        let separate = trained(Method::AugNerf, PerturbField::Separate, 2);
+        assert_ne!(parameters(&nerf, &EVALUATED), parameters(&shared, &EVALUATED), "on a grid ({on_grid})");
+        assert_eq!(parameters(&nerf, &EVALUATED), parameters(&separate, &EVALUATED), "on a grid ({on_grid})");
+        let start = trained(Method::AugNerf, PerturbField::Separate, 0);
+        assert_ne!(parameters(&start, &["adversarial"]), parameters(&separate, &["adversarial"]));
     }
-    let start = trained(&with(Method::AugNerf, PerturbField::Separate), 0);
-    assert_ne!(parameters(&start, &["adversarial"]), parameters(&separate, &["adversarial"]));
 }
 
 #[test]
@@ -472,8 +390,8 @@ fn a_level_of_size_zero_is_reported_inactive() {
 
 #[test]
 fn switching_a_level_off_leaves_the_draws_of_the_others() {
-    let all = Setting::new(1, 3, 5, |_| {});
-    let some = Setting::new(1, 3, 5, |config| config.sites[Site::Feature].passes = Passes::Off);
+    let all = setting(Method::AugNerf, 1, (3, 5), |_| {});
+    let some = setting(Method::AugNerf, 1, (3, 5), |config| config.sites[Site::Feature].passes = Passes::Off);
     for site in [Site::T, Site::Xyz, Site::View, Site::Rgb, Site::Density] {
         let values =
             |setting: &Setting| setting.draw(0).get(site).unwrap().flatten_all().unwrap().to_vec1::<f64>().unwrap();
@@ -485,13 +403,13 @@ fn switching_a_level_off_leaves_the_draws_of_the_others() {
 fn density_noise_cannot_make_an_empty_white_scene_opaque() {
     // All densities 0, the density delta at +epsilon everywhere: what it adds to each ray is at
     // most epsilon * (far - near) * |d|, because the last sample's is kept at 0.
-    let mut setting = Setting::new(5, 6, 9, |config| {
+    let mut setting = setting(Method::AugNerf, 5, (6, 9), |config| {
         config.sites[Site::Density].epsilon = Some(0.01.into());
         for site in [Site::T, Site::Xyz, Site::View, Site::Feature, Site::Rgb] {
             config.sites[site].passes = Passes::Off;
         }
     });
-    setting.noise = (setting.noise.zeros_like().unwrap() - 1e3).unwrap();
+    setting.noise = Some(Tensor::full(-1e3f64, (6, 9), &CPU).unwrap());
     let mut deltas = Deltas::default();
     deltas.set(Site::Density, Tensor::full(0.01f64, (6, 9), &CPU).unwrap());
     let out = perturbed_pass(&setting.field, setting.pass(), setting.perturbation(&deltas)).unwrap();
@@ -506,7 +424,7 @@ fn density_noise_cannot_make_an_empty_white_scene_opaque() {
 /// Samples that do not move any more: the trunk below the feature delta is computed with the first pass through them alone.
 #[test]
 fn fixed_samples_compute_the_lower_trunk_once() {
-    let setting = Setting::new(1, 4, 6, |_| {});
+    let setting = setting(Method::AugNerf, 1, (4, 6), |_| {});
     let single = |tensor: &Tensor| tensor.to_dtype(DType::F32).unwrap();
     let values = setting.field.variables().iter().map(|(_, var)| single(var.as_tensor())).collect();
     let frozen = Field::from_parameters(setting.field.config(), values).unwrap().frozen().unwrap();

@@ -1,10 +1,7 @@
 //! LLFF, trained on the scene, through everything that is done with a run.
 
-use std::path::Path;
-
-use crate::common::files::json;
 use crate::common::learning::Small;
-use crate::common::program::{refuse, succeed};
+use crate::common::program::{Place, set};
 use crate::common::{assert_says, flat, runtime};
 use augnerf::data::Scene;
 use augnerf::run::load_scene;
@@ -22,10 +19,6 @@ const CUT_OFF: Small = Small {
     method: "llff",
     settings: "data.kind=builtin-forward llff.planes=8 llff.inputs=3 llff.window=16 llff.crop=8",
 };
-
-fn small() -> Vec<&'static str> {
-    SMALL.split_whitespace().flat_map(|setting| ["--set", setting]).collect()
-}
 
 fn scene() -> (Resolved, Scene) {
     let settings = format!("method=llff data.ndc=false {SMALL}");
@@ -65,20 +58,20 @@ fn a_run_that_was_cut_off_ends_as_one_that_was_not() {
 
 #[test]
 fn a_run_is_evaluated_rendered_and_compared() {
-    let dir = TempDir::new().unwrap();
-    let [run, compared] = ["run", "compared"].map(|name| dir.path().join(name).display().to_string());
-    let train = ["train", "--quiet", "--preset", "smoke", "--method", "llff", "--out", &run, "--set", "train.steps=12"];
-    succeed(&[&train[..], &small()].concat());
-    let path = Path::new(&run).join("metrics.json");
-    let metrics = json(&path);
+    let place = Place::new();
+    let train = format!("train --quiet --preset smoke --method llff --out run --set train.steps=12{}", set(SMALL));
+    place.run(&train, 0);
+    let metrics = place.json("run/metrics.json");
     assert!(metrics["mean"]["psnr"].as_f64().unwrap() > 8.0, "{metrics}");
     assert!(metrics["protocol"]["llff"].as_str().unwrap().contains("8 planes"), "{metrics}");
-    succeed(&["eval", "--quiet", &run]);
-    assert_eq!(json(&path), metrics, "the checkpoint gives the same numbers as the trained network");
-    succeed(&["render", "--quiet", &run, "--frames", "2"]);
-    assert!(Path::new(&run).join("renders/path/rgb_001.png").is_file());
-    succeed(&["compare", "--quiet", &run, "--out", &compared]);
-    refuse(&["mesh", &run], 2, &["LLFF has a stack of planes for each training view"]);
+    place.run("eval --quiet run", 0);
+    assert_eq!(place.json("run/metrics.json"), metrics, "the checkpoint gives the numbers of the trained network");
+    place.run("render --quiet run --frames 2", 0);
+    assert!(place.at("run/renders/path/rgb_001.png").is_file());
+    place.run("compare --quiet run --out compared", 0);
+    place.refuses("mesh run", 2, &["LLFF has a stack of planes for each training view"]);
+    let few = train.replace("run", "few") + " --set data.train_views=2";
+    place.refuses(&few, 2, &["needs at least 3 training views", "leaves 2"]);
 }
 
 /// Two views look the one way, two the other: no step has inputs, wherever its weights come from.
@@ -95,12 +88,4 @@ fn weights_from_elsewhere_need_the_inputs_of_random_ones() {
     let origin = Origin::Weights { values, step: 0 };
     let refused = Trainer::begin_from(origin, &config, &scene, DType::F32, runtime()).err().expect("it is refused");
     assert_says(&refused.to_string(), &["see too little of the same", "llff.references"]);
-}
-
-#[test]
-fn too_few_views_are_refused_in_a_sentence() {
-    let dir = TempDir::new().unwrap();
-    let run = dir.path().join("run").display().to_string();
-    let train = ["train", "--preset", "smoke", "--method", "llff", "--out", &run, "--set", "data.train_views=2"];
-    refuse(&[&train[..], &small()].concat(), 2, &["needs at least 3 training views", "leaves 2"]);
 }

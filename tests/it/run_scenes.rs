@@ -12,15 +12,13 @@ use tempfile::TempDir;
 
 use crate::captures::Folder;
 use crate::common::files::{json as read_json, seal, text};
-use crate::common::program::{refuse, succeed};
+use crate::common::program::{Place, refuse, set, succeed};
 
-fn train(data: &Path, out: &Path, further: &[&str]) {
-    let sets =
-        ["data.downscale=1", "field.width=16", "field.depth=2", "field.skips=[]", "train.rays=32", "eval.pictures=0"];
-    let sets = sets.iter().flat_map(|set| ["--set", set]);
+fn train(data: &Path, out: &Path, further: &str) {
+    let small =
+        "data.downscale=1 field.width=16 field.depth=2 field.skips=[] train.rays=32 eval.pictures=0 train.steps=2";
     let [data, out] = [data, out].map(|path| path.to_str().unwrap());
-    let train = ["train", "--data", data, "--preset", "smoke", "--out", out, "-q", "--set", "train.steps=2"];
-    succeed(&train.into_iter().chain(sets).chain(further.iter().copied()).collect::<Vec<&str>>());
+    Place::new().run(&format!("train --data {data} --preset smoke --out {out} -q{}{further}", set(small)), 0);
 }
 
 #[test]
@@ -28,7 +26,7 @@ fn a_scene_that_has_changed_is_refused_whatever_reads_the_run() {
     let (folder, out) = (Folder::new(17), TempDir::new().unwrap());
     folder.load(|_| {});
     let run = out.path().join("run");
-    train(folder.path(), &run, &[]);
+    train(folder.path(), &run, "");
     let (name, before) = (run.to_str().unwrap(), text(&run.join("metrics.json")));
     let views = &read_json(&run.join("scene.json"))["views"];
     assert_eq!(views["evaluated"], json!(["0", "16", "9"]), "every 8th by the files' names");
@@ -87,7 +85,7 @@ fn the_cameras_of_a_capture_s_own_file_are_its_views() {
     let scene = folder.load(|config| config.axes = Axes::Opencv);
     let dir = TempDir::new().unwrap();
     let run = dir.path().join("run");
-    train(folder.path(), &run, &["--set", "data.axes=opencv"]);
+    train(folder.path(), &run, &set("data.axes=opencv"));
     let copied = |from: &Path, to: &str| -> PathBuf {
         let to = dir.path().join(to);
         let [run, from, file] = [run.as_path(), from, to.as_path()].map(|path| path.to_str().unwrap());
@@ -151,7 +149,7 @@ fn exported_weights_tell_no_folders() {
     let (folder, out) = (Folder::new(9), TempDir::new().unwrap());
     folder.load(|_| {});
     let [run, file, back] = ["run", "a.safetensors", "back"].map(|name| out.path().join(name));
-    train(folder.path(), &run, &[]);
+    train(folder.path(), &run, "");
     let [name, file, back] = [&run, &file, &back].map(|path| path.to_str().unwrap());
     succeed(&["export", name, file, "-q"]);
     let bytes = fs::read(file).unwrap();

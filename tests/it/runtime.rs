@@ -1,7 +1,6 @@
 //! Runtimes: several trainings in one process, none in another's way.
 
-use std::collections::BTreeMap;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::sync::Barrier;
 use std::sync::atomic::AtomicUsize;
 
@@ -10,6 +9,8 @@ use augnerf::run::{Existing, Job, Setup};
 use augnerf::runtime::{Runtime, Work};
 use augnerf::settings::Method;
 
+use crate::common::files::{assert_same_files, files};
+use crate::common::learning::FLEETING;
 use crate::common::program::augnerf;
 use crate::common::{tiny_config, tiny_scene};
 
@@ -25,24 +26,6 @@ fn train(folder: &Path, method: Method, threads: usize) -> Work {
     let setup = Setup { config, scene: &tiny_scene(), lpips: &[], runtime: runtime.clone() };
     Job::create(folder, Existing::Refuse, setup).unwrap().train(&(), &AtomicUsize::new(0)).unwrap();
     runtime.work()
-}
-
-/// All files below `folder` but those that hold clock times or process numbers.
-fn files(folder: &Path) -> BTreeMap<PathBuf, Vec<u8>> {
-    let mut found = BTreeMap::new();
-    for entry in std::fs::read_dir(folder).unwrap() {
-        let path = entry.unwrap().path();
-        let name = path.file_name().unwrap().to_string_lossy().into_owned();
-        if ["timing.json", "run.lock"].contains(&name.as_str()) {
-            continue;
-        }
-        if path.is_dir() {
-            found.extend(files(&path).into_iter().map(|(below, bytes)| (Path::new(&name).join(below), bytes)));
-        } else {
-            found.insert(name.into(), std::fs::read(&path).unwrap());
-        }
-    }
-    found
 }
 
 #[test]
@@ -63,10 +46,9 @@ fn two_trainings_at_once_give_the_bytes_of_one() {
         let (first, second) = (start("first", Method::AugNerf, 1), start("second", Method::Nerf, 3));
         (first.join().unwrap(), second.join().unwrap())
     });
-    let (expected, expected_other) = (files(&at("alone")), files(&at("other alone")));
-    assert!(expected.len() > 10 && expected != expected_other, "{:?}", expected.keys());
-    assert!(expected == files(&at("first")));
-    assert!(expected_other == files(&at("second")));
+    assert_same_files(&at("alone"), &at("first"), &FLEETING);
+    assert_same_files(&at("other alone"), &at("second"), &FLEETING);
+    assert!(files(&at("alone"), &FLEETING) != files(&at("other alone"), &FLEETING));
     // Another training's work is not counted.
     assert!(alone.multiply_adds > 0 && alone.active_points > 0);
     assert_eq!(alone, first);

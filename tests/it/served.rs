@@ -12,7 +12,7 @@ use tempfile::TempDir;
 
 use crate::common::assert_says;
 use crate::common::files::{entries, json as read_json, text};
-use crate::common::program::{augnerf, refuse, succeed, wait_for};
+use crate::common::program::{Place, augnerf, refuse, set, succeed, wait_for};
 
 /// No answer on a busy machine takes so long.
 const PATIENCE: Duration = Duration::from_secs(600);
@@ -22,13 +22,12 @@ fn path(path: &Path) -> &str {
 }
 
 /// A run of a second at 16 x 16, with further settings.
-fn trained(dir: &TempDir, settings: &[&str]) -> PathBuf {
+fn trained(dir: &TempDir, settings: &str) -> PathBuf {
     let out = dir.path().join("RUN");
-    let small = ["data.width=16", "field.width=16", "sampling.coarse=8", "sampling.fine=8", "train.rays=64"];
-    let short = ["train.steps=12", "eval.pictures=0"];
-    let set = small.iter().chain(&short).chain(settings).flat_map(|setting| ["--set", setting]);
-    let train = ["train", "--quiet", "--preset", "smoke", "--out", path(&out)];
-    succeed(&train.into_iter().chain(set).collect::<Vec<_>>());
+    let small =
+        "data.width=16 field.width=16 sampling.coarse=8 sampling.fine=8 train.rays=64 train.steps=12 eval.pictures=0";
+    let set = format!("{}{}", set(small), set(settings));
+    Place::new().run(&format!("train --quiet --preset smoke --out {}{set}", path(&out)), 0);
     out
 }
 
@@ -127,7 +126,7 @@ fn eight_bits(values: &[f64]) -> Vec<u8> {
 #[test]
 fn images_are_those_of_render_cameras_byte_for_byte() {
     let dir = TempDir::new().unwrap();
-    let (run, out) = (trained(&dir, &[]), dir.path().join("served"));
+    let (run, out) = (trained(&dir, ""), dir.path().join("served"));
     // The run is free while it is served.
     let (mut served, ready) = Served::start(&run, &out);
     assert_eq!((&ready["ready"], &ready["protocol"]), (&json!(true), &json!(1)));
@@ -188,7 +187,7 @@ fn check_values(run: &Path, expected: &Path, file: &dyn Fn(&str) -> PathBuf) {
 #[test]
 fn wrong_requests_are_answered_in_words_and_the_next_is_read() {
     let dir = TempDir::new().unwrap();
-    let (run, out) = (trained(&dir, &[]), dir.path().join("served"));
+    let (run, out) = (trained(&dir, ""), dir.path().join("served"));
     let (mut served, _) = Served::start(&run, &out);
     let good = camera(4.0);
     let further = |further: Value| with(&good, further);
@@ -243,7 +242,7 @@ fn wrong_requests_are_answered_in_words_and_the_next_is_read() {
 #[test]
 fn answers_come_in_the_order_of_requests_also_at_the_end_of_input() {
     let dir = TempDir::new().unwrap();
-    let (run, out) = (trained(&dir, &[]), dir.path().join("served"));
+    let (run, out) = (trained(&dir, ""), dir.path().join("served"));
     let (mut served, _) = Served::start(&run, &out);
     let request = |index: usize| match index {
         2 => "nonsense".to_string(),
@@ -266,7 +265,7 @@ fn answers_come_in_the_order_of_requests_also_at_the_end_of_input() {
 #[test]
 fn a_signal_ends_a_server_that_waits_or_renders() {
     let dir = TempDir::new().unwrap();
-    let run = trained(&dir, &["eval.chunk=64"]);
+    let run = trained(&dir, "eval.chunk=64");
     for (signal, code) in [("-TERM", 143), ("-INT", 130)] {
         let (mut served, _) = Served::start(&run, &dir.path().join(format!("waits{signal}")));
         served.ask(&camera(4.0).to_string());
@@ -289,7 +288,7 @@ fn a_signal_ends_a_server_that_waits_or_renders() {
 #[test]
 fn a_server_whose_answers_nobody_reads_ends() {
     let dir = TempDir::new().unwrap();
-    let run = trained(&dir, &[]);
+    let run = trained(&dir, "");
     let out = dir.path().join("served");
     let mut command = augnerf(&["render", path(&run), "--serve", "--out", path(&out), "--quiet"]);
     let mut child = command.stdin(Stdio::piped()).stdout(Stdio::piped()).spawn().unwrap();
@@ -310,7 +309,7 @@ fn a_server_whose_answers_nobody_reads_ends() {
 #[test]
 fn cameras_that_look_away_have_no_normalized_device_coordinates() {
     let dir = TempDir::new().unwrap();
-    let run = trained(&dir, &["data.kind=builtin-forward"]);
+    let run = trained(&dir, "data.kind=builtin-forward");
     let out = dir.path().join("served");
     let (mut served, _) = Served::start(&run, &out);
     let away = json!({ "camera_to_world": [-1, 0, 0, 0, 0, 1, 0, 0, 0, 0, -1, 0, 0, 0, 0, 1] });
@@ -327,7 +326,7 @@ fn cameras_that_look_away_have_no_normalized_device_coordinates() {
 #[test]
 fn flags_of_known_cameras_and_folders_with_files_are_refused() {
     let dir = TempDir::new().unwrap();
-    let run = trained(&dir, &[]);
+    let run = trained(&dir, "");
     let (run, out) = (path(&run), path(dir.path()));
     refuse(&["render", run, "--serve"], 2, &["--out"]);
     let further =
@@ -347,7 +346,7 @@ fn the_example_of_the_page_runs() {
     let page = text(&Path::new(env!("CARGO_MANIFEST_DIR")).join("docs/rendering.md"));
     let example = page.split("```python\n").nth(1).and_then(|rest| rest.split("```").next()).expect("an example");
     let dir = TempDir::new().unwrap();
-    trained(&dir, &[]);
+    trained(&dir, "");
     let programs = Path::new(env!("CARGO_BIN_EXE_augnerf")).parent().unwrap();
     let search = std::env::join_paths(
         [programs.to_path_buf()].into_iter().chain(std::env::split_paths(&std::env::var_os("PATH").unwrap())),

@@ -290,61 +290,6 @@ fn titles_say_what_the_command_line_changed() {
     crate::verify::verify(dir.path(), &[], 0);
 }
 
-#[test]
-fn the_smoke_sweep_leaves_every_table_and_figure() {
-    let dir = TempDir::new().unwrap();
-    let file = Path::new(env!("CARGO_MANIFEST_DIR")).join("sweeps/checks/smoke.toml");
-    let file = file.to_str().unwrap();
-    demand(
-        &[
-            "sweep",
-            "run",
-            file,
-            "--quiet",
-            "--set",
-            "train.steps=20",
-            "--set",
-            "train.log_every=10",
-            "--set",
-            "data.width=40",
-            "--jobs",
-            "2",
-        ],
-        dir.path(),
-        0,
-    );
-    let results = dir.path().join("results/smoke");
-    for name in [
-        "points.csv",
-        "table.csv",
-        "table.md",
-        "table.tex",
-        "timing.csv",
-        "rows_builtin_psnr.svg",
-        "curves_builtin_psnr.svg",
-    ] {
-        assert!(results.join(name).is_file(), "{name}");
-    }
-    let first = files(&results, &[]);
-    demand(&["sweep", "collect", "runs/smoke"], dir.path(), 0);
-    assert_eq!(first, files(&results, &[]), "collected from files alone, the tables are the same");
-    let table = rows(&text(&results.join("table.csv")));
-    assert_eq!(table.len(), 7);
-    for column in [
-        "row",
-        "psnr_mean",
-        "psnr_std",
-        "psnr_n",
-        "psnr_difference",
-        "psnr_low",
-        "psnr_high",
-        "psnr_p_holm",
-        "psnr_verdict",
-    ] {
-        assert!(table[0].contains_key(column), "no column {column}");
-    }
-}
-
 /// A run that cannot be read is hours of training: it is said, not begun again over what is there.
 #[test]
 fn a_point_without_its_settings_fails_and_keeps_its_checkpoints() {

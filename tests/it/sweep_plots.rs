@@ -4,7 +4,7 @@ use augnerf::base::rng::{Random, Stream};
 use augnerf::report::exporters::{Collected, EXPORTERS};
 use augnerf::report::plots::{Curve, Figure, Style, axes_figure, curves_figure, rows_figure, seconds_figure};
 use augnerf::report::tables::Table;
-use augnerf::report::{AxisParts, AxisValue, PointResult, Record, RowSpec, Status, TableSpec};
+use augnerf::report::{AxisParts, AxisValue, Record, RowSpec, Status, TableSpec};
 
 const ROWS: [&str; 14] = [
     "NeRF",
@@ -74,20 +74,12 @@ fn place(svg: &str, text: &str) -> (f64, f64) {
 }
 
 fn record(row: &str, axes: Vec<AxisValue>, seed: u64, psnr: Option<f64>) -> Record {
-    Record {
-        id: format!("{row}{axes:?}{seed}"),
-        scene: "fern".into(),
-        row: row.into(),
-        axes,
-        seed: Some(seed),
-        status: if psnr.is_some() { Status::Done } else { Status::Waiting },
-        result: PointResult {
-            metrics: vec![("psnr".into(), psnr)],
-            inactive_levels: if row == "Aug-NeRF" { vec!["rgb".into(), "density".into()] } else { vec![] },
-            ..PointResult::default()
-        },
-        ..Record::default()
+    let mut record = crate::common::record("fern", row, seed, &[("psnr", psnr)], &[]);
+    if row == "Aug-NeRF" {
+        record.result.inactive_levels = vec!["rgb".into(), "density".into()];
     }
+    let status = if psnr.is_some() { Status::Done } else { Status::Waiting };
+    Record { id: format!("{row}{axes:?}{seed}"), axes, status, ..record }
 }
 
 /// A table and its points, without logs.

@@ -3,6 +3,7 @@
 use std::collections::HashMap;
 
 use crate::common::files::rows;
+use crate::common::{record, row_against};
 use augnerf::base::Error;
 use augnerf::metrics::METRICS;
 use augnerf::report::plots::{Style, rows_figure};
@@ -11,7 +12,7 @@ use augnerf::report::tables::{
     Line, Table, Verdict, constants, file_field, points_csv, read_points, table_csv, table_latex, table_markdown,
     table_terminal,
 };
-use augnerf::report::{AxisValue, PointResult, PublishedKey, Record, RowSpec, Status, TableSpec};
+use augnerf::report::{AxisValue, PublishedKey, Record, RowSpec, Status, TableSpec};
 use augnerf::settings::columns::COLUMNS;
 
 fn row(name: &str, baseline: Option<&str>, method: &str) -> RowSpec {
@@ -47,7 +48,7 @@ fn spec() -> TableSpec {
 
 fn point(scene: &str, row: &str, seed: u64, psnr: f64) -> Record {
     let seed_text = seed.to_string();
-    let fields = [
+    let protocol = [
         ("dataset", "llff"),
         ("scene", scene),
         ("width", "101"),
@@ -57,19 +58,7 @@ fn point(scene: &str, row: &str, seed: u64, psnr: f64) -> Record {
         ("config_hash", seed_text.as_str()),
         ("code_revision", "abc"),
     ];
-    Record {
-        id: format!("{scene}-{row}-{seed}"),
-        scene: scene.into(),
-        row: row.into(),
-        seed: Some(seed),
-        status: Status::Done,
-        result: PointResult {
-            metrics: vec![("psnr".into(), Some(psnr)), ("average_vgg".into(), None)],
-            protocol: fields.map(|(name, text)| (name.to_string(), text.to_string())).to_vec(),
-            ..PointResult::default()
-        },
-        ..Record::default()
-    }
+    record(scene, row, seed, &[("psnr", Some(psnr)), ("average_vgg", None)], &protocol)
 }
 
 fn at_steps(mut record: Record, steps: &str) -> Record {
@@ -116,8 +105,8 @@ fn find<'a>(table: &'a Table, scene: &str, label: &str) -> &'a Line {
     table.lines.iter().find(|line| line.scene == scene && line.label == label).unwrap()
 }
 
-fn cells<'a>(row: &'a HashMap<String, String>, names: &[&str]) -> Vec<&'a str> {
-    names.iter().map(|&name| row.get(name).map_or("", String::as_str)).collect()
+fn cells<'a>(row: &'a HashMap<String, String>, names: &str) -> Vec<&'a str> {
+    names.split_whitespace().map(|name| row.get(name).map_or("", String::as_str)).collect()
 }
 
 #[test]
@@ -254,11 +243,11 @@ fn points_csv_has_every_point() {
     let timing = [("fern-NeRF-0".to_string(), vec![("seconds_training".to_string(), Some(12.5))])];
     let rows = rows(&points_csv(&records(), &timing, &vec![]));
     assert_eq!(rows.len(), records().len());
-    let names = ["id", "psnr", "lpips_vgg", "average_vgg", "width", "seconds_training"];
-    assert_eq!(cells(&rows[3], &names), ["fern-NeRF-0", "25", "0.25", "", "101", "12.5"]);
-    let names = ["axes", "seed", "status", "reason", "psnr", "width", "seconds_training"];
+    let names = "id psnr lpips_vgg average_vgg width seconds_training";
+    assert_eq!(cells(&rows[3], names), ["fern-NeRF-0", "25", "0.25", "", "101", "12.5"]);
+    let names = "axes seed status reason psnr width seconds_training";
     let failed = ["features steps = 3", "2", "failed", "collapsed | at step 7", "", "", ""];
-    assert_eq!(cells(&rows[8], &names), failed);
+    assert_eq!(cells(&rows[8], names), failed);
     assert_eq!(rows[2]["inactive_levels"], "rgb density");
 }
 
@@ -267,22 +256,12 @@ fn table_csv_has_every_line() {
     let timing = [0, 1].map(|seed| (format!("fern-NeRF-{seed}"), vec![("seconds".to_string(), Some(seed as f64))]));
     let rows = rows(&table_csv(&table(), &timing, &vec![]));
     assert_eq!(rows.len(), 7);
-    let names = [
-        "row",
-        "ours",
-        "points",
-        "psnr_n",
-        "psnr_mean",
-        "psnr_std",
-        "psnr_difference",
-        "psnr_verdict",
-        "psnr_published",
-    ];
-    assert_eq!(cells(&rows[0], &names), ["NeRF", "false", "3", "3", "25", "0.125", "", "", "25.17"]);
-    assert_eq!(cells(&rows[1], &names), ["Aug-NeRF", "false", "3", "3", "25.5", "0.25", "0.5", "higher", "26.51"]);
-    assert_eq!(cells(&rows[4], &names), ["output & only", "true", "1", "1", "25", "", "0.125", "", ""]);
-    assert_eq!(cells(&rows[6], &names), ["Aug-NeRF", "false", "1", "0", "", "", "", "", ""]);
-    assert_eq!(cells(&rows[0], &["width", "height", "steps", "seconds_mean"]), ["101", "76", "2000", "0.5"]);
+    let names = "row ours points psnr_n psnr_mean psnr_std psnr_difference psnr_verdict psnr_published";
+    assert_eq!(cells(&rows[0], names), ["NeRF", "false", "3", "3", "25", "0.125", "", "", "25.17"]);
+    assert_eq!(cells(&rows[1], names), ["Aug-NeRF", "false", "3", "3", "25.5", "0.25", "0.5", "higher", "26.51"]);
+    assert_eq!(cells(&rows[4], names), ["output & only", "true", "1", "1", "25", "", "0.125", "", ""]);
+    assert_eq!(cells(&rows[6], names), ["Aug-NeRF", "false", "1", "0", "", "", "", "", ""]);
+    assert_eq!(cells(&rows[0], "width height steps seconds_mean"), ["101", "76", "2000", "0.5"]);
     let quoted = "quoted from the NeRF paper, 1008x752, width 256, 8 layers, 64 + 128 samples, 4096 rays a step";
     assert_eq!(rows[0]["published_protocol"], format!("{quoted}, 17 views trained on and 3 evaluated"));
     let low: f64 = rows[1]["psnr_low"].parse().unwrap();
@@ -324,11 +303,10 @@ fn csvs_hold_what_varies_and_are_read_back_whole() {
             .iter()
             .any(|n| head.contains(n))
     );
-    let names =
-        ["id", "data_hash", "perturb_lambda", "perturb.t.epsilon", "perturb.feature.steps", "position", "positions"];
-    assert_eq!(cells(&found[0], &names), ["h10e456789012", "h7797e1855047", "0.1", "0.5", "1", "1", "1"]);
-    assert_eq!(cells(&found[3], &names), ["h13e456789012", "h7797e1855047", "", "", "", "1", "2"]);
-    assert_eq!(cells(&found[9], &names)[5..], ["2", "2"]);
+    let names = "id data_hash perturb_lambda perturb.t.epsilon perturb.feature.steps position positions";
+    assert_eq!(cells(&found[0], names), ["h10e456789012", "h7797e1855047", "0.1", "0.5", "1", "1", "1"]);
+    assert_eq!(cells(&found[3], names), ["h13e456789012", "h7797e1855047", "", "", "", "1", "2"]);
+    assert_eq!(cells(&found[9], names)[5..], ["2", "2"]);
     let axes = |text: &str| records.iter().find(|r| r.label() == format!("{}, {text}", r.row)).map(|r| r.axes.clone());
     let read = |csv: &str, shared| {
         read_points(csv, shared, &[], |at| if at.axes.is_empty() { Some(vec![]) } else { axes(at.axes) }).unwrap()
@@ -350,7 +328,7 @@ fn csvs_hold_what_varies_and_are_read_back_whole() {
     }
     let table = Table::new(&TableSpec { must_match: vec![], ..spec() }, &records, false).unwrap();
     let lines = rows(&table_csv(&table, &[], &shared));
-    assert_eq!(cells(&lines[1], &["row", "set.perturb.t.steps", "psnr_mean"]), ["Aug-NeRF", "3", "25.5"]);
+    assert_eq!(cells(&lines[1], "row set.perturb.t.steps psnr_mean"), ["Aug-NeRF", "3", "25.5"]);
     assert!(!["code_revision", "mixed", "average_vgg_mean", "width"].iter().any(|name| lines[1].contains_key(*name)));
 }
 
@@ -606,8 +584,8 @@ fn methods_that_are_not_run_carry_the_paper_s_numbers_alone() {
     // The paper has no such row for the other scene.
     assert_eq!(table.lines.iter().filter(|line| line.quoted).count(), 1);
     let rows = rows(&table_csv(&table, &[], &vec![]));
-    assert_eq!(cells(&rows[0], &["row", "source", "psnr_mean", "psnr_published"]), ["SRN", "published", "", "21.37"]);
-    assert_eq!(cells(&rows[1], &["source"]), ["run"]);
+    assert_eq!(cells(&rows[0], "row source psnr_mean psnr_published"), ["SRN", "published", "", "21.37"]);
+    assert_eq!(cells(&rows[1], "source"), ["run"]);
     let markdown = table_markdown(&table);
     assert!(markdown.contains("SRN #") && markdown.contains("not run here"), "{markdown}");
 }
@@ -676,11 +654,11 @@ fn words_are_the_same_in_every_format_and_follow_holm() {
     records.retain(|record| record.row != "+ TV Reg.");
     let table = Table::new(&spec, &records, false).unwrap();
     let csv = rows(&table_csv(&table, &[], &vec![]));
-    let names = ["psnr_margin", "psnr_verdict", "psnr_equivalent"];
-    assert_eq!(cells(&csv[0], &names), ["", "", ""]);
-    assert_eq!(cells(&csv[1], &names), ["0.6", "higher", "true"]);
+    let names = "psnr_margin psnr_verdict psnr_equivalent";
+    assert_eq!(cells(&csv[0], names), ["", "", ""]);
+    assert_eq!(cells(&csv[1], names), ["0.6", "higher", "true"]);
     // Of two comparisons the second passes, too.
-    assert_eq!(cells(&csv[2], &names), ["0.6", "lower", "true"]);
+    assert_eq!(cells(&csv[2], names), ["0.6", "lower", "true"]);
     assert!(csv[1]["psnr_p_equivalence_holm"].parse::<f64>().unwrap() < 0.05);
     let latex = table_latex(&table);
     assert_eq!(latex.matches(" $\\approx$} ").count(), 2, "{latex}");
@@ -707,21 +685,26 @@ fn the_same_training_under_two_names_is_one_comparison() {
     assert_eq!(p(1).1, 2.0 * p(1).0);
 }
 
-/// What Markdown and LaTeX would take for more than text.
+/// What Markdown, LaTeX and browsers would take for more than text.
 #[test]
 fn odd_names_stay_names_in_every_format() {
     let mut spec = spec();
+    let odd = "[x](javascript:alert(1)) \\input{/etc/passwd} <script>50%</script>";
     spec.title = "=cmd|' /C calc'!A0\n\n[x](javascript:alert(1)) λ 中".into();
-    spec.rows[2].name = "[x](javascript:alert(1))".into();
+    spec.rows[2].name = odd.into();
     spec.rows[2].published = None;
     let mut records = records();
     for record in records.iter_mut().filter(|record| record.row == "+ TV Reg.") {
-        record.row = "[x](javascript:alert(1))".into();
+        record.row = odd.into();
     }
     let table = Table::new(&spec, &records, false).unwrap();
-    assert!(!table_markdown(&table).contains("](j"), "{}", table_markdown(&table));
+    let markdown = table_markdown(&table);
+    assert!(!markdown.contains("](j") && !markdown.replace("\\<", "").contains("<script>"), "{markdown}");
     let latex = table_latex(&table);
-    assert!(latex.is_ascii() && !latex.contains("\n\n[x]"), "{latex}");
+    assert!(latex.is_ascii() && !latex.contains("\n\n[x]") && !latex.contains("\\input{"), "{latex}");
+    assert!(!latex.contains(">50%<") && latex.contains("etc/passwd"), "{latex}");
+    let figure = rows_figure(page(&spec), &table, &records, "fern", "psnr").unwrap().svg;
+    assert!(!figure.contains("<script>") && figure.contains("script"), "{figure}");
     assert!(
         latex.contains("\n\\providecommand{\\augnerfletter}") && latex.contains("$\\lambda$ \\augnerfletter{4E2D}")
     );
@@ -764,14 +747,26 @@ fn tables_say_what_a_corruption_costs_the_baseline() {
         let text = table_markdown(&Table::new(&spec, &records("fern"), false).unwrap());
         text.lines().filter(|line| line.contains("cost of")).map(String::from).collect()
     };
-    let row = |name: &str, baseline: Option<&str>| RowSpec {
-        name: name.into(),
-        baseline: baseline.map(String::from),
-        ..RowSpec::default()
-    };
     // Differences 0.5, 0.5 and 0.375: mean 0.4583, standard error 0.0417, Student t of two degrees of freedom 4.303.
     let cost = "- cost of gaussian-noise 3 (std 0.18) to NeRF: psnr +0.46 [+0.28, +0.64] (clean minus corrupted, paired by seed, 95 % interval)";
-    assert_eq!(note(vec![row("clean", Some("NeRF")), row("NeRF", None), row("Aug-NeRF", Some("NeRF"))]), [cost]);
-    assert_eq!(note(vec![row("clean", None), row("NeRF", Some("clean")), row("Aug-NeRF", Some("NeRF"))]), [cost]);
-    assert!(note(vec![row("clean", None), row("NeRF", None), row("Aug-NeRF", Some("NeRF"))]).is_empty());
+    assert_eq!(
+        note(vec![
+            row_against("clean", Some("NeRF")),
+            row_against("NeRF", None),
+            row_against("Aug-NeRF", Some("NeRF"))
+        ]),
+        [cost]
+    );
+    assert_eq!(
+        note(vec![
+            row_against("clean", None),
+            row_against("NeRF", Some("clean")),
+            row_against("Aug-NeRF", Some("NeRF"))
+        ]),
+        [cost]
+    );
+    assert!(
+        note(vec![row_against("clean", None), row_against("NeRF", None), row_against("Aug-NeRF", Some("NeRF"))])
+            .is_empty()
+    );
 }

@@ -122,36 +122,6 @@ axis = [{ name = "PGD steps", keys = ["perturb.t.steps"], values = [1, 3] }, { n
     assert_says(&run(dir.path(), &["verify"], 10), &["[constants] are not the fields that all points share"]);
 }
 
-/// pandas drops a row of this name; folders that have one stay readable.
-#[test]
-fn names_that_are_no_text_are_refused_and_read() {
-    let dir = workplace();
-    let file = dir.path().join("sweeps/tiny.toml");
-    fs::write(&file, TINY.replace("\"NeRF\"", "\"None\"")).unwrap();
-    for command in [&["run"][..], &["plan"], &["run", "--create"]] {
-        let said = run(dir.path(), &[&["sweep"], command, &["sweeps/tiny.toml", "--quiet"]].concat(), 2);
-        assert_says(
-            &said,
-            &["row's name 'None' is one that pandas and R read as a missing value", "such as 'row None'"],
-        );
-    }
-    assert!(!dir.path().join("runs").exists());
-    fs::write(&file, TINY).unwrap();
-    run(dir.path(), &["sweep", "run", "sweeps/tiny.toml", "--quiet"], 0);
-    for file in ["runs/tiny/sweep.toml", "runs/tiny/points.json", "sweeps/tiny.toml"] {
-        let file = dir.path().join(file);
-        fs::write(&file, fs::read_to_string(&file).unwrap().replace("\"NeRF\"", "\"None\"")).unwrap();
-    }
-    for command in
-        [&["sweep", "run", "sweeps/tiny.toml", "--quiet"][..], &["sweep", "collect", "runs/tiny"], &["verify"]]
-    {
-        run(dir.path(), command, 0);
-    }
-    assert!(points_of(&dir.path().join("results/tiny")).iter().any(|point| point["row"] == "None"));
-    fs::write(&file, TINY.replace("\"NeRF\"", "\"0.1\"")).unwrap();
-    run(dir.path(), &["sweep", "run", "--create", "sweeps/tiny.toml", "--name", "numbers"], 0);
-}
-
 /// A reworded title is refused at once, and says that it costs nothing.
 #[test]
 fn a_changed_definition_is_refused_before_scenes_are_loaded() {
@@ -413,16 +383,4 @@ fn words_that_are_not_utf_8_are_named() {
     let odd = std::ffi::OsStr::from_bytes(b"train.steps=\xff");
     let said = demand(augnerf(&["sweep", "plan", "smoke", "--set"]).arg(odd), 2);
     assert_says(&said, &[r#"not UTF-8: "train.steps=\xFF""#]);
-}
-
-/// A title that names steps is wrong with `--set train.steps`; the protocol says them.
-#[test]
-fn no_shipped_title_names_steps() {
-    for (name, text) in augnerf::sweep::SHIPPED {
-        let table: toml::Table = toml::from_str(text).unwrap();
-        let title = table.get("title").and_then(toml::Value::as_str).unwrap_or_default();
-        let words: Vec<&str> = title.split([' ', ',']).collect();
-        let counted = |pair: &[&str]| pair[1].starts_with("step") && pair[0].ends_with(|c: char| c.is_ascii_digit());
-        assert!(!words.windows(2).any(counted), "{name}: {title}");
-    }
 }

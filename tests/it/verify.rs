@@ -3,7 +3,7 @@
 use std::path::{Path, PathBuf};
 
 use crate::common::assert_says;
-use crate::common::files::{assert_same_files, points_of, rows, text};
+use crate::common::files::{assert_same_files, copy, points_of, rows, text};
 use crate::common::program::{self, augnerf};
 use sha2::{Digest, Sha256};
 use tempfile::TempDir;
@@ -15,14 +15,6 @@ const ROOT: &str = env!("CARGO_MANIFEST_DIR");
 pub fn verify(dir: &Path, arguments: &[&str], code: i32) -> String {
     let mut command = augnerf(&[&["verify"], arguments].concat());
     program::demand(command.current_dir(dir).env_remove("AUGNERF_DATA").env_remove("AUGNERF_LPIPS_WEIGHTS"), code)
-}
-
-fn copy(from: &Path, to: &Path) {
-    std::fs::create_dir_all(to).unwrap();
-    for entry in std::fs::read_dir(from).unwrap() {
-        let path = entry.unwrap().path();
-        std::fs::copy(&path, to.join(path.file_name().unwrap())).unwrap();
-    }
 }
 
 /// Where committed results of this name lie, from the repository's root.

@@ -14,8 +14,8 @@ use super::files::assert_same_files;
 use super::program::succeed;
 use super::{flat, runtime, tiny_scene};
 
-/// Of a run, what need not repeat: clocks, locks and event files.
-const FLEETING: [&str; 2] = ["timing.json", "run.lock"];
+/// Of a run, what need not repeat: clocks and locks.
+pub const FLEETING: [&str; 2] = ["timing.json", "run.lock"];
 
 /// A run of a second on the embedded scene, 40 steps with a checkpoint every 20, both of which are kept.
 pub struct Small {

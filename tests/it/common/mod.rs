@@ -3,6 +3,7 @@
 pub mod files;
 pub mod learning;
 pub mod needs;
+pub mod pass;
 pub mod program;
 pub mod reference;
 
@@ -11,6 +12,7 @@ use std::time::Instant;
 
 use augnerf::base::Image;
 use augnerf::data::{Camera, Scene, SceneSpace, View};
+use augnerf::report::{PointResult, Record, RowSpec, Status};
 use augnerf::runtime::Runtime;
 use augnerf::settings::{Config, DataKind, DensityActivation, Encoding, Method, Resolved};
 use augnerf::train::Trainer;
@@ -155,6 +157,39 @@ pub fn assert_takes_at_most(times: f64, first: impl Fn(), second: impl Fn()) {
         }
     }
     panic!("{other:.3} s, more than {times} times {least:.3} s");
+}
+
+/// A point that is done, on no axis.
+pub fn record(scene: &str, row: &str, seed: u64, metrics: &[(&str, Option<f64>)], protocol: &[(&str, &str)]) -> Record {
+    Record {
+        id: format!("{scene}-{row}-{seed}"),
+        scene: scene.into(),
+        row: row.into(),
+        seed: Some(seed),
+        status: Status::Done,
+        result: PointResult {
+            metrics: metrics.iter().map(|(name, value)| (name.to_string(), *value)).collect(),
+            protocol: protocol.iter().map(|(name, text)| (name.to_string(), text.to_string())).collect(),
+            ..PointResult::default()
+        },
+        ..Record::default()
+    }
+}
+
+/// A row of a table, compared with another.
+pub fn row_against(name: &str, baseline: Option<&str>) -> RowSpec {
+    RowSpec { name: name.into(), baseline: baseline.map(String::from), ..RowSpec::default() }
+}
+
+/// Every command with the words that name it, the program itself first.
+pub fn commands() -> Vec<(String, clap::Command)> {
+    fn visit(command: &clap::Command, path: &str, out: &mut Vec<(String, clap::Command)>) {
+        out.push((path.to_string(), command.clone()));
+        command.get_subcommands().for_each(|inner| visit(inner, &format!("{path} {}", inner.get_name()), out));
+    }
+    let mut out = Vec::new();
+    visit(&augnerf::cli::command(), "augnerf", &mut out);
+    out
 }
 
 /// The numbers of any tensor, row by row.

@@ -1,11 +1,15 @@
 //! The program as a user runs it, in a folder that is not the repository.
 
-use std::process::{Command, Output};
+use std::path::{Path, PathBuf};
+use std::process::{Child, Command, Output, Stdio};
+use std::sync::OnceLock;
 use std::time::Duration;
 
 use augnerf::runtime::with_own_variables;
+use tempfile::TempDir;
 
 use super::assert_says;
+use super::files::{copy, json, text};
 
 /// The program with arguments, not yet started. It sees neither scenes nor LPIPS weights of this machine.
 pub fn augnerf(arguments: &[&str]) -> Command {
@@ -64,4 +68,102 @@ pub fn wait_for(what: &str, mut holds: impl FnMut() -> bool) {
         std::thread::sleep(Duration::from_millis(5));
     }
     panic!("ten minutes went by without {what}");
+}
+
+/// A folder of its own in which the program runs.
+pub struct Place(TempDir);
+
+impl Place {
+    pub fn new() -> Place {
+        Place(TempDir::new().unwrap())
+    }
+
+    /// A folder with this file in it.
+    pub fn with(file: &str, text: &str) -> Place {
+        let place = Place::new();
+        place.write(file, text);
+        place
+    }
+
+    /// A copy of a folder that is made once, for tests that change it.
+    pub fn copy_of(once: &OnceLock<Place>, make: impl FnOnce(&Place)) -> Place {
+        let made = once.get_or_init(|| {
+            let place = Place::new();
+            make(&place);
+            place
+        });
+        let place = Place::new();
+        copy(made.path(), place.path());
+        place
+    }
+
+    pub fn path(&self) -> &Path {
+        self.0.path()
+    }
+
+    pub fn at(&self, name: &str) -> PathBuf {
+        self.path().join(name)
+    }
+
+    #[track_caller]
+    pub fn write(&self, file: &str, content: impl AsRef<[u8]>) {
+        std::fs::write(self.at(file), content).unwrap();
+    }
+
+    #[track_caller]
+    pub fn text(&self, file: &str) -> String {
+        text(&self.at(file))
+    }
+
+    #[track_caller]
+    pub fn json(&self, file: &str) -> serde_json::Value {
+        json(&self.at(file))
+    }
+
+    /// A command line, not yet started. Words are between spaces or, with spaces of their own, in quotes.
+    pub fn command(&self, line: &str) -> Command {
+        let parts = line.split('\'').enumerate();
+        let words = parts.flat_map(|(i, part)| if i % 2 == 1 { vec![part] } else { part.split_whitespace().collect() });
+        let mut command = augnerf(&words.collect::<Vec<&str>>());
+        command.current_dir(self.path());
+        command
+    }
+
+    /// Runs a command line, demands an exit code and no panic, and returns everything said.
+    #[track_caller]
+    pub fn run(&self, line: &str, code: i32) -> String {
+        demand(&mut self.command(line), code)
+    }
+
+    /// Runs, demands success and returns what was printed.
+    #[track_caller]
+    pub fn printed(&self, line: &str) -> String {
+        let output = self.command(line).output().unwrap();
+        assert!(output.status.success(), "{line}: {}", String::from_utf8_lossy(&output.stderr));
+        String::from_utf8(output.stdout).unwrap()
+    }
+
+    /// Demands the exit code and words of a refusal.
+    #[track_caller]
+    pub fn refuses(&self, line: &str, code: i32, words: &[&str]) {
+        assert_says(&self.run(line, code), words);
+    }
+
+    /// Starts a command line whose messages are kept.
+    pub fn start(&self, line: &str) -> Child {
+        self.command(line).stdout(Stdio::null()).stderr(Stdio::piped()).spawn().unwrap()
+    }
+}
+
+/// Flags of settings with spaces between them.
+pub fn set(settings: &str) -> String {
+    settings.split_whitespace().map(|setting| format!(" --set {setting}")).collect()
+}
+
+/// Sends a signal to a program and returns its exit code and what it said.
+#[cfg(unix)]
+pub fn signalled(child: Child, signal: &str) -> (Option<i32>, String) {
+    assert!(Command::new("kill").args([signal, &child.id().to_string()]).status().unwrap().success());
+    let output = child.wait_with_output().unwrap();
+    (output.status.code(), String::from_utf8_lossy(&output.stderr).into_owned())
 }

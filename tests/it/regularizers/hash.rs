@@ -61,71 +61,23 @@ fn the_adjoint_equals_forward_tangents_and_autodiff() {
     }
 }
 
-/// Stencils that cross a kink, of the networks or of a linear grid, disagree, as they must: most do not.
 #[test]
 fn derivatives_equal_finite_differences_of_density() {
-    const H: f64 = 1e-4;
     for (i, config) in grids().iter().enumerate() {
         let points = points(20 + i as u64, 90);
-        let field = rough(config, 20 + i as u64, &points);
-        let at = field.spatial(&points).unwrap().at;
-        let density = |points: &Tensor| flat(&field.activate_density(&field.raw_density(points).unwrap()).unwrap());
-        let middle = density(&points);
-        let (mut slopes, mut curvature) = (vec![[0.0; 3]; 90], vec![0.0; 90]);
-        for axis in 0..3 {
-            let [up, down] = [H, -H].map(|by| {
-                let mut step = [0.0; 3];
-                step[axis] = by;
-                density(&points.broadcast_add(&Tensor::new(&step, &CPU).unwrap()).unwrap())
-            });
-            for n in 0..90 {
-                slopes[n][axis] = (up[n] - down[n]) / (2.0 * H);
-                curvature[n] += (up[n] - 2.0 * middle[n] + down[n]) / (H * H);
-            }
-        }
-        let found = at.gradient.to_vec2::<f64>().unwrap();
-        let close = |a: f64, b: f64, tolerance: f64| (a - b).abs() < tolerance * (1.0 + b.abs());
-        let right = (0..90).filter(|n| (0..3).all(|axis| close(found[*n][axis], slopes[*n][axis], 1e-4))).count();
-        assert!(right > 80 && found.iter().flatten().any(|slope| slope.abs() > 0.1), "{right} {config:?}");
-        if config.has_laplacian() {
-            let found = flat(&at.laplacian);
-            let right = (0..90).filter(|n| close(found[*n], curvature[*n], 1e-3)).count();
-            assert!(right > 80 && found.iter().any(|value| value.abs() > 1.0), "{right} {config:?}");
-        }
+        assert_derivatives_are_differences(&rough(config, 20 + i as u64, &points), &points);
     }
 }
 
-/// Of the table as of the networks, along random directions.
+/// Of the table as of the networks.
 #[test]
 fn weight_gradients_equal_finite_differences() {
     for (i, config) in grids().iter().enumerate() {
         let points = points(40 + i as u64, 9);
         let field = rough(config, 40 + i as u64, &points);
-        let values: Vec<Tensor> = field.variables().iter().map(|(_, var)| var.copy().unwrap()).collect();
         for term in terms().into_iter().filter(|(term, _)| config.has_laplacian() || term.name() != "laplacian") {
-            let value = |values: &[Tensor]| {
-                let field = Field::from_parameters(config, values.to_vec()).unwrap();
-                flat(&regularize_at(&field, &points, &[term], 0.1).unwrap().values)[0]
-            };
-            let exact = regularize_at(&field, &points, &[term], 0.1).unwrap().gradients;
-            assert!(exact[0].is_some());
-            for (index, gradient) in exact.iter().enumerate() {
-                let Some(gradient) = gradient else { continue };
-                let random =
-                    Random::new(index as u64, Stream::Init, 0).uniform_tensor(gradient.dims(), DType::F64, &CPU);
-                let unit = random.unwrap().affine(2.0, -1.0).unwrap();
-                let slope = (gradient * &unit).unwrap().sum_all().unwrap().to_scalar::<f64>().unwrap();
-                let moved = |h: f64| {
-                    let mut values = values.clone();
-                    values[index] = (&values[index] + (&unit * h).unwrap()).unwrap();
-                    value(&values)
-                };
-                let best = [1e-4, 1e-5, 1e-6, 1e-7]
-                    .map(|h| ((moved(h) - moved(-h)) / (2.0 * h) - slope).abs() / (slope.abs() + 1e-4))
-                    .into_iter()
-                    .fold(f64::INFINITY, f64::min);
-                assert!(best < 1e-5, "{} parameter {index}: {best:e} of {slope} {config:?}", term.0.name());
-            }
+            assert!(regularize_at(&field, &points, &[term], 0.1).unwrap().gradients[0].is_some());
+            assert_weight_gradients_are_differences(&field, &points, term);
         }
     }
 }
@@ -177,16 +129,7 @@ fn kernels_equal_the_reference() {
                     laplacian: narrow(&odd.laplacian),
                 };
                 let (a, b) = (a.weight_gradients(&single).unwrap(), b.weight_gradients(&odd).unwrap());
-                for ((parameter, _), (a, b)) in Field::parameter_names(config).iter().zip(a.iter().zip(&b)) {
-                    match (a, b) {
-                        (Some(a), Some(b)) => {
-                            assert!(relative(a, b) < 1e-3, "{name} {parameter} {used:?} {} {config:?}", relative(a, b))
-                        }
-                        (Some(a), None) => assert!(flat(a).iter().all(|v| *v == 0.0), "{parameter} {used:?}"),
-                        (None, None) => {}
-                        (None, Some(_)) => panic!("{name} {parameter} {used:?}"),
-                    }
-                }
+                assert_same_gradients(&format!("{name} {used:?} {config:?}"), &a, &b, 1e-3);
             }
         }
     }

@@ -6,7 +6,8 @@ use augnerf::methods::Learner;
 use augnerf::settings::{DataKind, TermRays, WeightSchedule};
 
 /// Terms on rays, in space and on tables that are not the paper's, with weights that show.
-const FEW_VIEWS: [(Regularizer, f64); 10] = [
+const FEW_VIEWS: [(Regularizer, f64); 11] = [
+    (Regularizer::Distortion, 0.3),
     (Regularizer::Occlusion, 0.1),
     (Regularizer::Entropy, 0.1),
     (Regularizer::Cauchy, 0.1),
@@ -128,13 +129,15 @@ fn the_gradients_of_a_term_on_a_hash_grid_are_those_of_f64() {
     }
 }
 
-/// All at once: the same bytes on one and two threads, and after a stop.
+/// All at once, the paper's among them: the same bytes on one and two threads, and after a stop.
 #[test]
 fn all_terms_together_have_the_same_bytes_on_threads_and_after_a_stop() {
     let config = with(true, |config| {
-        config.kind = terms_of(true).map(|(term, _)| term).collect();
-        config.weight = terms_of(true).map(|(_, weight)| 0.01 * weight).collect();
-        config.schedule = vec![WeightSchedule::Constant; FEW_VIEWS.len()];
+        let in_space = [(Regularizer::L1, 0.1), (Regularizer::Tv, 0.01)];
+        let terms: Vec<(Regularizer, f64)> = terms_of(true).chain(in_space).collect();
+        config.kind = terms.iter().map(|(term, _)| *term).collect();
+        config.weight = terms.iter().map(|(_, weight)| 0.01 * weight).collect();
+        config.schedule = vec![WeightSchedule::Constant; terms.len()];
         config.schedule[0] = WeightSchedule::Linear { from: 0.2, steps: 4 };
         config.schedule[1] = WeightSchedule::Halved { every: 2 };
     });
