@@ -5,10 +5,10 @@
 //! The paper moves each sample's point by itself. Here a ray moves as a whole, as it would with a wrong pose: one shift for all
 //! of its samples, of at most one pixel at the scene's middle. The table compares both on the built-in scene.
 
-use augnerf::augment::{DeltaSet, Norm, OwnSet, OwnSite, PassGeometry, Site};
 use augnerf::base::Result;
 use augnerf::candle_core::DType;
 use augnerf::metrics::{PSNR, measure};
+use augnerf::perturb::{DeltaSet, Norm, PaperSite, PassGeometry, Site};
 use augnerf::run::{Viewer, load_scene};
 use augnerf::runtime::Runtime;
 use augnerf::settings::{Preset, build, parse_assignment};
@@ -23,21 +23,21 @@ struct RayShift {
     pixels: f64,
 }
 
-impl OwnSite for RayShift {
+impl Site for RayShift {
     fn name(&self) -> &str {
         "ray_shift"
     }
 
-    fn place(&self) -> Site {
-        Site::Xyz
+    fn at(&self) -> PaperSite {
+        PaperSite::Xyz
     }
 
-    fn in_pass(&self, pass: &PassGeometry) -> Result<OwnSet> {
+    fn set(&self, pass: &PassGeometry) -> Result<DeltaSet> {
         let (near, far) = pass.bounds;
         let pixel = if pass.pixel.ndc { 2.0 / pass.pixel.width } else { 0.5 * (near + far) / pass.pixel.focal };
         let (rays, samples) = (pass.rays()?, pass.samples);
         let set = DeltaSet::new(Norm::L2, pass.scalar(self.pixels * pixel)?.reshape((1, 1, 1))?, &[rays, 1, 3]);
-        Ok(OwnSet::new(set, move |shift| Ok(shift.broadcast_as((rays, samples, 3))?.contiguous()?)))
+        Ok(set.spread_by(move |shift| Ok(shift.broadcast_as((rays, samples, 3))?.contiguous()?)))
     }
 }
 

@@ -32,7 +32,7 @@
 //!  └──────┬──────────▲────────────────────────▲──────────────▲──────────────────────┬─────────┘
 //!         │ t_vals   │ t, xyz, view           │ feature      │ rgb, density         │ loss
 //!         │       ┌──┴────────────────────────┴──────────────┴──┐                   │
-//!         └──────►│ augment: deltas, sets ─► PGD on the loss    │◄── gradients ─────┤
+//!         └──────►│ perturb: deltas, sets ─► PGD on the loss    │◄── gradients ─────┤
 //!                 └─────────────────────────────────────────────┘                   ▼
 //!                          perturbed pass, lambda ──────────────────► train: Adam, checkpoint
 //!  losses: on rays, on tables ──────────────────────────────────────────────────────▲
@@ -62,8 +62,8 @@
 //! | `weights` | `[rays, samples]` | 0..1 | transmittance * alpha |
 //! | `acc` | `[rays]` | 0..1 | sum of weights |
 //! | `depth` | `[rays]` | as `t_vals` | sum of weights * t |
-//! | `delta` | see [`augment::Site`] | the site's own | perturbation added at a site of the perturbed pass |
-//! | `epsilon` | scalar | see [`augment::SiteSpec`] | size of a delta's constraint set |
+//! | `delta` | see [`perturb::PaperSite`] | the site's own | perturbation added at a site of the perturbed pass |
+//! | `epsilon` | scalar | see [`perturb::About`] | size of a delta's constraint set |
 //! | `step_size` | scalar | the delta's unit, or radii | length of one PGD step |
 //! | `lambda` | scalar | 1 | weight of the perturbed loss |
 //! | `laplacian` | `[n]` | 1 / scene unit^3 | divergence of density's gradient |
@@ -84,7 +84,7 @@
 //! | `augnerf-run` | [`train`], [`run`], [`compare`], [`mod@bench`] |
 //! | `augnerf-baselines` | [`grids`] and the [`methods`] SRN, Neural Volumes and LLFF |
 //! | `augnerf-report` | [`draw`], [`report`] |
-//! | `augnerf-core` | [`base`], [`runtime`], [`settings`], [`augment`], [`data`], [`field`], [`metrics`], [`render`], [`space`], [`losses`] |
+//! | `augnerf-core` | [`base`], [`runtime`], [`settings`], [`perturb`], [`data`], [`field`], [`metrics`], [`render`], [`space`], [`losses`] |
 //!
 //! All random numbers come from [`base::rng`], as a function of seed, stream and step. The core is generic over f32 and f64:
 //! training uses f32, and tests compare with f64.
@@ -96,7 +96,7 @@ pub use candle_core;
 
 #[cfg(feature = "baselines")]
 pub use augnerf_baselines::grids;
-pub use augnerf_core::{augment, data, field, losses, metrics, render, settings, space};
+pub use augnerf_core::{data, field, losses, metrics, perturb, render, settings, space};
 pub use augnerf_report::{draw, report};
 pub use augnerf_run::{bench, compare, run, train};
 pub use augnerf_sweep as sweep;

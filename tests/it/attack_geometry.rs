@@ -1,10 +1,10 @@
 //! The sizes of sets: in the run's own samples and pixels, in the paper's, and as far as an ascent reaches.
 
-use augnerf::augment::{
-    DeltaSet, Epsilon, Geometry, Norm, PaperPass, PassGeometry, PixelScale, SampleDensity, Sets, Site, SiteNumbers,
-};
 use augnerf::base::rng::{Random, Stream};
 use augnerf::methods::step_over_radius;
+use augnerf::perturb::{
+    DeltaSet, Epsilon, Geometry, Norm, PaperPass, PaperSite, PassGeometry, PixelScale, SampleDensity, Sets, SiteNumbers,
+};
 use augnerf::render::sampling::{importance, stratified};
 use augnerf::run::load_scene;
 use augnerf::settings::{Config, Method, PerturbConfig, Preset, ResolvedPerturb, Sizes, build, parse_assignment};
@@ -53,7 +53,7 @@ fn sets(numbers: &ResolvedPerturb, t_vals: &Tensor, of: Of, width: usize, pixel:
         pixel,
         density: SampleDensity::OWN,
     };
-    let of_pass = |pass: &PassGeometry| Sets::new(&numbers.numbers, &numbers.set_choices(), pass).unwrap();
+    let of_pass = |pass: &PassGeometry| Sets::new(numbers.sites_of_pass(pass.is_coarse), pass).unwrap();
     [of_pass(&own), of_pass(&own.of_paper(&PaperPass::of_scenes(of.forward)).unwrap())]
 }
 
@@ -85,7 +85,7 @@ fn the_paper_s_own_runs_have_the_paper_s_geometry_to_the_last_bit() {
         let t_vals = Tensor::from_vec(t, (1, samples), &CPU).unwrap();
         let [own, of_paper] = sets(&numbers(paper, 64, 256), &t_vals, of, 256, pixel);
         let [before, _] = sets(&numbers(|_| (), 64, 256), &t_vals, of, 256, pixel);
-        for site in Site::ALL {
+        for site in PaperSite::ALL {
             let radii = [&own, &of_paper, &before].map(|sets| values(sets.get(site).unwrap()));
             assert!(radii.iter().all(|radius| *radius == radii[0]), "{}", site.name());
         }
@@ -95,23 +95,23 @@ fn the_paper_s_own_runs_have_the_paper_s_geometry_to_the_last_bit() {
 /// What it is for: half the samples doubled the set of `t`, and the step of 1e-2 no longer reached its ends.
 #[test]
 fn a_coarse_pass_of_any_samples_pictures_and_width_has_the_paper_s_radii() {
-    let expected = |site: Site, width: usize| match site {
-        Site::T => 0.5 / 63.0,
-        Site::Xyz => 2.0 / 504.0,
-        Site::View => 1.0 / (2.0 * 504.0 * 0.8079),
-        Site::Feature => 1e-3 * (256.0 / width as f64).sqrt(),
-        Site::Rgb | Site::Density => 1e-5,
+    let expected = |site: PaperSite, width: usize| match site {
+        PaperSite::T => 0.5 / 63.0,
+        PaperSite::Xyz => 2.0 / 504.0,
+        PaperSite::View => 1.0 / (2.0 * 504.0 * 0.8079),
+        PaperSite::Feature => 1e-3 * (256.0 / width as f64).sqrt(),
+        PaperSite::Rgb | PaperSite::Density => 1e-5,
     };
     for (samples, width, pixels) in [(64, 256, 504.0), (32, 64, 504.0), (24, 64, 100.0), (16, 512, 126.0)] {
         let [own, of_paper] =
             sets(&numbers(paper, samples, width), &even(samples), coarse(samples), width, fern(pixels));
-        for site in Site::ALL {
+        for site in PaperSite::ALL {
             for radius in values(of_paper.get(site).unwrap()) {
                 let expected = expected(site, width);
                 assert!((radius / expected - 1.0).abs() < 1e-12, "{} {samples} {width} {pixels}", site.name());
             }
         }
-        let t = values(own.get(Site::T).unwrap())[0];
+        let t = values(own.get(PaperSite::T).unwrap())[0];
         assert!((t - 0.5 / (samples - 1) as f64).abs() < 1e-12);
         assert_eq!(samples == 64, (t - 0.5 / 63.0).abs() < 1e-12);
     }
@@ -156,13 +156,13 @@ fn fine_passes_of_small_presets_have_the_paper_s_radii_at_surfaces_and_in_empty_
         let of_paper = Of { is_coarse: false, forward, coarse: paper_pass.coarse };
         let t_vals = fine_pass(400, of_paper, paper_pass.fine);
         let [own, _] = sets(&numbers(|_| (), 64, 256), &t_vals, of_paper, 256, fern(504.0));
-        let expected = places.map(|place| mean_radius(own.get(Site::T).unwrap(), &t_vals, place));
+        let expected = places.map(|place| mean_radius(own.get(PaperSite::T).unwrap(), &t_vals, place));
         for (samples, drawn) in [(32, 32), (24, 24)] {
             let of = Of { is_coarse: false, forward, coarse: samples };
             let t_vals = fine_pass(400, of, drawn);
             let [_, found] = sets(&numbers(paper, samples, 64), &t_vals, of, 64, fern(504.0));
             for (place, expected) in places.into_iter().zip(expected) {
-                let ratio = mean_radius(found.get(Site::T).unwrap(), &t_vals, place) / expected;
+                let ratio = mean_radius(found.get(PaperSite::T).unwrap(), &t_vals, place) / expected;
                 assert!((ratio - 1.0).abs() < 0.12, "{samples} + {drawn}, front {forward}, {place:?}: {ratio}");
             }
         }
@@ -175,7 +175,7 @@ fn the_paper_s_gap_counts_coarse_and_drawn_samples_by_themselves() {
     for (forward, drawn) in [(LLFF, 64.0), (!LLFF, 128.0)] {
         let of = Of { is_coarse: false, forward, coarse: 17 };
         let [own, of_paper] = sets(&numbers(paper, 17, 256), &even(33), of, 256, fern(504.0));
-        let [own, of_paper] = [own, of_paper].map(|sets| values(sets.get(Site::T).unwrap())[7]);
+        let [own, of_paper] = [own, of_paper].map(|sets| values(sets.get(PaperSite::T).unwrap())[7]);
         let density = 0.5 * 63.0 / 16.0 + 0.5 * drawn / 16.0;
         assert!((own - 0.5 / 32.0).abs() < 1e-12 && (of_paper * density / own - 1.0).abs() < 1e-12, "{own} {of_paper}");
         // A gap wider than a coarse one is all coarse samples'.
@@ -189,15 +189,15 @@ fn the_paper_s_gap_counts_coarse_and_drawn_samples_by_themselves() {
 #[test]
 fn the_paper_s_set_never_reaches_beyond_half_a_gap() {
     let [_, of_paper] = sets(&numbers(paper, 200, 256), &even(200), coarse(200), 256, fern(504.0));
-    let t = values(of_paper.get(Site::T).unwrap());
+    let t = values(of_paper.get(PaperSite::T).unwrap());
     assert!(t.iter().all(|radius| (radius * 199.0 / 0.5 - 1.0).abs() < 1e-9), "{t:?}");
     // A smaller epsilon is the paper's length again.
     let small = |config: &mut PerturbConfig| {
         paper(config);
-        config.sites[Site::T].epsilon = Some(0.1.into());
+        config.sites[PaperSite::T].epsilon = Some(0.1.into());
     };
     let [_, of_paper] = sets(&numbers(small, 128, 256), &even(128), coarse(128), 256, fern(504.0));
-    assert!((values(of_paper.get(Site::T).unwrap())[0] * 63.0 / 0.1 - 1.0).abs() < 1e-12);
+    assert!((values(of_paper.get(PaperSite::T).unwrap())[0] * 63.0 / 0.1 - 1.0).abs() < 1e-12);
 }
 
 #[test]
@@ -207,21 +207,22 @@ fn boxes_over_features_keep_the_norm_of_their_corners_and_balls_theirs() {
             paper(config);
             change(config);
         };
-        numbers(change, 32, width).numbers[Site::Feature]
+        numbers(change, 32, width).numbers[PaperSite::Feature]
     };
     let size = |numbers: SiteNumbers| numbers.radius(|epsilon| epsilon);
     for width in [64, 128, 256, 512] {
         let corner = |side: f64| side * (width as f64).sqrt();
         let narrow = feature(|_| (), width);
         assert!(
-            (corner(size(narrow)) - 1e-3 * 16.0).abs() < 1e-15 && (narrow.step_size / size(narrow) - 1.0).abs() < 1e-12
+            (corner(size(narrow)) - 1e-3 * 16.0).abs() < 1e-15
+                && (narrow.pgd.step_size / size(narrow) - 1.0).abs() < 1e-12
         );
-        let ball = feature(|config| config.sites[Site::Feature].norm = Some(Norm::L2), width);
-        assert_eq!((size(ball), ball.step_size), (1e-3, 1e-3));
+        let ball = feature(|config| config.sites[PaperSite::Feature].norm = Some(Norm::L2), width);
+        assert_eq!((size(ball), ball.pgd.step_size), (1e-3, 1e-3));
         // Steps in radii are scaled with them.
         let calibrated = feature(|config| config.sizes = Sizes::Calibrated, width);
         assert!(
-            (corner(size(calibrated)) - 1e-2 * 16.0).abs() < 1e-14 && calibrated.step_size == 2.5,
+            (corner(size(calibrated)) - 1e-2 * 16.0).abs() < 1e-14 && calibrated.pgd.step_size == 2.5,
             "{calibrated:?}"
         );
     }
@@ -245,7 +246,7 @@ fn the_calibrated_density_follows_the_samples_but_in_the_paper_s_geometry() {
             config.sizes = Sizes::Calibrated;
             change(config);
         };
-        numbers(change, coarse, 256).numbers[Site::Density].radius(|epsilon| epsilon)
+        numbers(change, coarse, 256).numbers[PaperSite::Density].radius(|epsilon| epsilon)
     };
     assert_eq!(density(|_| (), 32) * 2.0, density(|_| (), 64));
     assert_eq!((density(paper, 32), density(paper, 24)), (density(|_| (), 64), density(|_| (), 64)));
@@ -315,13 +316,13 @@ fn config(texts: &[&str]) -> augnerf::base::Result<Config> {
 fn a_set_as_far_as_the_ascent_reaches_follows_steps_and_step_size() {
     for steps in [1, 3, 10] {
         let reach = |config: &mut PerturbConfig| {
-            for site in Site::ALL {
+            for site in PaperSite::ALL {
                 let site = &mut config.sites[site];
                 (site.steps, site.step_size, site.epsilon) = (Some(steps), Some(4e-4), Some(Epsilon::Reach));
             }
         };
         let [own, _] = sets(&numbers(reach, 64, 256), &even(64), coarse(64), 256, fern(504.0));
-        for site in Site::ALL {
+        for site in PaperSite::ALL {
             let radius = values(own.get(site).unwrap());
             assert!(
                 radius.iter().all(|radius| (radius - 4e-4 * steps as f64).abs() < 1e-15),
@@ -333,20 +334,20 @@ fn a_set_as_far_as_the_ascent_reaches_follows_steps_and_step_size() {
     // t keeps the order of samples; no step reaches nowhere.
     let far = |steps: usize| {
         move |config: &mut PerturbConfig| {
-            let t = &mut config.sites[Site::T];
+            let t = &mut config.sites[PaperSite::T];
             (t.steps, t.step_size, t.epsilon) = (Some(steps), Some(0.1), Some(Epsilon::Reach));
         }
     };
     let [own, _] = sets(&numbers(far(3), 64, 256), &even(64), coarse(64), 256, fern(504.0));
-    assert!(values(own.get(Site::T).unwrap()).iter().all(|radius| (radius * 63.0 / 0.5 - 1.0).abs() < 1e-9));
+    assert!(values(own.get(PaperSite::T).unwrap()).iter().all(|radius| (radius * 63.0 / 0.5 - 1.0).abs() < 1e-9));
     let [own, _] = sets(&numbers(far(0), 64, 256), &even(64), coarse(64), 256, fern(504.0));
-    assert!(own.get(Site::T).is_none());
+    assert!(own.get(PaperSite::T).is_none());
 }
 
 #[test]
 fn reach_is_a_word_of_files_and_needs_steps_of_a_length() {
     let reach = config(&["method=aug-nerf", "perturb.feature.epsilon=reach"]).unwrap();
-    assert_eq!(reach.perturb.sites[Site::Feature].epsilon, Some(Epsilon::Reach));
+    assert_eq!(reach.perturb.sites[PaperSite::Feature].epsilon, Some(Epsilon::Reach));
     assert_eq!(Config::from_toml(&reach.to_toml(), "file").unwrap(), reach);
     let json = serde_json::to_string(&reach).unwrap();
     assert_eq!(serde_json::from_str::<Config>(&json).unwrap(), reach);

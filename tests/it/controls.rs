@@ -1,7 +1,7 @@
 //! Controls of the worst case: the best case, other rays' worst case, and hash grids whose second pass changes clean entries alone.
 
 use crate::common::{assert_same_bytes, assert_says, parameters, put_on_grid, tiny_config, trained};
-use augnerf::augment::{Epsilon, Site};
+use augnerf::perturb::{Epsilon, PaperSite};
 use augnerf::settings::{
     ChangedEntries, Config, DeltaSource, Method, Preset, Resolved, SecondPass, Sizes, build, parse_assignment,
 };
@@ -65,7 +65,7 @@ fn a_masked_second_pass_changes_the_entries_of_the_clean_pass() {
         before.chunks(2).zip(after.chunks(2)).map(|(a, b)| a != b).collect()
     };
     let plain = tiny_config(Method::Nerf, |config| put_on_grid(config, 11));
-    let far = |config: &mut Config| config.perturb.sites[Site::Xyz].epsilon = Some(Epsilon::Units(8.0));
+    let far = |config: &mut Config| config.perturb.sites[PaperSite::Xyz].epsilon = Some(Epsilon::Units(8.0));
     let masked = config(true, worst, |config| {
         far(config);
         config.perturb.entries = ChangedEntries::Clean;

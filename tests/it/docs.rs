@@ -3,9 +3,9 @@
 
 use std::path::{Component, Path, PathBuf};
 
-use augnerf::augment::{Epsilon, Site};
 use augnerf::base::Class;
 use augnerf::metrics::{Direction, METRICS};
+use augnerf::perturb::{Epsilon, PaperSite};
 use augnerf::settings::columns::COLUMNS;
 use augnerf::settings::{Method, Preset, Regularizer, build, parse_assignment};
 use augnerf::sweep::{Definition, Overrides, Point, expand};
@@ -242,7 +242,7 @@ fn the_page_has_the_radii_that_the_released_presets_lack() {
     let set: Vec<_> = values(&words, "--set").into_iter().map(|text| parse_assignment(text).unwrap()).collect();
     let [whole, default] = [&[][..], &set].map(|set| {
         let sites = build(Some(Preset::ReleasedLlff), None, set).unwrap().perturb.sites;
-        [Site::T, Site::Xyz].map(|site| sites[site].epsilon)
+        [PaperSite::T, PaperSite::Xyz].map(|site| sites[site].epsilon)
     });
     // One pixel is the attack's own default.
     assert_eq!(whole, [Some(Epsilon::Units(0.5)), None]);

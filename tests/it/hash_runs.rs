@@ -3,7 +3,7 @@
 use crate::common::files::rows;
 use crate::common::program::{Place, set};
 use crate::common::{parameters, tiny_config, trained};
-use augnerf::augment::{Passes, Site};
+use augnerf::perturb::{PaperSite, Passes};
 use augnerf::settings::{DensityActivation, Encoding, Method, OutputPlace, REGULARIZERS};
 
 /// A run of half a second on the embedded scene at 16 x 16, in a box that rays enter and leave.
@@ -78,8 +78,9 @@ fn on_a_grid(method: Method, change: impl FnOnce(&mut augnerf::settings::Config)
 #[test]
 fn each_site_is_attacked_alone_on_a_grid() {
     let nerf = parameters(&trained(&on_a_grid(Method::Nerf, |_| {}), 2), &["coarse", "fine"]);
-    for (site, output) in
-        Site::ALL.into_iter().flat_map(|site| [OutputPlace::After, OutputPlace::Before].map(|output| (site, output)))
+    for (site, output) in PaperSite::ALL
+        .into_iter()
+        .flat_map(|site| [OutputPlace::After, OutputPlace::Before].map(|output| (site, output)))
     {
         let config = on_a_grid(Method::AugNerf, |config| {
             for (each, section) in config.perturb.sites.iter_mut() {
@@ -93,6 +94,6 @@ fn each_site_is_attacked_alone_on_a_grid() {
         assert_eq!(stats.sites.iter().map(|measured| measured.site.as_str()).collect::<Vec<_>>(), [site.name()]);
         let measured = &stats.sites[0];
         assert!(measured.gain.is_finite() && measured.shift > 0.0, "{measured:?}");
-        assert!(site != Site::Rgb || measured.gain > 0.0, "{measured:?}");
+        assert!(site != PaperSite::Rgb || measured.gain > 0.0, "{measured:?}");
     }
 }

@@ -2,9 +2,9 @@
 
 use crate::common::flat;
 use crate::common::pass::Setting;
-use augnerf::augment::{Deltas, Draw, Norm, Sets, Site};
 use augnerf::base::rng::{Random, Stream};
 use augnerf::field::Field;
+use augnerf::perturb::{Deltas, Draw, Norm, PaperSite, Sets, SiteSet};
 use augnerf::render::{PassLoss, clean_pass, clean_pass_loss, perturbed_pass, perturbed_pass_loss};
 use augnerf::settings::{Contraction, DensityActivation, Encoding, FieldConfig, HashConfig, Method};
 use candle_core::{DType, Device, Tensor, Var};
@@ -14,9 +14,9 @@ const CPU: Device = Device::Cpu;
 /// A pass of a small f32 field, with density noise and a background, or with neither.
 fn small(method: Method, rich: bool, norm: Norm) -> Setting {
     let setting = Setting::new(method, 5, (5, 7), DType::F32, |config| {
-        config.sites[Site::Rgb].epsilon = Some(0.1.into());
-        config.sites[Site::Rgb].norm = Some(norm);
-        config.sites[Site::Density].epsilon = Some(0.3.into());
+        config.sites[PaperSite::Rgb].epsilon = Some(0.1.into());
+        config.sites[PaperSite::Rgb].norm = Some(norm);
+        config.sites[PaperSite::Density].epsilon = Some(0.3.into());
     });
     let noise = setting.noise.clone().filter(|_| rich);
     Setting { noise, background: rich.then_some([0.9, 0.2, 0.4]), ..setting }
@@ -56,9 +56,10 @@ fn on_a_grid(setting: Setting) -> Setting {
 
 /// A random delta of each site, tracked.
 fn deltas(setting: &Setting) -> (Deltas, Vec<Var>) {
-    let mut deltas = setting.sets.draw(Draw::Uniform, |site| Random::part(3, Stream::Search, 0, site as u64)).unwrap();
+    let mut deltas = setting.sets.draw(Draw::Uniform, 0, |part| Random::part(3, Stream::Search, 0, part)).unwrap();
     let mut variables = Vec::new();
-    for (site, _) in setting.sets.iter() {
+    for SiteSet { site, .. } in setting.sets.iter() {
+        let site = site.name();
         // Beyond the set's end, too: what is used is projected.
         let variable = Var::from_tensor(&(deltas.get(site).unwrap() * 1.3).unwrap()).unwrap();
         deltas.set(site, variable.as_tensor().clone());
@@ -119,22 +120,20 @@ fn a_clean_pass_is_lit_by_one_operation() {
 
 #[test]
 fn a_perturbed_pass_is_lit_by_one_operation() {
-    for off in [None, Some(Site::Rgb), Some(Site::Density)] {
+    for off in [None, Some(PaperSite::Rgb), Some(PaperSite::Density)] {
         for (name, mut setting) in settings(Norm::Linf) {
             if let Some(off) = off {
-                let mut kept = Sets::default();
-                let sites = setting.sets.iter().filter(|(site, _)| *site != off);
-                sites.for_each(|(site, set)| kept.set(site, set.clone()));
-                setting.sets = kept;
+                setting.sets = setting.sets.iter().filter(|entry| entry.site.at() != off).cloned().collect();
             }
             let (one, many) = (setting.field.recording().unwrap(), setting.field.recording().unwrap());
             let (deltas, variables) = deltas(&setting);
             let (lit, used) =
                 perturbed_pass_loss(&one, setting.pass(), setting.perturbation(&deltas), &setting.target).unwrap();
             let plain = perturbed_pass(&many, setting.pass(), setting.perturbation(&deltas)).unwrap();
-            for (site, _) in setting.sets.iter() {
+            for SiteSet { site, .. } in setting.sets.iter() {
+                let site = site.name();
                 let (found, expected) = (used.get(site).unwrap(), plain.used.deltas.get(site).unwrap());
-                assert_eq!(bits(found), bits(expected), "{name}: delta of {}", site.name());
+                assert_eq!(bits(found), bits(expected), "{name}: delta of {site}");
             }
             let plain = PassLoss::of(plain.pass, &setting.target).unwrap();
             assert!(!lit.composite.rgb.track_op() && plain.composite.rgb.track_op(), "one of two ways");

@@ -1,7 +1,7 @@
 //! Sites of one's own in the perturbed pass.
 
-use augnerf::augment::{DeltaSet, Norm, OwnSet, OwnSite, PassGeometry, Passes, Site};
 use augnerf::base::Result;
+use augnerf::perturb::{DeltaSet, Norm, PaperSite, PassGeometry, Passes, Pgd, Site, StepUnit};
 use augnerf::runtime::Runtime;
 use augnerf::settings::{Config, Core, DeltaSource, Method, Resolved, SecondPass};
 use augnerf::train::{StepStats, Trainer};
@@ -12,39 +12,39 @@ use crate::common::{tiny_config, tiny_scene};
 /// One number for each ray, spread over its samples, channels or units at any place.
 struct OfRays {
     name: &'static str,
-    place: Site,
+    at: PaperSite,
     radius: f64,
     steps: usize,
     width: usize,
 }
 
-impl OwnSite for OfRays {
+impl Site for OfRays {
     fn name(&self) -> &str {
         self.name
     }
 
-    fn place(&self) -> Site {
-        self.place
+    fn at(&self) -> PaperSite {
+        self.at
     }
 
-    fn steps(&self) -> usize {
-        self.steps
+    fn pgd(&self) -> Pgd {
+        Pgd { steps: self.steps, step_size: 0.5, unit: StepUnit::Relative }
     }
 
-    fn in_pass(&self, pass: &PassGeometry) -> Result<OwnSet> {
+    fn set(&self, pass: &PassGeometry) -> Result<DeltaSet> {
         let (rays, samples, columns) = (pass.rays()?, pass.samples, pass.t_vals.dim(1)?);
-        let shape = match self.place {
-            Site::T => vec![rays, columns],
-            Site::View => vec![rays, 2],
-            Site::Density => vec![rays, samples],
-            Site::Feature => vec![rays, samples, self.width],
-            Site::Xyz | Site::Rgb => vec![rays, samples, 3],
+        let shape = match self.at {
+            PaperSite::T => vec![rays, columns],
+            PaperSite::View => vec![rays, 2],
+            PaperSite::Density => vec![rays, samples],
+            PaperSite::Feature => vec![rays, samples, self.width],
+            PaperSite::Xyz | PaperSite::Rgb => vec![rays, samples, 3],
         };
         let of_ray: Vec<usize> =
             shape.iter().enumerate().map(|(axis, size)| if axis == 0 { *size } else { 1 }).collect();
         let radius = pass.scalar(self.radius)?.reshape(vec![1; of_ray.len()])?;
         let set = DeltaSet::new(Norm::Linf, radius, &of_ray);
-        Ok(OwnSet::new(set, move |delta| Ok(delta.broadcast_as(shape.clone())?.contiguous()?)))
+        Ok(set.spread_by(move |delta| Ok(delta.broadcast_as(shape.clone())?.contiguous()?)))
     }
 }
 
@@ -52,14 +52,14 @@ impl OwnSite for OfRays {
 fn alone(change: impl FnOnce(&mut Config)) -> Resolved {
     tiny_config(Method::AugNerf, |config| {
         for (site, numbers) in config.perturb.sites.iter_mut() {
-            numbers.passes = if site == Site::View { Passes::Fine } else { Passes::Off };
+            numbers.passes = if site == PaperSite::View { Passes::Fine } else { Passes::Off };
         }
         change(config);
     })
 }
 
-fn of_rays(place: Site, radius: f64, steps: usize) -> OfRays {
-    OfRays { name: "of_rays", place, radius, steps, width: 16 }
+fn of_rays(at: PaperSite, radius: f64, steps: usize) -> OfRays {
+    OfRays { name: "of_rays", at, radius, steps, width: 16 }
 }
 
 /// The last of some steps, all logged, with the parameters after it.
@@ -78,8 +78,8 @@ fn steps(config: &Resolved, site: Option<OfRays>, threads: usize) -> (StepStats,
 
 #[test]
 fn a_site_of_ones_own_raises_the_loss_at_every_place_and_moves_colours() {
-    for place in Site::ALL {
-        let radius = if place == Site::View { 0.3 } else { 0.1 };
+    for place in PaperSite::ALL {
+        let radius = if place == PaperSite::View { 0.3 } else { 0.1 };
         let (stats, one) = steps(&alone(|_| {}), Some(of_rays(place, radius, 3)), 1);
         let found = stats.sites.iter().find(|site| site.site == "of_rays").unwrap();
         assert!(found.gain > 0.0 && found.gain_over_random > 0.0 && found.shift > 0.0, "{place:?}: {found:?}");
@@ -93,8 +93,8 @@ fn a_site_of_ones_own_raises_the_loss_at_every_place_and_moves_colours() {
 /// and each step of its search. Steps without a log add output deltas in one operation where they can.
 #[test]
 fn a_seventh_site_raises_the_loss_of_both_cores_at_every_place() {
-    let wrong = Site::ALL.into_iter().filter_map(|place| {
-        let radius = if place == Site::View { 0.3 } else { 0.1 };
+    let wrong = PaperSite::ALL.into_iter().filter_map(|place| {
+        let radius = if place == PaperSite::View { 0.3 } else { 0.1 };
         // The losses of two steps without a log and one with it, and how far that one's deltas move colours.
         let losses = |core: Core, steps: Option<usize>| {
             let runtime = Runtime::new("cpu", Some(2)).unwrap();
@@ -122,7 +122,7 @@ fn a_seventh_site_raises_the_loss_of_both_cores_at_every_place() {
 fn a_site_of_no_size_changes_nothing() {
     let config = tiny_config(Method::AugNerf, |_| {});
     let (without, plain) = steps(&config, None, 2);
-    for place in [Site::T, Site::Xyz, Site::Feature] {
+    for place in [PaperSite::T, PaperSite::Xyz, PaperSite::Feature] {
         let (with, same) = steps(&config, Some(of_rays(place, 0.0, 1)), 2);
         assert_eq!((with.loss, with.sites.len()), (without.loss, without.sites.len() + 1), "{place:?}");
         assert!(plain.iter().zip(&same).all(|(a, b)| a.to_bits() == b.to_bits()), "{place:?}");
@@ -137,7 +137,7 @@ fn sites_that_cannot_be_are_refused_in_words() {
         let added: Vec<_> = sites.into_iter().map(|site| trainer.add_site(site)).collect();
         added.into_iter().last().unwrap().unwrap_err().to_string()
     };
-    let plain = || of_rays(Site::Xyz, 0.1, 1);
+    let plain = || of_rays(PaperSite::Xyz, 0.1, 1);
     let named = |name| OfRays { name, ..plain() };
     let augmented = alone(|_| {});
     for (found, words) in [
@@ -158,8 +158,8 @@ fn sites_that_cannot_be_are_refused_in_words() {
         (refused(&augmented, vec![named("a,b")]), "lower-case letters"),
         (
             refused(
-                &tiny_config(Method::AugNerf, |config| config.perturb.sites[Site::View].passes = Passes::Off),
-                vec![of_rays(Site::View, 0.1, 1)],
+                &tiny_config(Method::AugNerf, |config| config.perturb.sites[PaperSite::View].passes = Passes::Off),
+                vec![of_rays(PaperSite::View, 0.1, 1)],
             ),
             "perturb.view.passes",
         ),

@@ -2,10 +2,10 @@
 
 use crate::common::pass::Setting;
 use crate::common::{flat, parameters, put_on_grid, tiny_config, tiny_scene, trained};
-use augnerf::augment::{Deltas, Draw, Norm, PassGeometry, Passes, PixelScale, SampleDensity, Sets, Site};
 use augnerf::base::rng::{Random, Stream};
 use augnerf::data::{RayBuffer, RayParts};
 use augnerf::field::Field;
+use augnerf::perturb::{Deltas, Draw, Norm, PaperSite, PassGeometry, Passes, PixelScale, SampleDensity, Sets, SiteSet};
 use augnerf::render::{FixedSamples, Pass, Perturbation, PerturbedOutput, clean_pass, perturbed_pass};
 use augnerf::runtime::Runtime;
 use augnerf::settings::{DeltaSource, Method, OutputPlace, PerturbConfig, PerturbField, SecondPass, Sizes};
@@ -42,9 +42,9 @@ fn geometry<'a>(
 fn setting(method: Method, seed: u64, size: (usize, usize), change: impl FnOnce(&mut PerturbConfig)) -> Setting {
     Setting::new(method, seed, size, DType::F64, |config| {
         // Large enough that f64 differences see them.
-        config.sites[Site::Feature].epsilon = Some(0.05.into());
-        config.sites[Site::Rgb].epsilon = Some(0.03.into());
-        config.sites[Site::Density].epsilon = Some(0.1.into());
+        config.sites[PaperSite::Feature].epsilon = Some(0.05.into());
+        config.sites[PaperSite::Rgb].epsilon = Some(0.03.into());
+        config.sites[PaperSite::Density].epsilon = Some(0.1.into());
         change(config);
     })
 }
@@ -76,17 +76,17 @@ fn loss_gradients_in_every_delta_equal_finite_differences() {
         let setting = setting(method, 1, (4, 6), |config| config.output = output);
         // Half-size deltas: away from the bounds of their sets.
         let mut deltas = setting.draw(0);
-        for site in Site::ALL {
+        for site in PaperSite::ALL {
             let half = (deltas.get(site).unwrap() * 0.5).unwrap();
             deltas.set(site, half);
         }
         let mut tracked = deltas.clone();
-        let variables = Site::ALL.map(|site| Var::from_tensor(deltas.get(site).unwrap()).unwrap());
-        for site in Site::ALL {
+        let variables = PaperSite::ALL.map(|site| Var::from_tensor(deltas.get(site).unwrap()).unwrap());
+        for site in PaperSite::ALL {
             tracked.set(site, variables[site as usize].as_tensor().clone());
         }
         let gradients = setting.loss(&tracked).0.backward().unwrap();
-        for site in Site::ALL {
+        for site in PaperSite::ALL {
             let gradient = gradients.get(&variables[site as usize]).unwrap();
             let gradient = gradient.flatten_all().unwrap().to_vec1::<f64>().unwrap();
             // A projected colour or density passes its gradient on although its value is fixed;
@@ -96,7 +96,7 @@ fn loss_gradients_in_every_delta_equal_finite_differences() {
             let samples = 6;
             let free = |i: &usize| {
                 used[*i] == given[*i]
-                    && (site != Site::Density || method.encoding().at_intervals() || i % samples != samples - 1)
+                    && (site != PaperSite::Density || method.encoding().at_intervals() || i % samples != samples - 1)
             };
             let difference = |i: usize| {
                 let at = |by: f64| {
@@ -147,7 +147,7 @@ fn epsilon_zero_is_the_clean_pass_exactly() {
 
 fn epsilon_zero_is_clean(method: Method) {
     let setting = setting(method, 2, (5, 7), |config| {
-        for site in Site::ALL {
+        for site in PaperSite::ALL {
             config.sites[site].epsilon = Some(0.0.into());
         }
     });
@@ -162,8 +162,8 @@ fn epsilon_zero_is_clean(method: Method) {
 /// Every delta within its set, colours in 0..=1, densities not negative, samples sorted.
 fn assert_legal(setting: &Setting, deltas: &Deltas) -> Result<(), TestCaseError> {
     let out = perturbed_pass(&setting.field, setting.pass(), setting.perturbation(deltas)).unwrap();
-    for (site, set) in setting.sets.iter() {
-        let delta = out.used.deltas.get(site).unwrap();
+    for SiteSet { site, set } in setting.sets.iter() {
+        let delta = out.used.deltas.get(site.name()).unwrap();
         let size = match set.norm {
             Norm::Linf => delta.abs().unwrap(),
             Norm::L2 => delta.sqr().unwrap().sum_keepdim(delta.rank() - 1).unwrap().sqrt().unwrap(),
@@ -177,7 +177,7 @@ fn assert_legal(setting: &Setting, deltas: &Deltas) -> Result<(), TestCaseError>
     let padding = setting.field.config().rgb_padding;
     prop_assert!(flat(&out.pass.rgb).iter().all(|c| (-padding..=1.0 + padding).contains(c)));
     prop_assert!(flat(&out.pass.density).iter().all(|d| *d >= 0.0));
-    let t_vals = (&setting.t_vals + out.used.deltas.get(Site::T).unwrap()).unwrap().to_vec2::<f64>().unwrap();
+    let t_vals = (&setting.t_vals + out.used.deltas.get(PaperSite::T).unwrap()).unwrap().to_vec2::<f64>().unwrap();
     for ray in t_vals {
         prop_assert!(ray.windows(2).all(|pair| pair[0] <= pair[1]), "{ray:?}");
         prop_assert!(ray.iter().all(|t| (2.0..=6.0).contains(t)), "{ray:?}");
@@ -200,19 +200,19 @@ proptest! {
     ) {
         let method = if mip { Method::AugMipNerf } else { Method::AugNerf };
         let setting = setting(method, seed, (3, 5), |config| {
-            for site in Site::ALL {
+            for site in PaperSite::ALL {
                 let delta = &mut config.sites[site];
                 (delta.epsilon, delta.step_size, delta.steps) = (Some(epsilon.into()), Some(step_size), Some(steps));
-                if !matches!(site, Site::T | Site::Density) {
+                if !matches!(site, PaperSite::T | PaperSite::Density) {
                     delta.norm = Some(if l2 { Norm::L2 } else { Norm::Linf });
                 }
             }
-            config.sites[Site::T].epsilon = Some(epsilon_t.max(1e-9).into());
+            config.sites[PaperSite::T].epsilon = Some(epsilon_t.max(1e-9).into());
         });
         let start = setting.draw(seed);
         assert_legal(&setting, &start)?;
         assert_legal(&setting, &setting.search(start))?;
-        let gaussian = setting.sets.draw(Draw::Gaussian, |site| Random::part(seed, Stream::Search, 1, site as u64)).unwrap();
+        let gaussian = setting.sets.draw(Draw::Gaussian, 0, |part| Random::part(seed, Stream::Search, 1, part)).unwrap();
         assert_legal(&setting, &gaussian)?;
     }
 
@@ -227,11 +227,12 @@ proptest! {
         let t_vals = Tensor::from_vec(t, (1, samples), &CPU).unwrap();
         let norm = Tensor::ones((1, 1), DType::F32, &CPU).unwrap();
         let mut config = PerturbConfig::default();
-        config.sites[Site::T].epsilon = Some(0.5.into());
+        config.sites[PaperSite::T].epsilon = Some(0.5.into());
         let config = config.resolve(1.0, 1, 16);
         let pixel = PixelScale { width: 16.0, height: 16.0, focal: 20.0, ndc: true };
-        let sets = Sets::new(&config.numbers, &config.set_choices(), &geometry(&t_vals, &norm, (0.0, 1.0), 4, pixel)).unwrap();
-        let set = sets.get(Site::T).unwrap();
+        let geometry = geometry(&t_vals, &norm, (0.0, 1.0), 4, pixel);
+        let sets = Sets::new(config.sites_of_pass(geometry.is_coarse), &geometry).unwrap();
+        let set = sets.get(PaperSite::T).unwrap();
         for signs in 0..(1usize << samples.min(6)) {
             let far: Vec<f32> = (0..samples).map(|i| if signs >> (i % 6) & 1 == 1 { 9.0 } else { -9.0 }).collect();
             let delta = set.project(&Tensor::from_vec(far, (1, samples), &CPU).unwrap()).unwrap();
@@ -250,12 +251,12 @@ fn the_search_raises_the_loss_and_beats_random_deltas_on_a_trained_field() {
     let weights: Vec<Tensor> =
         field.variables().iter().map(|(_, var)| var.as_tensor().to_dtype(DType::F64).unwrap()).collect();
     // Each level by itself, then all together, in the calibrated sizes.
-    for only in Site::ALL.map(Some).into_iter().chain([None]) {
+    for only in PaperSite::ALL.map(Some).into_iter().chain([None]) {
         let (mut clean, mut random, mut worst) = (0.0, 0.0, 0.0);
         for batch in 0..8 {
             let mut setting = setting(Method::AugNerf, batch, (32, 8), |config| {
                 *config = PerturbConfig { sizes: Sizes::Calibrated, injection_layer: 2, ..PerturbConfig::default() };
-                for site in Site::ALL {
+                for site in PaperSite::ALL {
                     let alone = only.is_none_or(|only| only == site);
                     config.sites[site].passes = if alone { Passes::Both } else { Passes::Off };
                 }
@@ -266,7 +267,7 @@ fn the_search_raises_the_loss_and_beats_random_deltas_on_a_trained_field() {
             random += setting.loss_value(&setting.draw(batch));
             worst += setting.loss_value(&setting.search(setting.draw(batch)));
         }
-        let name = only.map_or("all", Site::name);
+        let name = only.map_or("all", PaperSite::name);
         assert!(worst > clean, "{name}: {worst} after the search, {clean} clean");
         assert!(worst > random, "{name}: {worst} after the search, {random} at random");
     }
@@ -310,7 +311,7 @@ fn calibrated_changes_the_weights_and_an_empty_attack_does_not() {
     let run = |sizes, epsilon: Option<f64>| {
         let config = tiny_config(Method::AugNerf, |config| {
             config.perturb.sizes = sizes;
-            for site in Site::ALL {
+            for site in PaperSite::ALL {
                 config.perturb.sites[site].epsilon = epsilon.map(Into::into);
                 if epsilon.is_some() {
                     config.perturb.sites[site].step_size = Some(0.0);
@@ -348,8 +349,8 @@ fn every_kind_and_place_trains() {
 fn a_level_too_small_to_matter_is_inactive_and_a_large_one_is_not() {
     let levels = |epsilon: f64| {
         let config = tiny_config(Method::AugNerf, |config| {
-            config.perturb.sites[Site::Rgb].epsilon = Some(epsilon.into());
-            config.perturb.sites[Site::Rgb].step_size = Some(epsilon);
+            config.perturb.sites[PaperSite::Rgb].epsilon = Some(epsilon.into());
+            config.perturb.sites[PaperSite::Rgb].step_size = Some(epsilon);
         });
         let stats = trained(&config, 20).step(true).unwrap();
         stats.sites.iter().find(|measured| measured.site == "rgb").unwrap().clone()
@@ -368,11 +369,11 @@ fn a_coarse_level_gains_as_much_as_its_pass_weighs() {
         let config = tiny_config(Method::AugNerf, |config| {
             config.train.coarse_weight = coarse_weight;
             config.perturb.sizes = Sizes::Calibrated;
-            for site in Site::ALL {
+            for site in PaperSite::ALL {
                 config.perturb.sites[site].passes = Passes::Off;
             }
-            config.perturb.sites[Site::Xyz].passes = Passes::Coarse;
-            config.perturb.sites[Site::Xyz].epsilon = Some(20.0.into());
+            config.perturb.sites[PaperSite::Xyz].passes = Passes::Coarse;
+            config.perturb.sites[PaperSite::Xyz].epsilon = Some(20.0.into());
         });
         trained(&config, 0).step(true).unwrap().sites[0].gain
     };
@@ -382,7 +383,7 @@ fn a_coarse_level_gains_as_much_as_its_pass_weighs() {
 
 #[test]
 fn a_level_of_size_zero_is_reported_inactive() {
-    let config = tiny_config(Method::AugNerf, |config| config.perturb.sites[Site::Rgb].epsilon = Some(0.0.into()));
+    let config = tiny_config(Method::AugNerf, |config| config.perturb.sites[PaperSite::Rgb].epsilon = Some(0.0.into()));
     let stats = trained(&config, 1).step(true).unwrap();
     let rgb = stats.sites.iter().find(|measured| measured.site == "rgb").unwrap();
     assert!(rgb.inactive && (rgb.gain, rgb.shift) == (0.0, 0.0) && rgb.share_at_bound.is_none(), "{rgb:?}");
@@ -391,8 +392,8 @@ fn a_level_of_size_zero_is_reported_inactive() {
 #[test]
 fn switching_a_level_off_leaves_the_draws_of_the_others() {
     let all = setting(Method::AugNerf, 1, (3, 5), |_| {});
-    let some = setting(Method::AugNerf, 1, (3, 5), |config| config.sites[Site::Feature].passes = Passes::Off);
-    for site in [Site::T, Site::Xyz, Site::View, Site::Rgb, Site::Density] {
+    let some = setting(Method::AugNerf, 1, (3, 5), |config| config.sites[PaperSite::Feature].passes = Passes::Off);
+    for site in [PaperSite::T, PaperSite::Xyz, PaperSite::View, PaperSite::Rgb, PaperSite::Density] {
         let values =
             |setting: &Setting| setting.draw(0).get(site).unwrap().flatten_all().unwrap().to_vec1::<f64>().unwrap();
         assert_eq!(values(&all), values(&some), "{}", site.name());
@@ -404,14 +405,14 @@ fn density_noise_cannot_make_an_empty_white_scene_opaque() {
     // All densities 0, the density delta at +epsilon everywhere: what it adds to each ray is at
     // most epsilon * (far - near) * |d|, because the last sample's is kept at 0.
     let mut setting = setting(Method::AugNerf, 5, (6, 9), |config| {
-        config.sites[Site::Density].epsilon = Some(0.01.into());
-        for site in [Site::T, Site::Xyz, Site::View, Site::Feature, Site::Rgb] {
+        config.sites[PaperSite::Density].epsilon = Some(0.01.into());
+        for site in [PaperSite::T, PaperSite::Xyz, PaperSite::View, PaperSite::Feature, PaperSite::Rgb] {
             config.sites[site].passes = Passes::Off;
         }
     });
     setting.noise = Some(Tensor::full(-1e3f64, (6, 9), &CPU).unwrap());
     let mut deltas = Deltas::default();
-    deltas.set(Site::Density, Tensor::full(0.01f64, (6, 9), &CPU).unwrap());
+    deltas.set(PaperSite::Density, Tensor::full(0.01f64, (6, 9), &CPU).unwrap());
     let out = perturbed_pass(&setting.field, setting.pass(), setting.perturbation(&deltas)).unwrap();
     let norms = setting.rays.direction_norm.flatten_all().unwrap().to_vec1::<f64>().unwrap();
     for (rgb, norm) in out.pass.composite.rgb.to_vec2::<f64>().unwrap().iter().zip(norms) {
@@ -434,8 +435,8 @@ fn fixed_samples_compute_the_lower_trunk_once() {
     let t_vals = single(&setting.t_vals);
     let pass = Pass { rays: &rays, t_vals: &t_vals, density_noise: None, background: None, scales_gradients: false };
     let delta = Var::zeros((4, 6, 16), DType::F32, &CPU).unwrap();
-    let (mut deltas, sets) = (Deltas::default(), Sets::default());
-    deltas.set(Site::Feature, delta.as_tensor().clone());
+    let (mut deltas, sets) = (Deltas::default(), setting.sets.clone());
+    deltas.set(PaperSite::Feature, delta.as_tensor().clone());
     let perturbation = Perturbation { deltas: &deltas, sets: &sets, injection_layer: 3, output: OutputPlace::After };
     let runtime = Runtime::new("cpu", Some(1)).unwrap();
     // Multiply-adds of a pass forward and back to the delta, and its colours.
@@ -447,7 +448,7 @@ fn fixed_samples_compute_the_lower_trunk_once() {
     };
     runtime.install(|| {
         let (whole, rgb) = ascend(&|| perturbed_pass(&frozen, pass, perturbation).unwrap());
-        let fixed = FixedSamples::new(&frozen, pass, &deltas).unwrap();
+        let fixed = FixedSamples::new(&frozen, pass, perturbation).unwrap();
         // Layers 1 to 3 of width 16; the third reads the encoding (3 + 6 x 4 channels), too.
         let lower = 4 * 6 * (27 * 16 + 16 * 16 + (27 + 16) * 16);
         for expected in [whole, whole - lower, whole - lower] {
@@ -463,9 +464,9 @@ fn a_search_that_leaves_the_points_alone_pays_for_the_trunk_once() {
         let config = tiny_config(Method::AugNerf, |config| {
             config.perturb.injection_layer = 4;
             for (site, section) in config.perturb.sites.iter_mut() {
-                section.passes = if site == Site::Feature { Passes::Both } else { Passes::Off };
+                section.passes = if site == PaperSite::Feature { Passes::Both } else { Passes::Off };
             }
-            config.perturb.sites[Site::Feature].steps = Some(steps);
+            config.perturb.sites[PaperSite::Feature].steps = Some(steps);
         });
         let runtime = Runtime::new("cpu", Some(1)).unwrap();
         let mut trainer = Trainer::new(&config, &tiny_scene(), DType::F32, &runtime).unwrap();

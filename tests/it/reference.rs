@@ -4,9 +4,9 @@
 
 use crate::common::flat;
 use crate::common::reference::Reference;
-use augnerf::augment::{DeltaSet, Deltas, Norm, PassGeometry, PixelScale, SampleDensity, Sets, Site, worst_case};
 use augnerf::data::Rays;
 use augnerf::field::{Field, encode};
+use augnerf::perturb::{DeltaSet, Deltas, Norm, PaperSite, PassGeometry, PixelScale, SampleDensity, Sets, worst_case};
 use augnerf::render::sampling::inverse_cdf;
 use augnerf::render::{Pass, Perturbation, PerturbedOutput, clean_pass, perturbed_pass, photometric_loss, volume};
 use augnerf::settings::{FieldConfig, OutputPlace, PerturbConfig, ResolvedPerturb};
@@ -15,7 +15,8 @@ use candle_core::{DType, Device, Tensor, Var};
 /// Relative tolerance of sums in f32: a few hundred terms of relative error 6e-8.
 const F32: f64 = 2e-5;
 /// The fixture's sites.
-const SITES: [Site; 6] = [Site::T, Site::Xyz, Site::View, Site::Feature, Site::Rgb, Site::Density];
+const SITES: [PaperSite; 6] =
+    [PaperSite::T, PaperSite::Xyz, PaperSite::View, PaperSite::Feature, PaperSite::Rgb, PaperSite::Density];
 /// f64 against f64: only the order of sums differs.
 const F64: f64 = 1e-10;
 
@@ -150,8 +151,7 @@ impl Attack {
         // (0.02 for every ray) is given outright.
         let pixel = PixelScale { width: 100.0, height: 100.0, focal: 50.0, ndc: false };
         let mut sets = Sets::new(
-            &config.numbers,
-            &config.set_choices(),
+            config.sites_of_pass(true),
             &PassGeometry {
                 is_coarse: true,
                 t_vals: &t_vals,
@@ -167,7 +167,7 @@ impl Attack {
         )
         .unwrap();
         let radius = Tensor::new(&[[[0.02f64]]], &Device::Cpu).unwrap();
-        sets.set(Site::Xyz, DeltaSet::new(Norm::L2, radius, &[5, 7, 3]));
+        sets.replace(PaperSite::Xyz, DeltaSet::new(Norm::L2, radius, &[5, 7, 3]));
         Attack { config, reference, field, rays, t_vals, target, sets }
     }
 
@@ -248,8 +248,8 @@ fn two_search_steps_and_the_final_pass() {
     // it here, which decides whether a colour's gradient is 0 or has a sign. A start that lies
     // 1e-12 lower is projected onto the same floor exactly.
     let mut start = a.deltas("start");
-    start.set(Site::Density, (start.get(Site::Density).unwrap() - 1e-12).unwrap());
-    let found = worst_case(&a.sets, &a.config.numbers, a.config.step_unit, start, |at| {
+    start.set(PaperSite::Density, (start.get(PaperSite::Density).unwrap() - 1e-12).unwrap());
+    let found = worst_case(&a.sets, start, |at| {
         let out = a.perturbed(&frozen, at.deltas);
         iterates.push(out.used.deltas.clone());
         Ok((photometric_loss(&out.pass.composite.rgb, &a.target)?, out.used.deltas))
@@ -264,16 +264,16 @@ fn two_search_steps_and_the_final_pass() {
         }
     }
     let expected = |what: &str| a.reference.get(&format!("final.{what}"));
-    let t_vals = (&a.t_vals + found.get(Site::T).unwrap()).unwrap();
+    let t_vals = (&a.t_vals + found.get(PaperSite::T).unwrap()).unwrap();
     assert_close("t_vals", &t_vals, &expected("t_vals"), F64);
     let points = t_vals.unsqueeze(2).unwrap().broadcast_mul(&a.rays.directions.unsqueeze(1).unwrap()).unwrap();
     let points = points.broadcast_add(&a.rays.origins.unsqueeze(1).unwrap()).unwrap();
-    assert_close("points", &(points + found.get(Site::Xyz).unwrap()).unwrap(), &expected("points"), F64);
+    assert_close("points", &(points + found.get(PaperSite::Xyz).unwrap()).unwrap(), &expected("points"), F64);
     assert_close("rgb", &last.pass.rgb, &expected("rgb"), F64);
     assert_close("density", &last.pass.density, &expected("density"), F64);
     assert_close("weights", &last.pass.composite.weights, &expected("weights"), F64);
     assert_close("colour", &last.pass.composite.rgb, &expected("colour"), F64);
-    let view = found.get(Site::View).unwrap();
+    let view = found.get(PaperSite::View).unwrap();
     let along = |axis: usize, tangent: &Tensor| view.narrow(1, axis, 1).unwrap().broadcast_mul(tangent).unwrap();
     let [u, w] = a.rays.tangents.as_ref().unwrap();
     let moved = ((&a.rays.viewdirs + along(0, u)).unwrap() + along(1, w)).unwrap();

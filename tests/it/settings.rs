@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use augnerf::augment::{Norm, Passes, Site};
+use augnerf::perturb::{Norm, PaperSite, Passes};
 use augnerf::run::{Protocol, columns};
 use augnerf::settings::columns::COLUMNS;
 use augnerf::settings::{
@@ -140,7 +140,7 @@ fn columns_hold_the_values_of_settings() {
     let mip = of(Method::AugMipNerf, |config| {
         config.train.schedule = Schedule::LogLinear;
         config.field.core = Core::Plain;
-        config.perturb.sites[Site::Xyz].norm = Some(Norm::Linf);
+        config.perturb.sites[PaperSite::Xyz].norm = Some(Norm::Linf);
         config.data.train_views = Some(TrainViews::Named(vec!["r_2".into(), "r_26".into()]));
     });
     for (column, text) in [
@@ -169,8 +169,8 @@ fn columns_of_a_hash_field_tell_what_it_reads() {
             config.field.encoding = Encoding::Hash;
             config.field.hash.log2_table = 8;
             config.field.hash.levels = levels;
-            config.perturb.sites[Site::Xyz].passes = Passes::Fine;
-            config.perturb.sites[Site::View].passes = Passes::Off;
+            config.perturb.sites[PaperSite::Xyz].passes = Passes::Fine;
+            config.perturb.sites[PaperSite::View].passes = Passes::Off;
         });
         Protocol::new(&config, &tiny_scene(), &trained(&config, 0).state())
     };

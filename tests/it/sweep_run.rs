@@ -7,8 +7,8 @@ use std::sync::Mutex;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
 use crate::common::{assert_says, needs};
-use augnerf::augment::{Epsilon, Site};
 use augnerf::base::{Error, Event, Listener, Result};
+use augnerf::perturb::{Epsilon, PaperSite};
 use augnerf::report::{PointResult, Status};
 use augnerf::runtime::Runtime;
 use augnerf::settings::{Config, DeltaSource, Regularizer, SecondPass};
@@ -164,7 +164,7 @@ values = [1, 2, 3]
     assert_eq!(product[0].places.len(), 6);
     assert!(labels(&product).contains(&"Aug-NeRF, steps = 1, features layer = 3 · builtin · seed 0".to_string()));
     let config = &product[1].config.perturb;
-    let steps = [Site::T, Site::Xyz].map(|site| config.sites[site].steps);
+    let steps = [PaperSite::T, PaperSite::Xyz].map(|site| config.sites[site].steps);
     assert_eq!((steps, config.injection_layer), ([Some(1); 2], 1));
     let single = points_of(&format!("combine = \"one-at-a-time\"\n{BASE}{axes}")).unwrap();
     assert_eq!(single.len(), 2 * (1 + 5));
@@ -759,9 +759,9 @@ fn shapes_are_what_decides_the_time_of_a_step() {
     assert_ne!(points[0].config.step_shape(), points[1].config.step_shape());
     let mut other = points[1].config.clone();
     other.perturb.lambda = 0.7;
-    other.perturb.sites[Site::T].epsilon = Some(0.1.into());
+    other.perturb.sites[PaperSite::T].epsilon = Some(0.1.into());
     assert_eq!(other.step_shape(), points[1].config.step_shape());
-    other.perturb.sites[Site::T].steps = Some(9);
+    other.perturb.sites[PaperSite::T].steps = Some(9);
     assert_ne!(other.step_shape(), points[1].config.step_shape());
 }
 

@@ -4,7 +4,6 @@
 
 #![warn(missing_docs)]
 
-pub mod augment;
 pub mod base;
 pub mod data;
 pub mod field;
@@ -12,6 +11,7 @@ pub mod losses;
 pub mod methods;
 pub mod metrics;
 pub mod optimizer;
+pub mod perturb;
 pub mod render;
 pub mod runtime;
 pub mod settings;

@@ -1,6 +1,6 @@
 //! Records the dispatches of passes through a field: forward, and back to what is asked for.
 
-use augnerf_core::augment::Site;
+use augnerf_core::perturb::PaperSite;
 use augnerf_core::settings::{DensityActivation, FieldConfig, Regularizer};
 use wgpu::Buffer;
 
@@ -95,15 +95,15 @@ pub(crate) struct DeltaBuffers<'a> {
 
 impl<'a> DeltaBuffers<'a> {
     /// Returns the same with one site alone.
-    pub(crate) fn only(self, site: Site) -> DeltaBuffers<'a> {
+    pub(crate) fn only(self, site: PaperSite) -> DeltaBuffers<'a> {
         let none = DeltaBuffers { before: self.before, ..DeltaBuffers::default() };
         match site {
-            Site::T => DeltaBuffers { t: self.t, ..none },
-            Site::Xyz => DeltaBuffers { xyz: self.xyz, ..none },
-            Site::View => DeltaBuffers { view: self.view, ..none },
-            Site::Feature => DeltaBuffers { feature: self.feature, ..none },
-            Site::Rgb => DeltaBuffers { rgb: self.rgb, ..none },
-            Site::Density => DeltaBuffers { density: self.density, ..none },
+            PaperSite::T => DeltaBuffers { t: self.t, ..none },
+            PaperSite::Xyz => DeltaBuffers { xyz: self.xyz, ..none },
+            PaperSite::View => DeltaBuffers { view: self.view, ..none },
+            PaperSite::Feature => DeltaBuffers { feature: self.feature, ..none },
+            PaperSite::Rgb => DeltaBuffers { rgb: self.rgb, ..none },
+            PaperSite::Density => DeltaBuffers { density: self.density, ..none },
         }
     }
 }

@@ -1,14 +1,13 @@
 //! The constraint sets of a pass on the device: radii, random points, and steps of the search.
 
-use augnerf_core::augment::{
-    Draw, Epsilon, Level, Norm, PassGeometry, PerSite, Radius, SampleDensity, SetChoices, Sets, Site, SiteNumbers,
-    StepUnit,
-};
 use augnerf_core::base::Result;
 use augnerf_core::base::rng::Stream;
 use augnerf_core::data::Scene;
 use augnerf_core::methods::AttackGeometry;
-use augnerf_core::render::output_range;
+use augnerf_core::perturb::{
+    Draw, Epsilon, Level, Norm, PaperSite, PassGeometry, PerSite, Radius, SampleDensity, Sets, SiteNumbers, StepUnit,
+    output_range,
+};
 use augnerf_core::settings::{OutputPlace, Resolved};
 use candle_core::{DType, Device, Tensor};
 use wgpu::Buffer;
@@ -23,12 +22,11 @@ const FAR: f64 = 1e30;
 /// The sets of a kind of pass, coarse or fine.
 pub(crate) struct PassSets {
     sites: Vec<SiteSet>,
-    unit: StepUnit,
 }
 
 /// The set of one site.
 struct SiteSet {
-    site: Site,
+    site: PaperSite,
     numbers: SiteNumbers,
     radius: SiteRadius,
     /// Numbers of a vector.
@@ -61,57 +59,60 @@ impl PassSets {
     pub(crate) fn new(config: &Resolved, scene: &Scene, size: PassSize) -> Result<PassSets> {
         let geometry = AttackGeometry::new(config, scene);
         let perturb = &config.perturb;
-        let (numbers, choices) = (&perturb.numbers, perturb.set_choices());
         let t_vals = Tensor::zeros((1, size.columns), DType::F64, &Device::Cpu)?;
         let direction_norm = Tensor::full(FAR, (1, 1), &Device::Cpu)?;
         let pass = geometry.pass(&t_vals, size.samples, &direction_norm, size.is_coarse)?;
-        let sets = Sets::new(numbers, &choices, &pass)?;
-        let sites = sets.iter().map(|(site, set)| {
+        let sets = Sets::new(perturb.sites_of_pass(size.is_coarse), &pass)?;
+        let sites = sets.iter().map(|entry| {
+            let (site, set) = (entry.site.at(), &entry.set);
+            let numbers = perturb.numbers[site];
             let one = || -> Result<f64> { Ok(set.radius.flatten_all()?.to_vec1::<f64>()?[0]) };
             let radius = match site {
-                Site::T => of_gaps(&numbers[site], &pass),
-                Site::Xyz if is_capped(&numbers[site], &choices) => {
-                    let epsilon = numbers[site].radius(|epsilon| epsilon);
+                PaperSite::T => of_gaps(&numbers, &pass),
+                PaperSite::Xyz if is_capped(&numbers, perturb.xyz_radius) => {
+                    let epsilon = numbers.radius(|epsilon| epsilon);
                     let (near, far) = pass.bounds;
                     let cap = (far - near) / (2.0 * (pass.cap_samples as f64 - 1.0)) * epsilon;
                     SiteRadius::Pixel { pixel: one()?, cap }
                 }
-                Site::Xyz | Site::View | Site::Feature | Site::Rgb | Site::Density => SiteRadius::One(one()?),
+                PaperSite::Xyz | PaperSite::View | PaperSite::Feature | PaperSite::Rgb | PaperSite::Density => {
+                    SiteRadius::One(one()?)
+                }
             };
             let (size_of, per_ray) = match site {
-                Site::T => (1, size.columns),
-                Site::View => (2, 1),
-                Site::Xyz | Site::Rgb => (3, size.samples),
-                Site::Feature => (config.field.width, size.samples),
-                Site::Density => (1, size.samples),
+                PaperSite::T => (1, size.columns),
+                PaperSite::View => (2, 1),
+                PaperSite::Xyz | PaperSite::Rgb => (3, size.samples),
+                PaperSite::Feature => (config.field.width, size.samples),
+                PaperSite::Density => (1, size.samples),
             };
-            Ok(SiteSet { site, numbers: numbers[site], radius, size: size_of, per_ray, masks: set.mask.is_some() })
+            Ok(SiteSet { site, numbers, radius, size: size_of, per_ray, masks: set.mask.is_some() })
         });
-        Ok(PassSets { sites: sites.collect::<Result<_>>()?, unit: perturb.step_unit })
+        Ok(PassSets { sites: sites.collect::<Result<_>>()? })
     }
 
     /// Returns the sites that move in a step of the search.
-    pub(crate) fn moving(&self, step: usize) -> Vec<Site> {
-        self.sites.iter().filter(|set| step < set.numbers.steps).map(|set| set.site).collect()
+    pub(crate) fn moving(&self, step: usize) -> Vec<PaperSite> {
+        self.sites.iter().filter(|set| step < set.numbers.pgd.steps).map(|set| set.site).collect()
     }
 
-    pub(crate) fn sites(&self) -> impl Iterator<Item = Site> {
+    pub(crate) fn sites(&self) -> impl Iterator<Item = PaperSite> {
         self.sites.iter().map(|set| set.site)
     }
 
     /// Returns the number of steps of the search.
     pub(crate) fn steps(&self) -> usize {
-        self.sites.iter().map(|set| set.numbers.steps).max().unwrap_or(0)
+        self.sites.iter().map(|set| set.numbers.pgd.steps).max().unwrap_or(0)
     }
 
-    fn set(&self, site: Site) -> &SiteSet {
+    fn set(&self, site: PaperSite) -> &SiteSet {
         self.sites.iter().find(|set| set.site == site).expect("a site that is on")
     }
 }
 
 /// Returns whether the radius of `xyz` depends on the length of a ray's direction.
-fn is_capped(numbers: &SiteNumbers, choices: &SetChoices) -> bool {
-    choices.xyz_radius == Radius::Pixel && matches!(numbers.epsilon, Epsilon::Units(_))
+fn is_capped(numbers: &SiteNumbers, radius: Radius) -> bool {
+    radius == Radius::Pixel && matches!(numbers.epsilon, Epsilon::Units(_))
 }
 
 fn of_gaps(numbers: &SiteNumbers, pass: &PassGeometry) -> SiteRadius {
@@ -143,11 +144,12 @@ pub(crate) struct SetBuffers {
 
 impl SetBuffers {
     pub(crate) fn new(gpu: &Gpu, sets: &PassSets, rays: usize) -> SetBuffers {
-        let of = |site: Site| {
+        let of = |site: PaperSite| {
             let set = sets.sites.iter().find(|set| set.site == site)?;
             Some(gpu.numbers(rays * set.per_ray * set.size))
         };
-        let columns = sets.sites.iter().filter(|set| set.site == Site::T).map(|set| set.per_ray).max().unwrap_or(1);
+        let columns =
+            sets.sites.iter().filter(|set| set.site == PaperSite::T).map(|set| set.per_ray).max().unwrap_or(1);
         SetBuffers {
             deltas: PerSite::from_fn(of),
             random: PerSite::from_fn(of),
@@ -165,24 +167,24 @@ impl SetBuffers {
         layer: usize,
         before: bool,
     ) -> DeltaBuffers<'a> {
-        let of = |site: Site| match which {
+        let of = |site: PaperSite| match which {
             Deltas::Searched => self.deltas[site].as_ref(),
             Deltas::Random => self.random[site].as_ref(),
             Deltas::Used => self.used[site].as_ref().or(self.deltas[site].as_ref()),
         };
-        let output = |site: Site| {
+        let output = |site: PaperSite| {
             let buffer = of(site)?;
             let set = sets.set(site);
             let SiteRadius::One(radius) = set.radius else { unreachable!("one radius for all samples") };
-            Some((buffer, radius, if site == Site::Rgb { set.numbers.norm == Norm::L2 } else { set.masks }))
+            Some((buffer, radius, if site == PaperSite::Rgb { set.numbers.norm == Norm::L2 } else { set.masks }))
         };
         DeltaBuffers {
-            t: of(Site::T),
-            xyz: of(Site::Xyz),
-            view: of(Site::View),
-            feature: of(Site::Feature).map(|buffer| (buffer, layer)),
-            rgb: output(Site::Rgb),
-            density: output(Site::Density),
+            t: of(PaperSite::T),
+            xyz: of(PaperSite::Xyz),
+            view: of(PaperSite::View),
+            feature: of(PaperSite::Feature).map(|buffer| (buffer, layer)),
+            rgb: output(PaperSite::Rgb),
+            density: output(PaperSite::Density),
             before,
         }
     }
@@ -269,7 +271,7 @@ impl Recorder<'_> {
     }
 
     /// The parameters of a set's kernels.
-    fn set_words(&self, sets: &PassSets, set: &SiteSet, pass: &PassAt, rest: SetWords) -> Words {
+    fn set_words(&self, set: &SiteSet, pass: &PassAt, rest: SetWords) -> Words {
         let every = match set.radius {
             SiteRadius::One(_) => 0,
             SiteRadius::OfGaps(..) => 1,
@@ -284,12 +286,12 @@ impl Recorder<'_> {
             .u(is(set.numbers.norm == Norm::L2))
             .u(every)
             .f(radius)
-            .u(is(set.site == Site::T))
+            .u(is(set.site == PaperSite::T))
             .f(near)
             .f(far)
             .u(if set.masks { pass.samples } else { 0 })
-            .f(set.numbers.step_size)
-            .u(is(sets.unit == StepUnit::Relative))
+            .f(set.numbers.pgd.step_size)
+            .u(is(set.numbers.pgd.unit == StepUnit::Relative))
             .u(rest.stride)
             .u(rest.offset)
             .u(is(rest.gaussian))
@@ -303,7 +305,7 @@ impl Recorder<'_> {
 
     fn set_kernel(&self, name: &'static str, set: &SiteSet) -> Kernel {
         let has_radii = !matches!(set.radius, SiteRadius::One(_));
-        Kernel::new(name).with("RADII", has_radii).with("BOUNDED", set.site == Site::T)
+        Kernel::new(name).with("RADII", has_radii).with("BOUNDED", set.site == PaperSite::T)
     }
 
     /// The buffers of a set's kernels: the delta, its radii, the positions that bound it.
@@ -319,7 +321,7 @@ impl Recorder<'_> {
             SiteRadius::OfGaps(..) => bound.push((2, &buffers.t_radius)),
             SiteRadius::Pixel { .. } => bound.push((2, &buffers.xyz_radius)),
         }
-        if set.site == Site::T {
+        if set.site == PaperSite::T {
             bound.push((3, pass.t_vals));
         }
         bound
@@ -363,7 +365,7 @@ impl Recorder<'_> {
             }
             let words =
                 SetWords { gaussian, chunk: vectors, normals, first_distance: distances, ..SetWords::default() };
-            let words = self.set_words(sets, set, pass, words);
+            let words = self.set_words(set, pass, words);
             let to = if at.random { &buffers.random } else { &buffers.deltas };
             let delta = to[set.site].as_ref().expect("a site that is on");
             let mut bound = Recorder::set_buffers(set, delta, buffers, pass);
@@ -379,11 +381,11 @@ impl Recorder<'_> {
         sets: &PassSets,
         buffers: &SetBuffers,
         pass: &PassAt,
-        site: Site,
+        site: PaperSite,
         (gradient, stride, offset): GradientAt,
     ) {
         let set = sets.set(site);
-        let words = self.set_words(sets, set, pass, SetWords { stride, offset, ..SetWords::default() });
+        let words = self.set_words(set, pass, SetWords { stride, offset, ..SetWords::default() });
         let delta = buffers.deltas[site].as_ref().expect("a site that is on");
         let mut bound = Recorder::set_buffers(set, delta, buffers, pass);
         bound.push((4, gradient));
@@ -411,7 +413,7 @@ impl Recorder<'_> {
         sets: &PassSets,
         buffers: &SetBuffers,
         pass: &PassAt,
-        site: Site,
+        site: PaperSite,
         (counts, first): (&Buffer, usize),
         padding: f64,
     ) {
@@ -420,7 +422,7 @@ impl Recorder<'_> {
         let range = is_output.then(|| output_range(site, padding));
         // Values lie as their gradients do.
         let offset = if is_output { self.gradient_of(site, OutputPlace::After).2 } else { 0 };
-        let words = self.set_words(sets, set, pass, SetWords { offset, first, range, ..SetWords::default() });
+        let words = self.set_words(set, pass, SetWords { offset, first, range, ..SetWords::default() });
         let delta = match self.used(site) {
             Some(used) => used,
             None => buffers.deltas[site].as_ref().expect("a site that is on"),

@@ -1,9 +1,9 @@
 //! Training steps of NeRF and Aug-NeRF on the device.
 
-use augnerf_core::augment::Site;
 use augnerf_core::base::{Error, Result};
 use augnerf_core::data::{RayParts, Scene};
 use augnerf_core::methods::{Batches, Fields, LogColumns, StepReport, is_regularized, log_columns, not_finite};
+use augnerf_core::perturb::PaperSite;
 use augnerf_core::runtime::Accelerator;
 use augnerf_core::settings::{Precision, Regularizer, Resolved};
 use candle_core::Tensor;
@@ -482,7 +482,7 @@ fn loss_scale(config: &Resolved) -> f64 {
 
 /// Whether view directions are tilted.
 fn has_tangents(config: &Resolved) -> bool {
-    config.method.is_augmented() && config.perturb.sites[Site::View].on()
+    config.method.is_augmented() && config.perturb.sites[PaperSite::View].on()
 }
 
 /// Copies the parameters of fields, with their moments, to the device.

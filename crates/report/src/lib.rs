@@ -2,7 +2,7 @@
 
 #![warn(missing_docs)]
 
-pub(crate) use augnerf_core::{augment, base, data, metrics, settings};
+pub(crate) use augnerf_core::{base, data, metrics, perturb, settings};
 
 pub mod draw;
 pub mod report;

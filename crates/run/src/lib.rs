@@ -3,7 +3,7 @@
 #![warn(missing_docs)]
 
 pub(crate) use augnerf_core::{
-    augment, base, data, field, losses, methods, metrics, optimizer, render, runtime, settings, space,
+    base, data, field, losses, methods, metrics, optimizer, perturb, render, runtime, settings, space,
 };
 pub(crate) use augnerf_report::{draw, report};
 

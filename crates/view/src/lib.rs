@@ -8,7 +8,7 @@
 
 #![warn(missing_docs)]
 
-pub(crate) use augnerf_core::{augment, base, data, field, methods, render, runtime, settings};
+pub(crate) use augnerf_core::{base, data, field, methods, perturb, render, runtime, settings};
 pub(crate) use augnerf_report::draw;
 pub(crate) use augnerf_run::{model, run};
 

@@ -2,11 +2,11 @@
 
 use candle_core::Tensor;
 
-use crate::augment::{Deltas, Draw, Passes, PerSite, Sets, Site, SiteNumbers, worst_case};
 use crate::base::Result;
 use crate::base::rng::{Random, Stream};
 use crate::data::{RayParts, Rays, Scene};
 use crate::methods::{AttackGeometry, Fields};
+use crate::perturb::{Deltas, Draw, Sets, SiteSet, worst_case};
 use crate::render::sampling::stratified;
 use crate::render::{
     FixedSamples, Pass, PassOutput, Perturbation, clean_pass, columns, fine_t_vals, perturbed_pass,
@@ -71,14 +71,10 @@ impl PerturbedRenderer {
         let t_vals = if is_coarse { own } else { fine_t_vals(coarse, rays, &own, sampling)? };
         let pass =
             Pass { rays, t_vals: &t_vals, density_noise: None, background: self.background, scales_gradients: false };
-        let perturb = &self.config.perturb;
         let geometry = self.geometry.pass(&t_vals, samples_of(field, &t_vals)?, &rays.direction_norm, is_coarse)?;
-        let is_on = |site: Site| attack.sites.iter().any(|name| name == site.about().name);
-        let numbers = PerSite::from_fn(|site| match is_on(site) {
-            true => perturb.numbers[site],
-            false => SiteNumbers { passes: Passes::Off, ..perturb.numbers[site] },
-        });
-        let mut sets = Sets::new(&numbers, &perturb.set_choices(), &geometry)?;
+        let mut sites = self.config.perturb.sites_of_pass(is_coarse);
+        sites.retain(|site| attack.sites.iter().any(|name| name == site.name()));
+        let mut sets = Sets::new(sites, &geometry)?;
         let clean;
         let target = match target {
             Some(target) => target,
@@ -87,14 +83,13 @@ impl PerturbedRenderer {
                 &clean
             }
         };
-        let start =
-            sets.draw(Draw::Uniform, |site| Random::part(self.config.seed, Stream::View, 0, site.part(part)))?;
+        let start = sets.draw(Draw::Uniform, part, |part| Random::part(self.config.seed, Stream::View, 0, part))?;
         let mut fixed = None;
-        let found = worst_case(&sets, &numbers, perturb.step_unit, start, |at| {
-            if fixed.is_none() && at.fixes_samples() {
-                fixed = Some(FixedSamples::new(field, pass, at.deltas)?);
-            }
+        let found = worst_case(&sets, start, |at| {
             let perturbation = self.perturbation(at.deltas, &sets);
+            if fixed.is_none() && at.fixes_samples() {
+                fixed = Some(FixedSamples::new(field, pass, perturbation)?);
+            }
             let (out, used) = match &fixed {
                 Some(fixed) => fixed.perturbed_pass_loss(perturbation, target)?,
                 None => perturbed_pass_loss(field, pass, perturbation, target)?,
@@ -102,20 +97,18 @@ impl PerturbedRenderer {
             Ok((out.loss, used))
         })?;
         let mut scaled = Deltas::default();
-        let on: Vec<Site> = sets.iter().map(|(site, _)| site).collect();
-        for site in on {
-            let Some(delta) = found.get(site) else { continue };
+        for SiteSet { site, mut set } in sets.clone().iter().cloned() {
+            let Some(delta) = found.get(site.name()) else { continue };
             let scaled_up = (delta.detach() * attack.scale)?;
-            // What is scaled up leaves its set on purpose.
-            let mut set = sets.get(site).expect("is on").clone();
-            if site.about().largest_epsilon.0 < f64::MAX {
+            if site.at().about().largest_epsilon.0 < f64::MAX {
                 // Its set ends where deltas lose their meaning: samples would pass each other.
-                scaled.set(site, set.project(&scaled_up)?);
+                scaled.set(site.name(), set.project(&scaled_up)?);
                 continue;
             }
-            scaled.set(site, scaled_up);
+            scaled.set(site.name(), scaled_up);
+            // What is scaled up leaves its set on purpose.
             set.radius = (set.radius * attack.scale.max(1.0))?;
-            sets.set(site, set);
+            sets.replace(site.name(), set);
         }
         Ok(perturbed_pass(field, pass, self.perturbation(&scaled, &sets))?.pass)
     }

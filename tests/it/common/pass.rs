@@ -1,9 +1,9 @@
 //! A pass of a small field, with all that a loss of deltas needs.
 
-use augnerf::augment::{Deltas, Draw, PassGeometry, Passes, PixelScale, SampleDensity, Sets, worst_case};
 use augnerf::base::rng::{Random, Stream};
 use augnerf::data::{RayBuffer, RayParts, Rays};
 use augnerf::field::Field;
+use augnerf::perturb::{Deltas, Draw, PassGeometry, Passes, PixelScale, SampleDensity, Sets, worst_case};
 use augnerf::render::{Pass, Perturbation, perturbed_pass, photometric_loss, sampling};
 use augnerf::settings::{Method, PerturbConfig, Resolved, Spacing};
 use candle_core::{DType, Device, Tensor};
@@ -58,7 +58,7 @@ impl Setting {
             pixel: PixelScale { width: 16.0, height: 16.0, focal: 20.0, ndc: false },
             density: SampleDensity::OWN,
         };
-        let sets = Sets::new(&config.perturb.numbers, &config.perturb.set_choices(), &geometry).unwrap();
+        let sets = Sets::new(config.perturb.sites_of_pass(geometry.is_coarse), &geometry).unwrap();
         let field = Field::init(&config.field, seed, 0, dtype, &Device::Cpu).unwrap();
         Setting { config, field, rays, t_vals, noise: Some(noise), background: Some([1.0; 3]), target, sets }
     }
@@ -84,12 +84,12 @@ impl Setting {
     }
 
     pub fn draw(&self, index: u64) -> Deltas {
-        self.sets.draw(Draw::Uniform, |site| Random::part(3, Stream::Search, index, site as u64)).unwrap()
+        self.sets.draw(Draw::Uniform, 0, |part| Random::part(3, Stream::Search, index, part)).unwrap()
     }
 
     pub fn search(&self, start: Deltas) -> Deltas {
         let frozen = self.field.frozen().unwrap();
-        worst_case(&self.sets, &self.config.perturb.numbers, self.config.perturb.step_unit, start, |at| {
+        worst_case(&self.sets, start, |at| {
             let out = perturbed_pass(&frozen, self.pass(), self.perturbation(at.deltas))?;
             Ok((photometric_loss(&out.pass.composite.rgb, &self.target)?, out.used.deltas))
         })

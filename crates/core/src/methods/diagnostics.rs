@@ -5,9 +5,9 @@ use std::path::Path;
 use candle_core::{DType, Tensor};
 use serde::Serialize;
 
-use crate::augment::Site;
 use crate::base::input::{TABLE_BYTES, read_text};
 use crate::base::{Error, Result};
+use crate::perturb::PaperSite;
 use crate::settings::columns::{InactiveBy, LEAST_SHIFT};
 
 /// A site whose gain is below this fraction of the clean loss is inactive in a step.
@@ -97,7 +97,7 @@ pub fn logged_sites<'a>(header: impl Iterator<Item = &'a str>) -> Vec<String> {
     // A gain alone is not a site's: sharpness-aware steps log that of weights.
     let mut names: Vec<String> =
         header.filter_map(|column| column.strip_prefix("inactive.")).map(str::to_string).collect();
-    let place = |name: &String| Site::of_name(name).map_or(Site::ALL.len(), |site| site as usize);
+    let place = |name: &String| PaperSite::of_name(name).map_or(PaperSite::ALL.len(), |site| site as usize);
     names.sort_by_key(place);
     names
 }

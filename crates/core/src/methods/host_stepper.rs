@@ -4,10 +4,10 @@ use std::sync::Arc;
 
 use candle_core::{DType, Tensor, Var};
 
-use crate::augment::OwnSite;
 use crate::base::Result;
 use crate::losses::LossTerm;
 use crate::optimizer::{Adam, AdamSettings, Moments};
+use crate::perturb::Site;
 use crate::settings::{Config, TrainConfig};
 
 use super::diagnostics::colour_shift;
@@ -134,7 +134,7 @@ impl Stepper for HostStepper {
         self.learner.add_term(term, weight)
     }
 
-    fn add_site(&mut self, site: Arc<dyn OwnSite>) -> Result<()> {
+    fn add_site(&mut self, site: Arc<dyn Site>) -> Result<()> {
         self.learner.add_site(site)
     }
 

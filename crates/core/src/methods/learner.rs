@@ -4,9 +4,9 @@ use candle_core::Tensor;
 
 use std::sync::Arc;
 
-use crate::augment::OwnSite;
 use crate::base::{Error, Result};
 use crate::losses::LossTerm;
+use crate::perturb::Site;
 
 use super::gradients::Gradients;
 use super::stepper::StepReport;
@@ -42,7 +42,7 @@ pub struct LogColumns {
 }
 
 /// Returns the error of a method or device without sites of your own.
-pub(super) fn no_sites(site: &dyn OwnSite) -> Error {
+pub(super) fn no_sites(site: &dyn Site) -> Error {
     Error::Config(format!(
         "the site '{}' cannot be added: only radiance fields on the processor take sites of your own",
         site.name()
@@ -69,7 +69,7 @@ pub trait Learner: Send {
     ///
     /// # Errors
     /// If there is a site of that name, no pass is perturbed, or the method has no sites.
-    fn add_site(&mut self, site: Arc<dyn OwnSite>) -> Result<()> {
+    fn add_site(&mut self, site: Arc<dyn Site>) -> Result<()> {
         Err(no_sites(&*site))
     }
 

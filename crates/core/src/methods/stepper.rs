@@ -2,10 +2,10 @@
 
 use std::sync::Arc;
 
-use crate::augment::OwnSite;
 use crate::base::{Error, Result};
 use crate::losses::LossTerm;
 use crate::optimizer::Moments;
+use crate::perturb::Site;
 
 use super::diagnostics::SiteDiagnostics;
 use super::extremes::Extremes;
@@ -60,7 +60,7 @@ pub trait Stepper: Send {
     ///
     /// # Errors
     /// If there is a site of that name, no pass is perturbed, or the method or device takes none.
-    fn add_site(&mut self, site: Arc<dyn OwnSite>) -> Result<()> {
+    fn add_site(&mut self, site: Arc<dyn Site>) -> Result<()> {
         Err(no_sites(&*site))
     }
 

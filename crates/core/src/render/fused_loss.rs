@@ -6,15 +6,14 @@
 
 use candle_core::{CpuStorage, CustomOp3, DType, Device, Layout, Result as TensorResult, Shape, Tensor};
 
-use crate::augment::{DeltaSet, Deltas, Level, Norm, Sets, Site, larger, smaller};
 use crate::base::Result;
 use crate::base::place::is_ours_in_f32;
 use crate::base::tensors::with_values;
 use crate::field::{Field, RawOutput, density_of, leads_away, raw_density_gradient};
+use crate::perturb::{DeltaSet, Deltas, Norm, PaperSite, Sets, SiteSet, larger, output_range, smaller};
 use crate::settings::DensityActivation;
 
 use super::pass::Pass;
-use super::perturbed::output_range;
 use super::photometric_loss;
 use super::scan::{Gradients, Passed, Scan};
 use super::volume::{Composite, LAST_INTERVAL};
@@ -39,7 +38,7 @@ pub(super) struct ShadedLoss {
     /// Without a graph.
     pub(super) composite: Composite,
     /// The output deltas as they were used: projected onto what the samples allow.
-    pub(super) used: Vec<(Site, Tensor)>,
+    pub(super) used: Vec<(PaperSite, Tensor)>,
 }
 
 /// The box of an output delta.
@@ -79,20 +78,18 @@ struct Boxes {
 impl Added {
     fn of(samples: &Samples) -> Result<Added> {
         let Samples { raw, added: Some((deltas, sets)), .. } = samples else { return Ok(Added::Nothing) };
-        if sets.has_own_at(Level::Output) {
-            return Ok(Added::NotHere);
-        }
         let (mut rgb, mut density) = (None, None);
-        for (site, set) in sets.iter() {
-            let of_site = match site {
+        for SiteSet { site, set } in sets.iter() {
+            let at_site = match site.at() {
                 // Samples and raw output have these.
-                Site::T | Site::Xyz | Site::View | Site::Feature => continue,
-                Site::Rgb => &mut rgb,
-                Site::Density => &mut density,
+                PaperSite::T | PaperSite::Xyz | PaperSite::View | PaperSite::Feature => continue,
+                PaperSite::Rgb => &mut rgb,
+                PaperSite::Density => &mut density,
             };
-            let Some(delta) = deltas.get(site) else { continue };
-            let Some(box_set) = BoxSet::of(set)? else { return Ok(Added::NotHere) };
-            *of_site = Some((delta, box_set));
+            let Some(delta) = deltas.get(site.name()) else { continue };
+            let is_papers = site.name() == site.at().name();
+            let Some(box_set) = BoxSet::of(set)?.filter(|_| is_papers) else { return Ok(Added::NotHere) };
+            *at_site = Some((delta, box_set));
         }
         if rgb.is_none() && density.is_none() {
             return Ok(Added::Nothing);
@@ -206,12 +203,12 @@ impl FusedLoss {
         if let Some(added) = added {
             let delta = added.delta.detach().to_vec1::<f32>()?;
             let (of_rgb, of_density) = delta.split_at(activations.rgb.len());
-            let limits = |site: Site| output_range(site, self.padding);
+            let limits = |site: PaperSite| output_range(site, self.padding);
             if let Some(box_set) = &added.rgb {
-                activations.used[0] = box_set.add(&mut activations.rgb, of_rgb, limits(Site::Rgb), 3 * samples);
+                activations.used[0] = box_set.add(&mut activations.rgb, of_rgb, limits(PaperSite::Rgb), 3 * samples);
             }
             if let Some(box_set) = &added.density {
-                let limits = limits(Site::Density);
+                let limits = limits(PaperSite::Density);
                 activations.used[1] = box_set.add(&mut activations.density, of_density, limits, samples);
             }
         }
@@ -233,14 +230,14 @@ impl FusedLoss {
         added: Option<&Boxes>,
         (rays, samples): (usize, usize),
         device: &Device,
-    ) -> Result<Vec<(Site, Tensor)>> {
+    ) -> Result<Vec<(PaperSite, Tensor)>> {
         let [rgb, density] = std::mem::take(&mut self.activations.used);
         let mut used = Vec::new();
         if added.is_some_and(|added| added.rgb.is_some()) {
-            used.push((Site::Rgb, Tensor::from_vec(rgb, (rays, samples, 3), device)?));
+            used.push((PaperSite::Rgb, Tensor::from_vec(rgb, (rays, samples, 3), device)?));
         }
         if added.is_some_and(|added| added.density.is_some()) {
-            used.push((Site::Density, Tensor::from_vec(density, (rays, samples), device)?));
+            used.push((PaperSite::Density, Tensor::from_vec(density, (rays, samples), device)?));
         }
         Ok(used)
     }

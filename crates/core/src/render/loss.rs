@@ -2,10 +2,10 @@
 
 use candle_core::{D, DType, Tensor};
 
-use crate::augment::{Deltas, Site};
 use crate::base::Result;
 use crate::base::tensors::with_values;
 use crate::field::{Field, density_of};
+use crate::perturb::{Deltas, PaperSite};
 use crate::settings::OutputPlace;
 
 use super::fused_loss::{Samples, ShadedLoss};
@@ -83,7 +83,7 @@ fn loss_of(queried: Queried, target: &Tensor) -> Result<(PassLoss, Deltas)> {
     Ok((PassLoss::of(pass, target)?, used.deltas))
 }
 
-fn pass_of(ShadedLoss { loss, composite, used }: ShadedLoss, samples: Samples) -> (PassLoss, Vec<(Site, Tensor)>) {
+fn pass_of(ShadedLoss { loss, composite, used }: ShadedLoss, samples: Samples) -> (PassLoss, Vec<(PaperSite, Tensor)>) {
     let (t_vals, raw_density) = (samples.t_vals.detach(), samples.raw.density.detach());
     (PassLoss { loss, composite, t_vals, raw_density }, used)
 }

@@ -18,7 +18,7 @@ pub use cast::{gaussians_at, points_at, positions_at, ray_parts, samples_of};
 pub use image::{columns, fine_t_vals, place, render_rays, resample};
 pub use loss::{PassLoss, clean_pass_loss, noiseless_acc, perturbed_pass_loss};
 pub use pass::{Pass, PassOutput, clean_pass};
-pub use perturbed::{FixedSamples, Perturbation, PerturbedOutput, UsedDeltas, output_range, perturbed_pass};
+pub use perturbed::{FixedSamples, Perturbation, PerturbedOutput, perturbed_pass};
 pub use volume::Composite;
 
 /// Returns the mean squared error over rays and channels between colours `[rays, 3]`.

@@ -5,7 +5,7 @@
 
 use super::registry::{Effect, REGISTRY, Setting};
 use super::{Batching, Config, Encoding, Method, Schedule};
-use crate::augment::Site;
+use crate::perturb::PaperSite;
 
 /// When rows of one scene must agree in a column.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -118,7 +118,7 @@ pub fn perturbed(config: &Config) -> bool {
     augmented(config) && config.perturb.source().is_some()
 }
 
-fn perturbed_at(config: &Config, site: Site) -> bool {
+fn perturbed_at(config: &Config, site: PaperSite) -> bool {
     perturbed(config) && config.perturb.sites[site].on()
 }
 
@@ -180,7 +180,7 @@ pub const COLUMNS: &[Column] = &[
     column("attack").of(perturbed),
     column("attack_numbers").of(perturbed),
     column("step_unit").of(perturbed),
-    column("injection_layer").of(|config| perturbed_at(config, Site::Feature)),
+    column("injection_layer").of(|config| perturbed_at(config, PaperSite::Feature)),
     column("entries").where_differing().of(augmented),
     column("perturb_field").where_differing().of(augmented),
     column("objective").where_differing().of(augmented),
@@ -241,9 +241,9 @@ pub const COLUMNS: &[Column] = &[
     column("dead_start_share").where_differing().of(of_fields),
     column("chunk").where_differing().of(of_rays),
     column("eval_chunk").where_differing(),
-    column("xyz_radius").where_differing().of(|config| perturbed_at(config, Site::Xyz)),
+    column("xyz_radius").where_differing().of(|config| perturbed_at(config, PaperSite::Xyz)),
     column("norms").where_differing().of(perturbed),
-    column("perturb_last").where_differing().of(|config| perturbed_at(config, Site::Density)),
+    column("perturb_last").where_differing().of(|config| perturbed_at(config, PaperSite::Density)),
     column("core").where_differing().of(of_fields),
     column("precision").where_differing(),
     column("instructions").where_differing(),

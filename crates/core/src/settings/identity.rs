@@ -7,7 +7,7 @@ use super::registry::{Effect, Section};
 use super::{
     Config, DataConfig, Encoding, EvalConfig, Method, NO_REFERENCE, PerturbConfig, PixelOrigin, Split, TrainConfig,
 };
-use crate::augment::Passes;
+use crate::perturb::Passes;
 
 /// The scheme of hashes. Raise it when a default changes, and nothing is taken for what it was.
 const SCHEME: &str = "augnerf 0.2.0";

@@ -5,8 +5,8 @@ use super::{
     Batching, Config, CorruptionKind, DataKind, DensityActivation, Encoding, LatticePoints, Method, NO_REFERENCE,
     REGULARIZERS, Regularizer, Schedule, SecondPass, VolumeCode, word,
 };
-use crate::augment::{Epsilon, Level, Site};
 use crate::data::{RayGroup, may_have_box};
+use crate::perturb::{Epsilon, Level, PaperSite};
 
 /// Keys of a section, whether they have no effect, and why.
 type Row<'a> = (&'a [&'a str], bool, String);
@@ -215,11 +215,11 @@ impl Config {
         let no_search = perturb.source().is_none_or(|source| !source.searches());
         let no_search = no_search.then(|| format!("perturb.kind is \"{kind}\", which searches nothing"));
         if let Some((site, key)) = key.split_once('.') {
-            return self.idle_at_site(Site::of_name(site)?, key, no_search);
+            return self.idle_at_site(PaperSite::of_name(site)?, key, no_search);
         }
         // Whether none of the chosen sites is on, and that in words.
-        let off = |chosen: fn(Site) -> bool| {
-            let sites: Vec<Site> = Site::ALL.into_iter().filter(|site| chosen(*site)).collect();
+        let off = |chosen: fn(PaperSite) -> bool| {
+            let sites: Vec<PaperSite> = PaperSite::ALL.into_iter().filter(|site| chosen(*site)).collect();
             let named: Vec<String> = sites.iter().map(|site| format!("perturb.{}.passes", site.name())).collect();
             let verb = if sites.len() == 1 { "is" } else { "are" };
             let is_off = sites.iter().all(|site| !perturb.sites[*site].on());
@@ -227,8 +227,8 @@ impl Config {
         };
         let (feature_off, no_feature) = off(|site| site.about().level == Level::Feature);
         let (output_off, no_output) = off(|site| site.about().level == Level::Output);
-        let (density_off, no_density) = off(|site| site == Site::Density);
-        let (xyz_off, no_xyz) = off(|site| site == Site::Xyz);
+        let (density_off, no_density) = off(|site| site == PaperSite::Density);
+        let (xyz_off, no_xyz) = off(|site| site == PaperSite::Xyz);
         let encoding = word(self.field.encoding);
         reason(
             key,
@@ -254,7 +254,7 @@ impl Config {
     }
 
     /// `no_search` is the reason why no deltas are searched, if none are.
-    fn idle_at_site(&self, site: Site, key: &str, no_search: Option<String>) -> Option<String> {
+    fn idle_at_site(&self, site: PaperSite, key: &str, no_search: Option<String>) -> Option<String> {
         let (config, name) = (&self.perturb.sites[site], site.name());
         // The reach of steps is a size for random deltas, too.
         let reaches = config.epsilon == Some(Epsilon::Reach);

@@ -364,7 +364,7 @@ pub(super) fn leaves(table: &Table, prefix: &str) -> Vec<String> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::augment::Site;
+    use crate::perturb::PaperSite;
     use crate::settings::{Batching, TrainConfig};
 
     fn set(texts: &[&str]) -> Result<Config> {
@@ -376,7 +376,7 @@ mod tests {
     fn assignments_reach_nested_fields_and_later_ones_win() {
         let config = set(&["train.steps=7", "perturb.t.epsilon=0.25", "data.dir=a b", "train.steps=9"]).unwrap();
         assert_eq!(config.train.steps, 9);
-        assert_eq!(config.perturb.sites[Site::T].epsilon, Some(0.25.into()));
+        assert_eq!(config.perturb.sites[PaperSite::T].epsilon, Some(0.25.into()));
         assert_eq!(config.data.dir, "a b");
     }
 
@@ -500,12 +500,12 @@ mod tests {
             let p = config.perturb.clone().resolve(0.1, 1, 512);
             assert_eq!((p.lambda, p.injection_layer, p.perturb_last), (0.5, 8, true));
             assert_eq!(p.output, crate::settings::OutputPlace::Before);
-            for site in [Site::Feature, Site::Density] {
+            for site in [PaperSite::Feature, PaperSite::Density] {
                 let numbers = p.numbers[site];
-                assert_eq!((numbers.steps, numbers.step_size, numbers.epsilon), (1, 1e-5, 1e-5.into()));
+                assert_eq!((numbers.pgd.steps, numbers.pgd.step_size, numbers.epsilon), (1, 1e-5, 1e-5.into()));
             }
-            let on: Vec<Site> = p.sites_on().map(|(site, _)| site).collect();
-            assert_eq!(on, [Site::T, Site::Xyz, Site::Feature, Site::Density]);
+            let on: Vec<PaperSite> = p.sites_on().map(|(site, _)| site).collect();
+            assert_eq!(on, [PaperSite::T, PaperSite::Xyz, PaperSite::Feature, PaperSite::Density]);
             assert!(!config.sampling.jitter);
         }
     }

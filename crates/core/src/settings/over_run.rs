@@ -5,7 +5,7 @@ use toml::{Table, Value};
 
 use super::Config;
 use super::identity::{remove, value_at};
-use crate::augment::Site;
+use crate::perturb::PaperSite;
 
 /// A setting, and numbers that belong to its value.
 struct Numbers {
@@ -30,8 +30,8 @@ fn as_list(value: &Value) -> Vec<Value> {
 
 fn numbers() -> [Numbers; 5] {
     let of_sites = |keys: &[&str]| -> Vec<String> {
-        let of_site = |site: Site| keys.iter().map(move |key| format!("perturb.{}.{key}", site.name()));
-        Site::ALL.into_iter().flat_map(of_site).collect()
+        let of_site = |site: PaperSite| keys.iter().map(move |key| format!("perturb.{}.{key}", site.name()));
+        PaperSite::ALL.into_iter().flat_map(of_site).collect()
     };
     let attack = [vec!["perturb.step_unit".into()], of_sites(&["step_size", "epsilon"])].concat();
     let terms = ["weight", "schedule", "unseen_rays", "unseen_poses"].map(|key| format!("regularizer.{key}"));
@@ -125,6 +125,6 @@ mod tests {
         let file = file_of("[regularizer]\nkind = \"tv\"\nweight = 3.8e-6\n\n[perturb.t]\nepsilon = 0.5\n");
         let found = built(None, Some(&file), &["regularizer.kind=l1", "perturb.attack=calibrated"]);
         assert_eq!(found.regularizer.weight, [3.8e-6]);
-        assert_eq!(found.perturb.sites[crate::augment::Site::T].epsilon, Some(0.5.into()));
+        assert_eq!(found.perturb.sites[crate::perturb::PaperSite::T].epsilon, Some(0.5.into()));
     }
 }

@@ -1,9 +1,10 @@
 //! Section `perturb`: the second pass of a step, the sites of the three levels, and the search for the worst case.
 //!
-//! The section has one table per site, as `augment` lists them. `perturb.levels` is a short way to switch sites off. It
+//! The section has one table for each of the paper's sites. `perturb.levels` is a short way to switch sites off. It
 //! is read but never written: files and hashes hold only the sites' `passes`.
 
 use std::ops::Deref;
+use std::sync::Arc;
 
 use serde::de::value::MapAccessDeserializer;
 use serde::de::{DeserializeSeed, Error, IntoDeserializer, MapAccess, Visitor};
@@ -13,8 +14,9 @@ use super::registry::{choice, numbers, section};
 use super::schedule::WeightSchedule;
 use super::second_pass::{DeltaSource, SecondPass};
 use super::site::{Levels, SiteConfig, SiteSection, Sizes, switched_off, write_sites};
-use crate::augment::{
-    Epsilon, Geometry, Level, Norm, PaperPass, Passes, PerSite, Radius, SetChoices, Site, SiteNumbers, StepUnit,
+use crate::perturb::{
+    Density, Epsilon, Feature, Geometry, Level, Norm, PaperPass, PaperSite, Passes, PerSite, Pgd, Radius, Rgb, Site,
+    SiteNumbers, StepUnit, T, View, Xyz,
 };
 
 /// How `lambda` combines clean and perturbed loss.
@@ -130,13 +132,13 @@ section! {
     flat {
         /// One table per site.
         #[serde(flatten, skip_deserializing, serialize_with = "write_sites")]
-        pub sites: PerSite<SiteConfig> = PerSite::from_fn(SiteConfig::default_of);
+        pub sites: PerSite<SiteConfig> = PerSite::from_fn(|_| SiteConfig::default());
     }
 }
 
 impl PerturbConfig {
     /// Iterates over the sites that are on, in order.
-    pub fn sites_on(&self) -> impl Iterator<Item = (Site, &SiteConfig)> {
+    pub fn sites_on(&self) -> impl Iterator<Item = (PaperSite, &SiteConfig)> {
         self.sites.iter().filter(|(_, site)| site.on())
     }
 
@@ -148,13 +150,12 @@ impl PerturbConfig {
         }
     }
 
-    /// Returns whether no number is empty, as in a run's file. A site that is off and newer than the first six is not written.
+    /// Returns whether no number is empty, as in a run's file.
     pub(super) fn is_filled_in(&self) -> bool {
         let is_filled = |site: &SiteConfig| {
             site.steps.is_some() && site.step_size.is_some() && site.epsilon.is_some() && site.norm.is_some()
         };
-        let mut written = self.sites.iter().filter(|(site, config)| config.on() || site.about().passes != Passes::Off);
-        self.step_unit.is_some() && written.all(|(_, site)| is_filled(site))
+        self.step_unit.is_some() && self.sites.iter().all(|(_, site)| is_filled(site))
     }
 
     /// Fills every empty number from `attack`. `span` is far - near in the units of `t_vals`, `coarse` the samples of
@@ -168,31 +169,26 @@ impl PerturbConfig {
             Sizes::Calibrated => StepUnit::Relative,
         });
         let numbers = PerSite::from_fn(|site| {
-            let numbers = self.sites[site].resolve(site, sizes, interval);
+            let numbers = self.sites[site].resolve(site, sizes, step_unit, interval);
             let scales = geometry == Geometry::Paper && site.about().over_units && numbers.norm == Norm::Linf;
-            if scales { scaled(numbers, step_unit, PaperPass::box_scale(width)) } else { numbers }
+            if scales { scaled(numbers, PaperPass::box_scale(width)) } else { numbers }
         });
         ResolvedPerturb { config: self, step_unit, numbers }
-    }
-
-    /// Returns the choices on which the sets of single sites depend.
-    pub fn set_choices(&self) -> SetChoices {
-        SetChoices { xyz_radius: self.xyz_radius, perturb_last: self.perturb_last }
     }
 }
 
 /// Returns the same PGD in a box scaled by `scale`.
-fn scaled(numbers: SiteNumbers, unit: StepUnit, scale: f64) -> SiteNumbers {
+fn scaled(numbers: SiteNumbers, scale: f64) -> SiteNumbers {
     let epsilon = match numbers.epsilon {
         Epsilon::Units(epsilon) => Epsilon::Units(epsilon * scale),
         Epsilon::Reach => Epsilon::Reach,
     };
-    let step_size = match unit {
-        StepUnit::Absolute => numbers.step_size * scale,
+    let step_size = match numbers.pgd.unit {
+        StepUnit::Absolute => numbers.pgd.step_size * scale,
         // In radii, which scale with the box.
-        StepUnit::Relative => numbers.step_size,
+        StepUnit::Relative => numbers.pgd.step_size,
     };
-    SiteNumbers { epsilon, step_size, ..numbers }
+    SiteNumbers { epsilon, pgd: Pgd { step_size, ..numbers.pgd }, ..numbers }
 }
 
 /// Section `perturb` with every number filled in. It derefs to the section, except for the numbers that were open
@@ -210,6 +206,27 @@ impl ResolvedPerturb {
     /// Returns the section with every number written out. It resolves to itself.
     pub fn into_draft(self) -> PerturbConfig {
         self.config
+    }
+
+    /// Returns the paper's sites in the coarse pass or in the fine one: those that are on, with sets larger than a point.
+    pub fn sites_of_pass(&self, is_coarse: bool) -> Vec<Arc<dyn Site>> {
+        let on = |numbers: &SiteNumbers| numbers.passes.include(is_coarse) && numbers.perturbs();
+        self.numbers
+            .iter()
+            .filter(|(_, numbers)| on(numbers))
+            .map(|(site, numbers)| self.site(site, *numbers))
+            .collect()
+    }
+
+    fn site(&self, site: PaperSite, numbers: SiteNumbers) -> Arc<dyn Site> {
+        match site {
+            PaperSite::T => Arc::new(T { numbers }),
+            PaperSite::Xyz => Arc::new(Xyz { numbers, radius: self.xyz_radius }),
+            PaperSite::View => Arc::new(View { numbers }),
+            PaperSite::Feature => Arc::new(Feature { numbers }),
+            PaperSite::Rgb => Arc::new(Rgb { numbers }),
+            PaperSite::Density => Arc::new(Density { numbers, perturb_last: self.perturb_last }),
+        }
     }
 }
 
@@ -244,7 +261,7 @@ impl<'de> Visitor<'de> for Table {
     }
 
     fn visit_map<A: MapAccess<'de>>(self, map: A) -> Result<PerturbConfig, A::Error> {
-        let mut sites = PerSite::from_fn(SiteConfig::default_of);
+        let mut sites = PerSite::from_fn(|_| SiteConfig::default());
         let (mut said, mut levels) = (PerSite::from_fn(|_| None), None);
         let fields = Fields { map, sites: &mut sites, said: &mut said, levels: &mut levels };
         let config = PerturbConfig::deserialize(MapAccessDeserializer::new(fields))?;
@@ -277,11 +294,11 @@ impl<'de, A: MapAccess<'de>> MapAccess<'de> for Fields<'_, A> {
 
     fn next_key_seed<K: DeserializeSeed<'de>>(&mut self, seed: K) -> Result<Option<K::Value>, A::Error> {
         while let Some(key) = self.map.next_key::<String>()? {
-            match Site::of_name(&key) {
+            match PaperSite::of_name(&key) {
                 Some(site) => {
                     let section: SiteSection = self.map.next_value()?;
                     self.said[site] = section.passes;
-                    self.sites[site] = section.of(site);
+                    self.sites[site] = section.into();
                 }
                 None if key == "levels" => *self.levels = Some(self.map.next_value::<Levels>()?.0),
                 None => return seed.deserialize(key.into_deserializer()).map(Some),
@@ -326,7 +343,10 @@ mod tests {
         // A site of a level that is on keeps what is said of it.
         let both = set(&["perturb.t.passes=fine", "perturb.rgb.passes=fine", "perturb.levels=[\"input\"]"]).unwrap();
         let passes = |site| both.perturb.sites[site].passes;
-        assert_eq!((passes(Site::T), passes(Site::Xyz), passes(Site::Rgb)), (Passes::Fine, Passes::Both, Passes::Off));
+        assert_eq!(
+            (passes(PaperSite::T), passes(PaperSite::Xyz), passes(PaperSite::Rgb)),
+            (Passes::Fine, Passes::Both, Passes::Off)
+        );
         let wrong = set(&["perturb.levels=[\"rgb\"]"]).unwrap_err().to_string();
         assert!(wrong.contains("perturb.levels") && wrong.contains("input"), "{wrong}");
         let none = set(&["method=aug-nerf", "perturb.levels=[]"]).unwrap_err().to_string();
@@ -338,13 +358,13 @@ mod tests {
         let refused = set(&["perturb.levels=[\"input\"]", "perturb.rgb.passes=fine"]).unwrap_err().to_string();
         assert!(refused.contains("perturb.rgb.passes") && refused.contains("\"output\""), "{refused}");
         let off = set(&["perturb.levels=[\"input\"]", "perturb.rgb.passes=off"]).unwrap();
-        assert_eq!(off.perturb.sites[Site::Rgb].passes, Passes::Off);
+        assert_eq!(off.perturb.sites[PaperSite::Rgb].passes, Passes::Off);
         // A run's own file names the passes of all sites: what is asked for later goes over it.
         let file = tempfile::NamedTempFile::new().unwrap();
         std::fs::write(file.path(), Config::default().to_toml()).unwrap();
         let levels = parse_assignment("perturb.levels=[\"feature\"]").unwrap();
         let narrowed = build(None, Some(file.path()), &[levels]).unwrap();
-        assert_eq!(narrowed.perturb.sites_on().map(|(site, _)| site).collect::<Vec<_>>(), [Site::Feature]);
+        assert_eq!(narrowed.perturb.sites_on().map(|(site, _)| site).collect::<Vec<_>>(), [PaperSite::Feature]);
         let wrong = set(&["perturb.rgb=3"]).unwrap_err().to_string();
         assert!(wrong.contains("perturb.rgb is a section") && !wrong.contains("SiteSection"), "{wrong}");
         let file = toml::from_str::<Config>("[perturb]\nrgb = 3\n").unwrap_err().to_string();

@@ -4,8 +4,8 @@ use serde::{Deserialize, Serialize, Serializer};
 use toml::{Table, Value};
 
 use super::registry::{Registry, Rule, Section, choice, describe, numbers};
-use crate::augment::{Epsilon, Level, Norm, Passes, PerSite, Site, SiteNumbers};
 use crate::base::SettingError;
+use crate::perturb::{Epsilon, Level, Norm, PaperSite, Passes, PerSite, Pgd, SiteNumbers, StepUnit};
 
 /// The steps, step sizes and epsilons that fill the sites' empty fields.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
@@ -27,7 +27,7 @@ pub struct SiteConfig {
     pub steps: Option<usize>,
     /// Length of one PGD step, in `step_unit`.
     pub step_size: Option<f64>,
-    /// Size of the constraint set, in the site's unit (see [`crate::augment::SiteSpec::unit`]), or as far as its steps
+    /// Size of the constraint set, in the site's unit (see [`crate::perturb::About::unit`]), or as far as its steps
     /// reach.
     pub epsilon: Option<Epsilon>,
     /// The norm of the constraint set.
@@ -40,13 +40,8 @@ impl SiteConfig {
         self.passes != Passes::Off
     }
 
-    /// Returns the default of a site.
-    pub(super) fn default_of(site: Site) -> SiteConfig {
-        SiteSection::default().of(site)
-    }
-
     /// Fills what is empty. `interval` is (far - near) / coarse samples in the units of `t_vals`.
-    pub(super) fn resolve(&mut self, site: Site, sizes: Sizes, interval: f64) -> SiteNumbers {
+    pub(super) fn resolve(&mut self, site: PaperSite, sizes: Sizes, unit: StepUnit, interval: f64) -> SiteNumbers {
         let default = site.about().sizes;
         let steps = *self.steps.get_or_insert(default.steps);
         let epsilon = *self.epsilon.get_or_insert_with(|| match sizes {
@@ -61,7 +56,13 @@ impl SiteConfig {
             Sizes::Calibrated => 2.5 / steps as f64,
         });
         let norm = *self.norm.get_or_insert(default.norm);
-        SiteNumbers { passes: self.passes, steps, step_size, epsilon, norm }
+        SiteNumbers { passes: self.passes, pgd: Pgd { steps, step_size, unit }, epsilon, norm }
+    }
+}
+
+impl Default for SiteConfig {
+    fn default() -> SiteConfig {
+        SiteSection::default().into()
     }
 }
 
@@ -76,10 +77,10 @@ pub(super) struct SiteSection {
     norm: Option<Norm>,
 }
 
-impl SiteSection {
-    pub fn of(self, site: Site) -> SiteConfig {
-        let SiteSection { passes, steps, step_size, epsilon, norm } = self;
-        SiteConfig { passes: passes.unwrap_or(site.about().passes), steps, step_size, epsilon, norm }
+impl From<SiteSection> for SiteConfig {
+    fn from(section: SiteSection) -> SiteConfig {
+        let SiteSection { passes, steps, step_size, epsilon, norm } = section;
+        SiteConfig { passes: passes.unwrap_or(Passes::Both), steps, step_size, epsilon, norm }
     }
 }
 
@@ -109,7 +110,7 @@ impl Section for PerSite<SiteConfig> {
         let doc =
             "A short way to switch sites off: those of the levels that are not named. It is read but never written.";
         registry.add::<Option<Vec<Level>>>(format!("{prefix}levels"), &[doc], numbers().columns(&["levels"]));
-        for site in Site::ALL {
+        for site in PaperSite::ALL {
             let (about, path) = (site.about(), format!("{prefix}{}", site.name()));
             registry.add_section(path.clone(), &[&format!("Site: {}; epsilon in {}.", about.what, about.unit)]);
             SiteConfig::list(&format!("{path}."), registry);
@@ -125,16 +126,14 @@ impl Section for PerSite<SiteConfig> {
     }
 }
 
-/// Writes a site that is newer than the first six only if it is on. Files and hashes of experiments without it stay as
-/// they were.
+/// Writes the table of each site.
 pub(super) fn write_sites<S: Serializer>(sites: &PerSite<SiteConfig>, serializer: S) -> Result<S::Ok, S::Error> {
-    let written = sites.iter().filter(|(site, config)| config.on() || site.about().passes != Passes::Off);
-    serializer.collect_map(written.map(|(site, config)| (site.name(), config)))
+    serializer.collect_map(sites.iter().map(|(site, config)| (site.name(), config)))
 }
 
 /// Iterates over the sites whose levels are not named. Without `levels` there are none.
-pub(super) fn switched_off(levels: Option<&[Level]>) -> impl Iterator<Item = Site> {
-    Site::ALL.into_iter().filter(move |site| levels.is_some_and(|levels| !levels.contains(&site.about().level)))
+pub(super) fn switched_off(levels: Option<&[Level]>) -> impl Iterator<Item = PaperSite> {
+    PaperSite::ALL.into_iter().filter(move |site| levels.is_some_and(|levels| !levels.contains(&site.about().level)))
 }
 
 /// The levels of `perturb.levels`: a list, or one name.

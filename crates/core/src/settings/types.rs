@@ -1,6 +1,6 @@
 //! The types of settings, and their ranges.
 
-use crate::augment::{Epsilon, REACH};
+use crate::perturb::{Epsilon, REACH};
 use serde::de::{DeserializeOwned, Deserializer, Visitor, value::Error as Unread};
 
 /// The largest whole number that TOML can hold.

@@ -6,9 +6,9 @@ use super::{
     MESH_SIDES, Objective, PerturbField, Precision, Regularizer, Resample, SecondPass, Sizes, Spacing, Split,
     TermNeeds, UnseenPoses, word,
 };
-use crate::augment::{Epsilon, Geometry, Level, Norm, Passes, REACH, StepUnit};
 use crate::base::{Error, Result, SettingError};
 use crate::data::RayGroup;
+use crate::perturb::{Epsilon, Geometry, Level, Norm, Passes, REACH, StepUnit};
 
 /// Largest number of points of a step. They are drawn at once, and this many take a few hundred megabytes.
 const MOST_POINTS_PER_STEP: usize = 1 << 22;

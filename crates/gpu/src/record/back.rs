@@ -1,6 +1,6 @@
 //! The way back of a pass.
 
-use augnerf_core::augment::Site;
+use augnerf_core::perturb::PaperSite;
 use augnerf_core::settings::OutputPlace;
 use wgpu::Buffer;
 
@@ -143,17 +143,17 @@ impl<'a> Recorder<'a> {
     }
 
     /// Where the gradient of a site's delta is after the way back.
-    pub(crate) fn gradient_of(&self, site: Site, place: OutputPlace) -> GradientAt<'a> {
+    pub(crate) fn gradient_of(&self, site: PaperSite, place: OutputPlace) -> GradientAt<'a> {
         let (scratch, width) = (self.scratch, self.shape.width);
         match (site, place) {
-            (Site::T, _) => (&scratch.d_t, 1, 0),
-            (Site::Xyz, _) => (&scratch.d_points, 3, 0),
-            (Site::View, _) => (&scratch.d_tilt, 2, 0),
-            (Site::Feature, _) => (&scratch.d_feature, width, 0),
-            (Site::Rgb, OutputPlace::After) => (&scratch.d_values, 4, 0),
-            (Site::Density, OutputPlace::After) => (&scratch.d_values, 4, 3),
-            (Site::Rgb, OutputPlace::Before) => (&scratch.d_raw, 4, 0),
-            (Site::Density, OutputPlace::Before) => (&scratch.d_head, width + 4, width),
+            (PaperSite::T, _) => (&scratch.d_t, 1, 0),
+            (PaperSite::Xyz, _) => (&scratch.d_points, 3, 0),
+            (PaperSite::View, _) => (&scratch.d_tilt, 2, 0),
+            (PaperSite::Feature, _) => (&scratch.d_feature, width, 0),
+            (PaperSite::Rgb, OutputPlace::After) => (&scratch.d_values, 4, 0),
+            (PaperSite::Density, OutputPlace::After) => (&scratch.d_values, 4, 3),
+            (PaperSite::Rgb, OutputPlace::Before) => (&scratch.d_raw, 4, 0),
+            (PaperSite::Density, OutputPlace::Before) => (&scratch.d_head, width + 4, width),
         }
     }
 
@@ -163,11 +163,11 @@ impl<'a> Recorder<'a> {
     }
 
     /// Where the deltas of the output level are as the last pass used them.
-    pub(crate) fn used(&self, site: Site) -> Option<&'a Buffer> {
+    pub(crate) fn used(&self, site: PaperSite) -> Option<&'a Buffer> {
         match site {
-            Site::Rgb => Some(&self.scratch.used_rgb),
-            Site::Density => Some(&self.scratch.used_density),
-            Site::T | Site::Xyz | Site::View | Site::Feature => None,
+            PaperSite::Rgb => Some(&self.scratch.used_rgb),
+            PaperSite::Density => Some(&self.scratch.used_density),
+            PaperSite::T | PaperSite::Xyz | PaperSite::View | PaperSite::Feature => None,
         }
     }
 }

@@ -1,8 +1,8 @@
 //! The work of a chunk of rays: its clean passes, its search, its perturbed passes.
 
-use augnerf_core::augment::{Draw, Site};
 use augnerf_core::base::rng::Stream;
 use augnerf_core::methods::{coarse_weight, loss_weights};
+use augnerf_core::perturb::{Draw, PaperSite};
 use augnerf_core::settings::{DeltaSource, OutputPlace, PerturbField, Regularizer, Resample, Resolved, SecondPass};
 use wgpu::Buffer;
 
@@ -207,10 +207,11 @@ impl<'a> ChunkRecorder<'a> {
         let Some(field) = steps.fine() else { return };
         let mut t_vals = &buffers.t_fine;
         if self.config().perturb.resample == Resample::Perturbed && self.config().representation().has_coarse_loss() {
-            let t_coarse = match steps.sets[0].as_ref().is_some_and(|sets| sets.sites().any(|site| site == Site::T)) {
-                true => recorder.moved_t_vals(),
-                false => &buffers.t_coarse,
-            };
+            let t_coarse =
+                match steps.sets[0].as_ref().is_some_and(|sets| sets.sites().any(|site| site == PaperSite::T)) {
+                    true => recorder.moved_t_vals(),
+                    false => &buffers.t_coarse,
+                };
             let kinds = self.kinds();
             self.numbers(recorder, CleanPass::First, &buffers.u, kinds[3], &kinds[..3]);
             recorder.resample(self.resampling(), t_coarse, &buffers.u, &buffers.t_second);
@@ -247,13 +248,13 @@ impl<'a> ChunkRecorder<'a> {
             let searched = PassLoss { weight: self.weight(1.0), ..PassLoss::default() };
             for step in 0..sets.steps() {
                 let moving = sets.moving(step);
-                let on = |site: Site| moving.contains(&site);
+                let on = |site: PaperSite| moving.contains(&site);
                 let wanted = Wanted {
                     weights: false,
-                    t: on(Site::T),
-                    xyz: on(Site::Xyz),
-                    view: on(Site::View),
-                    feature: on(Site::Feature),
+                    t: on(PaperSite::T),
+                    xyz: on(PaperSite::Xyz),
+                    view: on(PaperSite::View),
+                    feature: on(PaperSite::Feature),
                 };
                 recorder.forward(&pass, Some(searched));
                 recorder.back(&pass, wanted);

@@ -1,7 +1,7 @@
 //! What a step leaves to be read, and the report made of it.
 
-use augnerf_core::augment::Site;
 use augnerf_core::methods::{Extremes, SiteDiagnostics, StepLosses, StepReport, coarse_weight};
+use augnerf_core::perturb::PaperSite;
 use augnerf_core::settings::{RegularizedFields, Regularizer};
 
 use crate::record::{FIRST_TERM, ON_RAYS, SLOT};
@@ -24,13 +24,13 @@ pub(super) const SECOND_FINE: usize = 3;
 pub(super) const SPACE: usize = 4;
 pub(super) const DIAGNOSED: usize = 6;
 /// Slots of a pass's diagnostics: without deltas, and of each site with its deltas, their shift, and with random ones.
-const OF_PASS: usize = 1 + 3 * Site::ALL.len();
+const OF_PASS: usize = 1 + 3 * PaperSite::ALL.len();
 pub(super) const SLOTS: usize = DIAGNOSED + 2 * OF_PASS;
 
 /// Words of the flags: what is broken, and the first broken number of each field's weights and tables.
 pub(super) const FLAGS: usize = 8;
 /// Counts of a pass's and site's numbers at their bound, and of those that may move.
-pub(super) const COUNTS: usize = 2 * 2 * Site::ALL.len();
+pub(super) const COUNTS: usize = 2 * 2 * PaperSite::ALL.len();
 
 /// Words that a step leaves: results, flags and counts.
 pub(super) const LEFT: usize = SLOTS * SLOT + FLAGS + COUNTS;
@@ -68,23 +68,23 @@ pub(super) fn first_of(pass: usize) -> usize {
 }
 
 /// The slot of a pass with one site's deltas alone.
-pub(super) fn alone(first: usize, site: Site) -> usize {
+pub(super) fn alone(first: usize, site: PaperSite) -> usize {
     first + 1 + 3 * site as usize
 }
 
 /// The slot of a pass with random deltas of one site alone.
-pub(super) fn at_random(first: usize, site: Site) -> usize {
+pub(super) fn at_random(first: usize, site: PaperSite) -> usize {
     alone(first, site) + 1
 }
 
 /// The slot of the shift of colours by one site's deltas.
-pub(super) fn shift_of(first: usize, site: Site) -> usize {
+pub(super) fn shift_of(first: usize, site: PaperSite) -> usize {
     alone(first, site) + 2
 }
 
 /// The place of a site's counts at bounds.
-pub(super) fn bounded(pass: usize, site: Site) -> usize {
-    2 * (pass * Site::ALL.len() + site as usize)
+pub(super) fn bounded(pass: usize, site: PaperSite) -> usize {
+    2 * (pass * PaperSite::ALL.len() + site as usize)
 }
 
 impl Steps {

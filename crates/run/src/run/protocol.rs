@@ -3,11 +3,11 @@
 use serde::ser::{Serialize, SerializeMap, Serializer};
 use serde_json::Value;
 
-use crate::augment::{Passes, Site};
 use crate::data::{Camera, RayGroup, Scene, View, epochs, seen_views};
 use crate::methods::step_over_radius;
 use crate::metrics::{Lpips, share};
 use crate::model::Model;
+use crate::perturb::{PaperSite, Passes};
 use crate::report::distinct;
 use crate::revision::version;
 use crate::settings::columns::{COLUMNS, find, perturbed, regularized};
@@ -282,8 +282,9 @@ fn levels(perturb: &ResolvedPerturb, representation: Representation) -> String {
 
 fn attack_numbers(perturb: &ResolvedPerturb) -> String {
     let on = perturb.numbers.iter().filter(|(_, numbers)| numbers.on());
-    let numbers = on
-        .map(|(site, numbers)| format!("{} {}/{}/{}", site.name(), numbers.steps, numbers.step_size, numbers.epsilon));
+    let numbers = on.map(|(site, numbers)| {
+        format!("{} {}/{}/{}", site.name(), numbers.pgd.steps, numbers.pgd.step_size, numbers.epsilon)
+    });
     numbers.collect::<Vec<String>>().join(", ")
 }
 
@@ -296,7 +297,7 @@ fn ratios(config: &Resolved, scene: &Scene) -> String {
 
 /// Returns the norms of the constraint sets. A site of one number a sample has no norm to choose.
 fn norms(perturb: &ResolvedPerturb) -> String {
-    let on = perturb.numbers.iter().filter(|(site, numbers): &(Site, _)| numbers.on() && !site.about().scalar);
+    let on = perturb.numbers.iter().filter(|(site, numbers): &(PaperSite, _)| numbers.on() && !site.about().scalar);
     let named = on.map(|(site, numbers)| format!("{} {}", site.name(), numbers.norm.name()));
     named.collect::<Vec<String>>().join(", ")
 }

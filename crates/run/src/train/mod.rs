@@ -7,12 +7,12 @@ use std::time::Instant;
 use candle_core::DType;
 
 use crate::accelerator;
-use crate::augment::OwnSite;
 use crate::base::{Error, Result};
 use crate::data::Scene;
 use crate::losses::LossTerm;
 use crate::methods::{HostStepper, Learner, LogColumns, StepAt, Stepper, StopCheck};
 use crate::model::{Model, Start};
+use crate::perturb::Site;
 use crate::runtime::Runtime;
 use crate::settings::Resolved;
 
@@ -216,7 +216,7 @@ impl Trainer {
     ///
     /// # Errors
     /// A site of that name exists, no pass is perturbed, or the method or device takes none.
-    pub fn add_site(&mut self, site: impl OwnSite + 'static) -> Result<()> {
+    pub fn add_site(&mut self, site: impl Site + 'static) -> Result<()> {
         self.stepping.get_mut().stepper_mut().add_site(Arc::new(site))
     }
 

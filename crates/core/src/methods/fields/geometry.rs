@@ -2,9 +2,11 @@
 
 use candle_core::{Device, Tensor};
 
-use crate::augment::{Geometry, PaperPass, PassGeometry, PixelScale, SampleDensity, Sets, Site, StepUnit};
 use crate::base::Result;
 use crate::data::Scene;
+use crate::perturb::{
+    Geometry, PaperPass, PaperSite, PassGeometry, PixelScale, SampleDensity, Sets, SiteSet, StepUnit,
+};
 use crate::settings::{Resolved, Spacing};
 
 /// Shortest direction of a ray, indexed by NDC: in NDC a ray goes from -1 to 1 along the view axis, in the world it has
@@ -73,14 +75,13 @@ impl AttackGeometry {
 ///
 /// # Errors
 /// Those of candle.
-pub fn step_over_radius(config: &Resolved, scene: &Scene) -> Result<Vec<(Site, f64)>> {
+pub fn step_over_radius(config: &Resolved, scene: &Scene) -> Result<Vec<(PaperSite, f64)>> {
     let geometry = AttackGeometry::new(config, scene);
     let (near, far) = geometry.bounds;
     let direction_norm = Tensor::full(SHORTEST[usize::from(geometry.pixel.ndc)], (1, 1), &Device::Cpu)?;
     let (coarse, fine) = config.samples();
     let coarse = if config.representation().has_coarse_loss() { coarse } else { 0 };
-    let perturb = &config.perturb;
-    let mut ratios: Vec<(Site, f64)> = Vec::new();
+    let mut ratios: Vec<(PaperSite, f64)> = Vec::new();
     for (is_coarse, samples) in [(true, coarse), (false, fine)].into_iter().filter(|(_, samples)| *samples > 0) {
         let columns = config.field.encoding.t_vals(samples);
         let at = |i: usize| match config.sampling.spacing {
@@ -89,14 +90,14 @@ pub fn step_over_radius(config: &Resolved, scene: &Scene) -> Result<Vec<(Site, f
         };
         let t_vals = Tensor::from_vec((0..columns).map(at).collect::<Vec<f64>>(), (1, columns), &Device::Cpu)?;
         let pass = geometry.pass(&t_vals, samples, &direction_norm, is_coarse)?;
-        for (site, set) in Sets::new(&perturb.numbers, &perturb.set_choices(), &pass)?.iter() {
-            let step_size = perturb.numbers[site].step_size;
-            let ratio = match perturb.step_unit {
-                StepUnit::Absolute => step_size / set.radius.mean_all()?.to_scalar::<f64>()?,
-                StepUnit::Relative => step_size,
+        for SiteSet { site, set } in Sets::new(config.perturb.sites_of_pass(is_coarse), &pass)?.iter() {
+            let pgd = site.pgd();
+            let ratio = match pgd.unit {
+                StepUnit::Absolute => pgd.step_size / set.radius.mean_all()?.to_scalar::<f64>()?,
+                StepUnit::Relative => pgd.step_size,
             };
-            if ratios.iter().all(|(known, _)| *known != site) {
-                ratios.push((site, ratio));
+            if ratios.iter().all(|(known, _)| *known != site.at()) {
+                ratios.push((site.at(), ratio));
             }
         }
     }

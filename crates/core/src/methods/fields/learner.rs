@@ -4,12 +4,12 @@ use std::sync::Arc;
 
 use candle_core::{DType, Device, Var};
 
-use crate::augment::{OwnSite, Site};
 use crate::base::place::is_host;
 use crate::base::{Error, Result};
 use crate::data::{PointRays, RayParts, Scene, UnseenCameras};
 use crate::losses::WeightedTerm;
 use crate::methods::batches::Batches;
+use crate::perturb::{PaperSite, Site};
 use crate::render::ray_parts;
 use crate::settings::{ChangedEntries, Encoding, Resolved};
 
@@ -37,7 +37,7 @@ pub struct FieldLearner {
     /// The training views' rays to points.
     pub(super) points: PointRays,
     /// Sites of the perturbed pass beside the configuration's.
-    pub(super) own_sites: Vec<Arc<dyn OwnSite>>,
+    pub(super) own_sites: Vec<Arc<dyn Site>>,
 }
 
 impl FieldLearner {
@@ -50,7 +50,7 @@ impl FieldLearner {
         device: &Device,
     ) -> Result<FieldLearner> {
         check_device(config, dtype, device)?;
-        let tangents = config.method.is_augmented() && config.perturb.sites[Site::View].on();
+        let tangents = config.method.is_augmented() && config.perturb.sites[PaperSite::View].on();
         let terms = WeightedTerm::all(&config.regularizer);
         let mut learner = FieldLearner {
             config: config.clone(),

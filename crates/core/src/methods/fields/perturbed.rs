@@ -2,14 +2,14 @@
 
 use candle_core::{DType, Tensor};
 
-use crate::augment::{Deltas, Draw, Sets, Site, worst_case};
 use crate::base::Result;
 use crate::base::rng::{Random, Stream};
 use crate::field::Field;
 use crate::methods::gradients::Gradients;
+use crate::perturb::{Deltas, Draw, Sets, SiteSet, UsedDeltas, worst_case};
 use crate::render::{
-    FixedSamples, Pass, PassLoss, Perturbation, PerturbedOutput, UsedDeltas, perturbed_pass, perturbed_pass_loss,
-    photometric_loss, resample, samples_of,
+    FixedSamples, Pass, PassLoss, Perturbation, PerturbedOutput, perturbed_pass, perturbed_pass_loss, photometric_loss,
+    resample, samples_of,
 };
 use crate::settings::{DeltaSource, Resample, SecondPass};
 
@@ -113,9 +113,8 @@ impl FieldLearner {
     ) -> Result<PerturbedPass<'a>> {
         let samples = samples_of(field, pass.t_vals)?;
         let geometry = self.geometry.pass(pass.t_vals, samples, &pass.rays.direction_norm, is_coarse)?;
-        let perturb = &self.config.perturb;
-        let mut sets = Sets::new(&perturb.numbers, &perturb.set_choices(), &geometry)?;
-        sets.add_own(&self.own_sites, &geometry)?;
+        let sites = self.config.perturb.sites_of_pass(is_coarse).into_iter().chain(self.own_sites.iter().cloned());
+        let sets = Sets::new(sites, &geometry)?;
         Ok(PerturbedPass {
             field,
             pass,
@@ -158,11 +157,8 @@ impl FieldLearner {
 
     /// Returns a random point of every set of a pass. Each site has its own numbers of `stream`.
     fn draw_deltas(&self, pass: &PerturbedPass, draw: Draw, stream: Stream) -> Result<Deltas> {
-        let random = |site: Site| Random::part(self.config.seed, stream, pass.step, site.part(pass.number));
-        let mut deltas = pass.sets.draw(draw, random)?;
-        let of_part = |part| Random::part(self.config.seed, stream, pass.step, part);
-        pass.sets.draw_own(&mut deltas, draw, pass.number, of_part)?;
-        Ok(deltas)
+        let random = |part| Random::part(self.config.seed, stream, pass.step, part);
+        pass.sets.draw(draw, pass.number, random)
     }
 
     /// Returns random or worst-case deltas, detached.
@@ -186,9 +182,9 @@ impl FieldLearner {
         (0..rays).for_each(|i| order[circle[i] as usize] = circle[(i + 1) % rays]);
         let order = Tensor::from_vec(order, rays, &self.device)?;
         let mut permuted = Deltas::default();
-        for (site, set) in pass.sets.iter() {
-            if let Some(delta) = deltas.get(site) {
-                permuted.set(site, set.project(&delta.detach().contiguous()?.index_select(&order, 0)?)?);
+        for SiteSet { site, set } in pass.sets.iter() {
+            if let Some(delta) = deltas.get(site.name()) {
+                permuted.set(site.name(), set.project(&delta.detach().contiguous()?.index_select(&order, 0)?)?);
             }
         }
         Ok(permuted)
@@ -197,16 +193,15 @@ impl FieldLearner {
     /// Runs PGD from a random start, on the loss times `sign`.
     fn search(&self, pass: &PerturbedPass, sign: f64) -> Result<Deltas> {
         let start = self.draw_deltas(pass, Draw::Uniform, Stream::Search)?;
-        let perturb = &self.config.perturb;
         let field = pass.field.frozen()?;
         // Scaled gradients are for parameters, not for deltas.
         let clean = Pass { scales_gradients: false, ..pass.pass };
         let mut fixed = None;
-        worst_case(&pass.sets, &perturb.numbers, perturb.step_unit, start, |at| {
-            if fixed.is_none() && at.fixes_samples() {
-                fixed = Some(FixedSamples::new(&field, clean, at.deltas)?);
-            }
+        worst_case(&pass.sets, start, |at| {
             let perturbation = self.perturbation(pass, at.deltas);
+            if fixed.is_none() && at.fixes_samples() {
+                fixed = Some(FixedSamples::new(&field, clean, perturbation)?);
+            }
             let (out, used) = match &fixed {
                 Some(fixed) => fixed.perturbed_pass_loss(perturbation, pass.target)?,
                 None => perturbed_pass_loss(&field, clean, perturbation, pass.target)?,
@@ -227,28 +222,18 @@ impl FieldLearner {
             Ok((pass.loss_weight * scalar(&photometric_loss(&rgb, pass.target)?)?, rgb))
         };
         let (without, unmoved) = render(&Deltas::default())?;
-        let effect = |used: &Deltas, drawn: &Deltas, at_bound: Option<f64>| -> Result<SiteEffect> {
-            let ((with, moved), (with_random, _)) = (render(used)?, render(drawn)?);
+        for SiteSet { site, set } in used.sets.iter() {
+            let name = site.name();
+            let Some(delta) = used.deltas.get(name) else { continue };
+            let at_bound = set.share_at_bound(delta)?;
+            let ((with, moved), (with_random, _)) = (render(&used.deltas.only(name))?, render(&drawn.only(name))?);
             let shift = colour_shift(&moved, &unmoved)?;
             let (gain, gain_over_random) = (with - without, with - with_random);
-            Ok(SiteEffect { share, gain, gain_over_random, shift, at_bound })
-        };
-        for (site, numbers) in self.config.perturb.numbers.iter() {
-            let (Some(set), Some(delta)) = (used.sets.get(site), used.deltas.get(site)) else {
-                // Switched on with a set of size 0: there is no perturbation, and no gain.
-                if numbers.on() && !numbers.perturbs() {
-                    sums.add(site.name(), SiteEffect { share, ..SiteEffect::default() });
-                }
-                continue;
-            };
-            let at_bound = set.share_at_bound(delta)?;
-            sums.add(site.name(), effect(&used.deltas.only(site), &drawn.only(site), at_bound)?);
+            sums.add(name, SiteEffect { share, gain, gain_over_random, shift, at_bound });
         }
-        for entry in used.sets.own() {
-            let name = entry.site.name();
-            let Some(delta) = used.deltas.own(name) else { continue };
-            let at_bound = entry.own.set.share_at_bound(delta)?;
-            sums.add(name, effect(&used.deltas.only_own(name), &drawn.only_own(name), at_bound)?);
+        // Switched on with a set of size 0: there is no perturbation, and no gain.
+        for (site, _) in self.config.perturb.numbers.iter().filter(|(_, numbers)| numbers.on() && !numbers.perturbs()) {
+            sums.add(site.name(), SiteEffect { share, ..SiteEffect::default() });
         }
         Ok(())
     }

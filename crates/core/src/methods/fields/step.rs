@@ -4,12 +4,12 @@ use std::sync::Arc;
 
 use candle_core::Tensor;
 
-use crate::augment::{OwnSite, Site};
 use crate::base::{Error, Result};
 use crate::losses::{LossTerm, TermSource, WeightedTerm};
 use crate::methods::diagnostics::columns as site_columns;
 use crate::methods::learner::{Learner, LogColumns, StepResult, StopCheck};
 use crate::methods::stepper::StepReport;
+use crate::perturb::{PaperSite, Site};
 use crate::render::render_rays;
 use crate::runtime::over_parts;
 use crate::settings::{DeltaSource, Encoding};
@@ -58,8 +58,8 @@ impl Learner for FieldLearner {
         Ok(())
     }
 
-    fn add_site(&mut self, site: Arc<dyn OwnSite>) -> Result<()> {
-        let (name, place) = (site.name(), site.place());
+    fn add_site(&mut self, site: Arc<dyn Site>) -> Result<()> {
+        let (name, at) = (site.name(), site.at());
         let refuse = |why: &str| Err(Error::Config(format!("the site '{name}' cannot be added: {why}")));
         let perturb = &self.config.perturb;
         if !self.config.method.is_augmented() || perturb.source().is_none() {
@@ -79,11 +79,11 @@ impl Learner for FieldLearner {
                 "its name must have lower-case letters, digits, '_' and '-' alone, because it names columns of the logs",
             );
         }
-        if Site::of_name(name).is_some() || self.own_sites.iter().any(|known| known.name() == name) {
+        if PaperSite::of_name(name).is_some() || self.own_sites.iter().any(|known| known.name() == name) {
             return refuse("there is a site of that name; rename it");
         }
-        if place == Site::View && !perturb.sites[Site::View].on() {
-            return refuse("rays have tangents at place view only if the site view is on; set perturb.view.passes");
+        if at == PaperSite::View && !perturb.sites[PaperSite::View].on() {
+            return refuse("rays have tangents at view only if the site view is on; set perturb.view.passes");
         }
         self.own_sites.push(site);
         Ok(())

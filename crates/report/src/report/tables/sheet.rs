@@ -2,8 +2,8 @@
 
 use serde_json::Value;
 
-use crate::augment::Site;
 use crate::base::csv::{csv_text, hash_cell, plain_hash};
+use crate::perturb::PaperSite;
 use crate::report::record::EPOCHS;
 use crate::settings::columns::{AXIS, SETTING, field_order, find};
 use crate::settings::registry::REGISTRY;
@@ -125,19 +125,19 @@ fn plain_field((name, cell): (String, String)) -> (String, String) {
 }
 
 /// Returns the columns of a site's PGD numbers.
-fn names_of(site: Site) -> [String; NUMBERS.len()] {
+fn names_of(site: PaperSite) -> [String; NUMBERS.len()] {
     NUMBERS.map(|number| format!("perturb.{}.{number}", site.name()))
 }
 
 /// Returns PGD numbers by their settings' names: `perturb.t.steps`, `perturb.t.step_size`, ...
 pub fn attack_numbers(numbers: &str) -> Vec<(String, String)> {
-    let of_site = |site: Site| {
+    let of_site = |site: PaperSite| {
         let own = numbers.split(", ").find_map(|part| part.strip_prefix(site.name())?.strip_prefix(' '));
         let own: Vec<&str> = own.map_or(Vec::new(), |own| own.split('/').collect());
         let numbers = if own.len() == NUMBERS.len() { own } else { Vec::new() };
         names_of(site).into_iter().zip(numbers.into_iter().map(String::from))
     };
-    Site::ALL.into_iter().flat_map(of_site).collect()
+    PaperSite::ALL.into_iter().flat_map(of_site).collect()
 }
 
 /// Returns PGD numbers as one text again.
@@ -146,11 +146,11 @@ fn joined_numbers(columns: &[(String, String)]) -> String {
         let is_of = |known: &str| known == name || known.strip_prefix(SETTING) == Some(name);
         columns.iter().find(|(known, _)| is_of(known)).map_or("", |(_, cell)| cell)
     };
-    let of_site = |site: Site| {
+    let of_site = |site: PaperSite| {
         let numbers = names_of(site).iter().map(cell).collect::<Vec<&str>>().join("/");
         (numbers.len() >= NUMBERS.len()).then(|| format!("{} {numbers}", site.name()))
     };
-    Site::ALL.into_iter().filter_map(of_site).collect::<Vec<String>>().join(", ")
+    PaperSite::ALL.into_iter().filter_map(of_site).collect::<Vec<String>>().join(", ")
 }
 
 /// Returns a column for each PGD number of any line, or `None` if a text has another form.
@@ -166,12 +166,12 @@ fn attack_columns(cells: &[Value]) -> Option<Vec<Column>> {
         let cells = lines.iter().map(cell).collect();
         (name, cells)
     };
-    Some(Site::ALL.into_iter().flat_map(names_of).map(column).collect())
+    Some(PaperSite::ALL.into_iter().flat_map(names_of).map(column).collect())
 }
 
 /// Returns a point's fields from its cells and constants: the opposite of [`readable`].
 pub(super) fn fields_of(cells: Vec<(String, String)>) -> Vec<(String, String)> {
-    let is_number = |name: &str| Site::ALL.into_iter().any(|site| names_of(site).iter().any(|own| own == name));
+    let is_number = |name: &str| PaperSite::ALL.into_iter().any(|site| names_of(site).iter().any(|own| own == name));
     let numbers = cells.iter().any(|(name, _)| is_number(name.strip_prefix(SETTING).unwrap_or(name)));
     let joined = numbers.then(|| (ATTACK_NUMBERS.to_string(), joined_numbers(&cells)));
     let own = cells.into_iter().filter(|(name, _)| !is_number(name)).map(plain_field);

@@ -5,21 +5,23 @@
 //! search ascends a loss that is passed as a closure, so that tests can use a quadratic with a known maximum.
 
 mod epsilon;
+mod feature;
 mod flat;
 mod geometry;
-mod own;
-mod search;
+mod input;
+mod output;
+mod pgd;
 mod set;
 mod sets;
 mod site;
-mod sites;
 
 pub use epsilon::{Epsilon, REACH};
+pub use feature::Feature;
 pub use flat::{larger, smaller};
 pub use geometry::{Geometry, PaperPass, PassGeometry, PixelScale, SampleDensity};
-pub use own::{OwnSet, OwnSite, Spread};
-pub use search::{Iterate, worst_case};
+pub use input::{Radius, T, View, Xyz, tilt};
+pub use output::{Density, Rgb, UsedDeltas, output_range};
+pub use pgd::{Iterate, worst_case};
 pub use set::{DeltaSet, Draw, Norm};
-pub use sets::{Deltas, Sets};
-pub use site::{DefaultSizes, Level, Passes, Radius, SetChoices, SiteNumbers, SiteSpec, StepUnit};
-pub use sites::{PerSite, Site};
+pub use sets::{Deltas, Sets, SiteSet};
+pub use site::{About, DefaultSizes, Level, PaperSite, Passes, PerSite, Pgd, Site, SiteNumbers, StepUnit};

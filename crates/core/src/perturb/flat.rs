@@ -3,12 +3,12 @@
 
 use candle_core::Tensor;
 
-use crate::augment::set::{DeltaSet, Draw, Norm};
-use crate::augment::site::StepUnit;
 use crate::base::Result;
 use crate::base::place::is_ours_in_f32;
 use crate::base::rng::Random;
 use crate::base::tensors::with_values;
+use crate::perturb::set::{DeltaSet, Draw, Norm};
+use crate::perturb::site::{Pgd, StepUnit};
 
 /// Largest number of entries of a ball. candle adds those of larger balls in an order of its own.
 const LARGEST_BALL: usize = 3;
@@ -21,34 +21,22 @@ pub(super) fn draw(set: &DeltaSet, draw: Draw, random: &mut Random) -> Result<Te
     }
 }
 
-/// Returns `delta` after a step of `step_size` up the gradient, projected onto the set.
-pub(super) fn ascend(
-    set: &DeltaSet,
-    delta: &Tensor,
-    gradient: &Tensor,
-    step_size: f64,
-    unit: StepUnit,
-) -> Result<Tensor> {
+/// Returns `delta` after a step up the gradient, projected onto the set.
+pub(super) fn ascend(set: &DeltaSet, delta: &Tensor, gradient: &Tensor, pgd: Pgd) -> Result<Tensor> {
     if let Some(flat) = Flat::of(set)?
-        && let Some(moved) = flat.ascend(delta, gradient, step_size, unit)?
+        && let Some(moved) = flat.ascend(delta, gradient, pgd)?
     {
         return Ok(moved);
     }
-    ascend_reference(set, delta, gradient, step_size, unit)
+    ascend_reference(set, delta, gradient, pgd)
 }
 
 /// The same in tensor operations.
-fn ascend_reference(
-    set: &DeltaSet,
-    delta: &Tensor,
-    gradient: &Tensor,
-    step_size: f64,
-    unit: StepUnit,
-) -> Result<Tensor> {
+fn ascend_reference(set: &DeltaSet, delta: &Tensor, gradient: &Tensor, pgd: Pgd) -> Result<Tensor> {
     let direction = set.direction(gradient)?;
-    let step = match unit {
-        StepUnit::Absolute => (direction * step_size)?,
-        StepUnit::Relative => direction.broadcast_mul(&(&set.radius * step_size)?)?,
+    let step = match pgd.unit {
+        StepUnit::Absolute => (direction * pgd.step_size)?,
+        StepUnit::Relative => direction.broadcast_mul(&(&set.radius * pgd.step_size)?)?,
     };
     Ok(set.project(&(delta + step)?)?)
 }
@@ -178,9 +166,9 @@ impl<'a> Flat<'a> {
     }
 
     /// Implements [`ascend`]. Returns `None` if delta or gradient are not contiguous.
-    fn ascend(&self, delta: &Tensor, gradient: &Tensor, step_size: f64, unit: StepUnit) -> Result<Option<Tensor>> {
-        let size = step_size as f32;
-        let step = |i: usize| match unit {
+    fn ascend(&self, delta: &Tensor, gradient: &Tensor, pgd: Pgd) -> Result<Option<Tensor>> {
+        let size = pgd.step_size as f32;
+        let step = |i: usize| match pgd.unit {
             StepUnit::Absolute => size,
             StepUnit::Relative => self.radius.at(i) * size,
         };
@@ -309,8 +297,9 @@ mod tests {
                 (&gradient * gradient.abs().unwrap().gt(0.1f64).unwrap().to_dtype(DType::F32).unwrap()).unwrap();
             for (delta, step_size) in [(&drawn, 0.01), (&(&drawn * 1.7).unwrap(), 0.4)] {
                 for unit in [StepUnit::Absolute, StepUnit::Relative] {
-                    let found = flat.ascend(delta, &gradient, step_size, unit).unwrap().expect("contiguous");
-                    let expected = ascend_reference(set, delta, &gradient, step_size, unit).unwrap();
+                    let pgd = Pgd { steps: 1, step_size, unit };
+                    let found = flat.ascend(delta, &gradient, pgd).unwrap().expect("contiguous");
+                    let expected = ascend_reference(set, delta, &gradient, pgd).unwrap();
                     assert_eq!(bits(&found), bits(&expected), "step {step_size} {unit:?} in set {index}");
                 }
             }

@@ -1,5 +1,7 @@
 //! The constraint set of one delta: radius, norm and bounds; random points, directions, projection.
 
+use std::sync::Arc;
+
 use candle_core::{D, DType, Result as TensorResult, Tensor};
 use serde::{Deserialize, Serialize};
 
@@ -35,6 +37,9 @@ pub enum Draw {
     Gaussian,
 }
 
+/// Maps a delta to what it adds, differentiably.
+type Spread = Arc<dyn Fn(&Tensor) -> Result<Tensor> + Send + Sync>;
+
 /// The constraint set of one delta.
 #[derive(Clone)]
 pub struct DeltaSet {
@@ -48,12 +53,33 @@ pub struct DeltaSet {
     pub mask: Option<Tensor>,
     /// The delta's shape.
     pub shape: Vec<usize>,
+    /// What a delta of another shape than its site's adds there.
+    spread: Option<Spread>,
 }
 
 impl DeltaSet {
-    /// Creates a set without bounds or mask.
+    /// Creates a set without bounds or mask, of deltas that are added as they are.
     pub fn new(norm: Norm, radius: Tensor, shape: &[usize]) -> DeltaSet {
-        DeltaSet { norm, radius, bounds: None, mask: None, shape: shape.to_vec() }
+        DeltaSet { norm, radius, bounds: None, mask: None, shape: shape.to_vec(), spread: None }
+    }
+
+    /// Returns the same set of deltas of which `spread` is added: `t_vals`' shape at `t`, `[rays, samples, 3]` at `xyz` and
+    /// `rgb`, `[rays, 2]` at `view`, `[rays, samples, width]` at `feature`, `[rays, samples]` at `density`.
+    pub fn spread_by(self, spread: impl Fn(&Tensor) -> Result<Tensor> + Send + Sync + 'static) -> DeltaSet {
+        DeltaSet { spread: Some(Arc::new(spread)), ..self }
+    }
+
+    /// Returns whether its deltas have another shape than what they add.
+    pub fn spreads(&self) -> bool {
+        self.spread.is_some()
+    }
+
+    /// Returns what a delta adds.
+    ///
+    /// # Errors
+    /// Those of the function of [`DeltaSet::spread_by`].
+    pub fn spread(&self, delta: &Tensor) -> Result<Tensor> {
+        self.spread.as_ref().map_or_else(|| Ok(delta.clone()), |spread| spread(delta))
     }
 
     /// Returns the nearest point of the set. For a ball with bounds it is the nearest point of the ball, then of the

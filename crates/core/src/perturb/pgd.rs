@@ -1,0 +1,158 @@
+//! The search for the worst case: projected gradient descent, PGD (paper, equation "PGD"; Madry et al. 2017).
+
+use candle_core::{Tensor, Var};
+
+use crate::base::Result;
+use crate::perturb::flat::ascend;
+use crate::perturb::sets::{Deltas, Sets, SiteSet};
+
+/// One evaluation of the loss in a search.
+pub struct Iterate<'a> {
+    /// The deltas. Those of sites that still move are tracked.
+    pub deltas: &'a Deltas,
+    moving: &'a [&'a SiteSet],
+}
+
+impl Iterate<'_> {
+    /// Returns whether no site that moves samples moves in this step, and so in no later one. What depends only on the
+    /// samples need not be computed again.
+    pub fn fixes_samples(&self) -> bool {
+        !self.moving.iter().any(|entry| entry.site.at().about().moves_samples)
+    }
+}
+
+/// Ascends `loss` from `start` and returns the last iterate, without a final evaluation.
+///
+/// All sites move together. A site stops after its own number of steps. `loss` returns the loss, and the deltas as they
+/// were really used: the output level is projected again onto what the forward pass allows. PGD continues from there.
+/// Weights must be frozen in `loss`.
+///
+/// # Errors
+/// Those of `loss` and of candle.
+pub fn worst_case(
+    sets: &Sets,
+    start: Deltas,
+    mut loss: impl FnMut(Iterate) -> Result<(Tensor, Deltas)>,
+) -> Result<Deltas> {
+    let mut deltas = start;
+    for step in 0.. {
+        let moving: Vec<&SiteSet> = sets.iter().filter(|entry| step < entry.site.pgd().steps).collect();
+        if moving.is_empty() {
+            break;
+        }
+        let (tracked, variables) = track(&deltas, &moving)?;
+        let (loss, used) = loss(Iterate { deltas: &tracked, moving: &moving })?;
+        let gradients = loss.backward()?;
+        for (SiteSet { site, set }, variable) in moving.iter().zip(&variables) {
+            // Without a gradient the loss does not depend on this delta (sign(0) = 0).
+            let Some(gradient) = gradients.get(variable) else { continue };
+            let delta = used.get(site.name()).expect("is on").detach();
+            deltas.set(site.name(), ascend(set, &delta, &gradient.detach(), site.pgd())?);
+        }
+    }
+    Ok(deltas)
+}
+
+/// Returns the deltas with a variable in place of each one that moves, and these variables.
+fn track(deltas: &Deltas, moving: &[&SiteSet]) -> Result<(Deltas, Vec<Var>)> {
+    let mut tracked = deltas.clone();
+    let mut variables = Vec::with_capacity(moving.len());
+    for SiteSet { site, .. } in moving {
+        let variable = Var::from_tensor(&deltas.get(site.name()).expect("is on").detach())?;
+        tracked.set(site.name(), variable.as_tensor().clone());
+        variables.push(variable);
+    }
+    Ok((tracked, variables))
+}
+
+#[cfg(test)]
+mod tests {
+    use std::sync::Arc;
+
+    use super::*;
+    use crate::perturb::geometry::PassGeometry;
+    use crate::perturb::set::{DeltaSet, Norm};
+    use crate::perturb::{PaperSite, Pgd, PixelScale, SampleDensity, Site, StepUnit};
+    use candle_core::{DType, Device};
+
+    /// A site with one vector as its delta.
+    struct Vector {
+        at: PaperSite,
+        steps: usize,
+        norm: Norm,
+        radius: f64,
+    }
+
+    impl Site for Vector {
+        fn at(&self) -> PaperSite {
+            self.at
+        }
+
+        fn pgd(&self) -> Pgd {
+            Pgd { steps: self.steps, step_size: 0.1, unit: StepUnit::Absolute }
+        }
+
+        fn set(&self, _: &PassGeometry) -> Result<DeltaSet> {
+            Ok(DeltaSet::new(self.norm, Tensor::new(&[[[self.radius]]], &Device::Cpu)?, &[1, 1, 3]))
+        }
+    }
+
+    /// Searches from zeros.
+    fn search(
+        sites: impl IntoIterator<Item = Vector>,
+        loss: impl FnMut(Iterate) -> Result<(Tensor, Deltas)>,
+    ) -> Deltas {
+        let one = Tensor::ones((1, 1), DType::F64, &Device::Cpu).unwrap();
+        let pass = PassGeometry {
+            is_coarse: false,
+            t_vals: &one,
+            samples: 1,
+            direction_norm: &one,
+            bounds: (0.0, 1.0),
+            coarse_samples: 1,
+            cap_samples: 1,
+            width: 1,
+            pixel: PixelScale { width: 1.0, height: 1.0, focal: 1.0, ndc: false },
+            density: SampleDensity::OWN,
+        };
+        let sites = sites.into_iter().map(|site| Arc::new(site) as Arc<dyn Site>);
+        let sets = Sets::new(sites, &pass).unwrap();
+        let mut start = Deltas::default();
+        for entry in sets.iter() {
+            start.set(entry.site.name(), Tensor::zeros((1, 1, 3), DType::F64, &Device::Cpu).unwrap());
+        }
+        worst_case(&sets, start, loss).unwrap()
+    }
+
+    /// -|delta - peak|^2 is largest in the set at the projection of the peak.
+    #[test]
+    fn the_maximum_of_a_quadratic_is_found_on_the_box_and_on_the_ball() {
+        for (norm, peak, steps, expected) in [
+            (Norm::Linf, [3.0, -2.0, 0.0], 20, [0.5, -0.5, 0.0]),
+            (Norm::L2, [3.0, 0.0, -4.0], 20, [0.3, 0.0, -0.4]),
+            (Norm::L2, [3.0, 0.0, -4.0], 0, [0.0, 0.0, 0.0]),
+        ] {
+            let peak = Tensor::new(&[[peak]], &Device::Cpu).unwrap();
+            let found = search([Vector { at: PaperSite::Xyz, steps, norm, radius: 0.5 }], |at| {
+                let offset = (at.deltas.get(PaperSite::Xyz).unwrap() - &peak)?;
+                Ok((offset.sqr()?.sum_all()?.neg()?, at.deltas.clone()))
+            });
+            let found: Vec<f64> = found.get(PaperSite::Xyz).unwrap().flatten_all().unwrap().to_vec1().unwrap();
+            assert!(found.iter().zip(expected).all(|(a, b)| (a - b).abs() < 1e-9), "{found:?}");
+        }
+    }
+
+    #[test]
+    fn samples_are_fixed_after_the_steps_of_the_sites_that_move_them() {
+        let site = |at, steps| Vector { at, steps, norm: Norm::Linf, radius: 9.0 };
+        let mut fixed = Vec::new();
+        let found = search([site(PaperSite::Xyz, 2), site(PaperSite::Rgb, 4)], |at| {
+            fixed.push(at.fixes_samples());
+            let sum = (at.deltas.get(PaperSite::Xyz).unwrap() + at.deltas.get(PaperSite::Rgb).unwrap())?;
+            Ok((sum.sum_all()?, at.deltas.clone()))
+        });
+        assert_eq!(fixed, [false, false, true, true]);
+        let travelled = |site| found.get(site).unwrap().max_all().unwrap().to_scalar::<f64>().unwrap();
+        assert!((travelled(PaperSite::Xyz) - 0.2).abs() < 1e-12 && (travelled(PaperSite::Rgb) - 0.4).abs() < 1e-12);
+    }
+}

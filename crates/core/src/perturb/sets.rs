@@ -1,0 +1,116 @@
+//! The deltas of a pass, and their constraint sets.
+
+use std::sync::Arc;
+
+use candle_core::Tensor;
+
+use crate::base::Result;
+use crate::base::rng::Random;
+use crate::perturb::flat;
+use crate::perturb::geometry::PassGeometry;
+use crate::perturb::set::{DeltaSet, Draw};
+use crate::perturb::site::{PaperSite, Site, part_of};
+
+/// The deltas of one pass by the names of their sites. A site that is off has none.
+#[derive(Clone, Default)]
+pub struct Deltas(Vec<(String, Tensor)>);
+
+impl Deltas {
+    /// Returns the delta of a site that is on.
+    pub fn get(&self, site: impl AsRef<str>) -> Option<&Tensor> {
+        self.0.iter().find(|(name, _)| name == site.as_ref()).map(|(_, delta)| delta)
+    }
+
+    /// Sets a site's delta.
+    pub fn set(&mut self, site: impl AsRef<str>, delta: Tensor) {
+        match self.0.iter_mut().find(|(name, _)| name == site.as_ref()) {
+            Some((_, known)) => *known = delta,
+            None => self.0.push((site.as_ref().to_string(), delta)),
+        }
+    }
+
+    /// Returns the delta of `site` only, with all other sites off.
+    pub fn only(&self, site: impl AsRef<str>) -> Deltas {
+        Deltas(self.0.iter().filter(|(name, _)| name == site.as_ref()).cloned().collect())
+    }
+
+    /// Returns all that is added at a site of the paper.
+    ///
+    /// # Errors
+    /// Those of the functions of [`DeltaSet::spread_by`].
+    pub fn at(&self, sets: &Sets, at: PaperSite) -> Result<Option<Tensor>> {
+        self.sum(sets, |entry| entry.site.at() == at)
+    }
+
+    /// Returns what deltas of other shapes than the site's add there.
+    pub(super) fn spread(&self, sets: &Sets, at: PaperSite) -> Result<Option<Tensor>> {
+        self.sum(sets, |entry| entry.site.at() == at && entry.set.spreads())
+    }
+
+    fn sum(&self, sets: &Sets, chosen: impl Fn(&SiteSet) -> bool) -> Result<Option<Tensor>> {
+        let mut sum: Option<Tensor> = None;
+        for entry in sets.iter().filter(|entry| chosen(entry)) {
+            let Some(delta) = self.get(entry.site.name()) else { continue };
+            let added = entry.set.spread(delta)?;
+            sum = Some(sum.map_or(Ok(added.clone()), |sum| sum + added)?);
+        }
+        Ok(sum)
+    }
+}
+
+/// A site and the set of its deltas in a pass.
+#[derive(Clone)]
+pub struct SiteSet {
+    /// The site.
+    pub site: Arc<dyn Site>,
+    /// Its deltas' set.
+    pub set: DeltaSet,
+}
+
+/// The constraint sets of one pass.
+#[derive(Clone, Default)]
+pub struct Sets(Vec<SiteSet>);
+
+impl Sets {
+    /// Creates the sets of sites in a pass.
+    ///
+    /// # Errors
+    /// Those of the sites.
+    pub fn new(sites: impl IntoIterator<Item = Arc<dyn Site>>, pass: &PassGeometry) -> Result<Sets> {
+        let sets = sites.into_iter().map(|site| Ok(SiteSet { set: site.set(pass)?, site }));
+        Ok(Sets(sets.collect::<Result<_>>()?))
+    }
+
+    /// Iterates over the sites that are on, in order.
+    pub fn iter(&self) -> impl Iterator<Item = &SiteSet> {
+        self.0.iter()
+    }
+
+    /// Returns the set of a site that is on.
+    pub fn get(&self, site: impl AsRef<str>) -> Option<&DeltaSet> {
+        self.0.iter().find(|entry| entry.site.name() == site.as_ref()).map(|entry| &entry.set)
+    }
+
+    /// Replaces the set of a site that is on.
+    pub fn replace(&mut self, site: impl AsRef<str>, set: DeltaSet) {
+        self.0.iter_mut().filter(|entry| entry.site.name() == site.as_ref()).for_each(|entry| entry.set = set.clone());
+    }
+
+    /// Returns the sets of the sites that are chosen, without those of the others.
+    pub fn only(&self, chosen: impl Fn(&dyn Site) -> bool) -> Sets {
+        Sets(self.0.iter().filter(|entry| chosen(&*entry.site)).cloned().collect())
+    }
+
+    /// Returns a random point of every set in pass number `pass` of a step. `random` returns the numbers of a part of the
+    /// step. Each site has a part of its own: switching one on or off leaves the others' numbers as they were.
+    ///
+    /// # Errors
+    /// Those of candle.
+    pub fn draw(&self, draw: Draw, pass: u64, random: impl Fn(u64) -> Random) -> Result<Deltas> {
+        let mut deltas = Deltas::default();
+        for SiteSet { site, set } in &self.0 {
+            deltas.set(site.name(), flat::draw(set, draw, &mut random(part_of(site.name(), pass)))?);
+        }
+        Ok(deltas)
+    }
+}
