@@ -9,7 +9,7 @@ use augnerf::field::{Field, encode};
 use augnerf::perturb::{DeltaSet, Deltas, Norm, PaperSite, PassGeometry, PixelScale, SampleDensity, Sets, worst_case};
 use augnerf::render::sampling::inverse_cdf;
 use augnerf::render::{Pass, Perturbation, PerturbedOutput, clean_pass, perturbed_pass, photometric_loss, volume};
-use augnerf::settings::{FieldConfig, OutputPlace, PerturbConfig, ResolvedPerturb};
+use augnerf::settings::{FieldConfig, OutputPlace, PerturbConfig};
 use candle_core::{DType, Device, Tensor, Var};
 
 /// Relative tolerance of sums in f32: a few hundred terms of relative error 6e-8.
@@ -128,7 +128,6 @@ struct Attack {
     t_vals: Tensor,
     target: Tensor,
     sets: Sets,
-    config: ResolvedPerturb,
 }
 
 impl Attack {
@@ -167,8 +166,9 @@ impl Attack {
         )
         .unwrap();
         let radius = Tensor::new(&[[[0.02f64]]], &Device::Cpu).unwrap();
-        sets.replace(PaperSite::Xyz, DeltaSet::new(Norm::L2, radius, &[5, 7, 3]));
-        Attack { config, reference, field, rays, t_vals, target, sets }
+        let xyz = sets.iter_mut().find(|entry| entry.site.at() == PaperSite::Xyz).unwrap();
+        xyz.set = DeltaSet::new(Norm::L2, radius, &[5, 7, 3]);
+        Attack { reference, field, rays, t_vals, target, sets }
     }
 
     fn pass(&self) -> Pass<'_> {

@@ -97,7 +97,7 @@ impl PerturbedRenderer {
             Ok((out.loss, used))
         })?;
         let mut scaled = Deltas::default();
-        for SiteSet { site, mut set } in sets.clone().iter().cloned() {
+        for SiteSet { site, set } in sets.iter_mut() {
             let Some(delta) = found.get(site.name()) else { continue };
             let scaled_up = (delta.detach() * attack.scale)?;
             if site.at().about().largest_epsilon.0 < f64::MAX {
@@ -107,8 +107,7 @@ impl PerturbedRenderer {
             }
             scaled.set(site.name(), scaled_up);
             // What is scaled up leaves its set on purpose.
-            set.radius = (set.radius * attack.scale.max(1.0))?;
-            sets.replace(site.name(), set);
+            set.radius = (&set.radius * attack.scale.max(1.0))?;
         }
         Ok(perturbed_pass(field, pass, self.perturbation(&scaled, &sets))?.pass)
     }

@@ -21,24 +21,14 @@ pub(super) fn draw(set: &DeltaSet, draw: Draw, random: &mut Random) -> Result<Te
     }
 }
 
-/// Returns `delta` after a step up the gradient, projected onto the set.
+/// Implements [`DeltaSet::ascend`].
 pub(super) fn ascend(set: &DeltaSet, delta: &Tensor, gradient: &Tensor, pgd: Pgd) -> Result<Tensor> {
     if let Some(flat) = Flat::of(set)?
         && let Some(moved) = flat.ascend(delta, gradient, pgd)?
     {
         return Ok(moved);
     }
-    ascend_reference(set, delta, gradient, pgd)
-}
-
-/// The same in tensor operations.
-fn ascend_reference(set: &DeltaSet, delta: &Tensor, gradient: &Tensor, pgd: Pgd) -> Result<Tensor> {
-    let direction = set.direction(gradient)?;
-    let step = match pgd.unit {
-        StepUnit::Absolute => (direction * pgd.step_size)?,
-        StepUnit::Relative => direction.broadcast_mul(&(&set.radius * pgd.step_size)?)?,
-    };
-    Ok(set.project(&(delta + step)?)?)
+    set.ascend(delta, gradient, pgd)
 }
 
 /// One number for all entries (for a ball: for all samples), or one for each.
@@ -259,11 +249,9 @@ mod tests {
         let of_samples = uniform(&[4, 5], 2);
         let lower = (uniform(&[4, 5], 3) * -0.4).unwrap();
         let mask = Tensor::new(&[[1f32, 1.0, 1.0, 1.0, 0.0]], &Device::Cpu).unwrap();
-        let bounded = DeltaSet {
-            bounds: Some((lower, uniform(&[4, 5], 4))),
-            ..DeltaSet::new(Norm::Linf, of_samples.clone(), &[4, 5])
-        };
-        let masked = DeltaSet { mask: Some(mask), ..DeltaSet::new(Norm::Linf, of_samples, &[4, 5]) };
+        let bounded = DeltaSet::new(Norm::Linf, of_samples.clone(), &[4, 5]).within(lower, uniform(&[4, 5], 4));
+        let mut masked = DeltaSet::new(Norm::Linf, of_samples, &[4, 5]);
+        masked.mask = Some(mask);
         vec![
             DeltaSet::new(Norm::Linf, one.clone(), &shape),
             DeltaSet::new(Norm::L2, one, &shape),
@@ -299,7 +287,7 @@ mod tests {
                 for unit in [StepUnit::Absolute, StepUnit::Relative] {
                     let pgd = Pgd { steps: 1, step_size, unit };
                     let found = flat.ascend(delta, &gradient, pgd).unwrap().expect("contiguous");
-                    let expected = ascend_reference(set, delta, &gradient, pgd).unwrap();
+                    let expected = set.ascend(delta, &gradient, pgd).unwrap();
                     assert_eq!(bits(&found), bits(&expected), "step {step_size} {unit:?} in set {index}");
                 }
             }

@@ -5,7 +5,7 @@ use candle_core::Tensor;
 use crate::base::Result;
 use crate::perturb::geometry::PassGeometry;
 use crate::perturb::set::{DeltaSet, Norm};
-use crate::perturb::sets::{Deltas, Sets};
+use crate::perturb::sets::{Deltas, Sets, SiteSet};
 use crate::perturb::site::{ANY_EPSILON, About, DefaultSizes, Level, PaperSite, Pgd, Site, SiteNumbers};
 
 /// Added to the colour of a sample, `[rays, samples, 3]`.
@@ -104,6 +104,9 @@ impl Site for Density {
     }
 }
 
+/// The upper end of a range without one.
+const UNLIMITED: f64 = f32::MAX as f64;
+
 /// Returns the range of the values to which a site of the output level is added. Density has no upper limit: `f32::MAX`.
 /// `padding` is that of the field's colours.
 ///
@@ -112,7 +115,7 @@ impl Site for Density {
 pub fn output_range(site: PaperSite, padding: f64) -> (f64, f64) {
     match site {
         PaperSite::Rgb => (-padding, 1.0 + padding),
-        PaperSite::Density => (0.0, f64::from(f32::MAX)),
+        PaperSite::Density => (0.0, UNLIMITED),
         PaperSite::T | PaperSite::Xyz | PaperSite::View | PaperSite::Feature => {
             unreachable!("{} is not of the output level", site.name())
         }
@@ -136,33 +139,27 @@ impl UsedDeltas {
     /// # Errors
     /// Those of candle and of a site's own spread.
     pub fn add_to(&mut self, value: Tensor, at: PaperSite, range: Option<(f64, f64)>) -> Result<Tensor> {
+        let UsedDeltas { deltas, sets } = self;
         // A projected sum can leave the range by rounding, and what a delta spreads knows no range.
         let legal = |sum: Tensor| match range {
-            Some((low, high)) if high < f64::from(f32::MAX) => sum.clamp(low, high),
+            Some((low, high)) if high < UNLIMITED => sum.clamp(low, high),
             Some(_) => sum.relu(),
             None => Ok(sum),
         };
-        let value = match self.deltas.spread(&self.sets, at)? {
+        let mut sum = match deltas.spread(sets, at)? {
             Some(spread) => straight_through(legal((value.detach() + spread.detach())?)?, &value, &spread)?,
             None => value,
         };
-        let shaped = self.sets.iter().filter(|entry| entry.site.at() == at && !entry.set.spreads());
-        let shaped: Vec<_> = shaped.map(|entry| (entry.site.name().to_string(), entry.set.clone())).collect();
-        let mut sum = value;
-        for (name, set) in shaped {
-            let Some(delta) = self.deltas.get(&name).cloned() else { continue };
+        for SiteSet { site, set } in sets.iter_mut().filter(|entry| entry.site.at() == at && !entry.set.spreads()) {
+            let Some(delta) = deltas.get(site.name()).cloned() else { continue };
             let now = sum.detach();
-            let set = match range {
-                Some((low, high)) if high < f64::from(f32::MAX) => {
-                    set.within(now.affine(-1.0, low)?, now.affine(-1.0, high)?)
-                }
-                Some((_, high)) => set.within(now.neg()?, (now.zeros_like()? + high)?),
-                None => set,
-            };
+            if let Some((low, high)) = range {
+                let largest = if high < UNLIMITED { now.affine(-1.0, high)? } else { (now.zeros_like()? + high)? };
+                *set = set.within(now.affine(-1.0, low)?, largest);
+            }
             let projected = set.project(&delta.detach())?;
             sum = straight_through(legal((&now + &projected)?)?, &sum, &delta)?;
-            self.deltas.set(&name, projected);
-            self.sets.replace(&name, set);
+            deltas.set(site.name(), projected);
         }
         Ok(sum)
     }

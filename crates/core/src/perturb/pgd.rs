@@ -21,7 +21,9 @@ impl Iterate<'_> {
     }
 }
 
-/// Ascends `loss` from `start` and returns the last iterate, without a final evaluation.
+/// Ascends `loss` from `start` and returns the last iterate, without a final evaluation:
+///
+/// delta <- project(delta + step size * direction(d loss / d delta))
 ///
 /// All sites move together. A site stops after its own number of steps. `loss` returns the loss, and the deltas as they
 /// were really used: the output level is projected again onto what the forward pass allows. PGD continues from there.
@@ -35,34 +37,24 @@ pub fn worst_case(
     mut loss: impl FnMut(Iterate) -> Result<(Tensor, Deltas)>,
 ) -> Result<Deltas> {
     let mut deltas = start;
-    for step in 0.. {
+    let longest = sets.iter().map(|entry| entry.site.pgd().steps).max().unwrap_or(0);
+    for step in 0..longest {
         let moving: Vec<&SiteSet> = sets.iter().filter(|entry| step < entry.site.pgd().steps).collect();
-        if moving.is_empty() {
-            break;
+        let mut tracked = deltas.clone();
+        for SiteSet { site, .. } in &moving {
+            let delta = deltas.get(site.name()).expect("is on").detach();
+            tracked.set(site.name(), Var::from_tensor(&delta)?.into_inner());
         }
-        let (tracked, variables) = track(&deltas, &moving)?;
         let (loss, used) = loss(Iterate { deltas: &tracked, moving: &moving })?;
         let gradients = loss.backward()?;
-        for (SiteSet { site, set }, variable) in moving.iter().zip(&variables) {
+        for SiteSet { site, set } in &moving {
             // Without a gradient the loss does not depend on this delta (sign(0) = 0).
-            let Some(gradient) = gradients.get(variable) else { continue };
+            let Some(gradient) = gradients.get(tracked.get(site.name()).expect("is on")) else { continue };
             let delta = used.get(site.name()).expect("is on").detach();
             deltas.set(site.name(), ascend(set, &delta, &gradient.detach(), site.pgd())?);
         }
     }
     Ok(deltas)
-}
-
-/// Returns the deltas with a variable in place of each one that moves, and these variables.
-fn track(deltas: &Deltas, moving: &[&SiteSet]) -> Result<(Deltas, Vec<Var>)> {
-    let mut tracked = deltas.clone();
-    let mut variables = Vec::with_capacity(moving.len());
-    for SiteSet { site, .. } in moving {
-        let variable = Var::from_tensor(&deltas.get(site.name()).expect("is on").detach())?;
-        tracked.set(site.name(), variable.as_tensor().clone());
-        variables.push(variable);
-    }
-    Ok((tracked, variables))
 }
 
 #[cfg(test)]

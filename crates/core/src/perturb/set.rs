@@ -7,6 +7,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::base::Result;
 use crate::base::rng::Random;
+use crate::perturb::site::{Pgd, StepUnit};
 
 /// The norm of a constraint set.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -53,7 +54,7 @@ pub struct DeltaSet {
     pub mask: Option<Tensor>,
     /// The delta's shape.
     pub shape: Vec<usize>,
-    /// What a delta of another shape than its site's adds there.
+    /// What a delta adds, if not itself.
     spread: Option<Spread>,
 }
 
@@ -63,13 +64,14 @@ impl DeltaSet {
         DeltaSet { norm, radius, bounds: None, mask: None, shape: shape.to_vec(), spread: None }
     }
 
-    /// Returns the same set of deltas of which `spread` is added: `t_vals`' shape at `t`, `[rays, samples, 3]` at `xyz` and
-    /// `rgb`, `[rays, 2]` at `view`, `[rays, samples, width]` at `feature`, `[rays, samples]` at `density`.
+    /// Returns the same set of deltas, of which `spread` is added: `t_vals`' shape at `t`, `[rays, samples, 3]` at `xyz` and
+    /// `rgb`, `[rays, 2]` at `view`, `[rays, samples, width]` at `feature`, `[rays, samples]` at `density`. At the output level
+    /// the sum is then clipped to its range, where a delta that is added as it is would be projected onto it.
     pub fn spread_by(self, spread: impl Fn(&Tensor) -> Result<Tensor> + Send + Sync + 'static) -> DeltaSet {
         DeltaSet { spread: Some(Arc::new(spread)), ..self }
     }
 
-    /// Returns whether its deltas have another shape than what they add.
+    /// Returns whether its deltas are spread.
     pub fn spreads(&self) -> bool {
         self.spread.is_some()
     }
@@ -104,7 +106,7 @@ impl DeltaSet {
         }
     }
 
-    /// Returns the set with additional bounds.
+    /// Returns the set with these bounds in place of its own.
     pub fn within(&self, lower: Tensor, upper: Tensor) -> DeltaSet {
         DeltaSet { bounds: Some((lower, upper)), ..self.clone() }
     }
@@ -123,6 +125,19 @@ impl DeltaSet {
                 scaled.broadcast_div(&safe)
             }
         }
+    }
+
+    /// Returns `delta` after a step up the gradient, projected onto the set.
+    ///
+    /// # Errors
+    /// Those of candle, if shapes do not fit.
+    pub fn ascend(&self, delta: &Tensor, gradient: &Tensor, pgd: Pgd) -> Result<Tensor> {
+        let direction = self.direction(gradient)?;
+        let step = match pgd.unit {
+            StepUnit::Absolute => (direction * pgd.step_size)?,
+            StepUnit::Relative => direction.broadcast_mul(&(&self.radius * pgd.step_size)?)?,
+        };
+        Ok(self.project(&(delta + step)?)?)
     }
 
     /// Returns a random point of the set.

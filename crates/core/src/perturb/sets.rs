@@ -52,7 +52,10 @@ impl Deltas {
         for entry in sets.iter().filter(|entry| chosen(entry)) {
             let Some(delta) = self.get(entry.site.name()) else { continue };
             let added = entry.set.spread(delta)?;
-            sum = Some(sum.map_or(Ok(added.clone()), |sum| sum + added)?);
+            sum = Some(match sum {
+                Some(sum) => (sum + added)?,
+                None => added,
+            });
         }
         Ok(sum)
     }
@@ -71,6 +74,12 @@ pub struct SiteSet {
 #[derive(Clone, Default)]
 pub struct Sets(Vec<SiteSet>);
 
+impl FromIterator<SiteSet> for Sets {
+    fn from_iter<I: IntoIterator<Item = SiteSet>>(sets: I) -> Sets {
+        Sets(sets.into_iter().collect())
+    }
+}
+
 impl Sets {
     /// Creates the sets of sites in a pass.
     ///
@@ -78,7 +87,7 @@ impl Sets {
     /// Those of the sites.
     pub fn new(sites: impl IntoIterator<Item = Arc<dyn Site>>, pass: &PassGeometry) -> Result<Sets> {
         let sets = sites.into_iter().map(|site| Ok(SiteSet { set: site.set(pass)?, site }));
-        Ok(Sets(sets.collect::<Result<_>>()?))
+        sets.collect()
     }
 
     /// Iterates over the sites that are on, in order.
@@ -86,19 +95,14 @@ impl Sets {
         self.0.iter()
     }
 
+    /// Iterates over them, mutably.
+    pub fn iter_mut(&mut self) -> impl Iterator<Item = &mut SiteSet> {
+        self.0.iter_mut()
+    }
+
     /// Returns the set of a site that is on.
     pub fn get(&self, site: impl AsRef<str>) -> Option<&DeltaSet> {
         self.0.iter().find(|entry| entry.site.name() == site.as_ref()).map(|entry| &entry.set)
-    }
-
-    /// Replaces the set of a site that is on.
-    pub fn replace(&mut self, site: impl AsRef<str>, set: DeltaSet) {
-        self.0.iter_mut().filter(|entry| entry.site.name() == site.as_ref()).for_each(|entry| entry.set = set.clone());
-    }
-
-    /// Returns the sets of the sites that are chosen, without those of the others.
-    pub fn only(&self, chosen: impl Fn(&dyn Site) -> bool) -> Sets {
-        Sets(self.0.iter().filter(|entry| chosen(&*entry.site)).cloned().collect())
     }
 
     /// Returns a random point of every set in pass number `pass` of a step. `random` returns the numbers of a part of the

@@ -87,8 +87,11 @@ impl Added {
                 PaperSite::Density => &mut density,
             };
             let Some(delta) = deltas.get(site.name()) else { continue };
-            let is_papers = site.name() == site.at().name();
-            let Some(box_set) = BoxSet::of(set)?.filter(|_| is_papers) else { return Ok(Added::NotHere) };
+            // A site of the user's own.
+            if site.name() != site.at().name() {
+                return Ok(Added::NotHere);
+            }
+            let Some(box_set) = BoxSet::of(set)? else { return Ok(Added::NotHere) };
             *at_site = Some((delta, box_set));
         }
         if rgb.is_none() && density.is_none() {

@@ -16,7 +16,7 @@ use super::pass::{Pass, PassOutput, SampleValues, activate, by_ray, finish, near
 pub struct Perturbation<'a> {
     /// The deltas.
     pub deltas: &'a Deltas,
-    /// Their sites and constraint sets.
+    /// Their sites and constraint sets. A delta without one is not added.
     pub sets: &'a Sets,
     /// Trunk layer (1-based) to which the feature delta is added.
     pub injection_layer: usize,

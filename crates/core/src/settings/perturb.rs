@@ -173,7 +173,7 @@ impl PerturbConfig {
             let scales = geometry == Geometry::Paper && site.about().over_units && numbers.norm == Norm::Linf;
             if scales { scaled(numbers, PaperPass::box_scale(width)) } else { numbers }
         });
-        ResolvedPerturb { config: self, step_unit, numbers }
+        ResolvedPerturb { config: self, numbers }
     }
 }
 
@@ -196,8 +196,6 @@ fn scaled(numbers: SiteNumbers, scale: f64) -> SiteNumbers {
 #[derive(Clone, Debug, PartialEq)]
 pub struct ResolvedPerturb {
     config: PerturbConfig,
-    /// The unit of all step sizes.
-    pub step_unit: StepUnit,
     /// The sites' numbers, in the run's own units for every geometry.
     pub numbers: PerSite<SiteNumbers>,
 }

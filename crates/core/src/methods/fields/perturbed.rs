@@ -6,7 +6,7 @@ use crate::base::Result;
 use crate::base::rng::{Random, Stream};
 use crate::field::Field;
 use crate::methods::gradients::Gradients;
-use crate::perturb::{Deltas, Draw, Sets, SiteSet, UsedDeltas, worst_case};
+use crate::perturb::{Deltas, Draw, PaperSite, Sets, SiteSet, UsedDeltas, worst_case};
 use crate::render::{
     FixedSamples, Pass, PassLoss, Perturbation, PerturbedOutput, perturbed_pass, perturbed_pass_loss, photometric_loss,
     resample, samples_of,
@@ -222,18 +222,20 @@ impl FieldLearner {
             Ok((pass.loss_weight * scalar(&photometric_loss(&rgb, pass.target)?)?, rgb))
         };
         let (without, unmoved) = render(&Deltas::default())?;
-        for SiteSet { site, set } in used.sets.iter() {
-            let name = site.name();
-            let Some(delta) = used.deltas.get(name) else { continue };
+        let on = self.config.perturb.numbers.iter().filter(|(_, numbers)| numbers.on()).map(|(site, _)| site.name());
+        for name in on.chain(self.own_sites.iter().map(|site| site.name())) {
+            let (Some(set), Some(delta)) = (used.sets.get(name), used.deltas.get(name)) else {
+                // Switched on with a set of size 0: there is no perturbation, and no gain.
+                if PaperSite::of_name(name).is_some_and(|site| !self.config.perturb.numbers[site].perturbs()) {
+                    sums.add(name, SiteEffect { share, ..SiteEffect::default() });
+                }
+                continue;
+            };
             let at_bound = set.share_at_bound(delta)?;
             let ((with, moved), (with_random, _)) = (render(&used.deltas.only(name))?, render(&drawn.only(name))?);
             let shift = colour_shift(&moved, &unmoved)?;
             let (gain, gain_over_random) = (with - without, with - with_random);
             sums.add(name, SiteEffect { share, gain, gain_over_random, shift, at_bound });
-        }
-        // Switched on with a set of size 0: there is no perturbation, and no gain.
-        for (site, _) in self.config.perturb.numbers.iter().filter(|(_, numbers)| numbers.on() && !numbers.perturbs()) {
-            sums.add(site.name(), SiteEffect { share, ..SiteEffect::default() });
         }
         Ok(())
     }
