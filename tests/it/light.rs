@@ -4,7 +4,7 @@ use crate::common::flat;
 use crate::common::pass::Setting;
 use augnerf::base::rng::{Random, Stream};
 use augnerf::field::Field;
-use augnerf::perturb::{Deltas, Draw, Norm, PaperSite, Sets, SiteSet};
+use augnerf::perturb::{Deltas, Draw, Norm, PaperSite, SiteSet};
 use augnerf::render::{PassLoss, clean_pass, clean_pass_loss, perturbed_pass, perturbed_pass_loss};
 use augnerf::settings::{Contraction, DensityActivation, Encoding, FieldConfig, HashConfig, Method};
 use candle_core::{DType, Device, Tensor, Var};
