@@ -35,8 +35,6 @@ pub enum Stream {
     March,
     /// Codes for decoders.
     Code,
-    /// Values of a sweep's random axes.
-    Axis,
     /// Choices among a scene's views.
     Views,
     /// Random displacements of weights.
@@ -70,7 +68,6 @@ impl Stream {
             Stream::Surface => 8,
             Stream::March => 9,
             Stream::Code => 10,
-            Stream::Axis => 11,
             Stream::Views => 12,
             Stream::Sharpness => 13,
             Stream::Unseen => 14,
