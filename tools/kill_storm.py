@@ -9,8 +9,8 @@
     tools/kill_storm.py --short               under a minute
 
 A training or sweep is started, killed, and started again as a user would, until it ends by itself. Then its folder must have
-the same names and bytes as an undisturbed one, hidden names included. Not compared: clocks (timing.json, timing.csv), event
-files, the process number in run.lock. Differing files are kept and named. The exit code is 0 if nothing differs, else 1.
+the same names and bytes as an undisturbed one, hidden names included. Not compared: clocks (timing.json, timing.csv)
+and the process number in run.lock. Differing files are kept and named. The exit code is 0 if nothing differs, else 1.
 
 Half of the kills come at a random time. If strace is available, the other half come at a random call that changes the file
 system (write, rename, fsync, unlink, ...). The disk that fills up is a tmpfs; mounting it needs root, and so does a

@@ -11,7 +11,7 @@
 # of sweeps, exit codes. Each differing file is printed with its first differing line or offset. The exit code is 0 if nothing
 # differs, 1 if something does, 2 if a case cannot be run.
 #
-# Not compared: numbers in timing.json, timing.csv, run.lock and the clocks of event files; the code's revision; seconds and
+# Not compared: numbers in timing.json, timing.csv, run.lock; the code's revision; seconds and
 # rates in messages (same_bytes/compare.py). Intended differences are in same_bytes.allow with their reasons. The commands are
 # in same_bytes/cases.py; REV must have them too.
 #

@@ -273,7 +273,7 @@ class AugNerf(Method):
         self._stop_serving()
         every = "train.checkpoint_every"
         if not self._run.exists():
-            command = ["train", *self._experiment(), f"--set={every}={step}", "--out", self._run, "--yes"]
+            command = ["train", *self._experiment(), f"--set={every}={step}", "--out", self._run]
         else:
             config = self._run / "config.toml"
             lines = [f"checkpoint_every = {step}" if line.startswith("checkpoint_every = ") else line

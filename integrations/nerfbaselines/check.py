@@ -63,7 +63,7 @@ with tempfile.TemporaryDirectory() as folder:
     (folder / "transforms.json").write_text(json.dumps(transforms))
     arguments = method._experiment()
     arguments[arguments.index(method._scene)] = folder
-    subprocess.run(method._command("train", *arguments, "--out", folder / "run", "--quiet", "--yes"), check=True,
+    subprocess.run(method._command("train", *arguments, "--out", folder / "run", "--quiet"), check=True,
                    stdout=subprocess.DEVNULL)
     weights = [run / f"checkpoints/step_{steps:09d}/state.safetensors" for run in (method._run, folder / "run")]
     print("equal weights:", weights[0].read_bytes() == weights[1].read_bytes())

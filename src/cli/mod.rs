@@ -89,8 +89,8 @@ const COMPARE_EXAMPLES: &str = "Examples:
   augnerf compare runs/tab4_fern --rows NeRF,Aug-NeRF --zoom 120,80,100,75
   augnerf compare A B --view 2 --ray 240,96              # density and more along one pixel's ray
 
-Writes compare.svg and compare.json (numbers and protocols). With --ray it writes ray.json and ray.csv \
-(coarse, fine and even samples of the pixel's ray) instead.";
+Writes compare.svg and compare.json (numbers and protocols). With --ray it writes ray.svg, ray.json and \
+ray.csv (coarse, fine and even samples of the pixel's ray) instead.";
 
 const MESH_EXAMPLES: &str = "Examples:
   augnerf mesh runs/builtin-nerf-*                # 256 cells per side of the scene's box
@@ -139,7 +139,7 @@ enum Command {
     /// Create a run from weights that nerf-pytorch or `export` wrote
     #[command(after_help = exchange::IMPORT_EXAMPLES)]
     Import(exchange::ImportArguments),
-    /// Draw one held-out view of several runs, or measure one ray
+    /// Draw one held-out view of several runs, or plot along one ray
     #[command(after_help = COMPARE_EXAMPLES)]
     Compare(compare::CompareArguments),
     /// Extract a mesh from a run's density, or compare two meshes

@@ -102,7 +102,10 @@ impl ScoreArguments {
             By::Name => Matching::Name,
             By::Order => Matching::Order,
         };
-        let (predictions, background) = (pictures(&self.predictions, "_rgb")?, self.background(scene)?);
+        // Two folders of other programs may have equal names that end as this program's.
+        let is_ours = |all: &[Picture]| !all.iter().any(|picture| picture.name.ends_with("_rgb"));
+        let ending = if matches!(&truth, Truth::Pictures(all) if !is_ours(all)) { "" } else { "_rgb" };
+        let (predictions, background) = (pictures(&self.predictions, ending)?, self.background(scene)?);
         let scored = score(&predictions, &truth, matching, background, &lpips, console)?;
         if let Some(out) = &self.out {
             write_named(out, csv(&scored).as_bytes())?;
@@ -182,10 +185,14 @@ fn csv(scored: &Score) -> String {
     let is_measured = |metric: &&&Metric| scored.views.iter().any(|view| view.get(metric).is_some());
     let metrics = METRICS.iter().filter(|metric| metric.scope == Scope::View);
     let measured: Vec<&&Metric> = metrics.filter(is_measured).collect();
-    let head = ["name"].into_iter().chain(measured.iter().map(|metric| metric.key)).map(String::from).collect();
-    let rows = scored.views.iter().map(|view| {
+    let head =
+        ["name", "prediction"].into_iter().chain(measured.iter().map(|metric| metric.key)).map(String::from).collect();
+    let rows = scored.views.iter().zip(&scored.images).map(|(view, image)| {
         let number = |metric: &&&Metric| view.get(metric).map_or(String::new(), |value| value.to_string());
-        [view.name.clone()].into_iter().chain(measured.iter().map(number)).collect()
+        [view.name.clone(), image.to_string_lossy().into_owned()]
+            .into_iter()
+            .chain(measured.iter().map(number))
+            .collect()
     });
     csv_text(std::iter::once(head).chain(rows))
 }

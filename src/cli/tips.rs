@@ -8,7 +8,7 @@ use clap::error::{ContextKind, ContextValue, ErrorKind};
 use crate::settings::registry::settings_called;
 
 /// Commands that left, and what to type now.
-const LEFT: [(&str, &str); 11] = [
+const LEFT: [(&str, &str); 13] = [
     ("profile", "'augnerf compare A B --ray X,Y'"),
     ("measure", "'augnerf eval RUN --smoothness'"),
     ("balance", "'augnerf train --balance'"),
@@ -18,8 +18,10 @@ const LEFT: [(&str, &str); 11] = [
     ("begin", "'augnerf sweep run FILE --create'"),
     ("submit", "'augnerf sweep slurm FILE' and sbatch"),
     ("cancel", "scancel"),
-    ("best", "pandas on table.csv"),
-    ("power", "a notebook"),
+    ("best", "pandas on table.csv (docs/scripting.md)"),
+    ("power", "a notebook over points.csv"),
+    ("prune", "rm on the folders of points"),
+    ("man", "'augnerf --help' of each command"),
 ];
 
 /// Adds tips to an error: a setting that an unknown flag names, or a flag for a stray word.
@@ -39,7 +41,10 @@ pub fn with_tips(mut error: clap::Error, words: &[OsString]) -> clap::Error {
     if let Some(ContextValue::String(name)) = error.get(ContextKind::InvalidSubcommand).cloned()
         && let Some((_, now)) = LEFT.iter().find(|(left, _)| *left == name)
     {
-        error.insert(ContextKind::Suggested, ContextValue::StyledStrs(vec![format!("it left; use {now}").into()]));
+        error.insert(
+            ContextKind::Suggested,
+            ContextValue::StyledStrs(vec![format!("it was removed; use {now}").into()]),
+        );
         return error;
     }
     if error.kind() != ErrorKind::UnknownArgument {

@@ -262,7 +262,7 @@ fn how_long(Estimate { training, measuring }: Estimate) -> String {
     let all = format!("about {} here", duration(training + measuring));
     match measuring > training.max(30.0) {
         true => format!(
-            "{all}: {} of training and {} of measuring; data.test_skip and eval.train_views measure fewer views",
+            "{all}: {} of training and {} of measuring; to measure fewer views, set data.test_skip or eval.train_views",
             duration(training),
             duration(measuring)
         ),

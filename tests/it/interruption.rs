@@ -143,6 +143,25 @@ fn a_full_standard_output_is_an_error() {
     }
 }
 
+/// Each waits for the one before it: none deletes what another writes.
+#[test]
+fn many_collect_one_sweep_at_once() {
+    let place = Place::new();
+    place.write(
+        "tiny.toml",
+        "title = \"t\"\npreset = \"smoke\"\nscenes = [\"builtin\"]\nseeds = [0]\n[[row]]\nname = \"NeRF\"\n\
+        [set]\n\"train.steps\" = 2\n\"data.width\" = 16\n\"train.rays\" = 16\n",
+    );
+    place.run("sweep run tiny.toml --out sweep --quiet", 0);
+    place.run("sweep collect sweep", 0);
+    let results = place.at("sweep/results");
+    let before = files(&results, &[]);
+    // What one that was killed left.
+    std::fs::write(results.join(".augnerf-tmp-table.md.1"), "half").unwrap();
+    std::thread::scope(|scope| (0..5).for_each(|_| drop(scope.spawn(|| place.run("sweep collect sweep", 0)))));
+    assert!(files(&results, &[]) == before, "the same files with the same bytes");
+}
+
 /// Runs of a step that takes minutes: the first signal is heard and acts within it.
 #[cfg(all(target_os = "linux", target_env = "gnu"))]
 #[test]

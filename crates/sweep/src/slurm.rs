@@ -84,7 +84,13 @@ impl Script<'_> {
 }
 
 /// The commands of a task.
-const TASK: &str = r#"# Preemption, the end of the time limit and scancel reach this script as TERM or USR1. At USR1, once or repeated, the point
+const TASK: &str = r#"# A task that is stopped as soon as it begins would be requeued for ever.
+if [ -n "$SLURM_JOB_END_TIME" ] && [ "$SLURM_JOB_END_TIME" -lt $(($(date +%s) + 540)) ]; then
+  echo "a task needs 10 minutes: submit the script with a longer --time" >&2
+  exit 2
+fi
+
+# Preemption, the end of the time limit and scancel reach this script as TERM or USR1. At USR1, once or repeated, the point
 # writes a checkpoint and ends with 143.
 trap 'kill -USR1 "$point" 2> /dev/null' TERM USR1
 

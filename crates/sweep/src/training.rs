@@ -288,8 +288,13 @@ impl StepCosts for Trainings<'_> {
         if self.calibration > ESTIMATE {
             self.events.on(Event::Note(&what));
         }
-        let timed = self.time_steps(configs, self.calibration)?;
-        let measured = timed.iter().map(|steps| mean_without_hiccups(steps));
+        let measured: Vec<f64> = if self.calibration > ESTIMATE {
+            self.time_steps(configs, self.calibration)?.iter().map(|steps| mean_without_hiccups(steps)).collect()
+        } else {
+            // Of a few steps the first ones are slow.
+            let alone = |config: &&Config| Ok(median(&self.time_steps(&[config], ESTIMATE)?[0]));
+            configs.iter().map(alone).collect::<Result<_>>()?
+        };
         let mut seconds = self.seconds.lock().unwrap_or_else(PoisonError::into_inner);
         seconds.extend(configs.iter().map(|config| config.step_shape()).zip(measured));
         Ok(())

@@ -152,6 +152,7 @@ fn damaged_files_are_refused_in_a_sentence() {
     let (folder, readers) = all_readers();
     let only = std::env::var("AUGNERF_FUZZ_READER").unwrap_or_default();
     let chosen: Vec<&Reader> = readers.iter().filter(|reader| name(reader, folder.path()).contains(&only)).collect();
+    assert!(!chosen.is_empty(), "AUGNERF_FUZZ_READER={only} names no reader");
     let share = Duration::from_secs(setting("AUGNERF_FUZZ_SECONDS", 60)) / chosen.len() as u32;
     let now = watch();
     std::panic::set_hook(Box::new(|panic| PANIC.with_borrow_mut(|text| *text = panic.to_string())));

@@ -117,7 +117,7 @@ fn try_write(target: &Path, bytes: &[u8]) -> io::Result<()> {
 }
 
 /// Writes `bytes`, and waits until they have reached the disk.
-pub fn write_synced(file: &mut File, bytes: &[u8]) -> io::Result<()> {
+fn write_synced(file: &mut File, bytes: &[u8]) -> io::Result<()> {
     file.write_all(bytes)?;
     file.sync_all()
 }
@@ -170,26 +170,41 @@ impl AtomicDir {
         &self.temporary
     }
 
-    /// Flushes everything inside to the disk, deletes what has the final name already, and gives the folder this name.
+    /// Flushes everything inside to the disk, and gives the folder the final name in the place of what has it already.
     pub fn commit(self) -> Result<()> {
-        self.rename(|| discard(&self.target))
+        self.rename(|| match exchange(&self.temporary, &self.target) {
+            Ok(()) => Ok(()),
+            // Nothing has the name, or the file system cannot exchange two.
+            Err(_) => discard(&self.target).and_then(|()| fs::rename(&self.temporary, &self.target)),
+        })
     }
 
     /// The same for a name that nobody has taken meanwhile.
     pub fn commit_new(self) -> Result<()> {
         self.rename(|| match self.target.symlink_metadata() {
             Ok(_) => Err(io::ErrorKind::AlreadyExists.into()),
-            Err(_) => Ok(()),
+            Err(_) => fs::rename(&self.temporary, &self.target),
         })
     }
 
-    fn rename(&self, make_way: impl FnOnce() -> io::Result<()>) -> Result<()> {
+    fn rename(&self, rename: impl FnOnce() -> io::Result<()>) -> Result<()> {
         sync_tree(&self.temporary)
-            .and_then(|()| make_way())
-            .and_then(|()| fs::rename(&self.temporary, &self.target))
+            .and_then(|()| rename())
             .and_then(|()| sync_folder(folder_of(&self.target)))
             .map_err(|error| Error::unwritable(&self.target, &error))
     }
+}
+
+/// Exchanges the names of two folders, so that a killed process leaves one of them under each.
+#[cfg(target_os = "linux")]
+fn exchange(one: &Path, other: &Path) -> io::Result<()> {
+    use rustix::fs::{CWD, RenameFlags, renameat_with};
+    Ok(renameat_with(CWD, one, CWD, other, RenameFlags::EXCHANGE)?)
+}
+
+#[cfg(not(target_os = "linux"))]
+fn exchange(_: &Path, _: &Path) -> io::Result<()> {
+    Err(io::ErrorKind::Unsupported.into())
 }
 
 impl Drop for AtomicDir {

@@ -3,7 +3,7 @@
 use crate::base::Result;
 use crate::perturb::geometry::PassGeometry;
 use crate::perturb::set::{DeltaSet, Norm};
-use crate::perturb::site::{ANY_EPSILON, About, DefaultSizes, Level, PaperSite, Pgd, Site, SiteNumbers};
+use crate::perturb::site::{ANY_EPSILON, DefaultSizes, Level, PaperSite, Pgd, Site, SiteNumbers, SiteSpec};
 
 /// Added to the output of a trunk layer, `[rays, samples, width]`.
 pub struct Feature {
@@ -12,7 +12,7 @@ pub struct Feature {
 }
 
 impl Feature {
-    pub(super) const ABOUT: About = About {
+    pub(super) const SPEC: SiteSpec = SiteSpec {
         name: "feature",
         level: Level::Feature,
         moves_samples: false,

@@ -21,7 +21,7 @@ pub(super) fn draw(set: &DeltaSet, draw: Draw, random: &mut Random) -> Result<Te
     }
 }
 
-/// Implements [`DeltaSet::ascend`].
+/// Computes [`DeltaSet::ascend`], in loops where they can.
 pub(super) fn ascend(set: &DeltaSet, delta: &Tensor, gradient: &Tensor, pgd: Pgd) -> Result<Tensor> {
     if let Some(flat) = Flat::of(set)?
         && let Some(moved) = flat.ascend(delta, gradient, pgd)?

@@ -7,7 +7,7 @@ use crate::base::Result;
 use crate::perturb::epsilon::Epsilon;
 use crate::perturb::geometry::{PassGeometry, PixelScale};
 use crate::perturb::set::{DeltaSet, Norm};
-use crate::perturb::site::{ANY_EPSILON, About, DefaultSizes, Level, PaperSite, Pgd, Site, SiteNumbers};
+use crate::perturb::site::{ANY_EPSILON, DefaultSizes, Level, PaperSite, Pgd, Site, SiteNumbers, SiteSpec};
 
 /// A shift along the ray, `[rays, samples]`.
 pub struct T {
@@ -19,7 +19,7 @@ pub struct T {
 const LARGEST_SHIFT: f64 = 0.5;
 
 impl T {
-    pub(super) const ABOUT: About = About {
+    pub(super) const SPEC: SiteSpec = SiteSpec {
         name: "t",
         level: Level::Input,
         moves_samples: true,
@@ -109,7 +109,7 @@ pub enum Radius {
 }
 
 impl Xyz {
-    pub(super) const ABOUT: About = About {
+    pub(super) const SPEC: SiteSpec = SiteSpec {
         name: "xyz",
         level: Level::Input,
         moves_samples: true,
@@ -174,7 +174,7 @@ pub struct View {
 }
 
 impl View {
-    pub(super) const ABOUT: About = About {
+    pub(super) const SPEC: SiteSpec = SiteSpec {
         name: "view",
         level: Level::Input,
         moves_samples: false,

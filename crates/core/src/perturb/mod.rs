@@ -24,4 +24,4 @@ pub use output::{Density, Rgb, UsedDeltas, output_range};
 pub use pgd::{Iterate, worst_case};
 pub use set::{DeltaSet, Draw, Norm};
 pub use sets::{Deltas, Sets, SiteSet};
-pub use site::{About, DefaultSizes, Level, PaperSite, Passes, PerSite, Pgd, Site, SiteNumbers, StepUnit};
+pub use site::{DefaultSizes, Level, PaperSite, Passes, PerSite, Pgd, Site, SiteNumbers, SiteSpec, StepUnit};

@@ -6,7 +6,7 @@ use crate::base::Result;
 use crate::perturb::geometry::PassGeometry;
 use crate::perturb::set::{DeltaSet, Norm};
 use crate::perturb::sets::{Deltas, Sets, SiteSet};
-use crate::perturb::site::{ANY_EPSILON, About, DefaultSizes, Level, PaperSite, Pgd, Site, SiteNumbers};
+use crate::perturb::site::{ANY_EPSILON, DefaultSizes, Level, PaperSite, Pgd, Site, SiteNumbers, SiteSpec};
 
 /// Added to the colour of a sample, `[rays, samples, 3]`.
 pub struct Rgb {
@@ -15,7 +15,7 @@ pub struct Rgb {
 }
 
 impl Rgb {
-    pub(super) const ABOUT: About = About {
+    pub(super) const SPEC: SiteSpec = SiteSpec {
         name: "rgb",
         level: Level::Output,
         moves_samples: false,
@@ -59,7 +59,7 @@ pub struct Density {
 }
 
 impl Density {
-    pub(super) const ABOUT: About = About {
+    pub(super) const SPEC: SiteSpec = SiteSpec {
         name: "density",
         level: Level::Output,
         moves_samples: false,
@@ -140,7 +140,7 @@ impl UsedDeltas {
     /// Those of candle and of a site's own spread.
     pub fn add_to(&mut self, value: Tensor, at: PaperSite, range: Option<(f64, f64)>) -> Result<Tensor> {
         let UsedDeltas { deltas, sets } = self;
-        // A projected sum can leave the range by rounding, and what a delta spreads knows no range.
+        // A projected sum can leave the range by rounding, and a spread delta is not projected onto it.
         let legal = |sum: Tensor| match range {
             Some((low, high)) if high < UNLIMITED => sum.clamp(low, high),
             Some(_) => sum.relu(),

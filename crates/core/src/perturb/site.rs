@@ -99,14 +99,14 @@ impl PaperSite {
         [PaperSite::T, PaperSite::Xyz, PaperSite::View, PaperSite::Feature, PaperSite::Rgb, PaperSite::Density];
 
     /// Returns what its level's file says of it.
-    pub fn about(self) -> &'static About {
+    pub fn about(self) -> &'static SiteSpec {
         match self {
-            PaperSite::T => &input::T::ABOUT,
-            PaperSite::Xyz => &input::Xyz::ABOUT,
-            PaperSite::View => &input::View::ABOUT,
-            PaperSite::Feature => &feature::Feature::ABOUT,
-            PaperSite::Rgb => &output::Rgb::ABOUT,
-            PaperSite::Density => &output::Density::ABOUT,
+            PaperSite::T => &input::T::SPEC,
+            PaperSite::Xyz => &input::Xyz::SPEC,
+            PaperSite::View => &input::View::SPEC,
+            PaperSite::Feature => &feature::Feature::SPEC,
+            PaperSite::Rgb => &output::Rgb::SPEC,
+            PaperSite::Density => &output::Density::SPEC,
         }
     }
 
@@ -157,7 +157,7 @@ fn fnv1a(name: &str) -> u64 {
 
 /// What is known of a site of the paper, whatever the experiment.
 #[derive(Debug)]
-pub struct About {
+pub struct SiteSpec {
     /// Its name in settings, logs and tables.
     pub name: &'static str,
     /// Its level.

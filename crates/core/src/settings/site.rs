@@ -27,7 +27,7 @@ pub struct SiteConfig {
     pub steps: Option<usize>,
     /// Length of one PGD step, in `step_unit`.
     pub step_size: Option<f64>,
-    /// Size of the constraint set, in the site's unit (see [`crate::perturb::About::unit`]), or as far as its steps
+    /// Size of the constraint set, in the site's unit (see [`crate::perturb::SiteSpec::unit`]), or as far as its steps
     /// reach.
     pub epsilon: Option<Epsilon>,
     /// The norm of the constraint set.

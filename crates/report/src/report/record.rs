@@ -19,7 +19,7 @@ pub struct Record {
     pub row: String,
     /// Axis values of the point, in the definition's order; empty for a plain row.
     pub axes: Vec<AxisValue>,
-    /// Seed of every random stream; `None` for images that were scored without one.
+    /// Seed of every random stream; `None` before the point is laid out.
     pub seed: Option<u64>,
     /// The point's progress.
     pub status: Status,

@@ -45,6 +45,7 @@ pub fn named_mesh(name: &str, other: &str) -> Result<Reference> {
     let file = files.into_iter().find(|file| file.is_file()).ok_or_else(|| {
         Error::Data(format!("{name} has no mesh yet; draw it with `augnerf mesh {name}`, then compare again"))
     })?;
+    check_units(name)?;
     check_alike(name, other)?;
     reference_mesh(&file.to_string_lossy())
 }
@@ -103,6 +104,17 @@ impl Placed {
             MeshUnits::Capture => WorldMatrix::of(&WorldToScene::default()),
         }
     }
+}
+
+/// Returns an error for a run's mesh in its capture's units, since comparisons use the scene's.
+fn check_units(name: &str) -> Result<()> {
+    if Placed::of(name)?.is_none_or(|placed| placed.units == MeshUnits::Scene) {
+        return Ok(());
+    }
+    Err(Error::Config(format!(
+        "{name} has a mesh in its capture's units, but distances are measured in the scene's; draw it again without --units \
+         capture, or name the mesh files themselves if both have the same units"
+    )))
 }
 
 /// Returns an error if the meshes are known to be of different scenes, or in different coordinates of one scene.

@@ -40,6 +40,8 @@ pub enum Truth<'a> {
 pub struct Score {
     /// Each image under the name of its ground truth, in the order of the ground truth.
     pub views: Vec<ViewMetrics>,
+    /// The image of each view.
+    pub images: Vec<PathBuf>,
     /// Means over the views.
     pub mean: MeanMetrics,
     /// The known fields of the protocol.
@@ -85,7 +87,7 @@ pub fn pictures(folder: &Path, suffix: &str) -> Result<Vec<Picture>> {
     }
 }
 
-/// Returns a name in parts that compare by the value of numbers in it: `r_2` before `r_10`. A number is told by its length
+/// Returns a name in parts that compare by the value of numbers in it: `r_2` before `r_10`. A number is compared by its length
 /// without leading zeros, then by its digits. Last comes the name itself, for leading zeros.
 fn natural(name: &str) -> (Vec<(usize, &str)>, &str) {
     let is_digit = |letter: &char| letter.is_ascii_digit();
@@ -150,7 +152,8 @@ pub fn score(
     let weights: Vec<String> =
         lpips.iter().map(|lpips| format!("{} {}", lpips.backbone().name(), lpips.weights_hash())).collect();
     protocol.push(("lpips_weights", weights.join(", ")));
-    Ok(Score { views, mean, protocol })
+    let images = pairs.iter().map(|(picture, _)| picture.path.clone()).collect();
+    Ok(Score { views, images, mean, protocol })
 }
 
 /// Pairs each target with its image.
