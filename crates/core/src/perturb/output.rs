@@ -153,10 +153,11 @@ impl UsedDeltas {
         for SiteSet { site, set } in sets.iter_mut().filter(|entry| entry.site.at() == at && !entry.set.spreads()) {
             let Some(delta) = deltas.get(site.name()).cloned() else { continue };
             let now = sum.detach();
-            if let Some((low, high)) = range {
-                let largest = if high < UNLIMITED { now.affine(-1.0, high)? } else { (now.zeros_like()? + high)? };
-                *set = set.within(now.affine(-1.0, low)?, largest);
-            }
+            *set = match range {
+                Some((low, high)) if high < UNLIMITED => set.within(now.affine(-1.0, low)?, now.affine(-1.0, high)?),
+                Some((_, high)) => set.within(now.neg()?, (now.zeros_like()? + high)?),
+                None => set.clone(),
+            };
             let projected = set.project(&delta.detach())?;
             sum = straight_through(legal((&now + &projected)?)?, &sum, &delta)?;
             deltas.set(site.name(), projected);
