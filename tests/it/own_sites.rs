@@ -9,9 +9,10 @@ use candle_core::DType;
 
 use crate::common::{tiny_config, tiny_scene};
 
-/// One number for each ray, spread over its samples, channels or units at any place.
+/// One number for each ray, spread over its samples, channels or units at any place; or a delta of the place's own shape.
 struct OfRays {
     name: &'static str,
+    spreads: bool,
     at: PaperSite,
     radius: f64,
     steps: usize,
@@ -41,9 +42,12 @@ impl Site for OfRays {
             PaperSite::Xyz | PaperSite::Rgb => vec![rays, samples, 3],
         };
         let of_ray: Vec<usize> =
-            shape.iter().enumerate().map(|(axis, size)| if axis == 0 { *size } else { 1 }).collect();
+            shape.iter().enumerate().map(|(axis, size)| if axis == 0 || !self.spreads { *size } else { 1 }).collect();
         let radius = pass.scalar(self.radius)?.reshape(vec![1; of_ray.len()])?;
         let set = DeltaSet::new(Norm::Linf, radius, &of_ray);
+        if !self.spreads {
+            return Ok(set);
+        }
         Ok(set.spread_by(move |delta| Ok(delta.broadcast_as(shape.clone())?.contiguous()?)))
     }
 }
@@ -59,7 +63,7 @@ fn alone(change: impl FnOnce(&mut Config)) -> Resolved {
 }
 
 fn of_rays(at: PaperSite, radius: f64, steps: usize) -> OfRays {
-    OfRays { name: "of_rays", at, radius, steps, width: 16 }
+    OfRays { name: "of_rays", spreads: true, at, radius, steps, width: 16 }
 }
 
 /// The last of some steps, all logged, with the parameters after it.
@@ -93,14 +97,16 @@ fn a_site_of_ones_own_raises_the_loss_at_every_place_and_moves_colours() {
 /// and each step of its search. Steps without a log add output deltas in one operation where they can.
 #[test]
 fn a_seventh_site_raises_the_loss_of_both_cores_at_every_place() {
-    let wrong = PaperSite::ALL.into_iter().filter_map(|place| {
+    let each = PaperSite::ALL.into_iter().flat_map(|place| [(place, true), (place, false)]);
+    let wrong = each.filter_map(|(place, spreads)| {
         let radius = if place == PaperSite::View { 0.3 } else { 0.1 };
         // The losses of two steps without a log and one with it, and how far that one's deltas move colours.
         let losses = |core: Core, steps: Option<usize>| {
             let runtime = Runtime::new("cpu", Some(2)).unwrap();
             let config = alone(|config| config.field.core = core);
             let mut trainer = Trainer::new(&config, &tiny_scene(), DType::F32, &runtime).unwrap();
-            steps.into_iter().for_each(|steps| trainer.add_site(of_rays(place, radius, steps)).unwrap());
+            let site = |steps| OfRays { spreads, ..of_rays(place, radius, steps) };
+            steps.into_iter().for_each(|steps| trainer.add_site(site(steps)).unwrap());
             let stats = [false, false, true].map(|log| trainer.step(log).unwrap());
             let shift = stats[2].sites.iter().find(|site| site.site == "of_rays").map_or(0.0, |site| site.shift);
             (stats.map(|stats| stats.loss), shift)
@@ -112,7 +118,7 @@ fn a_seventh_site_raises_the_loss_of_both_cores_at_every_place() {
         let agrees = three.iter().zip(&plain).all(|(fused, plain)| (fused - plain).abs() < 1e-4 * plain)
             && (shift - plain_shift).abs() < 0.02 * plain_shift;
         (!raises || !agrees)
-            .then(|| format!("{place:?}: {without:?} {one:?} {three:?} {plain:?} {shift} {plain_shift}"))
+            .then(|| format!("{place:?} {spreads}: {without:?} {one:?} {three:?} {plain:?} {shift} {plain_shift}"))
     });
     assert_eq!(wrong.collect::<Vec<_>>(), Vec::<String>::new());
 }

@@ -33,6 +33,9 @@ pub struct Reader {
     pub read: Box<dyn Fn() -> Result<()>>,
 }
 
+/// The name of a folder of sound files, and how each of them is read.
+type Kind = (&'static str, fn(&Path) -> Result<()>);
+
 fn fixtures() -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/fixtures")
 }
@@ -48,7 +51,7 @@ pub fn all(folder: &Path) -> Vec<Reader> {
     for name in ["colmap_split", "masks_llff", "masks_dynamic"] {
         copy(&fixtures().join("captures3").join(name), &folder.join("scenes").join(name));
     }
-    let kinds: [(&str, fn(&Path) -> Result<()>); 9] = [
+    let kinds: [Kind; 9] = [
         ("mesh", |file| sample(&read_mesh(file)?, 16, 0).map(drop)),
         ("picture", read_picture),
         ("cameras", |file| {
