@@ -7,6 +7,7 @@
 use std::sync::{Arc, Mutex, PoisonError};
 
 use candle_core::{CpuStorage, CustomOp1, CustomOp2, DType, Device, Layout, Result, Shape, Tensor, Var};
+use candle_nn::{Init, VarBuilder};
 
 use super::contiguous;
 use super::hash::{Cotangents, Domain, HashGrid, Operator, Real, fetch_tables};
@@ -17,7 +18,7 @@ use crate::base::tensors::with_values;
 use crate::settings::{Contraction, Encoding, FieldConfig};
 
 /// Initial entries of a table are uniform within +- this (Mueller et al. 2022, section 4).
-pub(super) const INITIAL: f64 = 1e-4;
+const INITIAL: f64 = 1e-4;
 
 /// A contribution to the table's gradient: points in the grid's cube, and the gradient of their encoding, or of what
 /// operators make of it.
@@ -50,21 +51,25 @@ pub(super) struct Grid {
 }
 
 impl Grid {
-    /// Returns name and shape of the table, or `None` without a grid.
-    pub(super) fn parameter(config: &FieldConfig) -> Option<(String, Vec<usize>)> {
+    /// Creates the grid of a configuration with the builder's `table`, `[entries, features]`. `None` without a grid.
+    ///
+    /// # Errors
+    /// Those of the builder.
+    pub(super) fn new(config: &FieldConfig, builder: &VarBuilder) -> Result<Option<Grid>> {
         if config.encoding != Encoding::Hash {
-            return None;
+            return Ok(None);
         }
-        let shape = shape_of(config);
-        Some(("table".into(), vec![shape.entries(), shape.features()]))
-    }
-
-    /// Creates a grid with a table `[entries, features]`.
-    pub(super) fn new(config: &FieldConfig, table: Tensor) -> Grid {
-        let hash = &config.hash;
+        let (hash, shape) = (&config.hash, shape_of(config));
+        let init = Init::Uniform { lo: -INITIAL, up: INITIAL };
+        let table = builder.get_with_hints((shape.entries(), shape.features()), "table", init)?;
         let bounds = hash.bounds.unwrap_or([[-1.5; 3], [1.5; 3]]);
         let domain = Domain::new(bounds[0], bounds[1], hash.contraction.unwrap_or(Contraction::None));
-        Grid { shape: Arc::new(shape_of(config)), domain, table, records: None }
+        Ok(Some(Grid { shape: Arc::new(shape), domain, table, records: None }))
+    }
+
+    /// Returns the same table as a constant, without records.
+    pub(super) fn detached(&self) -> Grid {
+        Grid { table: self.table.detach(), records: None, ..self.clone() }
     }
 
     /// Brings the table into the caches, before threads read it in random order.
@@ -79,7 +84,7 @@ impl Grid {
 
     /// Returns the same table with records of its own.
     pub(super) fn recording(&self) -> Grid {
-        Grid { table: self.table.detach(), records: Some(Arc::default()), ..self.clone() }
+        Grid { records: Some(Arc::default()), ..self.detached() }
     }
 
     /// Adds a record to its own, or returns the table's gradient from it if it has none.

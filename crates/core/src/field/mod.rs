@@ -8,14 +8,16 @@
 //! any device, and is the reference. The fused one (`fused`) serves [`Field::frozen`] and [`Field::recording`] fields
 //! in f32 on the CPU.
 
-use candle_core::{DType, Device, Layout, Tensor, Var};
+use std::sync::{Arc, Mutex, PoisonError};
 
-use std::sync::Arc;
+use candle_core::{DType, Device, Layout, Shape, Tensor, Var};
+use candle_nn::var_builder::SimpleBackend;
+use candle_nn::{Init, Linear, VarBuilder};
 
 use crate::base::Result;
 use crate::base::place::is_ours_in_f32;
 use crate::base::rng::{Random, Stream};
-use crate::settings::{Core, Encoding, FieldConfig, Init, Precision};
+use crate::settings::{Core, Encoding, FieldConfig, Precision};
 
 mod activation;
 mod dense;
@@ -26,6 +28,7 @@ mod grid;
 mod grid_plain;
 pub mod hash;
 mod inside;
+mod nerf;
 mod open;
 mod peak;
 mod rgb_limit;
@@ -45,6 +48,7 @@ use grid::Grid;
 pub use grid::TableRecord;
 use hash::HashGrid;
 use inside::{Inside, NOTHING};
+pub use nerf::{FeatureDelta, Nerf, RawOutput};
 pub use open::opening_factors;
 pub use peak::peak_gflops;
 pub(crate) use rgb_limit::leads_away;
@@ -58,24 +62,11 @@ pub fn contiguous<'a, T>(values: &'a [T], layout: &Layout) -> candle_core::Resul
     }
 }
 
-/// The parameters of one layer, `[outputs, inputs]` and `[outputs]`.
-#[derive(Clone)]
-struct Layer {
-    name: String,
-    weight: Tensor,
-    bias: Tensor,
-}
-
 /// A network `(points, viewdirs) -> (raw rgb, raw density)`.
 #[derive(Clone)]
 pub struct Field {
     config: FieldConfig,
-    trunk: Vec<Layer>,
-    density: Layer,
-    feature: Layer,
-    /// Layers that read the view direction. The first of them also reads the trunk's feature.
-    view: Vec<Layer>,
-    rgb: Layer,
+    nerf: Nerf,
     /// The hash grid, if it encodes positions.
     grid: Option<Grid>,
     /// The parameters as variables, in the order of [`Field::parameter_names`]. Empty if frozen.
@@ -122,48 +113,6 @@ impl Inputs {
     }
 }
 
-/// The output of a field before its activations.
-pub struct RawOutput {
-    /// Colour before the sigmoid, `[n, 3]`.
-    pub rgb: Tensor,
-    /// Density before its activation, `[n]`, 1 / length.
-    pub density: Tensor,
-    /// Both together, `[4 n]`, if one operation returns them: colours of all points, then densities.
-    pub joined: Option<Tensor>,
-}
-
-/// A delta that is added to the output of one trunk layer.
-pub struct FeatureDelta<'a> {
-    /// 1-based trunk layer. The delta is added after its ReLU, before a skip's concatenation.
-    pub layer: usize,
-    /// `[n, width]`.
-    pub delta: &'a Tensor,
-}
-
-/// Returns `(name, outputs, inputs)` of every layer, in the fixed order of parameters.
-fn layer_shapes(config: &FieldConfig) -> Vec<(String, usize, usize)> {
-    let position = position_channels(config);
-    let direction = encoded_channels(config.view_octaves);
-    let width = config.width;
-    let mut shapes: Vec<(String, usize, usize)> = (0..config.depth)
-        .map(|i| {
-            let inputs = match i {
-                0 => position,
-                i if config.skips.contains(&i) => width + position,
-                _ => width,
-            };
-            (format!("trunk.{i}"), width, inputs)
-        })
-        .collect();
-    shapes.push(("density".into(), 1, width));
-    shapes.push(("feature".into(), width, width));
-    let neurons = config.view_neurons();
-    shapes.push(("view".into(), neurons, width + direction));
-    shapes.extend((1..config.view_depth).map(|i| (format!("view.{i}"), neurons, neurons)));
-    shapes.push(("rgb".into(), 3, neurons));
-    shapes
-}
-
 /// Returns the number of channels of a position's encoding.
 pub fn position_channels(config: &FieldConfig) -> usize {
     Code::of_positions(config).channels()
@@ -173,37 +122,31 @@ impl Field {
     /// Returns names and shapes of all parameters in their fixed order: `trunk.0.weight`, `trunk.0.bias`, ...,
     /// `rgb.bias`. A hash grid's `table` comes before them.
     pub fn parameter_names(config: &FieldConfig) -> Vec<(String, Vec<usize>)> {
-        let of_layers = layer_shapes(config).into_iter().flat_map(|(name, outputs, inputs)| {
-            [(format!("{name}.weight"), vec![outputs, inputs]), (format!("{name}.bias"), vec![outputs])]
+        let mut names = Vec::new();
+        let nothing = Tensor::zeros((), DType::F32, &Device::Cpu).expect("a number");
+        let named = Field::from_source(config, |name, shape, _| {
+            names.push((name.to_string(), shape.dims().to_vec()));
+            nothing.broadcast_as(shape)
         });
-        Grid::parameter(config).into_iter().chain(of_layers).collect()
+        named.expect("a number has any shape");
+        names
     }
 
     /// Creates a field with weights drawn from `seed`'s stream `Init` at `index`.
     pub fn init(config: &FieldConfig, seed: u64, index: u64, dtype: DType, device: &Device) -> Result<Field> {
         let mut random = Random::new(seed, Stream::Init, index);
-        let mut draw = |shape: &[usize], bound: f64| -> Result<Tensor> {
-            let unit = random.uniform_tensor(shape, dtype, device)?;
-            Ok(unit.affine(2.0 * bound, -bound)?)
-        };
         let mut parameters = Vec::new();
-        if let Some((_, shape)) = Grid::parameter(config) {
-            parameters.push(draw(&shape, grid::INITIAL)?);
-        }
-        for (_, outputs, inputs) in layer_shapes(config) {
-            let (weight, bias) = match config.init {
-                // Glorot and Bengio 2010, equation 16.
-                Init::Glorot => (
-                    draw(&[outputs, inputs], (6.0 / (inputs + outputs) as f64).sqrt())?,
-                    Tensor::zeros(outputs, dtype, device)?,
-                ),
-                Init::Torch => {
-                    let bound = 1.0 / (inputs as f64).sqrt();
-                    (draw(&[outputs, inputs], bound)?, draw(&[outputs], bound)?)
-                }
+        Field::from_source(config, |_, shape, init| {
+            let drawn = match init {
+                Init::Uniform { lo, up } => random
+                    .uniform_tensor(shape.dims(), dtype, device)
+                    .map_err(candle_core::Error::wrap)?
+                    .affine(up - lo, lo)?,
+                _ => Tensor::zeros(shape, dtype, device)?,
             };
-            parameters.extend([weight, bias]);
-        }
+            parameters.push(drawn.clone());
+            Ok(drawn)
+        })?;
         Field::from_parameters(config, parameters)
     }
 
@@ -212,9 +155,9 @@ impl Field {
     /// # Errors
     /// If shapes are wrong, or the type or device of the values does not support the precision.
     pub fn from_parameters(config: &FieldConfig, values: Vec<Tensor>) -> Result<Field> {
-        let expected = Field::parameter_names(config);
-        if values.len() != expected.len() {
-            return Err(tensor_error(format!("{} parameters given, {} expected", values.len(), expected.len())));
+        let expected = Field::parameter_names(config).len();
+        if values.len() != expected {
+            return Err(tensor_error(format!("{} parameters given, {expected} expected", values.len())));
         }
         if config.precision == Precision::Bf16 && !(config.core == Core::Fused && values.iter().all(is_ours_in_f32)) {
             return Err(crate::base::Error::Config(
@@ -223,43 +166,32 @@ impl Field {
                     .into(),
             ));
         }
-        let mut variables = Vec::with_capacity(values.len());
-        for ((name, shape), value) in expected.into_iter().zip(values) {
-            if value.dims() != shape {
-                return Err(tensor_error(format!("{name} has shape {:?}, expected {shape:?}", value.dims())));
+        let (mut values, mut variables) = (values.into_iter(), Vec::with_capacity(expected));
+        let field = Field::from_source(config, |name, shape, _| {
+            let value = values.next().expect("as many as names");
+            if value.shape() != shape {
+                candle_core::bail!("{name} has shape {:?}, expected {:?}", value.dims(), shape.dims());
             }
-            variables.push((name, Var::from_tensor(&value.copy()?)?));
-        }
-        let tensors = variables.iter().map(|(_, var)| var.as_tensor().clone()).collect();
-        Ok(Field { variables, ..Field::assemble(config, tensors) })
+            let variable = Var::from_tensor(&value.copy()?)?;
+            let tensor = variable.as_tensor().clone();
+            variables.push((name.to_string(), variable));
+            Ok(tensor)
+        })?;
+        Ok(Field { variables, ..field })
     }
 
-    fn assemble(config: &FieldConfig, tensors: Vec<Tensor>) -> Field {
-        let mut tensors = tensors.into_iter();
-        let grid = (config.encoding == Encoding::Hash).then(|| Grid::new(config, tensors.next().expect("a table")));
-        let mut next = |name: String| Layer {
-            name,
-            weight: tensors.next().expect("one weight a layer"),
-            bias: tensors.next().expect("one bias a layer"),
-        };
-        let mut layers: Vec<Layer> = layer_shapes(config).into_iter().map(|(name, _, _)| next(name)).collect();
-        let rgb = layers.pop().expect("a colour head");
-        let view = layers.split_off(layers.len() - config.view_depth);
-        let mut pop = || layers.pop().expect("two heads");
-        let (feature, density) = (pop(), pop());
-        Field {
-            config: config.clone(),
-            trunk: layers,
-            density,
-            feature,
-            view,
-            rgb,
-            grid,
-            variables: Vec::new(),
-            network: None,
-            hidden: None,
-            recorder: None,
-        }
+    /// Returns a field without variables, whose parameters are what `source` returns for name, shape and distribution. It
+    /// is asked in the order of [`Field::parameter_names`].
+    fn from_source(
+        config: &FieldConfig,
+        source: impl FnMut(&str, &Shape, Init) -> candle_core::Result<Tensor> + Send,
+    ) -> Result<Field> {
+        // The source decides on type and device.
+        let builder = VarBuilder::from_backend(Box::new(Source(Mutex::new(source))), DType::F32, Device::Cpu);
+        let grid = Grid::new(config, &builder)?;
+        let nerf = Nerf::new(config, builder)?;
+        let (config, variables) = (config.clone(), Vec::new());
+        Ok(Field { config, nerf, grid, variables, network: None, hidden: None, recorder: None })
     }
 
     /// Returns the same field with the low frequencies of its encodings alone (FreeNeRF, equation 3): of the channels of each
@@ -271,28 +203,26 @@ impl Field {
     /// # Panics
     /// The field is frozen.
     pub fn opened(&self, share: f64) -> Result<Field> {
-        let tensors: Vec<Tensor> = self.variables.iter().map(|(_, var)| var.as_tensor().clone()).collect();
-        let whole = Field { variables: self.variables.clone(), ..Field::assemble(&self.config, tensors) };
-        let whole = Field { grid: self.grid.clone(), ..whole };
-        if share >= 1.0 {
-            return Ok(whole);
-        }
-        let factors = opening_factors(&self.config, share, self.dtype(), self.device())?;
-        let mut field = whole;
-        let layers = field.trunk.iter_mut().chain([&mut field.density, &mut field.feature]);
-        for (layer, factor) in layers.chain(&mut field.view).chain([&mut field.rgb]).zip(&factors) {
-            if let Some(factor) = factor {
-                layer.weight = layer.weight.broadcast_mul(factor)?;
-            }
-        }
-        Ok(Field { hidden: Some(Arc::new(factors)), ..field })
+        let mut variables = self.variables[usize::from(self.grid.is_some())..].iter().map(|(_, var)| var.as_tensor());
+        let factors =
+            if share < 1.0 { Some(opening_factors(&self.config, share, self.dtype(), self.device())?) } else { None };
+        let mut factor = factors.iter().flatten();
+        let nerf = self.nerf.map(|_| {
+            let [weight, bias] = [(); 2].map(|()| variables.next().expect("weight and bias of each layer"));
+            let weight = match factor.next() {
+                Some(Some(factor)) => weight.broadcast_mul(factor)?,
+                _ => weight.clone(),
+            };
+            Ok(Linear::new(weight, Some(bias.clone())))
+        })?;
+        Ok(Field { nerf, hidden: factors.map(Arc::new), network: None, recorder: None, ..self.clone() })
     }
 
     /// Returns the current parameters as passes read them, in the order of [`Field::parameter_names`]: weights of hidden
     /// inputs are multiplied ([`Field::opened`]).
     pub fn opened_parameters(&self) -> Vec<Tensor> {
         let table = self.grid.iter().map(|grid| grid.table().detach());
-        table.chain(self.layers().flat_map(|layer| [layer.weight.detach(), layer.bias.detach()])).collect()
+        table.chain(self.parameters_of_layers().map(Tensor::detach)).collect()
     }
 
     /// Multiplies gradients of the layers' weights and biases, in the order of parameters, by the factors of hidden inputs.
@@ -309,15 +239,14 @@ impl Field {
     /// Returns the same field with a copy of its current weights in the layout of the fused core, if it applies. Fields
     /// derived from it share the copy. After an update of the weights it is out of date.
     pub fn prepared(&self) -> Result<Field> {
-        let weight = &self.density.weight;
+        let weight = self.nerf.density.weight();
         if self.network.is_some() || self.config.core == Core::Plain || !is_ours_in_f32(weight) {
             return Ok(self.clone());
         }
         if let Some(grid) = &self.grid {
             grid.fetch()?;
         }
-        let parameters: Vec<Tensor> =
-            self.layers().flat_map(|layer| [layer.weight.clone(), layer.bias.clone()]).collect();
+        let parameters: Vec<Tensor> = self.parameters_of_layers().cloned().collect();
         Ok(Field { network: Some(Arc::new(fused::prepare(&self.config, &parameters)?)), ..self.clone() })
     }
 
@@ -336,10 +265,7 @@ impl Field {
     pub fn recorded(&self) -> Result<Vec<Option<Tensor>>> {
         let Some(recorder) = &self.recorder else { return Ok(vec![None; self.variables.len()]) };
         let table = self.grid.iter().map(|_| None);
-        let shapes = layer_shapes(&self.config)
-            .into_iter()
-            .flat_map(|(_, outputs, inputs)| [vec![outputs, inputs], vec![outputs]])
-            .collect();
+        let shapes = self.parameters_of_layers().map(|parameter| parameter.dims().to_vec()).collect();
         let mut of_layers: Vec<Option<Tensor>> = recorder.gradients(shapes)?.into_iter().map(Some).collect();
         self.hide(&mut of_layers)?;
         Ok(table.chain(of_layers).collect())
@@ -380,9 +306,9 @@ impl Field {
         applies.then(|| fused::Query { network, recorder: self.recorder.clone(), below })
     }
 
-    /// Iterates over all layers in the order of parameters.
-    fn layers(&self) -> impl Iterator<Item = &Layer> {
-        self.trunk.iter().chain([&self.density, &self.feature]).chain(&self.view).chain([&self.rgb])
+    /// Iterates over weight and bias of all layers, in the order of parameters.
+    fn parameters_of_layers(&self) -> impl Iterator<Item = &Tensor> {
+        self.nerf.layers().flat_map(|layer| [layer.weight(), nerf::bias(layer)])
     }
 
     /// Returns a field with the same weights (shared, not copied) that never computes their gradients.
@@ -397,8 +323,10 @@ impl Field {
     }
 
     fn detached(&self) -> Field {
-        let tensors = self.opened_parameters();
-        Field { network: self.network.clone(), hidden: self.hidden.clone(), ..Field::assemble(&self.config, tensors) }
+        let detached = |layer: &Linear| Ok(Linear::new(layer.weight().detach(), Some(nerf::bias(layer).detach())));
+        let nerf = self.nerf.map(detached).expect("nothing is computed");
+        let grid = self.grid.as_ref().map(Grid::detached);
+        Field { nerf, grid, variables: Vec::new(), recorder: None, ..self.clone() }
     }
 
     /// Returns the parameters in their fixed order. Empty for a frozen field.
@@ -413,17 +341,12 @@ impl Field {
 
     /// Returns the type of weights, points and outputs.
     pub fn dtype(&self) -> DType {
-        self.density.weight.dtype()
+        self.nerf.density.weight().dtype()
     }
 
     /// Returns the device of the weights.
     pub fn device(&self) -> &Device {
-        self.density.weight.device()
-    }
-
-    fn layer(&self, layer: &Layer, x: &Tensor, relu: bool) -> candle_core::Result<Tensor> {
-        dense(x, &layer.weight, &layer.bias, relu, !self.variables.is_empty())
-            .map_err(|e| e.context(format!("layer {}", layer.name)))
+        self.nerf.density.weight().device()
     }
 
     /// Returns raw colour and density of points `[n, 3]` along unit directions `viewdirs [rays, 3]`. All rays have the
@@ -452,15 +375,14 @@ impl Field {
             let (rgb, density) = (raw.narrow(0, 0, 3 * n)?.reshape((n, 3))?, raw.narrow(0, 3 * n, n)?);
             return Ok(RawOutput { rgb, density, joined: Some(raw) });
         }
-        let encoded_views = self.encode_views(viewdirs, n / viewdirs.dim(0)?.max(1))?;
-        let hidden = self.trunk(&inputs.values, delta)?;
-        let density = inputs.only_inside(self.layer(&self.density, &hidden, false)?.squeeze(1)?)?;
-        let feature = self.layer(&self.feature, &hidden, false)?;
-        let mut view = Tensor::cat(&[&feature, &encoded_views], 1)?;
-        for layer in &self.view {
-            view = self.layer(layer, &view, true)?;
-        }
-        Ok(RawOutput { rgb: self.layer(&self.rgb, &view, false)?, density, joined: None })
+        let directions = self.encode_views(viewdirs, n / viewdirs.dim(0)?.max(1))?;
+        let raw = self.nerf.forward(&self.encoded(inputs)?, &directions, delta)?;
+        Ok(RawOutput { density: inputs.only_inside(raw.density)?, ..raw })
+    }
+
+    /// Returns the encoding of a network's inputs, `[n, channels]`.
+    fn encoded(&self, inputs: &Inputs) -> Result<Tensor> {
+        Ok(Code::of_positions(&self.config).apply(&inputs.values)?)
     }
 
     /// Returns 1 where density can be and 0 elsewhere, for points `[n, 3]`, as `[n]`. `None` if it is 1 everywhere.
@@ -475,8 +397,8 @@ impl Field {
             return self.queried_density(query, points);
         }
         let inputs = self.inputs(points)?;
-        let hidden = self.trunk(&inputs.values, None)?;
-        inputs.only_inside(self.layer(&self.density, &hidden, false)?.squeeze(1)?)
+        let hidden = self.nerf.trunk(&self.encoded(&inputs)?, None)?;
+        inputs.only_inside(self.nerf.raw_density(&hidden)?)
     }
 
     /// The same by the fused core, without points outside a grid's box.
@@ -522,29 +444,6 @@ impl Field {
         Ok(Tensor::cat(&[points, &variance.broadcast_as(points.shape())?], 1)?)
     }
 
-    /// Returns the trunk's last output, `[n, width]`, for points, Gaussians or a grid's features.
-    fn trunk(&self, points: &Tensor, delta: Option<FeatureDelta>) -> Result<Tensor> {
-        let encoded = Code::of_positions(&self.config).apply(points)?;
-        let mut hidden = None;
-        for (i, layer) in self.trunk.iter().enumerate() {
-            let mut output = self.layer(layer, &self.trunk_input(i, &encoded, hidden.as_ref())?, true)?;
-            if let Some(delta) = delta.as_ref().filter(|delta| delta.layer == i + 1) {
-                output = (output + delta.delta)?;
-            }
-            hidden = Some(output);
-        }
-        Ok(hidden.expect("a trunk has layers"))
-    }
-
-    /// Returns the input of trunk layer `i` (from 0): the encoding, the layer below, or both.
-    fn trunk_input(&self, i: usize, encoded: &Tensor, hidden: Option<&Tensor>) -> Result<Tensor> {
-        Ok(match hidden {
-            None => encoded.clone(),
-            Some(hidden) if self.config.skips.contains(&i) => Tensor::cat(&[encoded, hidden], 1)?,
-            Some(hidden) => hidden.clone(),
-        })
-    }
-
     /// Encodes unit directions `[rays, 3]` once per ray, and repeats them for its samples:
     /// `[rays * samples, 3 + 6 view_octaves]`.
     fn encode_views(&self, viewdirs: &Tensor, samples: usize) -> Result<Tensor> {
@@ -558,4 +457,21 @@ impl Field {
 
 fn tensor_error(message: String) -> crate::base::Error {
     candle_core::Error::Msg(message).into()
+}
+
+/// Parameters from a function of name, shape and distribution, for candle's builder.
+struct Source<F>(Mutex<F>);
+
+impl<F: FnMut(&str, &Shape, Init) -> candle_core::Result<Tensor> + Send> SimpleBackend for Source<F> {
+    fn get(&self, shape: Shape, name: &str, init: Init, _: DType, _: &Device) -> candle_core::Result<Tensor> {
+        (self.0.lock().unwrap_or_else(PoisonError::into_inner))(name, &shape, init)
+    }
+
+    fn get_unchecked(&self, name: &str, _: DType, _: &Device) -> candle_core::Result<Tensor> {
+        candle_core::bail!("{name} was asked for without its shape")
+    }
+
+    fn contains_tensor(&self, _: &str) -> bool {
+        true
+    }
 }

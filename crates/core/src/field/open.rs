@@ -5,7 +5,7 @@ use candle_core::{DType, Device, Tensor};
 use crate::base::Result;
 use crate::settings::{Encoding, FieldConfig};
 
-use super::{encoded_channels, layer_shapes, position_channels};
+use super::{encoded_channels, position_channels};
 
 /// Returns for each layer, in the order of parameters, the factors of its inputs, `[1, inputs]`, or `None` if all are 1. `share` of
 /// the opening is over ([`FieldConfig::frequency_steps`]).
@@ -14,18 +14,18 @@ pub fn opening_factors(config: &FieldConfig, share: f64, dtype: DType, device: &
     let together = if config.encoding == Encoding::Hash { config.hash.features } else { 3 };
     let of_positions = of_channels(position_channels(config), together, share);
     let of_views = of_channels(encoded_channels(config.view_octaves), 3, share);
-    let of_layer = |(name, _, inputs): (String, usize, usize)| -> Result<Option<Tensor>> {
-        let open = vec![1.0; inputs];
-        let is_skip = (1..config.depth).any(|i| config.skips.contains(&i) && name == format!("trunk.{i}"));
-        let factors = match name.as_str() {
-            "trunk.0" => of_positions.clone(),
-            "view" => [&open[..inputs - of_views.len()], &of_views].concat(),
-            _ if is_skip => [&of_positions, &open[of_positions.len()..]].concat(),
-            _ => return Ok(None),
-        };
-        Ok(Some(Tensor::from_vec(factors, (1, inputs), device)?.to_dtype(dtype)?))
-    };
-    layer_shapes(config).into_iter().map(of_layer).collect()
+    let open = vec![1.0; config.width];
+    let beside = |first: &[f64], second: &[f64]| Some([first, second].concat());
+    let of_trunk = (0..config.depth).map(|i| match i {
+        0 => Some(of_positions.clone()),
+        i if config.skips.contains(&i) => beside(&of_positions, &open),
+        _ => None,
+    });
+    let of_view = (0..config.view_depth).map(|i| if i == 0 { beside(&open, &of_views) } else { None });
+    let (heads, rgb) = ([None, None], [None]);
+    let row = |factors: Vec<f64>| Tensor::from_vec(factors.clone(), (1, factors.len()), device)?.to_dtype(dtype);
+    let rows = of_trunk.chain(heads).chain(of_view).chain(rgb).map(|factors| Ok(factors.map(row).transpose()?));
+    rows.collect()
 }
 
 fn of_channels(channels: usize, together: usize, share: f64) -> Vec<f64> {

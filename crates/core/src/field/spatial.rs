@@ -23,6 +23,7 @@
 //! [`spatial_reference`] computes the same with forward tangents in plain candle operations.
 
 use candle_core::{Device, Tensor, Var};
+use candle_nn::Linear;
 
 use crate::base::Result;
 use crate::base::place::is_host;
@@ -30,10 +31,10 @@ use crate::settings::{DensityActivation, Encoding};
 
 use super::activation::{Activated, Cotangents};
 use super::dense::mask_where_zero;
-use super::encoding::Code;
 use super::fused::Slope;
+use super::nerf::bias;
 use super::slopes::Slopes;
-use super::{Field, Layer, TableRecord, encode_reference, tensor_error};
+use super::{Field, Nerf, TableRecord, encode_reference, tensor_error};
 
 /// The highest requested derivative of density.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
@@ -117,7 +118,7 @@ impl Field {
         }
         let (points, frozen) = (points.detach(), self.detached());
         let inputs = frozen.inputs(&points)?;
-        let encoded = Code::of_positions(&self.config).apply(&inputs.values)?;
+        let encoded = self.encoded(&inputs)?;
         let slopes = Slopes::of(&frozen, &points, &encoded)?;
         let (raw, e_bar, trunk) = match &self.network {
             Some(network) => {
@@ -126,7 +127,7 @@ impl Field {
                 let fused = Slope::new(network.clone(), &inputs.values, positive_alone)?;
                 (fused.raw.clone(), fused.slope.clone(), Trunk::Fused(fused))
             }
-            None => self.plain_slope(encoded)?,
+            None => plain_slope(&frozen.nerf, encoded)?,
         };
         let raw = inputs.only_inside(raw)?;
         let (raw_gradient, raw_laplacian) = match order {
@@ -140,58 +141,36 @@ impl Field {
         let tape = Tape { field: self, slopes, e_bar, trunk, activated, raw_gradient, raw_laplacian };
         Ok(Spatial { at: DensityAt { density, gradient, laplacian }, tape })
     }
+}
 
-    /// Returns raw density `[n]` and its slope in the encoding, `[n, channels]`.
-    fn plain_slope(&self, encoded: Tensor) -> Result<(Tensor, Tensor, Trunk)> {
-        let frozen = self.detached();
-        let hidden = frozen.trunk_outputs(&encoded)?;
-        let last = hidden.last().expect("a trunk has layers");
-        let raw = frozen.layer(&frozen.density, last, false)?.squeeze(1)?;
-
-        let slope = frozen.density.weight.broadcast_as(last.shape())?;
-        let mut adjoints = vec![mask_where_zero(&slope, last)?];
-        let mut e_bar: Option<Tensor> = None;
-        for i in (0..frozen.trunk.len()).rev() {
-            let (of_encoding, of_hidden) = frozen.split_inputs(i)?;
-            let adjoint = adjoints.last().expect("starts with one");
-            if let Some(weight) = of_encoding {
-                let share = adjoint.matmul(&weight)?;
-                e_bar = Some(match e_bar {
-                    Some(sum) => (sum + share)?,
-                    None => share,
-                });
-            }
-            if let Some(weight) = of_hidden {
-                adjoints.push(mask_where_zero(&adjoint.matmul(&weight)?, &hidden[i - 1])?);
-            }
-        }
-        adjoints.reverse();
-        Ok((raw, e_bar.expect("the first layer reads the encoding"), Trunk::Plain { encoded, hidden, adjoints }))
+/// Returns raw density `[n]` and its slope in the encoding, `[n, channels]`.
+fn plain_slope(nerf: &Nerf, encoded: Tensor) -> Result<(Tensor, Tensor, Trunk)> {
+    let mut hidden: Vec<Tensor> = Vec::with_capacity(nerf.trunk.len());
+    for i in 0..nerf.trunk.len() {
+        hidden.push(nerf.trunk_layer(i, &encoded, hidden.last())?);
     }
+    let last = hidden.last().expect("a trunk has layers");
+    let raw = nerf.raw_density(last)?;
 
-    /// Returns the outputs of all trunk layers, each `[n, width]`.
-    fn trunk_outputs(&self, encoded: &Tensor) -> Result<Vec<Tensor>> {
-        let mut outputs: Vec<Tensor> = Vec::with_capacity(self.trunk.len());
-        for (i, layer) in self.trunk.iter().enumerate() {
-            let input = self.trunk_input(i, encoded, outputs.last())?;
-            outputs.push(self.layer(layer, &input, true)?);
+    let slope = nerf.density.weight().broadcast_as(last.shape())?;
+    let mut adjoints = vec![mask_where_zero(&slope, last)?];
+    let mut e_bar: Option<Tensor> = None;
+    for i in (0..nerf.trunk.len()).rev() {
+        let (of_encoding, of_hidden) = nerf.split_inputs(i)?;
+        let adjoint = adjoints.last().expect("starts with one");
+        if let Some(weight) = of_encoding {
+            let share = adjoint.matmul(&weight)?;
+            e_bar = Some(match e_bar {
+                Some(sum) => (sum + share)?,
+                None => share,
+            });
         }
-        Ok(outputs)
+        if let Some(weight) = of_hidden {
+            adjoints.push(mask_where_zero(&adjoint.matmul(&weight)?, &hidden[i - 1])?);
+        }
     }
-
-    /// Returns the columns of trunk layer `i`'s weight for the encoding and for the layer below.
-    fn split_inputs(&self, i: usize) -> Result<(Option<Tensor>, Option<Tensor>)> {
-        let weight = &self.trunk[i].weight;
-        let channels = Code::of_positions(&self.config).channels();
-        if i == 0 {
-            return Ok((Some(weight.clone()), None));
-        }
-        if !self.config.skips.contains(&i) {
-            return Ok((None, Some(weight.clone())));
-        }
-        let part = |start: usize, count: usize| weight.narrow(1, start, count)?.contiguous();
-        Ok((Some(part(0, channels)?), Some(part(channels, self.config.width)?)))
-    }
+    adjoints.reverse();
+    Ok((raw, e_bar.expect("the first layer reads the encoding"), Trunk::Plain { encoded, hidden, adjoints }))
 }
 
 impl Spatial<'_> {
@@ -232,13 +211,19 @@ impl Spatial<'_> {
         }
         match &tape.trunk {
             Trunk::Plain { encoded, hidden, adjoints } => {
-                plain_gradients(&field.detached(), (encoded, hidden, adjoints), cotangent, raw.density, of_layers)?;
+                plain_gradients(
+                    &field.detached().nerf,
+                    (encoded, hidden, adjoints),
+                    cotangent,
+                    raw.density,
+                    of_layers,
+                )?;
             }
             Trunk::Fused(slope) => {
                 let found = slope.gradients(cotangent.as_ref(), raw.density.as_ref())?;
-                let shapes = field.layers().flat_map(|layer| [layer.weight.shape(), layer.bias.shape()]);
-                for ((gradient, values), shape) in of_layers.iter_mut().zip(found).zip(shapes) {
-                    *gradient = Some(Tensor::from_vec(values, shape, &Device::Cpu)?);
+                for ((gradient, values), parameter) in of_layers.iter_mut().zip(found).zip(field.parameters_of_layers())
+                {
+                    *gradient = Some(Tensor::from_vec(values, parameter.shape(), &Device::Cpu)?);
                 }
             }
         }
@@ -255,7 +240,7 @@ fn unasked(raw: &Tensor, shape: &[usize]) -> Result<Tensor> {
 
 /// Runs the forward recursion on the weights' gradients. At least one of the gradients is present.
 fn plain_gradients(
-    field: &Field,
+    nerf: &Nerf,
     (encoded, hidden, adjoints): (&Tensor, &[Tensor], &[Tensor]),
     cotangent: Option<Tensor>,
     d_raw: Option<Tensor>,
@@ -268,16 +253,16 @@ fn plain_gradients(
         (cotangent, of_raw) => cotangent.clone().or(of_raw).expect("one of them has a gradient"),
     };
     let mut u: Option<Tensor> = None;
-    for (i, layer) in field.trunk.iter().enumerate() {
-        let input = field.trunk_input(i, &u_0, u.as_ref())?;
+    for (i, layer) in nerf.trunk.iter().enumerate() {
+        let input = nerf.trunk_input(i, &u_0, u.as_ref())?;
         let adjoint = adjoints[i].t()?;
         gradients[2 * i] = Some(adjoint.matmul(&input)?);
         gradients[2 * i + 1] = d_raw.as_ref().map(|d| adjoint.matmul(d)?.squeeze(1)).transpose()?;
         u = Some(match (&cotangent, &d_raw) {
             (Some(_), _) => {
-                let moved = input.matmul(&layer.weight.t()?)?;
+                let moved = input.matmul(&layer.weight().t()?)?;
                 let moved = match &d_raw {
-                    Some(d) => (moved + d.matmul(&layer.bias.unsqueeze(0)?)?)?,
+                    Some(d) => (moved + d.matmul(&bias(layer).unsqueeze(0)?)?)?,
                     None => moved,
                 };
                 mask_where_zero(&moved, &hidden[i])?
@@ -287,7 +272,7 @@ fn plain_gradients(
             (None, None) => unreachable!("one of them has a gradient"),
         });
     }
-    let head = 2 * field.trunk.len();
+    let head = 2 * nerf.trunk.len();
     let u = u.expect("a trunk has layers");
     let ones = Tensor::ones((1, u.dim(0)?), u.dtype(), u.device())?;
     gradients[head] = Some(ones.matmul(&u)?);
@@ -308,23 +293,24 @@ pub fn spatial_reference(field: &Field, points: &Tensor) -> Result<(Tensor, Tens
     // Three tangents and the sum of second derivatives: linear maps and masks apply to all four.
     let start = Slopes::of(field, points, &encoded)?.tangents()?;
     let (mut hidden, mut tangents) = (encoded.clone(), start.clone());
-    let linear = |x: &Tensor, layer: &Layer| x.matmul(&layer.weight.t()?);
-    for (i, layer) in field.trunk.iter().enumerate() {
+    let linear = |x: &Tensor, layer: &Linear| x.matmul(&layer.weight().t()?);
+    for (i, layer) in field.nerf.trunk.iter().enumerate() {
         if config.skips.contains(&i) {
             hidden = Tensor::cat(&[&encoded, &hidden], 1)?;
             for (tangent, start) in tangents.iter_mut().zip(&start) {
                 *tangent = Tensor::cat(&[start, &*tangent], 1)?;
             }
         }
-        let before = linear(&hidden, layer)?.broadcast_add(&layer.bias)?;
+        let before = linear(&hidden, layer)?.broadcast_add(bias(layer))?;
         let mask = before.detach().gt(0f64)?.to_dtype(before.dtype())?;
         hidden = (before * &mask)?;
         for tangent in &mut tangents {
             *tangent = (linear(tangent, layer)? * &mask)?;
         }
     }
-    let raw = inputs.only_inside(linear(&hidden, &field.density)?.broadcast_add(&field.density.bias)?.squeeze(1)?)?;
-    let [x, y, z, laplacian] = tangents.map(|tangent| linear(&tangent, &field.density));
+    let density = &field.nerf.density;
+    let raw = inputs.only_inside(linear(&hidden, density)?.broadcast_add(bias(density))?.squeeze(1)?)?;
+    let [x, y, z, laplacian] = tangents.map(|tangent| linear(&tangent, density));
     let gradient = Tensor::cat(&[x?, y?, z?], 1)?;
     let activated = Activated::new(config.density_activation, &raw)?;
     let (gradient, laplacian) = activated.chain(&gradient, &laplacian?.squeeze(1)?)?;

@@ -7,7 +7,6 @@
 use std::sync::OnceLock;
 
 use crate::field::encoding::{Code, encoded_channels};
-use crate::field::layer_shapes;
 use crate::settings::{FieldConfig, Precision};
 
 use super::kernels::panels::{Form, Packed, Slab, filled_up};
@@ -216,9 +215,10 @@ impl Network {
         let mut values = values.into_iter();
         let mut offset = 0;
         let mut layers: Vec<(Vec<f32>, Vec<f32>, usize)> = Vec::new();
-        for (_, _, inputs) in layer_shapes(config) {
-            let weight = values.next().expect("one weight a layer");
-            layers.push((weight, values.next().expect("one bias a layer"), inputs));
+        while let Some(weight) = values.next() {
+            let bias = values.next().expect("one bias a layer");
+            let inputs = weight.len() / bias.len();
+            layers.push((weight, bias, inputs));
         }
         let mut heads = layers.split_off(config.depth).into_iter();
         let mut head = || heads.next().expect("density, feature and a view layer");
