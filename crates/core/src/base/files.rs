@@ -172,10 +172,14 @@ impl AtomicDir {
 
     /// Flushes everything inside to the disk, and gives the folder the final name in the place of what has it already.
     pub fn commit(self) -> Result<()> {
+        use io::ErrorKind::{InvalidInput, NotFound, Unsupported};
         self.rename(|| match exchange(&self.temporary, &self.target) {
             Ok(()) => Ok(()),
             // Nothing has the name, or the file system cannot exchange two.
-            Err(_) => discard(&self.target).and_then(|()| fs::rename(&self.temporary, &self.target)),
+            Err(error) if matches!(error.kind(), NotFound | Unsupported | InvalidInput) => {
+                discard(&self.target).and_then(|()| fs::rename(&self.temporary, &self.target))
+            }
+            Err(error) => Err(error),
         })
     }
 
@@ -216,19 +220,21 @@ impl Drop for AtomicDir {
 /// Deletes what killed processes left unfinished in `dir` (not below it), and returns the number of entries. If the file
 /// system has no locks, call it only while holding the run's lock and without writes of your own.
 pub fn clean_temporaries(dir: &Path) -> Result<usize> {
-    clean(dir, OsStr::new(TEMPORARY)).map_err(|error| Error::unwritable(dir, &error))
+    clean(dir, OsStr::new(TEMPORARY), |_| true).map_err(|error| Error::unwritable(dir, &error))
 }
 
 /// Deletes what was to have the name `target`.
 fn clean_beside(target: &Path) -> io::Result<usize> {
-    clean(folder_of(target), &temporary_prefix(target)?)
+    // A point belongs to the name of another file: `a.json` beside `a`.
+    clean(folder_of(target), &temporary_prefix(target)?, |random| !random.contains(&b'.'))
 }
 
-fn clean(dir: &Path, prefix: &OsStr) -> io::Result<usize> {
+/// Deletes unfinished entries whose names start with `prefix`, and whose rest is accepted.
+fn clean(dir: &Path, prefix: &OsStr, accepts: impl Fn(&[u8]) -> bool) -> io::Result<usize> {
     let mut cleaned = 0;
     for entry in fs::read_dir(dir)? {
         let entry = entry?;
-        if !entry.file_name().as_encoded_bytes().starts_with(prefix.as_encoded_bytes()) {
+        if !entry.file_name().as_encoded_bytes().strip_prefix(prefix.as_encoded_bytes()).is_some_and(&accepts) {
             continue;
         }
         let kind = entry.file_type()?;
@@ -359,11 +365,11 @@ mod tests {
     #[test]
     fn a_named_file_takes_its_own_leftovers_away() {
         let dir = tempfile::tempdir().unwrap();
-        for name in ["a.json", "b.json"] {
+        for name in ["a.json", "b.json", "a.json.gz"] {
             fs::write(dir.path().join(format!("{TEMPORARY}{name}.x7")), "half").unwrap();
         }
         write_named(&dir.path().join("a.json"), b"{}").unwrap();
-        assert_eq!(names(dir.path()), [".augnerf-tmp-b.json.x7", "a.json"]);
+        assert_eq!(names(dir.path()), [".augnerf-tmp-a.json.gz.x7", ".augnerf-tmp-b.json.x7", "a.json"]);
     }
 
     #[test]
