@@ -18,7 +18,7 @@ fn fixture(name: &str) -> PathBuf {
 fn import_is_refused(name: &str, words: &[&str]) {
     let place = Place::new();
     let small = set("data.width=12 train.rays=16 perturb.injection_layer=1");
-    place.refuses(&format!("import {} --out run --preset smoke{small}", fixture(name).display()), 3, words);
+    place.says(&format!("import {} --out run --preset smoke{small}", fixture(name).display()), 3, words);
     assert_eq!(entries(place.path()), Vec::<PathBuf>::new(), "{name}");
 }
 
@@ -55,7 +55,7 @@ fn links_in_a_run_lead_no_write_out_of_it() {
             fs::rename(&entry, &aside).unwrap();
         }
         symlink(to, &entry).unwrap();
-        lines.iter().for_each(|line| place.refuses(line, 4, &["is a symbolic link", name]));
+        lines.iter().for_each(|line| place.says(line, 4, &["is a symbolic link", name]));
         assert_eq!(fs::read_to_string(&victim).unwrap(), "keep", "{name}");
         assert!(folder.join("path/keep").is_file(), "{name}");
         fs::remove_file(&entry).unwrap();
@@ -89,15 +89,15 @@ fn a_run_s_files_are_files_with_content() {
         fs::remove_file(&file).unwrap();
         assert!(std::process::Command::new("mkfifo").arg(&file).status().unwrap().success());
         for line in ["eval run", "render run", "export run a.safetensors"] {
-            place.refuses(line, 4, &[name, "neither a file nor a folder"]);
+            place.says(line, 4, &[name, "neither a file nor a folder"]);
         }
         fs::remove_file(&file).unwrap();
         fs::write(&file, "").unwrap();
     }
-    place.refuses("score run/renders run --out 0.png", 2, &["--out", "the name of an image"]);
+    place.says("score run/renders run --out 0.png", 2, &["--out", "the name of an image"]);
     place.write("run/config.toml", "\n");
     for command in ["resume", "eval", "render"] {
-        place.refuses(&format!("{command} run"), 5, &["config.toml is empty"]);
+        place.says(&format!("{command} run"), 5, &["config.toml is empty"]);
     }
 }
 

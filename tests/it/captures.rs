@@ -185,47 +185,40 @@ fn missing_photographs_are_left_out_and_named() {
     folder.refuses(&["none of the 10 photos", "images/0.png", "images/9.png"]);
 }
 
+/// A list that is not there has what the others leave.
 #[test]
 fn the_author_s_split_is_kept_and_every_nth_view_is_held_out_on_demand() {
-    let lists = |folder: Folder| {
-        folder
-            .with("train_filenames", json!(["images/1.png", "./images/3.png", "images\\5.png", "images/6.png"]))
-            .with("val_filenames", json!(["images/7.png"]))
-            .with("test_filenames", json!(["images/0.png", "images/2.png"]))
+    let listed = |lists: &str| {
+        let name = |i: &str| [format!("images/{i}.png"), format!("./images/{i}.png"), format!("images\\{i}.png")];
+        lists.split(", ").fold(Folder::new(9), |folder, list| {
+            let (role, views) = list.split_once(' ').unwrap();
+            let views: Vec<String> = views.split(' ').enumerate().map(|(k, i)| name(i)[k % 3].clone()).collect();
+            folder.with(&format!("{role}_filenames"), views.into())
+        })
     };
-    let folder = lists(Folder::new(9));
-    let scene = folder.load(|_| {});
-    assert_eq!((names(&scene.train), names(&scene.test)), (vec!["1", "3", "5", "6"], vec!["0", "2"]));
-    assert_eq!(names(&folder.load(|data| data.eval_split = EvalSplit::Val).test), ["7"]);
-    assert_eq!(names(&folder.load(|data| data.test_skip = 2).test), ["0"]);
+    let all = "train 1 3 5 6, val 7, test 0 2";
+    let val: fn(&mut DataConfig) = |data| data.eval_split = EvalSplit::Val;
+    for (lists, change, train, test) in [
+        (all, (|_| {}) as fn(&mut DataConfig), "1 3 5 6", "0 2"),
+        (all, val, "1 3 5 6", "7"),
+        (all, |data| data.test_skip = 2, "1 3 5 6", "0"),
+        (all, |data| data.split = Some(Split::Every), "1 2 3 4 5 6 7", "0 8"),
+        ("test 0 4", |_| {}, "1 2 3 5 6 7 8", "0 4"),
+        ("train 0 4", |_| {}, "0 4", "1 2 3 5 6 7 8"),
+        ("train 0 4, val 1", |_| {}, "0 4", "2 3 5 6 7 8"),
+        ("train 0 4, test 1", val, "0 4", "2 3 5 6 7 8"),
+    ] {
+        let scene = listed(lists).load(change);
+        assert_eq!([&scene.train, &scene.test].map(|views| names(views).join(" ")), [train, test], "{lists}");
+    }
+    let folder = listed(all);
     let error = folder.read(|data| data.validation = 4).0.expect_err("must be refused");
     assert_says(&error.to_string(), &["data.validation = 4", "data.eval_split=val", "data.split=every"]);
-    let every = folder.load(|data| data.split = Some(Split::Every));
-    assert_eq!((names(&every.test), every.train.len()), (vec!["0", "8"], 7));
     // Missing photographs may be named; a name of nothing may not.
     folder.remove(5);
     assert_eq!(names(&folder.load(|_| {}).train), ["1", "3", "6"]);
-    lists(Folder::new(7)).refuses(&["val_filenames", "images/7.png", "no frame"]);
-}
-
-#[test]
-fn a_list_that_is_not_there_has_what_the_others_leave() {
-    let folder = Folder::new(6).with("test_filenames", json!(["images/0.png", "images/4.png"]));
-    let scene = folder.load(|_| {});
-    assert_eq!((names(&scene.train), names(&scene.test)), (vec!["1", "2", "3", "5"], vec!["0", "4"]));
-    let folder = Folder::new(6).with("train_filenames", json!(["images/0.png", "images/4.png"]));
-    let scene = folder.load(|_| {});
-    assert_eq!((names(&scene.train), names(&scene.test)), (vec!["0", "4"], vec!["1", "2", "3", "5"]));
-    let two = |role: &str, first: &str| {
-        let folder = Folder::new(6).with("train_filenames", json!(["images/0.png", "images/4.png"]));
-        folder.with(&format!("{role}_filenames"), json!([first]))
-    };
-    let scene = two("val", "images/1.png").load(|_| {});
-    assert_eq!((names(&scene.train), names(&scene.test)), (vec!["0", "4"], vec!["2", "3", "5"]));
-    let scene = two("test", "images/1.png").load(|data| data.eval_split = EvalSplit::Val);
-    assert_eq!((names(&scene.train), names(&scene.test)), (vec!["0", "4"], vec!["2", "3", "5"]));
-    let folder = Folder::new(6).with("val_filenames", json!(["images/0.png"]));
-    folder.refuses(&["no views for data.eval_split=test", "data.eval_split=val"]);
+    listed("val 0 12").refuses(&["val_filenames", "images/12.png", "no frame"]);
+    listed("val 0").refuses(&["no views for data.eval_split=test", "data.eval_split=val"]);
     Folder::new(6).with("val_filenames", json!([1])).refuses(&["val_filenames", "a list of texts"]);
 }
 
@@ -288,46 +281,6 @@ fn split_files_have_their_intrinsics_honoured() {
     let capture = capture.0.unwrap();
     assert_eq!((capture.kind, capture.train.len(), capture.test.len()), ("transforms", 4, 4));
     assert!(all(&capture).all(|view| view.camera.pose.iter().all(|row| row[3].abs() <= 1.0 + 1e-12)));
-}
-
-/// A file for each split makes a capture a Blender scene: it says what was read, and that its rays end before their subject.
-#[test]
-fn bounds_of_another_scene_are_told() {
-    let folder = Folder::new(8);
-    let near = |number: usize| {
-        let mut frame = frame(number, &format!("images/{number}.png"));
-        for axis in [0, 2] {
-            let at = frame["transform_matrix"][axis][3].as_f64().unwrap();
-            frame["transform_matrix"][axis][3] = (at / 4.0).into();
-        }
-        frame
-    };
-    for (split, first) in [("train", 0), ("test", 4)] {
-        let frames: Vec<Value> = (first..first + 4).map(near).collect();
-        let document = json!({"fl_x": 20, "k1": 0.1, "frames": frames});
-        fs::write(folder.path().join(format!("transforms_{split}.json")), document.to_string()).unwrap();
-    }
-    let at = |change: fn(&mut DataConfig)| {
-        let (scene, notes) = read(folder.path(), |data| {
-            data.downscale = Some(1);
-            change(data);
-        });
-        (scene.unwrap(), notes.concat())
-    };
-    let (scene, notes) = at(|_| {});
-    assert_eq!(scene.kind, "blender");
-    assert_says(&notes, &["1.000 away", "outside of 2 to 6", "data.near", "--set data.kind=transforms"]);
-    assert!(scene.near < 0.5 && scene.far < 2.5, "{:?}", scene.bounds());
-    assert_says(&noted(&scene), &["1.000 away"]);
-    assert_says(&told(&scene, "looking at"), &["distance 1.000 (1.000 to 1.000), radius 0.3"]);
-    assert_says(&told(&scene, "bounds from"), &["away from what they look at"]);
-    assert_says(&told(&scene, "distortion"), &["undone in 8 images"]);
-    assert_says(&told(&scene, "box"), &["-0.3"]);
-    let (scene, notes) = at(|data| (data.near, data.far) = (Some(0.2), Some(3.0)));
-    assert!(notes.is_empty() && scene.near == 0.2, "{notes}");
-    let (scene, notes) = at(|data| data.kind = DataKind::Transforms);
-    assert!(notes.is_empty() && scene.near < 1.0, "{notes}");
-    assert_says(&told(&scene, "bounds from"), &["away from what they look at", "half way", "3 radii"]);
 }
 
 #[test]
@@ -508,18 +461,6 @@ fn exif_orientation_is_named_and_applied_only_where_the_file_says_so() {
     assert_says(&notes.concat(), &["1 photographs", "EXIF", "is applied", "images/3.jpg"]);
     let green = |x: usize, y: usize| image.pixels[(y * 12 + x) * 3 + 1] * 255.0;
     assert!(green(6, 1) < 25.0 && green(6, 14) > 125.0, "{} {}", green(6, 1), green(6, 14));
-}
-
-/// As of transforms.json, so of the formats that know no turn.
-#[test]
-fn exif_orientation_is_named_for_llff() {
-    let dir = TempDir::new().unwrap();
-    crate::colmap::arc(dir.path(), 20.0);
-    fs::remove_file(dir.path().join("images/03.png")).unwrap();
-    fs::write(dir.path().join("images/03.jpg"), turned_jpeg(photograph(3, 16, 12), 6)).unwrap();
-    let (scene, notes) = read(dir.path(), |data| data.downscale = Some(1));
-    assert_eq!(all(&scene.unwrap()).count(), 12);
-    assert_says(&notes.concat(), &["1 photographs", "EXIF", "not applied", "03.jpg"]);
 }
 
 #[test]

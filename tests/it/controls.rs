@@ -1,10 +1,8 @@
 //! Controls of the worst case: the best case, other rays' worst case, and hash grids whose second pass changes clean entries alone.
 
-use crate::common::{assert_same_bytes, assert_says, parameters, put_on_grid, tiny_config, trained};
+use crate::common::{assert_refused, assert_same_bytes, parameters, put_on_grid, tiny_config, trained};
 use augnerf::perturb::{Epsilon, PaperSite};
-use augnerf::settings::{
-    ChangedEntries, Config, DeltaSource, Method, Preset, Resolved, SecondPass, Sizes, build, parse_assignment,
-};
+use augnerf::settings::{ChangedEntries, Config, DeltaSource, Method, Resolved, SecondPass, Sizes};
 
 fn config(on_grid: bool, second: SecondPass, set: impl Fn(&mut Config)) -> Resolved {
     tiny_config(Method::AugNerf, |config| {
@@ -89,23 +87,13 @@ fn a_masked_second_pass_changes_the_entries_of_the_clean_pass() {
 
 #[test]
 fn a_mask_without_a_shared_grid_is_refused() {
-    let refused = |set: &[&str]| {
-        let set: Vec<_> = set.iter().map(|text| parse_assignment(text).unwrap()).collect();
-        let built = build(Some(Preset::Smoke), None, &set).map_err(|e| e.to_string());
-        built.and_then(|config| config.validate().map_err(|e| e.to_string())).unwrap_err()
-    };
-    assert_says(
-        &refused(&["method=aug-nerf", "perturb.entries=clean"]),
-        &["perturb.entries", "field.encoding = \"hash\""],
-    );
-    let on_grid = ["method=aug-nerf", "field.encoding=hash", "perturb.entries=clean"];
-    for other in ["field.core=plain", "perturb.field=separate"] {
-        assert_says(&refused(&[&on_grid[..], &[other]].concat()), &["perturb.entries", "field.core", "perturb.field"]);
-    }
-    let permuted = ["method=aug-nerf", "perturb.kind=permuted"];
-    assert_says(&refused(&[&permuted[..], &["train.chunk=1"]].concat()), &["permuted", "train.chunk = 1"]);
-    assert_says(
-        &refused(&[&permuted[..], &["train.rays=65", "train.chunk=32"]].concat()),
-        &["permuted", "train.rays = 65"],
-    );
+    let on_grid = "method=aug-nerf; field.encoding=hash; perturb.entries=clean";
+    let permuted = "method=aug-nerf; perturb.kind=permuted";
+    assert_refused(&[
+        ("method=aug-nerf; perturb.entries=clean", &["perturb.entries", "field.encoding = \"hash\""]),
+        (&format!("{on_grid}; field.core=plain"), &["perturb.entries", "field.core", "perturb.field"]),
+        (&format!("{on_grid}; perturb.field=separate"), &["perturb.entries", "field.core", "perturb.field"]),
+        (&format!("{permuted}; train.chunk=1"), &["permuted", "train.chunk = 1"]),
+        (&format!("{permuted}; train.rays=65; train.chunk=32"), &["permuted", "train.rays = 65"]),
+    ]);
 }

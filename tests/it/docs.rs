@@ -5,7 +5,6 @@ use std::path::{Component, Path, PathBuf};
 
 use augnerf::base::Class;
 use augnerf::metrics::{Direction, METRICS};
-use augnerf::perturb::{Epsilon, PaperSite};
 use augnerf::settings::columns::COLUMNS;
 use augnerf::settings::{Method, Preset, Regularizer, build, parse_assignment};
 use augnerf::sweep::{Definition, Overrides, Point, expand};
@@ -53,21 +52,6 @@ fn help_commands(help: &str) -> Vec<Vec<String>> {
     help.lines().map(str::trim).filter(|line| line.contains("augnerf ")).flat_map(commands).collect()
 }
 
-/// What keeps a line of a help's end from being copied into a shell, or read where the terminal is narrow: examples are one command
-/// each, with a remark as shells have them, and prose is broken by the terminal alone.
-fn unfit(line: &str) -> Option<&'static str> {
-    let Some(example) = line.strip_prefix("  ") else {
-        let ends = line.is_empty() || line.starts_with("Example") || line.ends_with('.');
-        return (!ends).then_some("prose is broken by hand");
-    };
-    let command = example.split(" # ").next().expect("split gives one").trim_end();
-    match commands(example).len() {
-        _ if line.chars().count() >= 100 => Some("it is wrapped"),
-        1 => command.contains("  ").then_some("a remark without #"),
-        _ => Some("no command"),
-    }
-}
-
 /// Why the command line refuses a command; none where it takes it. `...` stands for more of the same and `COMMAND` for
 /// any command. What is only mentioned need not name what it works on.
 fn refusal(words: &[String], mentioned: bool) -> Option<String> {
@@ -97,22 +81,6 @@ fn refused_settings(words: &[String]) -> Option<String> {
         assignments.and_then(|assignments| build(preset, None, &assignments)).map_err(|e| e.to_string())
     });
     built.err()
-}
-
-/// What a command shows that nobody wants: a flag with the value that it has anyway, and candle's slow device.
-fn bad_advice(words: &[String]) -> Option<String> {
-    let root = augnerf::cli::command();
-    let mut command = &root;
-    while let Some(inner) = words.iter().find_map(|word| command.find_subcommand(word)) {
-        command = inner;
-    }
-    let has = |flag: &clap::Arg, value: &str| flag.get_default_values().iter().any(|default| default == value);
-    let idle = |pair: &[String]| {
-        let named = |flag: &clap::Arg| flag.get_long().is_some_and(|long| pair[0] == format!("--{long}"));
-        command.get_arguments().any(|flag| named(flag) && has(flag, &pair[1]))
-    };
-    let idle = words.windows(2).find(|pair| idle(pair)).map(|pair| format!("{} is the default", pair.join(" ")));
-    idle.or_else(|| values(words, "--device").contains(&"cuda").then(|| "gpu is faster".into()))
 }
 
 /// Whether a dotted name is that of a setting or of a section.
@@ -154,7 +122,7 @@ fn every_command_in_the_help_is_one() {
     for (path, help) in helps() {
         for words in help_commands(&help) {
             found += 1;
-            let refused = refusal(&words, false).or_else(|| refused_settings(&words)).or_else(|| bad_advice(&words));
+            let refused = refusal(&words, false).or_else(|| refused_settings(&words));
             wrong.extend(refused.map(|why| format!("{path} --help: augnerf {}: {why}", words.join(" "))));
         }
     }
@@ -162,52 +130,9 @@ fn every_command_in_the_help_is_one() {
     assert!(found > 20, "only {found} commands were found");
 }
 
-#[test]
-fn examples_of_the_help_can_be_copied() {
-    let mut wrong = Vec::new();
-    for (path, command) in crate::common::commands() {
-        let help = command.get_after_help().map(ToString::to_string).unwrap_or_default();
-        for line in help.lines().filter(|_| help.starts_with("Example")) {
-            wrong.extend(unfit(line).map(|why| format!("{path} --help: {why}: {line}")));
-        }
-    }
-    assert!(wrong.is_empty(), "{}", wrong.join("\n"));
-    assert_eq!(unfit("  augnerf train      the built-in scene"), Some("a remark without #"));
-    assert_eq!(unfit("Values are rounded to"), Some("prose is broken by hand"));
-    assert!(unfit(&format!("  augnerf train --out {}", "a".repeat(90))).is_some() && unfit("  ls").is_some());
-}
-
 /// Flags that the help of a command shows.
 fn flags(command: &clap::Command) -> impl Iterator<Item = &clap::Arg> {
     command.get_arguments().filter(|flag| !flag.is_positional() && !flag.is_hide_set())
-}
-
-#[test]
-fn helps_are_short_and_group_many_flags() {
-    let mut wrong = Vec::new();
-    for (name, command) in crate::common::commands() {
-        let words = |text: Option<&clap::builder::StyledStr>| {
-            text.map_or(0, |text| text.to_string().split_whitespace().count())
-        };
-        if !(1..=12).contains(&words(command.get_about())) {
-            wrong.push(format!("{name}: {:?}", command.get_about()));
-        }
-        let long = command
-            .get_arguments()
-            .filter(|flag| !flag.is_hide_set())
-            .filter(|flag| !(1..=30).contains(&words(flag.get_help())));
-        wrong.extend(long.map(|flag| format!("{name} {}: {:?}", flag.get_id(), flag.get_help())));
-        let grouped = flags(&command).filter(|flag| flag.get_help_heading().is_some()).count();
-        if (grouped > 0) != (flags(&command).count() > 6) {
-            wrong.push(format!("{name}: {grouped} of {} flags are in groups", flags(&command).count()));
-        }
-        let examples = command.get_after_help().map(ToString::to_string).unwrap_or_default();
-        let examples = examples.lines().filter(|line| line.starts_with("  augnerf ")).count();
-        if !command.has_subcommands() && !(2..=3).contains(&examples) {
-            wrong.push(format!("{name}: {examples} examples"));
-        }
-    }
-    assert!(wrong.is_empty(), "{}", wrong.join("\n"));
 }
 
 /// What the help shows, the pages tell; and a scene can be named by its number wherever scenes are named.
@@ -231,22 +156,6 @@ fn every_flag_is_on_a_page() {
         }
     }
     assert!(wrong.is_empty(), "{}", wrong.join("\n"));
-}
-
-/// Two radii of these presets are not the released code's defaults, and the page has the command with those.
-#[test]
-fn the_page_has_the_radii_that_the_released_presets_lack() {
-    let of_default = |words: &Vec<String>| values(words, "--set").len() == 2;
-    let page = page("paper.md");
-    let words = page.blocks_of("sh").flat_map(commands).find(of_default).expect("the command");
-    let set: Vec<_> = values(&words, "--set").into_iter().map(|text| parse_assignment(text).unwrap()).collect();
-    let [whole, default] = [&[][..], &set].map(|set| {
-        let sites = build(Some(Preset::ReleasedLlff), None, set).unwrap().perturb.sites;
-        [PaperSite::T, PaperSite::Xyz].map(|site| sites[site].epsilon)
-    });
-    // One pixel is the attack's own default.
-    assert_eq!(whole, [Some(Epsilon::Units(0.5)), None]);
-    assert_eq!(default, [Some(Epsilon::Units(0.5 * 1e-5)), Some(Epsilon::Units(1e-5))]);
 }
 
 /// Points of a command of a page, whose sweep file it names.
@@ -321,11 +230,6 @@ fn wrong_commands_and_settings_are_found_out() {
         assert!(refused_settings(&words(&format!("augnerf train --set {wrong}"))).is_some(), "{wrong}");
     }
     assert!(refused_settings(&words("augnerf train --method aug-nerv")).is_some());
-    for (command, is_bad) in [("data export-builtin s --width 200", true), ("data export-builtin s --width 201", false)]
-    {
-        assert_eq!(bad_advice(&words(&format!("augnerf {command}"))).is_some(), is_bad, "{command}");
-    }
-    assert!(bad_advice(&words("augnerf resume RUN --device cuda")).is_some());
     assert!(exists("train.steps") && exists("eval.mesh.box") && !exists("train.stepz") && !exists("perturb.q.steps"));
     assert_eq!(setting_named("perturb.field = \"shared\""), Some("perturb.field"));
     assert_eq!((setting_named("perturb.SITE.steps"), setting_named("data_hash")), (None, None));

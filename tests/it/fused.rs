@@ -374,36 +374,6 @@ fn nan_stays_nan() {
     }
 }
 
-/// Neither arguments nor the loss's pull are always row after row.
-#[test]
-fn strided_arguments_and_gradients() {
-    let case = Case { samples: 5, ..paper() };
-    let field = field(&case, Core::Fused, DType::F32);
-    let loss_of = |strided: bool| {
-        let recording = field.recording().unwrap();
-        let n = case.rays * case.samples;
-        let points = random(7, 0, &[n, 3]).to_dtype(DType::F32).unwrap();
-        let viewdirs = random(7, 1, &[case.rays, 3]).to_dtype(DType::F32).unwrap();
-        let laid = |tensor: &Tensor| match strided {
-            true => tensor.t().unwrap().contiguous().unwrap().t().unwrap(),
-            false => tensor.clone(),
-        };
-        assert_ne!(laid(&points).is_contiguous(), strided);
-        let delta = laid(&random(7, 3, &[n, 256]).to_dtype(DType::F32).unwrap());
-        let delta = FeatureDelta { layer: 2, delta: &delta };
-        let raw = recording.forward(&laid(&points), &laid(&viewdirs), Some(delta)).unwrap();
-        let weights = random(7, 2, &[3, n]).to_dtype(DType::F32).unwrap();
-        let product = if strided {
-            (raw.rgb.t().unwrap() * weights).unwrap()
-        } else {
-            (&raw.rgb * weights.t().unwrap().contiguous().unwrap()).unwrap()
-        };
-        product.sum_all().unwrap().backward().unwrap();
-        recording.recorded().unwrap().iter().flatten().flat_map(flat).collect::<Vec<f64>>()
-    };
-    assert_eq!(loss_of(true), loss_of(false));
-}
-
 fn in_bf16(case: &Case) -> Case {
     Case { field: FieldConfig { precision: Precision::Bf16, ..case.field.clone() }, ..case.clone() }
 }

@@ -6,12 +6,12 @@ use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
+use crate::common::assert_says;
 use crate::common::program::{augnerf, demand, refuse, succeed};
-use crate::common::{assert_says, assert_takes_at_most};
 use augnerf::base::Error;
 use augnerf::metrics::{Backbone, Lpips};
 use augnerf::settings::{build, parse_assignment};
-use augnerf::space::{chamfer, read_mesh, sample};
+use augnerf::space::read_mesh;
 use candle_core::Device;
 use tempfile::TempDir;
 
@@ -93,33 +93,6 @@ fn rows_without_properties_are_not_counted() {
     refuse(&["mesh", file.to_str().unwrap(), "--chamfer", file.to_str().unwrap()], 3, &["pl6.ply", "1000000000000"]);
 }
 
-/// Far apart, almost every point of one mesh is about as near to the other: no search may look at all of them.
-#[test]
-fn meshes_far_apart_take_hardly_longer_than_meshes_that_touch() {
-    let sphere = |away: f32| {
-        const SIDE: u32 = 100;
-        let at = |i: u32, turns: f32| (i as f32 / SIDE as f32 * turns * std::f32::consts::PI).sin_cos();
-        let corner = |i: u32, j: u32| {
-            let ((sin, cos), (side, ahead)) = (at(i, 1.0), at(j, 2.0));
-            [away + sin * ahead, sin * side, cos]
-        };
-        let index = |i: u32, j: u32| i * SIDE + j % SIDE;
-        let cell = |i: u32, j: u32| {
-            let [a, b, c, d] = [index(i, j), index(i, j + 1), index(i + 1, j + 1), index(i + 1, j)];
-            [[a, b, c], [a, c, d]]
-        };
-        let mesh = augnerf::space::Mesh {
-            vertices: (0..=SIDE).flat_map(|i| (0..SIDE).map(move |j| corner(i, j))).collect(),
-            triangles: (0..SIDE).flat_map(|i| (0..SIDE).flat_map(move |j| cell(i, j))).collect(),
-            ..Default::default()
-        };
-        sample(&mesh, 80_000, 0).unwrap()
-    };
-    let (here, touching, away) = (sphere(0.0), sphere(0.05), sphere(30.0));
-    let measure = |other| drop(chamfer(&here, other, &[]).unwrap());
-    assert_takes_at_most(6.0, || measure(&touching), || measure(&away));
-}
-
 #[test]
 fn settings_are_not_nested_without_an_end() {
     let deep = vec!["a"; 60_000].join(".");
@@ -198,38 +171,6 @@ fn a_terminal_gets_no_commands_and_no_megabytes_from_files() {
     fs::write(&mesh, format!("v 0 0 {}\u{1b}[2J\0\n", "y".repeat(5 << 20))).unwrap();
     let message = demand(&mut augnerf(&["mesh", mesh.to_str().unwrap(), "--chamfer", "builtin"]), 3);
     assert!(message.len() < MESSAGE && !message.contains(['\u{1b}', '\0']), "{} bytes", message.len());
-}
-
-/// Names of files are whatever their system lets them be.
-#[cfg(unix)]
-#[test]
-fn names_of_files_are_shown_without_their_commands() {
-    let sound = scene(r#""camera_angle_x": 0.7"#, "0.5");
-    let named = sound.path().join("a\u{1b}[2Jb");
-    fs::create_dir(&named).unwrap();
-    for file in ["0.png", "1.png", "transforms.json"] {
-        fs::copy(sound.path().join(file), named.join(file)).unwrap();
-    }
-    let message = demand(&mut augnerf(&["data", "check", named.to_str().unwrap()]), 0);
-    assert!(message.contains("a\\u{1b}[2Jb") && !message.contains('\u{1b}'), "{message:?}");
-    fs::remove_file(named.join("1.png")).unwrap();
-    let message = demand(&mut augnerf(&["data", "check", named.to_str().unwrap()]), 3);
-    assert!(message.contains("a\\u{1b}[2Jb") && !message.contains('\u{1b}'), "{message:?}");
-}
-
-#[test]
-fn sentences_carry_no_stack() {
-    let dir = TempDir::new().unwrap();
-    let run = dir.path().join("run");
-    let run = run.to_str().unwrap();
-    let small = ["data.width=16", "field.width=16", "train.rays=16", "train.steps=2", "sampling.coarse=4"];
-    let mut train = augnerf(&["train", "-q", "--preset", "smoke", "--out", run]);
-    train.args(small.iter().flat_map(|set| ["--set", set]));
-    demand(&mut train, 0);
-    let checkpoint = fs::read_dir(dir.path().join("run/checkpoints")).unwrap().next().unwrap().unwrap().path();
-    fs::write(checkpoint.join("state.safetensors"), b"\x10\0\0\0\0\0\0\0{\"a\":3}         ").unwrap();
-    let message = demand(augnerf(&["eval", run]).env("RUST_BACKTRACE", "1"), 5);
-    assert!(!message.contains("   0: ") && message.lines().count() < 4, "{message}");
 }
 
 #[cfg(unix)]

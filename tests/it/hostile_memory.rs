@@ -73,7 +73,7 @@ fn plans_of_more_points_than_a_sweep_has_are_refused_as_they_are_read() {
     let points = vec![point.as_str(); 10_001].join(",");
     let text = format!(r#"{{"data_root": null, "points": [{points}]}}"#);
     assert!(text.len() < 64 << 20, "{}", text.len());
-    let (_dir, folder) = results("smoke");
+    let (_place, folder) = results("smoke");
     fs::write(folder.join("points.json"), text).unwrap();
     let folder = folder.to_str().unwrap();
     let (code, said, most) = watched(&mut augnerf(&["verify", folder]));

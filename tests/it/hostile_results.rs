@@ -6,7 +6,7 @@ use std::path::Path;
 use crate::common::assert_says;
 use crate::common::files::{rows, text};
 use crate::fuzz::damage::packed;
-use crate::verify::{results, verify};
+use crate::verify::results;
 use augnerf::run::DepthErrors;
 
 /// Replaces the first of a text in a file.
@@ -21,11 +21,11 @@ fn change(file: &Path, from: &str, to: &str) {
 #[test]
 #[ignore = "slow"]
 fn packed_files_take_no_more_memory_than_large_ones() {
-    let (dir, folder) = results("geometry");
+    let (place, folder) = results("geometry");
     fs::write(folder.join("scalars.csv.gz"), packed(&[&b"id,loss\n"[..], &b",\n".repeat(60_000_000)].concat()))
         .unwrap();
-    assert_says(&verify(dir.path(), &[], 5), &["scalars.csv.gz", "take more than 512 MiB of memory"]);
-    let path = dir.path().join("depth_errors.gz");
+    place.says("verify", 5, &["scalars.csv.gz", "take more than 512 MiB of memory"]);
+    let path = place.at("depth_errors.gz");
     // Fifty million views without a pixel.
     fs::write(&path, packed(&vec![0; 200_000_000])).unwrap();
     let error = DepthErrors::read(&path).unwrap_err().to_string();
@@ -35,9 +35,9 @@ fn packed_files_take_no_more_memory_than_large_ones() {
 /// Twenty thousand rows that run back and forth were a curve that took 13 seconds to draw.
 #[test]
 fn a_log_whose_steps_fall_is_damaged() {
-    let (dir, folder) = results("geometry");
+    let (place, folder) = results("geometry");
     fs::write(folder.join("scalars.csv.gz"), packed(b"id,step,psnr\na,10,5\na,20,6\nb,10,5\na,15,7\n")).unwrap();
-    assert_says(&verify(dir.path(), &[], 5), &["scalars.csv.gz", "point a: step 15 follows step 20"]);
+    place.says("verify", 5, &["scalars.csv.gz", "point a: step 15 follows step 20"]);
 }
 
 #[cfg(unix)]
@@ -49,20 +49,20 @@ fn depth_errors_are_read_of_a_file_alone() {
 
 #[test]
 fn scenes_and_pinned_files_of_others_are_not_touched() {
-    let (dir, folder) = results("geometry");
+    let (place, folder) = results("geometry");
     let points = text(&folder.join("points.csv"));
     change(&folder.join("points.csv"), ",builtin,", ",../../victim,");
-    assert_says(&verify(dir.path(), &["--update"], 10), &["points.csv: line 2", "of scene '../../victim'"]);
-    assert!(fs::read_dir(dir.path()).unwrap().all(|entry| entry.unwrap().file_name() == "results"));
+    place.says("verify --update", 10, &["points.csv: line 2", "of scene '../../victim'"]);
+    assert!(fs::read_dir(place.path()).unwrap().all(|entry| entry.unwrap().file_name() == "results"));
     fs::write(folder.join("points.csv"), points).unwrap();
     change(&folder.join("provenance.toml"), "\"curves_builtin_psnr.svg\"", "\"../../victim\"");
-    assert_says(&verify(dir.path(), &[], 10), &["provenance.toml", "\"../../victim\"", "not the name of a file"]);
+    place.says("verify", 10, &["provenance.toml", "\"../../victim\"", "not the name of a file"]);
 }
 
 /// Names of columns were kept beside every cell: a megabyte of these came to a hundred gigabytes.
 #[test]
 fn columns_have_names_of_a_line() {
-    let (dir, folder) = results("geometry");
+    let (place, folder) = results("geometry");
     let table = format!("row,{}\n{}", "x".repeat(500_000), "a,\n".repeat(200_000));
     for (name, words) in [
         // It is made again, not read.
@@ -72,7 +72,7 @@ fn columns_have_names_of_a_line() {
     ] {
         let before = text(&folder.join(name));
         fs::write(folder.join(name), &table).unwrap();
-        assert_says(&verify(dir.path(), &[], 10), &[name, words]);
+        place.says("verify", 10, &[name, words]);
         fs::write(folder.join(name), before).unwrap();
     }
 }
@@ -82,9 +82,9 @@ fn numbers_that_no_point_has_are_refused() {
     for (name, column, number) in
         [("points.csv", "psnr", "nan"), ("points.csv", "ssim", "inf"), ("timing.csv", "seconds_training", "1e999")]
     {
-        let (dir, folder) = results("geometry");
+        let (place, folder) = results("geometry");
         let before = text(&folder.join(name));
         fs::write(folder.join(name), before.replacen(&rows(&before)[0][column], number, 1)).unwrap();
-        assert_says(&verify(dir.path(), &[], 10), &[name, "not a finite number", number]);
+        place.says("verify", 10, &[name, "not a finite number", number]);
     }
 }

@@ -13,7 +13,7 @@ fn flags_that_extract_a_mesh_are_refused_for_one_that_is_there() {
             .split('|')
     {
         let words = format!("{}: builtin is already a mesh", flags.split(' ').next().unwrap());
-        place.refuses(&format!("mesh builtin --picture mesh.png {flags}"), 2, &[&words, "name a run folder"]);
+        place.says(&format!("mesh builtin --picture mesh.png {flags}"), 2, &[&words, "name a run folder"]);
     }
     assert!(!place.at("mesh.png").exists() && !place.at("out").exists());
 }
@@ -23,12 +23,12 @@ fn flags_that_extract_a_mesh_are_refused_for_one_that_is_there() {
 fn flags_of_images_are_refused_where_cameras_are_written() {
     let place = Place::new();
     let words = ["--write-cameras", "cannot be used with", "--out"];
-    place.refuses("render none --write-cameras p.json --out DIR", 2, &words);
+    place.says("render none --write-cameras p.json --out DIR", 2, &words);
     for flag in ["--resolution 8x8", "--fps 2"] {
         let words = format!("{}: p.npy holds poses alone", flag.split(' ').next().unwrap());
-        place.refuses(&format!("render none --write-cameras p.npy {flag}"), 2, &[&words, ".json"]);
+        place.says(&format!("render none --write-cameras p.npy {flag}"), 2, &[&words, ".json"]);
         // The other file has both, so that only the run is missing.
-        place.refuses(&format!("render none --write-cameras p.json {flag}"), 5, &["none"]);
+        place.says(&format!("render none --write-cameras p.json {flag}"), 5, &["none"]);
     }
 }
 
@@ -48,7 +48,7 @@ fn settings_that_are_not_the_scene_s_are_refused() {
         ),
         ("score none --data builtin --set data.dir=/nope", &["--set data.dir: --data names the scene"]),
     ] {
-        place.refuses(line, 2, words);
+        place.says(line, 2, words);
     }
     // Settings that are read.
     let moved = |seed: u64| {

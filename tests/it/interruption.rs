@@ -8,7 +8,7 @@ use std::time::Duration;
 use crate::common::assert_says;
 use crate::common::files::{assert_same_files, copy, entries, files, text};
 use crate::common::learning::FLEETING;
-use crate::common::program::{Place, demand, set, signalled, wait_for};
+use crate::common::program::{Place, demand, set, signalled, tiny_sweep, wait_for};
 
 /// Settings of a run of a second, with a checkpoint every 10 steps of 30, all of which are kept.
 const TINY: &str = "data.width=16 field.width=16 sampling.coarse=8 sampling.fine=8 train.rays=64 train.steps=30 \
@@ -42,7 +42,7 @@ fn a_flipped_bit_in_a_checkpoint_is_refused_and_resume_goes_back() {
         let at = if file == "SHA256SUMS" { 3 } else { bytes.len() - 9 };
         bytes[at] ^= 1;
         std::fs::write(path, bytes).unwrap();
-        place.refuses("eval run", 5, &["step_000000030", "SHA256SUMS", "augnerf resume"]);
+        place.says("eval run", 5, &["step_000000030", "SHA256SUMS", "augnerf resume"]);
         let words = ["step_000000030 is damaged", "resumes from", "step_000000020"];
         assert_says(&place.run("resume run", 0), &words);
         assert_same_files(&kept, &run, &FLEETING);
@@ -64,7 +64,7 @@ fn a_flipped_bit_in_a_checkpoint_is_refused_and_resume_goes_back() {
         let _ = std::fs::remove_file(folder.join("state.json"));
     }
     let left = entries(&place.at("run/checkpoints")).len();
-    place.refuses("resume run", 5, &["no checkpoint", "step_000000030", "from the first step"]);
+    place.says("resume run", 5, &["no checkpoint", "step_000000030", "from the first step"]);
     assert_eq!(entries(&place.at("run/checkpoints")).len(), left, "what is left of them stays");
 }
 
@@ -90,29 +90,13 @@ fn checksums_are_those_of_the_files() {
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
 }
 
-#[test]
-fn settings_that_toml_cannot_hold_are_refused_in_a_run_s_folder() {
-    let place = trained();
-    let before = place.text("run/config.toml");
-    let line = before.lines().find(|line| line.starts_with("collapse_steps")).unwrap();
-    place.write("run/config.toml", before.replace(line, "collapse_steps = 18446744073709551615"));
-    for command in ["eval", "resume", "render", "mesh"] {
-        let words = ["collapse_steps", "18446744073709551615", "at most 2^63 - 1"];
-        place.refuses(&format!("{command} run"), 2, &words);
-    }
-}
-
 /// A result that nobody gets is an error, of every command that prints one.
 #[cfg(target_os = "linux")]
 #[test]
 #[ignore = "slow"]
 fn a_full_standard_output_is_an_error() {
     let place = trained();
-    place.write(
-        "tiny.toml",
-        "title = \"t\"\npreset = \"smoke\"\nscenes = [\"builtin\"]\nseeds = [0]\n[[row]]\nname = \"NeRF\"\n[set]\n\
-         \"train.steps\" = 2\n\"data.width\" = 16\n\"train.rays\" = 16\n",
-    );
+    place.write("tiny.toml", tiny_sweep(&[0], &["psnr"], "train.steps=2 eval.pictures=0", &[]));
     place.run("sweep run tiny.toml --out sweep --quiet", 0);
     for line in [
         "eval --smoothness run --lattice 4",
@@ -147,11 +131,7 @@ fn a_full_standard_output_is_an_error() {
 #[test]
 fn many_collect_one_sweep_at_once() {
     let place = Place::new();
-    place.write(
-        "tiny.toml",
-        "title = \"t\"\npreset = \"smoke\"\nscenes = [\"builtin\"]\nseeds = [0]\n[[row]]\nname = \"NeRF\"\n\
-        [set]\n\"train.steps\" = 2\n\"data.width\" = 16\n\"train.rays\" = 16\n",
-    );
+    place.write("tiny.toml", tiny_sweep(&[0], &["psnr"], "train.steps=2 eval.pictures=0", &[]));
     place.run("sweep run tiny.toml --out sweep --quiet", 0);
     place.run("sweep collect sweep", 0);
     let results = place.at("sweep/results");
@@ -224,7 +204,7 @@ fn a_hangup_that_is_ignored_stays_so() {
 fn a_step_that_would_take_hours_is_refused() {
     let place = Place::new();
     let full = "regularizer.kind=tv regularizer.points=full regularizer.lattice=1024 field.width=512 field.depth=8";
-    place.refuses(&train("run", full), 2, &["regularizer.lattice = 1024", "s per step here", "10 minutes", "sampled"]);
+    place.says(&train("run", full), 2, &["regularizer.lattice = 1024", "s per step here", "10 minutes", "sampled"]);
 }
 
 /// A command of somebody who may read the folder but not write into it: of nobody, where this test is root's.
@@ -267,45 +247,4 @@ fn runs_that_cannot_be_written_are_measured_and_shown() {
     said("compare run twin --out elsewhere/compare", 0);
     assert!(before == files(&run, &[]), "nothing was written into the run");
     all("u+w");
-}
-
-/// Of commands that write a folder beside the run, too.
-#[test]
-fn leftovers_of_killed_commands_go_at_the_next_start() {
-    let place = trained();
-    for leftover in [
-        ".augnerf-tmp-pictures.x0",
-        "run/checkpoints/.augnerf-tmp-step_000000010.x1",
-        "run/renders/.augnerf-tmp-path.x2",
-    ] {
-        std::fs::create_dir_all(place.at(leftover)).unwrap();
-        place.write(&format!("{leftover}/file"), "half");
-    }
-    place.run("render run --what views --out pictures", 0);
-    assert_eq!(entries(place.path()), [place.at("pictures"), place.at("run")]);
-    assert_eq!(entries(&place.at("run/checkpoints")).len(), 3);
-    assert!(entries(&place.at("run/renders")).is_empty());
-}
-
-/// A shell with job control keeps the terminal for itself while a program is in the background: no bar is drawn over what is
-/// typed there.
-#[cfg(unix)]
-#[test]
-fn a_program_in_the_background_draws_no_bars() {
-    if Command::new("script").arg("--version").output().is_err() {
-        eprintln!("left out: no script (util-linux) is here to make a terminal");
-        return;
-    }
-    let place = Place::new();
-    let small = set("train.steps=40 data.width=16 field.width=16 train.rays=64");
-    let said = |name: &str, after: &str| {
-        let program = env!("CARGO_BIN_EXE_augnerf");
-        let shell = format!("set -m; {program} train --preset smoke{small} --out {name} {after}");
-        let mut script = Command::new("script");
-        script.args(["-qec", &shell, "/dev/null"]).env("SHELL", "/bin/sh").env("TERM", "xterm");
-        let said = demand(script.current_dir(place.path()), 0);
-        assert_says(&said, &["held-out views: PSNR"]);
-        said.matches("rays/s").count()
-    };
-    assert_eq!((said("foreground", "") > 0, said("background", "& wait")), (true, 0));
 }

@@ -144,33 +144,6 @@ fn a_perturbed_pass_is_lit_by_one_operation() {
     }
 }
 
-/// On a grid that ends rays have samples on both sides, of which those outside add nothing and learn nothing.
-#[test]
-fn samples_outside_a_grid_are_empty() {
-    let setting = on_a_grid(small(Method::AugMipNerf, true, Norm::Linf));
-    let field = setting.field.recording().unwrap();
-    let lit = clean_pass_loss(&field, setting.pass(), &setting.target).unwrap();
-    let (raw, weights) = (flat(&lit.raw_density), flat(&lit.composite.weights));
-    let outside: Vec<usize> = (0..raw.len()).filter(|&i| raw[i] == -1e4).collect();
-    assert!((5..raw.len() - 5).contains(&outside.len()), "{raw:?}");
-    assert!(outside.iter().all(|&i| weights[i] == 0.0) && weights.iter().any(|weight| *weight > 0.01), "{weights:?}");
-    lit.loss.backward().unwrap();
-    let records = field.table_records();
-    assert_eq!(records.iter().map(|record| record.count()).sum::<usize>(), raw.len());
-    assert!(flat(&field.table_gradient(&records).unwrap().unwrap()).iter().any(|gradient| *gradient != 0.0));
-}
-
-/// What it cannot do goes the long way: a ball of colours.
-#[test]
-fn other_sets_go_the_long_way() {
-    let setting = small(Method::AugNerf, true, Norm::L2);
-    let (deltas, _) = deltas(&setting);
-    let perturbation = setting.perturbation(&deltas);
-    let recording = setting.field.recording().unwrap();
-    let (out, _) = perturbed_pass_loss(&recording, setting.pass(), perturbation, &setting.target).unwrap();
-    assert!(out.composite.rgb.track_op());
-}
-
 /// A NaN in the weights reaches the loss.
 #[test]
 fn nan_is_not_swallowed() {

@@ -15,7 +15,6 @@ mod corruption;
 mod device;
 mod docs;
 mod exchange;
-mod few_views;
 mod fused;
 mod fuzz;
 mod geometry;

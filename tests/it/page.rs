@@ -1,14 +1,13 @@
 //! The page of a sweep or of runs: whole, escaped, the same twice.
 
-use std::path::Path;
+use std::sync::OnceLock;
 
 use augnerf::base::Image;
 use augnerf::report::page::{Film, Page, ShownScene, ViewOfRow, ViewOfScene};
 use augnerf::report::tables::{AttackLine, Table};
 use augnerf::report::{AxisValue, Record, Status, TableSpec};
 
-use crate::common::files::{json, text};
-use crate::common::program::{augnerf, demand};
+use crate::common::program::{Place, set};
 use crate::common::{assert_says, record, row_against};
 
 const ROOT: &str = env!("CARGO_MANIFEST_DIR");
@@ -250,162 +249,107 @@ fn rows_are_compared_over_scenes() {
 
 #[test]
 fn committed_results_become_a_page_without_their_runs() {
-    let dir = tempfile::tempdir().unwrap();
-    let out = dir.path().join("a.html");
-    let (results, named) = (format!("{ROOT}/results/checks/smoke"), out.to_str().unwrap());
-    let said = demand(&mut augnerf(&["report", &results, "--out", named]), 0);
-    assert_says(&said, &["page: "]);
-    let page = text(&out);
-    assert_says(
-        &page,
-        &["rows_builtin_psnr", "curves_builtin_psnr", "<h2>Attack</h2>", "textLength", "\\begin{table}"],
-    );
+    let place = Place::new();
+    let report = format!("report {ROOT}/results/checks/smoke");
+    place.says(&format!("{report} --out a.html"), 0, &["page: "]);
+    let page = place.text("a.html");
+    let words = ["rows_builtin_psnr", "curves_builtin_psnr", "<h2>Attack</h2>", "textLength", "\\begin{table}"];
+    assert_says(&page, &words);
     // Written over itself; nothing else is.
-    demand(&mut augnerf(&["report", &results, "--out", named]), 0);
-    assert_eq!(page, text(&out));
-    std::fs::write(&out, "my notes").unwrap();
-    assert_says(&demand(&mut augnerf(&["report", &results, "--out", named]), 4), &["not a page of this program"]);
-    let said = demand(augnerf(&["report", "/nowhere"]).current_dir(dir.path()), 5);
-    assert_says(&said, &["cannot open run /nowhere"]);
-    assert!(!dir.path().join("report.html").exists());
-    let said = demand(augnerf(&["report", &results, "/nowhere"]).current_dir(dir.path()), 2);
-    assert_says(&said, &["smoke: a sweep's results", "name them alone"]);
-    let said = demand(augnerf(&["report", &results, "--out", "a.png"]).current_dir(dir.path()), 2);
-    assert_says(&said, &["--out a.png: the page is HTML", "report.html"]);
-    assert!(!dir.path().join("a.png").exists());
+    place.run(&format!("{report} --out a.html"), 0);
+    assert_eq!(page, place.text("a.html"));
+    place.write("a.html", "my notes");
+    place.says(&format!("{report} --out a.html"), 4, &["not a page of this program"]);
+    place.says("report /nowhere", 5, &["cannot open run /nowhere"]);
+    place.says(&format!("{report} /nowhere"), 2, &["smoke: a sweep's results", "name them alone"]);
+    place.says(&format!("{report} --out a.png"), 2, &["--out a.png: the page is HTML", "report.html"]);
+    assert!(!place.at("report.html").exists() && !place.at("a.png").exists());
 }
 
-/// The page leaves out what metrics leave out: whatever is rendered where the photo is masked.
-#[test]
-fn masked_pixels_have_no_error_on_the_page() {
-    let dir = tempfile::tempdir().unwrap();
-    let capture = format!("{ROOT}/tests/fixtures/captures3/masks_dynamic");
-    let small = "data.masks=beside data.downscale=1 field.width=16 field.depth=2 field.skips=[] train.rays=32 train.steps=2 \
-                 eval.pictures=1";
-    let set = small.split_whitespace().flat_map(|set| ["--set", set]);
-    let train = ["train", "--quiet", "--preset", "smoke", "--data", &capture, "--out", "run"];
-    demand(augnerf(&train.into_iter().chain(set).collect::<Vec<_>>()).current_dir(dir.path()), 0);
-    let pictures = || {
-        demand(augnerf(&["report", "run", "--out", "page.html"]).current_dir(dir.path()), 0);
-        let page = text(&dir.path().join("page.html"));
-        assert_says(&page, &["stripes of the truth: masked pixels"]);
-        ["colour", "error"].map(|kind| {
-            let (before, _) = page.split_once(&format!("\" alt=\"{kind}\"")).expect("a picture");
-            before.rsplit_once("src=\"").unwrap().1.to_string()
-        })
-    };
-    let [colour, error] = pictures();
-    let metrics = json(&dir.path().join("run/metrics.json"));
-    let file = |what: &str| {
-        let name = metrics["views"][0]["name"].as_str().unwrap();
-        dir.path().join(format!("run/renders/{name}_{what}.png"))
-    };
-    let picture = |what: &str| image::open(file(what)).unwrap().to_rgb8();
-    let (mut rendered, mask) = (picture("rgb"), picture("mask"));
-    let masked = mask.enumerate_pixels().filter(|(_, _, counts)| counts.0 == [0; 3]);
-    masked.for_each(|(x, y, _)| rendered.put_pixel(x, y, image::Rgb([255, 0, 255])));
-    rendered.save(file("rgb")).unwrap();
-    let [changed, same] = pictures();
-    assert!(changed != colour && same == error);
+/// A training of four steps, with settings such as its seed.
+fn train(place: &Place, out: &str, settings: &str) {
+    let small = "data.width=16 field.width=16 train.rays=32 train.steps=4 train.log_every=2 eval.pictures=1";
+    place.run(&format!("train --quiet --preset smoke --out {out}{}{}", set(small), set(settings)), 0);
 }
 
-/// A training of four steps in a folder, with a setting such as its seed.
-fn train(dir: &Path, set: &str, method: &str, out: &str) {
-    let small =
-        ["data.width=16", "field.width=16", "train.rays=32", "train.steps=4", "train.log_every=2", "eval.pictures=1"];
-    let small = small.into_iter().flat_map(|set| ["--set", set]);
-    let command = ["train", "--quiet", "--preset", "smoke", "--method", method, "--out", out, "--set", set];
-    let arguments: Vec<&str> = command.into_iter().chain(small).collect();
-    demand(augnerf(&arguments).current_dir(dir), 0);
+/// Two seeds of NeRF and one of Aug-NeRF.
+fn trained() -> Place {
+    static RUNS: OnceLock<Place> = OnceLock::new();
+    Place::copy_of(&RUNS, |place| {
+        for (out, settings) in [("a0", "seed=0"), ("a1", "seed=1"), ("b0", "method=aug-nerf")] {
+            train(place, out, settings);
+        }
+    })
 }
 
 /// A page shows no run under the numbers of another, or of other views.
 #[test]
 fn a_run_is_shown_with_its_own_numbers() {
-    let dir = tempfile::tempdir().unwrap();
-    for (seed, method, out) in [("seed=0", "nerf", "a0"), ("seed=1", "nerf", "a1"), ("seed=0", "aug-nerf", "b0")] {
-        train(dir.path(), seed, method, out);
-    }
-    let run = |arguments: &[&str], code: i32| demand(augnerf(arguments).current_dir(dir.path()), code);
-    let file = |run: &str| dir.path().join(run).join("metrics.json");
-    let own = text(&file("a1"));
-    for (further, out, words) in [
-        (&[][..], "a1", "--out a1: another run"),
-        (&["--split", "train"], "a0", "--out a0: the run itself"),
-        (&["--step", "4"], "./a0/", "--out ./a0/: the run itself"),
+    let place = trained();
+    let metrics = |run: &str| place.text(&format!("{run}/metrics.json"));
+    let own = metrics("a1");
+    for (further, words) in [
+        ("--out a1", "--out a1: another run"),
+        ("--out a0 --split train", "--out a0: the run itself"),
+        ("--out ./a0/ --step 4", "--out ./a0/: the run itself"),
     ] {
-        let said = run(&[&["eval", "a0", "-q", "--out", out], further].concat(), 4);
-        assert_says(&said, &[words, "name another folder"]);
+        place.says(&format!("eval a0 -q {further}"), 4, &[words, "name another folder"]);
     }
-    let before = text(&file("a0"));
-    run(&["eval", "a0", "-q", "--out", "a0"], 0);
-    run(&["eval", "a0", "-q", "--split", "train", "--out", "elsewhere"], 0);
-    assert_eq!((text(&file("a0")), text(&file("a1"))), (before, own.clone()));
-    run(&["report", "a0", "a1", "b0"], 0);
+    let before = metrics("a0");
+    place.run("eval a0 -q --out a0", 0);
+    place.run("eval a0 -q --split train --out elsewhere", 0);
+    assert_eq!((metrics("a0"), metrics("a1")), (before.clone(), own.clone()));
     // As earlier versions left them.
     for (forged, words) in [
-        (text(&file("a0")), "its seed is 0, that of config.toml is 1"),
+        (before, "its seed is 0, that of config.toml is 1"),
         (own.replace("\"config_hash\": \"", "\"config_hash\": \"0"), "its config_hash is 0"),
         (own.replace("\"split\": \"test\"", "\"split\": \"train\""), "it is of training views"),
     ] {
         assert!(forged != own, "{words}");
-        std::fs::write(file("a1"), forged).unwrap();
-        let said = run(&["report", "a0", "a1"], 5);
-        assert_says(&said, &["a1/metrics.json: not the run's own evaluation", words, "`augnerf eval a1`"]);
+        place.write("a1/metrics.json", forged);
+        let said = ["a1/metrics.json: not the run's own evaluation", words, "`augnerf eval a1`"];
+        place.says("report a0 a1", 5, &said);
     }
-    run(&["eval", "a1", "-q"], 0);
-    assert_eq!(text(&file("a1")), own);
-    run(&["report", "a0", "a1"], 0);
+    place.run("eval a1 -q", 0);
+    assert_eq!(metrics("a1"), own);
+    place.run("report a0 a1", 0);
 }
 
 /// Runs of one configuration and two seeds are one row; its view, and seconds where asked for.
 #[test]
 fn runs_become_a_page() {
-    let dir = tempfile::tempdir().unwrap();
-    let train = |seed: &str, method: &str, out: &str| train(dir.path(), seed, method, out);
-    train("seed=0", "nerf", "a0");
-    train("seed=1", "nerf", "a1");
-    train("seed=0", "aug-nerf", "b0");
-    let report = |further: &[&str]| {
-        let arguments = [&["report", "a0", "a1", "b0"], further].concat();
-        demand(augnerf(&arguments).current_dir(dir.path()), 0);
-        text(&dir.path().join("report.html"))
+    let place = trained();
+    let report = |further: &str| {
+        let said = place.run(&format!("report {further} --out page.html"), 0);
+        (said, place.text("page.html"))
     };
-    let page = report(&[]);
-    assert_says(
-        &page,
-        &["3 done", "data-name=\"nerf\"", "data-name=\"aug-nerf\"", "href=\"./b0/\"", "<h2>Attack</h2>"],
-    );
+    let (_, page) = report("a0 a1 b0");
+    let words = ["3 done", "data-name=\"nerf\"", "data-name=\"aug-nerf\"", "href=\"./b0/\"", "<h2>Attack</h2>"];
+    assert_says(&page, &words);
     assert!(!page.contains("data-name=\"a0\"") && !page.contains("seconds training"));
-    assert_eq!(page, report(&[]), "the same bytes twice");
-    let timed = report(&["--with-timing", "--label", "NeRF", "--label", "NeRF", "--label", "Ours"]);
+    assert_eq!(page, report("a0 a1 b0").1, "the same bytes twice");
+    let (_, timed) = report("a0 a1 b0 --with-timing --label NeRF --label NeRF --label Ours");
     assert_says(&timed, &["seconds training", "data-name=\"NeRF\"", "data-name=\"Ours\"", "class=\"switch\""]);
     // PSNR of one colour is the same for all rows: its figure says nothing.
-    assert!(page.contains("rows_builtin_psnr") && !page.contains("rows_builtin_floor_psnr"));
-    // A run alone is beside nothing: no figure of rows, no word of differences.
     assert_says(&page, &["rows_builtin_psnr", "Below each mean: the difference"]);
-    demand(augnerf(&["report", "a0", "--out", "alone.html"]).current_dir(dir.path()), 0);
-    let alone = text(&dir.path().join("alone.html"));
+    assert!(!page.contains("rows_builtin_floor_psnr"));
+    // A run alone is beside nothing: no figure of rows, no word of differences.
+    let (_, alone) = report("a0");
     assert!(!alone.contains("rows_builtin_psnr") && !alone.contains("difference to the baseline"));
-    // Other settings of one method are told; what nothing tells apart goes by its folder.
-    train("train.learning_rate=0.002", "nerf", "c0");
-    train("seed=0", "nerf", "d0");
-    let said = demand(augnerf(&["report", "a0", "c0", "--out", "c.html"]).current_dir(dir.path()), 0);
+    // Other settings of one method are told; what nothing tells apart goes by its folder. Terms have short names.
+    train(&place, "c0", "train.learning_rate=0.002");
+    train(&place, "d0", "seed=0");
+    train(&place, "tv", "regularizer.kind=tv regularizer.weight=8e-5");
+    let (said, _) = report("a0 c0");
     assert_says(&said, &["nerf (train.learning_rate 0.005)", "nerf (train.learning_rate 0.002)"]);
-    let said = demand(augnerf(&["report", "a0", "d0", "b0", "--out", "d.html"]).current_dir(dir.path()), 0);
-    let page = text(&dir.path().join("d.html"));
+    let (said, page) = report("a0 d0 b0");
     assert_says(&page, &["data-name=\"a0\"", "data-name=\"d0\"", "data-name=\"aug-nerf\""]);
     assert!(!said.contains("(train."), "{said}");
-    // Terms have short names, and a run's mesh is shown.
-    let heavy = ["train", "--quiet", "--preset", "smoke", "--out", "tv", "--set", "regularizer.kind=tv", "--set"];
-    let small = "regularizer.weight=8e-5 data.width=16 field.width=16 train.rays=32 train.steps=4 eval.pictures=0";
-    let small = small.split(' ').collect::<Vec<_>>().join(" --set ");
-    demand(augnerf(&[&heavy[..], &small.split(' ').collect::<Vec<_>>()].concat()).current_dir(dir.path()), 0);
-    demand(augnerf(&["mesh", "tv", "-q", "--resolution", "16", "--threshold", "0.01"]).current_dir(dir.path()), 0);
-    let said = demand(augnerf(&["report", "a0", "tv", "--out", "e.html"]).current_dir(dir.path()), 0);
+    // A run's mesh is shown.
+    place.run("mesh tv -q --resolution 16 --threshold 0.01", 0);
+    let (said, page) = report("a0 tv");
     assert_says(&said, &["nerf + tv 8e-5"]);
-    assert!(!said.contains("regularizer.") && said.find("page: e.html") < said.find("psnr"), "{said}");
-    assert_says(&text(&dir.path().join("e.html")), &["alt=\"mesh of nerf + tv 8e-5\""]);
-    let said = demand(augnerf(&["report", "a0", "a1", "--label", "x"]).current_dir(dir.path()), 2);
-    assert_says(&said, &["--label: 1 labels for 2 runs"]);
+    assert!(!said.contains("regularizer.") && said.find("page: page.html") < said.find("psnr"), "{said}");
+    assert_says(&page, &["alt=\"mesh of nerf + tv 8e-5\""]);
+    place.says("report a0 a1 --label x", 2, &["--label: 1 labels for 2 runs"]);
 }

@@ -159,25 +159,3 @@ fn published_scenes_are_in_every_frame() {
         0.1,
     );
 }
-
-/// fox was photographed over 97 degrees. Its file lists pictures that do not exist: those are left out of a copy.
-#[test]
-#[ignore = "needs AUGNERF_DATA"]
-fn the_fox_is_in_the_middle_of_every_frame() {
-    let (fox, dir) = (scene_folder("fox"), TempDir::new().unwrap());
-    let mut document = read_json(&fox.join("transforms.json"));
-    let mut frames = document["frames"].as_array().unwrap().clone();
-    frames.retain_mut(|frame| {
-        let picture = fox.join(frame["file_path"].as_str().unwrap());
-        frame["file_path"] = picture.display().to_string().into();
-        picture.is_file()
-    });
-    assert_eq!(frames.len(), 50);
-    document["frames"] = frames.into();
-    std::fs::write(dir.path().join("transforms.json"), document.to_string()).unwrap();
-    let scene = load(dir.path(), |config| config.width = 27);
-    assert_shown(&scene, 0.1);
-    let centre = path::centre(&scene.train.iter().map(|view| view.camera.pose).collect::<Vec<_>>()).unwrap();
-    let goes = spread(&scene.path, centre);
-    assert!((40.0..=100.0).contains(&goes), "{goes}");
-}

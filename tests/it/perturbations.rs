@@ -3,10 +3,9 @@
 use crate::common::pass::Setting;
 use crate::common::{flat, parameters, put_on_grid, tiny_config, tiny_scene, trained};
 use augnerf::base::rng::{Random, Stream};
-use augnerf::data::{RayBuffer, RayParts};
 use augnerf::field::Field;
 use augnerf::perturb::{Deltas, Draw, Norm, PaperSite, PassGeometry, Passes, PixelScale, SampleDensity, Sets, SiteSet};
-use augnerf::render::{FixedSamples, Pass, Perturbation, PerturbedOutput, clean_pass, perturbed_pass};
+use augnerf::render::{clean_pass, perturbed_pass};
 use augnerf::runtime::Runtime;
 use augnerf::settings::{DeltaSource, Method, OutputPlace, PerturbConfig, PerturbField, SecondPass, Sizes};
 use augnerf::train::Trainer;
@@ -109,33 +108,6 @@ fn loss_gradients_in_every_delta_equal_finite_differences() {
             let step = (gradient.len() / 24).max(1);
             let pairs = (0..gradient.len()).step_by(step).filter(free).map(|i| (gradient[i], difference(i)));
             compare(&format!("{method:?} {output:?} {}", site.name()), pairs.collect());
-        }
-    }
-}
-
-#[test]
-fn loss_gradients_in_weights_equal_finite_differences() {
-    [Method::AugNerf, Method::AugMipNerf].into_iter().for_each(weights_equal_finite_differences);
-}
-
-fn weights_equal_finite_differences(method: Method) {
-    let setting = setting(method, 1, (4, 6), |_| {});
-    let deltas = setting.search(setting.draw(0));
-    let gradients = setting.loss(&deltas).0.backward().unwrap();
-    for (name, var) in setting.field.variables() {
-        let gradient = gradients.get(var).unwrap().flatten_all().unwrap().to_vec1::<f64>().unwrap();
-        let original = var.as_tensor().copy().unwrap();
-        let at = |i: usize, by: f64| {
-            var.set(&nudged(&original, i, by)).unwrap();
-            let loss = setting.loss_value(&deltas);
-            var.set(&original).unwrap();
-            loss
-        };
-        let step = (gradient.len() / 12).max(1);
-        let pairs = (0..gradient.len()).step_by(step).map(|i| (gradient[i], (at(i, H) - at(i, -H)) / (2.0 * H)));
-        let pairs: Vec<(f64, f64)> = pairs.collect();
-        if pairs.iter().any(|(g, d)| *g != 0.0 || *d != 0.0) {
-            compare(name, pairs);
         }
     }
 }
@@ -306,26 +278,6 @@ fn the_search_leaves_weights_batches_and_jitter_untouched() {
 }
 
 #[test]
-fn calibrated_changes_the_weights_and_an_empty_attack_does_not() {
-    // Against the same objective with all deltas 0, so that only the attack differs.
-    let run = |sizes, epsilon: Option<f64>| {
-        let config = tiny_config(Method::AugNerf, |config| {
-            config.perturb.sizes = sizes;
-            for site in PaperSite::ALL {
-                config.perturb.sites[site].epsilon = epsilon.map(Into::into);
-                if epsilon.is_some() {
-                    config.perturb.sites[site].step_size = Some(0.0);
-                }
-            }
-        });
-        parameters(&trained(&config, 1), &EVALUATED)
-    };
-    let empty = run(Sizes::Paper, Some(0.0));
-    assert_eq!(empty, run(Sizes::Calibrated, Some(0.0)));
-    assert_ne!(empty, run(Sizes::Calibrated, None));
-}
-
-#[test]
 fn every_kind_and_place_trains() {
     let perturbed = [DeltaSource::WorstCase, DeltaSource::Gaussian, DeltaSource::Uniform].map(SecondPass::Perturbed);
     for second in perturbed.into_iter().chain([SecondPass::Clean]) {
@@ -387,74 +339,6 @@ fn a_level_of_size_zero_is_reported_inactive() {
     let stats = trained(&config, 1).step(true).unwrap();
     let rgb = stats.sites.iter().find(|measured| measured.site == "rgb").unwrap();
     assert!(rgb.inactive && (rgb.gain, rgb.shift) == (0.0, 0.0) && rgb.share_at_bound.is_none(), "{rgb:?}");
-}
-
-#[test]
-fn switching_a_level_off_leaves_the_draws_of_the_others() {
-    let all = setting(Method::AugNerf, 1, (3, 5), |_| {});
-    let some = setting(Method::AugNerf, 1, (3, 5), |config| config.sites[PaperSite::Feature].passes = Passes::Off);
-    for site in [PaperSite::T, PaperSite::Xyz, PaperSite::View, PaperSite::Rgb, PaperSite::Density] {
-        let values =
-            |setting: &Setting| setting.draw(0).get(site).unwrap().flatten_all().unwrap().to_vec1::<f64>().unwrap();
-        assert_eq!(values(&all), values(&some), "{}", site.name());
-    }
-}
-
-#[test]
-fn density_noise_cannot_make_an_empty_white_scene_opaque() {
-    // All densities 0, the density delta at +epsilon everywhere: what it adds to each ray is at
-    // most epsilon * (far - near) * |d|, because the last sample's is kept at 0.
-    let mut setting = setting(Method::AugNerf, 5, (6, 9), |config| {
-        config.sites[PaperSite::Density].epsilon = Some(0.01.into());
-        for site in [PaperSite::T, PaperSite::Xyz, PaperSite::View, PaperSite::Feature, PaperSite::Rgb] {
-            config.sites[site].passes = Passes::Off;
-        }
-    });
-    setting.noise = Some(Tensor::full(-1e3f64, (6, 9), &CPU).unwrap());
-    let mut deltas = Deltas::default();
-    deltas.set(PaperSite::Density, Tensor::full(0.01f64, (6, 9), &CPU).unwrap());
-    let out = perturbed_pass(&setting.field, setting.pass(), setting.perturbation(&deltas)).unwrap();
-    let norms = setting.rays.direction_norm.flatten_all().unwrap().to_vec1::<f64>().unwrap();
-    for (rgb, norm) in out.pass.composite.rgb.to_vec2::<f64>().unwrap().iter().zip(norms) {
-        let limit = 0.01 * 4.0 * norm;
-        assert!(rgb.iter().all(|c| (1.0 - c) <= limit && *c <= 1.0 + 1e-12), "{rgb:?} beyond {limit}");
-    }
-    assert!(out.pass.composite.acc.max(0).unwrap().to_scalar::<f64>().unwrap() > 0.0);
-}
-
-/// Samples that do not move any more: the trunk below the feature delta is computed with the first pass through them alone.
-#[test]
-fn fixed_samples_compute_the_lower_trunk_once() {
-    let setting = setting(Method::AugNerf, 1, (4, 6), |_| {});
-    let single = |tensor: &Tensor| tensor.to_dtype(DType::F32).unwrap();
-    let values = setting.field.variables().iter().map(|(_, var)| single(var.as_tensor())).collect();
-    let frozen = Field::from_parameters(setting.field.config(), values).unwrap().frozen().unwrap();
-    let scene = tiny_scene();
-    let pixels: Vec<_> = (0..4).map(|x| (&scene.train[0].camera, x, 3)).collect();
-    let rays = RayBuffer::new(&pixels, None, Default::default(), RayParts::ALL).to_tensors(DType::F32, &CPU).unwrap();
-    let t_vals = single(&setting.t_vals);
-    let pass = Pass { rays: &rays, t_vals: &t_vals, density_noise: None, background: None, scales_gradients: false };
-    let delta = Var::zeros((4, 6, 16), DType::F32, &CPU).unwrap();
-    let (mut deltas, sets) = (Deltas::default(), setting.sets.clone());
-    deltas.set(PaperSite::Feature, delta.as_tensor().clone());
-    let perturbation = Perturbation { deltas: &deltas, sets: &sets, injection_layer: 3, output: OutputPlace::After };
-    let runtime = Runtime::new("cpu", Some(1)).unwrap();
-    // Multiply-adds of a pass forward and back to the delta, and its colours.
-    let ascend = |render: &dyn Fn() -> PerturbedOutput| {
-        let before = runtime.work();
-        let rgb = render().pass.composite.rgb;
-        rgb.sqr().unwrap().sum_all().unwrap().backward().unwrap();
-        ((runtime.work() - before).multiply_adds, rgb.to_vec2::<f32>().unwrap())
-    };
-    runtime.install(|| {
-        let (whole, rgb) = ascend(&|| perturbed_pass(&frozen, pass, perturbation).unwrap());
-        let fixed = FixedSamples::new(&frozen, pass, perturbation).unwrap();
-        // Layers 1 to 3 of width 16; the third reads the encoding (3 + 6 x 4 channels), too.
-        let lower = 4 * 6 * (27 * 16 + 16 * 16 + (27 + 16) * 16);
-        for expected in [whole, whole - lower, whole - lower] {
-            assert_eq!(ascend(&|| fixed.perturbed_pass(perturbation).unwrap()), (expected, rgb.clone()));
-        }
-    });
 }
 
 /// So does the search of a step: where the feature level alone is on, a further ascent step costs less than the trunk.

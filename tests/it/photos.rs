@@ -6,7 +6,7 @@ use std::path::Path;
 use augnerf::data::Photos;
 use augnerf::run::load_scene_with;
 use augnerf::settings::Config;
-use image::{GrayImage, Luma, Rgb, RgbImage, Rgba, RgbaImage};
+use image::{Rgb, RgbImage, Rgba, RgbaImage};
 use serde_json::Value;
 use tempfile::TempDir;
 
@@ -39,24 +39,6 @@ fn train(data: &str, out: &Path) -> String {
         ["--preset", "smoke", "--set", "train.steps=2", "--set", "train.rays=16", "--set", "data.downscale=1", "-q"];
     succeed(&[&["train", "--data", data, "--out", &out], &small[..]].concat());
     out
-}
-
-/// Masks are not read for a mesh, which says how often pixels were seen all the same.
-#[test]
-fn epochs_of_masked_photos_are_those_of_the_evaluation() {
-    let folder = Folder::new(9).with("mask_path", "half.png".into());
-    let half = GrayImage::from_fn(16, 12, |x, _| Luma([if x < 8 { 255 } else { 0 }]));
-    half.save(folder.path().join("half.png")).unwrap();
-    folder.write();
-    let dir = TempDir::new().unwrap();
-    let run = train(folder.path().to_str().unwrap(), &dir.path().join("run"));
-    let mesh = ["mesh", &run, "--resolution", "8", "--cap", "-q"];
-    succeed(&[&mesh[..], &["--threshold", &threshold(&mesh)]].concat());
-    for file in ["metrics.json", "mesh/mesh.json"] {
-        let seen = json(&Path::new(&run).join(file))["protocol"]["epochs"].as_f64().unwrap();
-        // Two steps of 16 rays, and 7 views of half of 16 x 12 pixels.
-        assert!((seen - 32.0 / 672.0).abs() < 1e-9, "{file}: {seen}");
-    }
 }
 
 /// Photographs whose pixels are damaged are named by what decodes them, and by nothing else.

@@ -1,10 +1,9 @@
 //! `augnerf compare`, of a view and along a ray: what it chooses, measures, draws and refuses.
 
-use std::path::Path;
 use std::sync::Arc;
 
 use crate::common::files::{assert_same_files, files, json, text};
-use crate::common::program::{refuse, succeed};
+use crate::common::program::{Place, set};
 use crate::common::{assert_says, runtime, tiny_config, tiny_scene, trained};
 use augnerf::base::Image;
 use augnerf::base::rng::{Random, Stream};
@@ -60,18 +59,6 @@ fn the_box_is_where_the_squared_errors_differ_most() {
         // Equal runs differ nowhere: the first place.
         let same = most_different(&[&runs[0], &runs[0]], &truth, size);
         assert_eq!((same.x, same.y), (0, 0));
-    }
-}
-
-#[test]
-fn boxes_lie_within_the_view() {
-    let window = |x, y, width, height| Window { x, y, width, height };
-    assert!(window(0, 0, 16, 9).check(16, 9).is_ok() && window(15, 8, 1, 1).check(16, 9).is_ok());
-    for outside in
-        [window(1, 0, 16, 9), window(0, 0, 0, 3), window(0, 9, 1, 1), window(usize::MAX, 0, 2, 2), window(0, 0, 17, 1)]
-    {
-        let message = outside.check(16, 9).unwrap_err().to_string();
-        assert!(message.contains("--zoom") && message.contains("16 x 9"), "{message}");
     }
 }
 
@@ -287,20 +274,6 @@ fn labels_are_names_where_these_differ() {
     assert!(labels(&[run("a"), run("b"), run("a")], &[]).unwrap_err().to_string().contains("twice"));
 }
 
-#[test]
-fn given_labels_are_one_for_each_run() {
-    let runs = ["a", "b"].map(Into::into);
-    let given = |names: &[&str]| labels(&runs, &names.iter().map(|name| name.to_string()).collect::<Vec<_>>());
-    assert_eq!(given(&["NeRF", "Aug-NeRF"]).unwrap(), ["NeRF", "Aug-NeRF"]);
-    for (names, what) in
-        [(&["NeRF"][..], "1 labels for 2 runs"), (&["N", "N"], "`N` occurs twice"), (&["N", " "], "blank")]
-    {
-        let message = given(names).unwrap_err().to_string();
-        assert!(message.contains("--label") && message.contains(what), "{message}");
-    }
-    assert!(labels(&["a", "a"].map(Into::into), &["x".into(), "y".into()]).is_err());
-}
-
 const PIXEL: (usize, usize) = (7, 8);
 
 fn profiled(run: &Run, label: &str) -> (RunView, Profile) {
@@ -381,61 +354,57 @@ fn a_profile_repeats_byte_for_byte_and_its_variation_is_that_of_its_table() {
 
 #[test]
 fn the_commands_leave_what_they_promise_and_refuse_what_they_cannot_show() {
-    let dir = TempDir::new().unwrap();
-    let path = |name: &str| dir.path().join(name).to_str().unwrap().to_string();
-    let train = |name: &str, further: &[&str]| {
-        let out = path(name);
-        let tiny = "train --quiet --set data.width=16 --set field.width=16 --set sampling.coarse=8 \
-            --set sampling.fine=8 --set train.rays=64 --set train.steps=20 --set train.precrop_steps=0 \
-            --set eval.pictures=0";
-        succeed(&[tiny.split_whitespace().collect(), vec!["--out", &out], further.to_vec()].concat());
-        out
-    };
-    let (a, b) = (train("a", &[]), train("b", &["--seed", "1"]));
-    let wide = train("wide", &["--set", "data.width=20"]);
-    let forward = train("forward", &["--set", "data.kind=builtin-forward"]);
-
-    succeed(&["compare", "-q", &a, &b, "--view", "r_3"]);
-    assert_eq!(json(&dir.path().join("a/renders/compare/compare.json"))["index"], 3);
-    // An earlier comparison's files do not stay among the new ones.
-    std::fs::write(dir.path().join("a/renders/compare/compare.old"), "").unwrap();
-    succeed(&["compare", "-q", &a, "--zoom", "1,2,3,4"]);
-    assert!(!dir.path().join("a/renders/compare/compare.old").exists());
-    let report = json(&dir.path().join("a/renders/compare/compare.json"));
-    assert_eq!(report["box"], serde_json::json!({"x": 1, "y": 2, "width": 3, "height": 4}));
-    succeed(&["compare", "-q", &a, &b, "--label", "NeRF", "--label", "another seed"]);
-    let report = json(&dir.path().join("a/renders/compare/compare.json"));
-    assert_eq!((&report["runs"][0]["run"], &report["runs"][1]["run"]), (&"NeRF".into(), &"another seed".into()));
-    succeed(&["compare", "-q", &a, &b, "--ray", "0,15", "--out", &path("ray")]);
-    assert_eq!(json(&dir.path().join("ray/ray.json"))["pixel"], serde_json::json!([0, 15]));
-    let again = path("again");
-    succeed(&["compare", "-q", &a, &b, "--ray", "0,15", "--threads", "1", "--out", &again]);
-    assert_same_files(Path::new(&path("ray")), Path::new(&again), &[]);
-
-    // A person is told what to open and what comes next.
-    let said = crate::common::program::demand(&mut crate::common::program::augnerf(&["compare", &a, &b]), 0);
-    assert_says(&said, &["open: ", "compare/compare.", &format!("next: augnerf compare {a} {b} --ray 8,8")]);
-
-    for further in [&[][..], &["--ray", "8,8"]] {
-        let refuse = |words: &[&str], code, expected: &[&str]| {
-            refuse(&[&["compare"], words, further].concat(), code, expected);
-        };
-        refuse(&[&a, &wide], 2, &["a and wide do not match", "is 16 x 16 in the first and 20 x 20 in the second"]);
-        refuse(&[&a, &forward], 2, &["forward", "builtin-forward"]);
-        refuse(&[&a, &b, "--view", "r_99"], 2, &["--view r_99", "0 to 7", "r_7"]);
-        refuse(&[&a, &b, "--view", "8"], 2, &["--view 8", "0 to 7"]);
-        refuse(&[&a, &a], 2, &["twice"]);
-        refuse(&[&a, &b, "--label", "NeRF"], 2, &["--label", "1 labels for 2 runs"]);
-        refuse(&[&path("nothing")], 5, &["nothing", "missing"]);
-        refuse(&[&a, &b, "--out", &path("ray")], 4, &["ray", "already holds files"]);
+    let place = Place::new();
+    let small = "data.width=16 field.width=16 sampling.coarse=8 sampling.fine=8 train.rays=64 train.steps=20 \
+        train.precrop_steps=0 eval.pictures=0";
+    for (name, further) in
+        [("a", "seed=0"), ("b", "seed=1"), ("wide", "data.width=20"), ("forward", "data.kind=builtin-forward")]
+    {
+        place.run(&format!("train --quiet --out {name}{}{}", set(small), set(further)), 0);
     }
-    refuse(&["compare", &a, &b, "--zoom", "10,0,8,8"], 2, &["--zoom", "8 x 8", "(10, 0)", "16 x 16"]);
-    refuse(&["compare", &a, &b, "--zoom", "10,0,8"], 2, &["--zoom 10,0,8", "width and height"]);
-    refuse(&["compare", &a, &b, "--box-width", "17"], 2, &["--box-width 17", "at most 16"]);
-    refuse(&["compare", &a, "--ray", "16,0"], 2, &["--ray 16,0", "0,0 to 15,15"]);
-    refuse(&["compare", &a, "--ray", "1"], 2, &["--ray 1", "column and row"]);
-    refuse(&["compare", &a, "--ray", "1,1", "--zoom", "0,0,8,8"], 2, &["--ray", "--zoom", "cannot be used"]);
-    std::fs::remove_dir_all(dir.path().join("b/checkpoints")).unwrap();
-    refuse(&["compare", &a, &b], 5, &["no checkpoint", "augnerf resume"]);
-    refuse(&["compare", &b, "--ray", "8,8"], 5, &["no checkpoint"]);
+    let report = || place.json("a/renders/compare/compare.json");
+    place.run("compare -q a b --view r_3", 0);
+    assert_eq!(report()["index"], 3);
+    // An earlier comparison's files do not stay among the new ones.
+    place.write("a/renders/compare/compare.old", "");
+    place.run("compare -q a --zoom 1,2,3,4", 0);
+    assert!(!place.at("a/renders/compare/compare.old").exists());
+    assert_eq!(report()["box"], serde_json::json!({"x": 1, "y": 2, "width": 3, "height": 4}));
+    place.run("compare -q a b --label NeRF --label 'another seed'", 0);
+    let labels = [0, 1].map(|run| report()["runs"][run]["run"].clone());
+    assert_eq!(labels, ["NeRF", "another seed"]);
+    place.run("compare -q a b --ray 0,15 --out ray", 0);
+    assert_eq!(place.json("ray/ray.json")["pixel"], serde_json::json!([0, 15]));
+    place.run("compare -q a b --ray 0,15 --threads 1 --out again", 0);
+    assert_same_files(&place.at("ray"), &place.at("again"), &[]);
+    // A person is told what to open and what comes next.
+    place.says("compare a b", 0, &["open: ", "compare/compare.", "next: augnerf compare a b --ray 8,8"]);
+    for further in ["", "--ray 8,8"] {
+        for (line, code, words) in [
+            ("a wide", 2, &["a and wide do not match", "is 16 x 16 in the first and 20 x 20 in the second"][..]),
+            ("a forward", 2, &["forward", "builtin-forward"]),
+            ("a b --view r_99", 2, &["--view r_99", "0 to 7", "r_7"]),
+            ("a b --view 8", 2, &["--view 8", "0 to 7"]),
+            ("a a", 2, &["twice"]),
+            ("a b --label NeRF", 2, &["--label", "1 labels for 2 runs"]),
+            ("a b --label N --label N", 2, &["--label", "`N` occurs twice"]),
+            ("nothing", 5, &["nothing", "missing"]),
+            ("a b --out ray", 4, &["ray", "already holds files"]),
+        ] {
+            place.says(&format!("compare {line} {further}"), code, words);
+        }
+    }
+    for (line, words) in [
+        ("a b --zoom 10,0,8,8", &["--zoom", "8 x 8", "(10, 0)", "16 x 16"][..]),
+        ("a b --zoom 10,0,8", &["--zoom 10,0,8", "width and height"]),
+        ("a b --box-width 17", &["--box-width 17", "at most 16"]),
+        ("a --ray 16,0", &["--ray 16,0", "0,0 to 15,15"]),
+        ("a --ray 1", &["--ray 1", "column and row"]),
+        ("a --ray 1,1 --zoom 0,0,8,8", &["--ray", "--zoom", "cannot be used"]),
+    ] {
+        place.says(&format!("compare {line}"), 2, words);
+    }
+    std::fs::remove_dir_all(place.at("b/checkpoints")).unwrap();
+    place.says("compare a b", 5, &["no checkpoint", "augnerf resume"]);
+    place.says("compare b --ray 8,8", 5, &["no checkpoint"]);
 }

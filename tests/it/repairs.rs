@@ -15,7 +15,7 @@ use crate::captures::{Folder, all, names, read};
 use crate::common::assert_says;
 use crate::common::files::{self, copy};
 use crate::common::program::{refuse, succeed};
-use crate::strangers::{capture, check_folder};
+use crate::strangers::{check_folder, copied};
 
 const KEY: &str = "transform_matrix";
 
@@ -232,8 +232,7 @@ fn files_that_are_not_what_their_name_says_are_named() {
         assert_says(&read(folder.path(), |_| {}).0.unwrap_err().to_string(), &[words]);
     }
     for (name, file) in [("colmap_only1", "sparse/1/images.txt"), ("masks_llff", "poses_bounds.npy")] {
-        let dir = TempDir::new().unwrap();
-        copy(Path::new(&capture(name)), dir.path());
+        let dir = copied(name);
         fs::write(dir.path().join(file), POINTER).unwrap();
         assert_says(&read(dir.path(), |_| {}).0.unwrap_err().to_string(), &[file, "Git LFS pointer"]);
     }
@@ -253,8 +252,7 @@ fn texts_of_windows_are_read() {
     assert_eq!(read(folder.path(), |_| {}).0.unwrap().hash(), hash);
 
     let colmap = |change: &dyn Fn(&Path)| {
-        let dir = TempDir::new().unwrap();
-        copy(Path::new(&capture("colmap_only1")), dir.path());
+        let dir = copied("colmap_only1");
         change(dir.path());
         let (scene, notes) = read(dir.path(), |_| {});
         (scene.unwrap(), notes.concat())
@@ -284,21 +282,13 @@ fn texts_of_windows_are_read() {
             _ => assert_says(&notes, &["the names of 8 images are paths of another machine", front]),
         }
     }
-    let llff = TempDir::new().unwrap();
-    copy(Path::new(&capture("llff_unregistered")), llff.path());
-    let file = llff.path().join("view_imgs.txt");
-    let text = fs::read_to_string(&file).unwrap();
-    fs::write(&file, text.lines().map(|name| format!("D:\\photos\\{name}\r\n")).collect::<String>()).unwrap();
-    utf16(file);
-    assert_says(&check_folder(llff.path(), &[]), &["6 of 8 photos have poses, by view_imgs.txt"]);
 }
 
 /// The same for the formats without a `transforms.json`.
 #[test]
 fn photos_of_other_formats_are_found_and_chosen_by_a_stated_rule() {
     let with = |name: &str, change: &dyn Fn(&Path)| {
-        let dir = TempDir::new().unwrap();
-        copy(Path::new(&capture(name)), dir.path());
+        let dir = copied(name);
         change(dir.path());
         dir
     };
@@ -407,30 +397,6 @@ fn blender_folders_of_another_size_have_bounds_and_a_box_that_fit() {
     }
     let (scene, _) = load(&clear, as_it_is);
     assert!((scene.near - (6.0 - radius(6.0))).abs() < 1e-6);
-}
-
-/// Files of splits share photos: each is one view with its own name.
-#[test]
-fn photos_that_two_splits_share_are_one_view() {
-    let folder = Folder::new(9);
-    folder.load(|_| {});
-    let document = files::json(&folder.path().join("transforms.json"));
-    for (split, range) in [("train", 0..6), ("val", 5..9), ("test", 5..9)] {
-        let mut part = document.clone();
-        part["frames"] = document["frames"].as_array().unwrap()[range].to_vec().into();
-        fs::write(folder.path().join(format!("transforms_{split}.json")), part.to_string()).unwrap();
-    }
-    fs::remove_file(folder.path().join("transforms.json")).unwrap();
-    let (scene, notes) = read(folder.path(), |data| data.kind = DataKind::Transforms);
-    let (scene, notes) = (scene.unwrap(), notes.join("\n"));
-    assert_eq!(names(&scene.train), ["0", "1", "2", "3", "4", "5"]);
-    assert_eq!(names(&scene.test), ["5", "6", "7", "8"]);
-    assert_says(
-        &notes,
-        &["1 of 4 photographs that are evaluated are trained on", "(data.split=every holds out others): images/5"],
-    );
-    assert_says(&notes, &["4 of 4 test views are validation views, too"]);
-    assert!(!notes.contains("the same pose"), "{notes}");
 }
 
 /// A note that the table has is not printed before it.

@@ -3,6 +3,7 @@
 use std::io::{BufRead, BufReader, Write};
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, ExitStatus, Stdio};
+use std::sync::OnceLock;
 use std::sync::mpsc::{Receiver, channel};
 use std::time::Duration;
 
@@ -19,6 +20,17 @@ const PATIENCE: Duration = Duration::from_secs(600);
 
 fn path(path: &Path) -> &str {
     path.to_str().unwrap()
+}
+
+/// The run that most tests serve, and a folder to write to.
+fn shared(dir: &TempDir) -> (&'static Path, PathBuf) {
+    static RUN: OnceLock<(TempDir, PathBuf)> = OnceLock::new();
+    let (_, run) = RUN.get_or_init(|| {
+        let dir = TempDir::new().unwrap();
+        let run = trained(&dir, "");
+        (dir, run)
+    });
+    (run, dir.path().join("served"))
 }
 
 /// A run of a second at 16 x 16, with further settings.
@@ -126,12 +138,12 @@ fn eight_bits(values: &[f64]) -> Vec<u8> {
 #[test]
 fn images_are_those_of_render_cameras_byte_for_byte() {
     let dir = TempDir::new().unwrap();
-    let (run, out) = (trained(&dir, ""), dir.path().join("served"));
+    let (run, out) = shared(&dir);
     // The run is free while it is served.
-    let (mut served, ready) = Served::start(&run, &out);
+    let (mut served, ready) = Served::start(run, &out);
     assert_eq!((&ready["ready"], &ready["protocol"]), (&json!(true), &json!(1)));
     assert_eq!((&ready["step"], &ready["width"], &ready["height"]), (&json!(12), &json!(16), &json!(16)));
-    assert_eq!((ready["run"].as_str(), ready["folder"].as_str()), (Some(path(&run)), Some(path(&out))));
+    assert_eq!((ready["run"].as_str(), ready["folder"].as_str()), (Some(path(run)), Some(path(&out))));
     assert_eq!(ready["outputs"], json!(ALL));
     let off_centre = with(&camera(3.0), json!({ "fl_x": 17.5, "fl_y": 16, "cx": 8.25, "cy": 7 }));
     let off_centre: Value = serde_json::from_str(&off_centre).unwrap();
@@ -143,13 +155,13 @@ fn images_are_those_of_render_cameras_byte_for_byte() {
         assert!(answer["milliseconds"].is_u64(), "{answer}");
         let file = |output: &str| out.join(answer["files"][output].as_str().unwrap());
         let expected = dir.path().join(format!("expected{index}"));
-        rendered(&run, camera, &expected);
+        rendered(run, camera, &expected);
         for kind in ["rgb", "depth"] {
             let bytes = |path: PathBuf| std::fs::read(path).unwrap();
             let same = bytes(file(&format!("{kind}.png"))) == bytes(expected.join(format!("{kind}_000.png")));
             assert!(same, "{kind} of camera {index} differs");
         }
-        check_values(&run, &expected, &file);
+        check_values(run, &expected, &file);
         images.push(std::fs::read(file("rgb.png")).unwrap());
     }
     assert!(images[0] != images[1] && images[1] != images[2], "the cameras see different things");
@@ -187,8 +199,8 @@ fn check_values(run: &Path, expected: &Path, file: &dyn Fn(&str) -> PathBuf) {
 #[test]
 fn wrong_requests_are_answered_in_words_and_the_next_is_read() {
     let dir = TempDir::new().unwrap();
-    let (run, out) = (trained(&dir, ""), dir.path().join("served"));
-    let (mut served, _) = Served::start(&run, &out);
+    let (run, out) = shared(&dir);
+    let (mut served, _) = Served::start(run, &out);
     let good = camera(4.0);
     let further = |further: Value| with(&good, further);
     let nowhere = good.to_string().replace("0.3", "NaN");
@@ -242,8 +254,8 @@ fn wrong_requests_are_answered_in_words_and_the_next_is_read() {
 #[test]
 fn answers_come_in_the_order_of_requests_also_at_the_end_of_input() {
     let dir = TempDir::new().unwrap();
-    let (run, out) = (trained(&dir, ""), dir.path().join("served"));
-    let (mut served, _) = Served::start(&run, &out);
+    let (run, out) = shared(&dir);
+    let (mut served, _) = Served::start(run, &out);
     let request = |index: usize| match index {
         2 => "nonsense".to_string(),
         _ => with(&camera(3.0 + index as f64), json!({ "name": format!("of-{index}") })),
@@ -288,9 +300,8 @@ fn a_signal_ends_a_server_that_waits_or_renders() {
 #[test]
 fn a_server_whose_answers_nobody_reads_ends() {
     let dir = TempDir::new().unwrap();
-    let run = trained(&dir, "");
-    let out = dir.path().join("served");
-    let mut command = augnerf(&["render", path(&run), "--serve", "--out", path(&out), "--quiet"]);
+    let (run, out) = shared(&dir);
+    let mut command = augnerf(&["render", path(run), "--serve", "--out", path(&out), "--quiet"]);
     let mut child = command.stdin(Stdio::piped()).stdout(Stdio::piped()).spawn().unwrap();
     let mut output = BufReader::new(child.stdout.take().unwrap());
     let mut ready = String::new();
@@ -326,8 +337,9 @@ fn cameras_that_look_away_have_no_normalized_device_coordinates() {
 #[test]
 fn flags_of_known_cameras_and_folders_with_files_are_refused() {
     let dir = TempDir::new().unwrap();
-    let run = trained(&dir, "");
-    let (run, out) = (path(&run), path(dir.path()));
+    let (run, _) = shared(&dir);
+    std::fs::write(dir.path().join("file"), "").unwrap();
+    let (run, out) = (path(run), path(dir.path()));
     refuse(&["render", run, "--serve"], 2, &["--out"]);
     let further =
         [["--what", "views"], ["--cameras", "a.json"], ["--frames", "2"], ["--resolution", "8x8"], ["--fps", "2"]];

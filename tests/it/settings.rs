@@ -9,9 +9,8 @@ use augnerf::settings::{
     Config, Core, Encoding, Method, Preset, Schedule, TrainViews, build, parse_assignment, settings_page,
 };
 
-use crate::common::program::{printed, refuse, succeed};
+use crate::common::program::{refuse, succeed};
 use crate::common::{tiny_config, tiny_scene, trained};
-use tempfile::TempDir;
 
 /// `AUGNERF_UPDATE_DOCS=1 cargo test settings` writes the page anew.
 #[test]
@@ -109,30 +108,19 @@ fn columns_hold_the_values_of_settings() {
     });
     for (column, text) in [
         ("encoding", "positional"),
-        ("position_octaves", "4"),
         ("view_octaves", "2"),
         ("skips", "[1,3]"),
-        ("rgb_padding", "0.0"),
-        ("jitter", "true"),
         ("density_noise", "0.0"),
-        ("batching", "one-image"),
         ("precrop_steps", "7"),
-        ("precrop_fraction", "0.5"),
         ("chunk", "17"),
         ("eval_chunk", "19"),
-        ("dead_start_share", "0.05"),
         ("core", "fused"),
         ("precision", "f32"),
         ("views_seen", "2"),
         ("views_seed", "5"),
-        ("training_views", ""),
-        ("validation", ""),
         // No part in this run.
         ("resample_padding", ""),
-        ("warmup_share", ""),
-        ("xyz_radius", ""),
         ("norms", ""),
-        ("perturb_last", ""),
         ("lambda", ""),
     ] {
         assert_eq!(nerf.text(column), text, "{column}");
@@ -149,11 +137,9 @@ fn columns_hold_the_values_of_settings() {
         ("rgb_padding", "0.001"),
         ("resample_padding", "0.01"),
         ("warmup_share", "0.0025"),
-        ("warmup_from", "0.01"),
         ("core", "plain"),
         ("xyz_radius", "pixel"),
         ("norms", "xyz linf, view linf, feature linf, rgb linf"),
-        ("perturb_last", "false"),
         ("training_views", "r_2 r_26"),
         ("lambda", "0.1"),
     ] {
@@ -187,39 +173,4 @@ fn columns_of_a_hash_field_tell_what_it_reads() {
     assert!(two.starts_with("2 x 2, 2^8, 16 to "), "{two}");
     let one = of(1).text("hash_grid");
     assert!(one.starts_with("1 x 2, 2^8, 16, linear"), "{one}");
-}
-
-/// A run's file has every number filled in. Numbers that it had by default follow what is given over it.
-#[test]
-fn an_attack_over_a_plain_run_has_its_own_numbers() {
-    let dir = TempDir::new().unwrap();
-    let out = dir.path().join("run");
-    let [run, config] = [out.clone(), out.join("config.toml")].map(|path| path.to_str().unwrap().to_string());
-    let small =
-        ["--set", "data.width=12", "--set", "field.width=16", "--set", "train.rays=32", "--set", "eval.pictures=0"];
-    let plain =
-        ["train", "--preset", "smoke", "-q", "--set", "train.steps=2", "--set", "regularizer.kind=tv", "--out", &run];
-    succeed(&[&plain[..], &small].concat());
-    let of = |over: &[&str], given: &[&str]| -> toml::Table {
-        printed(&[&["train", "--print-config", "-q"][..], over, given].concat()).parse().unwrap()
-    };
-    for over in [["--from", &run], ["--config", &config]] {
-        let given = ["--method", "aug-nerf", "--set", "perturb.attack=calibrated", "--set", "regularizer.kind=l1"];
-        let settings = of(&over, &given);
-        let perturb = &settings["perturb"];
-        assert_eq!(perturb["step_unit"].as_str(), Some("relative"));
-        // Rays from 2 to 6, with 24 samples.
-        let density = 4.0 / 255.0 / (4.0 / 24.0);
-        for (site, step_size, epsilon) in
-            [("t", 2.5 / 3.0, 0.25), ("feature", 2.5, 0.01), ("rgb", 2.5, 4.0 / 255.0), ("density", 2.5, density)]
-        {
-            let found = ["step_size", "epsilon"].map(|key| perturb[site][key].as_float());
-            assert_eq!(found, [Some(step_size), Some(epsilon)], "{site}");
-        }
-        assert_eq!(settings["regularizer"]["weight"], toml::Value::from(vec![1.4e-4]));
-        // Without such a setting they stay.
-        let same = of(&over, &["--set", "train.log_every=7"]);
-        assert_eq!(same["perturb"]["rgb"]["epsilon"].as_float(), Some(1e-5));
-        assert_eq!(same["regularizer"]["weight"], toml::Value::from(vec![3.8e-6]));
-    }
 }

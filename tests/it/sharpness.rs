@@ -1,9 +1,9 @@
 //! Sharpness-aware steps and limits of gradients, on networks and on hash grids.
 
-use crate::common::{assert_same_bytes, parameters, put_on_grid, tiny_config, trained};
+use crate::common::{assert_same_bytes, built, parameters, put_on_grid, tiny_config, trained};
 use augnerf::run::load_scene;
 use augnerf::runtime::Runtime;
-use augnerf::settings::{Config, Method, Preset, Resolved, SamDirection, VolumeConfig, build, parse_assignment};
+use augnerf::settings::{Config, Method, Preset, Resolved, SamDirection, VolumeConfig};
 use augnerf::train::{StepStats, Trainer};
 use candle_core::DType;
 
@@ -26,9 +26,9 @@ fn sam(on_grid: bool, radius: f64, direction: SamDirection) -> Resolved {
 fn on_the_builtin_scene(on_grid: bool, sam: &[&str], steps: u64) -> StepStats {
     let size = ["data.width=24", "train.rays=128", "field.width=32", "field.hash.log2_table=10"];
     let size = &size[..if on_grid { 4 } else { 3 }];
-    let settings: Vec<_> = size.iter().chain(sam).map(|text| parse_assignment(text).unwrap()).collect();
+    let settings = size.iter().chain(sam).copied().collect::<Vec<_>>().join("; ");
     let preset = if on_grid { Preset::Fast } else { Preset::Smoke };
-    let (config, scene) = load_scene(build(Some(preset), None, &settings).unwrap(), &()).unwrap();
+    let (config, scene) = load_scene(built(Some(preset), &settings).unwrap(), &()).unwrap();
     let mut trainer = Trainer::new(&config, &scene, DType::F32, &Runtime::new("cpu", None).unwrap()).unwrap();
     (0..steps).for_each(|_| drop(trainer.step(false).unwrap()));
     trainer.step(true).unwrap()

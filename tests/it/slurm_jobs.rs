@@ -7,16 +7,13 @@
 //! DIR/stop
 //! ```
 
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::process::Command;
-use std::sync::{Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
-use super::slurm::TINY;
-use crate::common::assert_says;
+use super::slurm::{TINY, points};
 use crate::common::files::{assert_same_files, entries, json, text};
-use crate::common::program::{self, augnerf};
-use tempfile::TempDir;
+use crate::common::program::Place;
 
 /// As long as all that is submitted here may take.
 const PATIENCE: Duration = Duration::from_secs(600);
@@ -28,24 +25,11 @@ fn definition() -> String {
     steps.replace("\"train.checkpoint_every\" = 10", "\"train.checkpoint_every\" = 50")
 }
 
-/// Tests take turns: their jobs have one name, and the cluster is small.
-fn alone() -> MutexGuard<'static, ()> {
-    static TURN: Mutex<()> = Mutex::new(());
-    TURN.lock().unwrap_or_else(PoisonError::into_inner)
-}
-
 /// A folder with the sweep in it.
-fn workplace() -> TempDir {
+fn workplace() -> Place {
     let answered = Command::new("sinfo").arg("--noheader").output().is_ok_and(|output| output.status.success());
     assert!(answered, "no Slurm answers (sinfo): `tools/slurm_here.sh DIR && . DIR/env` starts one for this test");
-    let dir = TempDir::new().unwrap();
-    std::fs::write(dir.path().join("tiny.toml"), definition()).unwrap();
-    dir
-}
-
-#[track_caller]
-fn demand(arguments: &[&str], dir: &Path, code: i32) -> String {
-    program::demand(augnerf(arguments).current_dir(dir), code)
+    Place::with("tiny.toml", &definition())
 }
 
 /// What a command of Slurm says.
@@ -58,8 +42,8 @@ fn slurm(program: &str, arguments: &[&str]) -> String {
 }
 
 /// Submits the sweep's script with options of `sbatch`, and returns the job's number.
-fn submit(dir: &Path, options: &[&str]) -> String {
-    let script = dir.join("runs/tiny/slurm/points.sbatch");
+fn submit(place: &Place, options: &[&str]) -> String {
+    let script = place.at("runs/tiny/slurm/points.sbatch");
     slurm("sbatch", &[&["--parsable"], options, &[script.to_str().unwrap()]].concat()).trim().to_string()
 }
 
@@ -75,23 +59,16 @@ fn queue() -> Vec<(String, String, String)> {
 }
 
 #[track_caller]
-fn wait_for(what: &str, dir: &Path, holds: impl Fn() -> bool) {
+fn wait_for(what: &str, place: &Place, holds: impl Fn() -> bool) {
     let started = Instant::now();
     while !holds() {
         if started.elapsed() > PATIENCE {
-            let logs = entries(&dir.join("runs/tiny/slurm/log"));
+            let logs = entries(&place.at("runs/tiny/slurm/log"));
             let logs: Vec<String> = logs.iter().map(|log| format!("{}:\n{}", log.display(), text(log))).collect();
             panic!("{what}: not within {PATIENCE:?}; {:?}\n{}", queue(), logs.join("\n"));
         }
         std::thread::sleep(Duration::from_millis(200));
     }
-}
-
-/// The points' folders, in the order of their numbers.
-fn points(dir: &Path) -> Vec<PathBuf> {
-    let folder = dir.join("runs/tiny");
-    let ids = json(&folder.join("points.json"))["points"].as_array().unwrap().clone();
-    ids.iter().map(|point| folder.join("points").join(point["id"].as_str().unwrap())).collect()
 }
 
 /// It is trained right now and will be for a while.
@@ -107,16 +84,13 @@ fn sessions(point: &Path) -> u64 {
 #[test]
 #[ignore = "needs Slurm"]
 fn a_sweep_on_a_cluster_equals_one_at_home_whatever_befalls_its_tasks() {
-    let _turn = alone();
-    let (home, cluster) = (workplace(), workplace());
-    let dir = cluster.path();
-    let said = demand(&["sweep", "slurm", "tiny.toml"], dir, 0);
-    assert_says(&said, &["6 of 6 points", "sbatch runs/tiny/slurm/points.sbatch"]);
-    let job = submit(dir, &["--cpus-per-task=1", "--mem=200", "--time=20"]);
-    let all = points(dir);
+    let (home, place) = (workplace(), workplace());
+    place.says("sweep slurm tiny.toml", 0, &["6 of 6 points", "sbatch runs/tiny/slurm/points.sbatch"]);
+    let job = submit(&place, &["--cpus-per-task=1", "--mem=200", "--time=20"]);
+    let all = points(&place);
     // Of each seed the first, broken, and the last row.
     let good = [0, 2, 3, 5];
-    wait_for("four points at once", dir, || good.iter().all(|&index| in_training(&all[index])));
+    wait_for("four points at once", &place, || good.iter().all(|&index| in_training(&all[index])));
     let running = queue();
     let mut nodes: Vec<&str> = running.iter().filter(|task| task.1 == "RUNNING").map(|task| task.2.as_str()).collect();
     assert!(nodes.len() >= 4, "{running:?}");
@@ -137,44 +111,20 @@ fn a_sweep_on_a_cluster_equals_one_at_home_whatever_befalls_its_tasks() {
     slurm("scancel", &["--signal=USR1", "--batch", &format!("{job}_{}", others[0])]);
     let pid = json(&all[others[1]].join("claim.json"))["pid"].to_string();
     assert!(Command::new("kill").args(["-9", &pid]).status().unwrap().success());
-    wait_for("the end of all jobs", dir, || queue().is_empty());
-    let logs: Vec<String> = entries(&dir.join("runs/tiny/slurm/log")).iter().map(|log| text(log)).collect();
+    wait_for("the end of all jobs", &place, || queue().is_empty());
+    let logs: Vec<String> = entries(&place.at("runs/tiny/slurm/log")).iter().map(|log| text(log)).collect();
     let stopped = logs.iter().filter(|log| log.contains("stopping with a checkpoint")).count();
     assert_eq!(stopped, preempted.len() + 1, "{logs:#?}");
     for index in good {
         let disturbed = preempted.contains(&index) || others[..2].contains(&index);
         assert_eq!(sessions(&all[index]), if disturbed { 2 } else { 1 }, "{index}: {logs:#?}");
     }
-    let status = demand(&["sweep", "status", "runs/tiny"], dir, 7);
-    assert_says(&status, &["4 done, 2 failed", "not a number"]);
-    demand(&["sweep", "collect", "runs/tiny"], dir, 7);
+    place.says("sweep status runs/tiny", 7, &["4 done, 2 failed", "not a number"]);
+    place.run("sweep collect runs/tiny", 7);
 
-    demand(&["sweep", "run", "tiny.toml", "--quiet"], home.path(), 7);
-    assert_same_files(&home.path().join("results/tiny"), &dir.join("results/tiny"), &["timing.csv"]);
-    for (a, b) in points(home.path()).iter().zip(&all) {
+    home.run("sweep run tiny.toml --quiet", 7);
+    assert_same_files(&home.at("results/tiny"), &place.at("results/tiny"), &["timing.csv"]);
+    for (a, b) in points(&home).iter().zip(&all) {
         assert_same_files(a, b, &["run/timing.json", "run/run.lock"]);
     }
-}
-
-#[test]
-#[ignore = "needs Slurm"]
-fn a_cancelled_sweep_stays_cancelled_and_goes_on_at_home() {
-    let _turn = alone();
-    let cluster = workplace();
-    let dir = cluster.path();
-    let limited = ["--set", "train.steps=8000", "--seeds", "0"];
-    demand(&[&["sweep", "slurm", "tiny.toml", "--quiet"], &limited[..]].concat(), dir, 0);
-    let job = submit(dir, &["--array=0"]);
-    let own = points(dir)[0].clone();
-    wait_for("a step", dir, || in_training(&own));
-    slurm("scancel", &[&job]);
-    wait_for("an empty queue", dir, || queue().is_empty());
-    // As long as a task that was put back would wait.
-    std::thread::sleep(Duration::from_secs(10));
-    assert_eq!(queue(), []);
-    let log = entries(&dir.join("runs/tiny/slurm/log")).iter().map(|log| text(log)).collect::<String>();
-    assert_says(&log, &["stopping with a checkpoint", "CANCELLED"]);
-    assert!(!own.join("result.json").exists() && !own.join("claim.json").exists());
-    demand(&["sweep", "run-point", "runs/tiny", "--index", "0", "--quiet"], dir, 0);
-    assert_eq!(sessions(&own), 2);
 }

@@ -2,54 +2,25 @@
 
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
+use std::sync::LazyLock;
 use std::time::{Duration, Instant};
 
 use crate::common::assert_says;
 use crate::common::files::{assert_same_files, entries, files, json, newest, points_of, rows, text};
-use crate::common::program::{self, augnerf, wait_for};
+use crate::common::program::{Place, augnerf, set, tiny_sweep, wait_for};
 use augnerf::base::rng::{Random, Stream};
 use augnerf::run::DepthErrors;
-use tempfile::TempDir;
 
 /// Runs of about a second: two methods, two seeds, the embedded scene at 16 x 16.
-const TINY: &str = r#"
-title = "tiny"
-preset = "smoke"
-scenes = ["builtin"]
-seeds = [0, 1]
-metrics = ["psnr", "ssim", "tv"]
-baseline = "NeRF"
-
-[set]
-"data.width" = 16
-"field.width" = 16
-"sampling.coarse" = 8
-"sampling.fine" = 8
-"train.rays" = 64
-"train.chunk" = 32
-"train.steps" = 60
-"train.checkpoint_every" = 10
-"eval.pictures" = 0
-
-[[row]]
-name = "NeRF"
-
-[[row]]
-name = "Aug-NeRF"
-set = { method = "aug-nerf", "perturb.attack" = "calibrated" }
-"#;
-
-/// Runs in a folder, demands an exit code, and returns everything said.
-#[track_caller]
-fn demand(arguments: &[&str], dir: &Path, code: i32) -> String {
-    program::demand(augnerf(arguments).current_dir(dir), code)
-}
+static TINY: LazyLock<String> = LazyLock::new(|| {
+    let settings = "train.chunk=32 train.steps=60 train.checkpoint_every=10 eval.pictures=0";
+    let calibrated = "method = \"aug-nerf\", \"perturb.attack\" = \"calibrated\"";
+    tiny_sweep(&[0, 1], &["psnr", "ssim", "tv"], settings, &[("Aug-NeRF", calibrated)])
+});
 
 /// A working folder with a sweep file in it.
-fn workplace(definition: &str) -> TempDir {
-    let dir = TempDir::new().unwrap();
-    std::fs::write(dir.path().join("tiny.toml"), definition).unwrap();
-    dir
+fn workplace(definition: &str) -> Place {
+    Place::with("tiny.toml", definition)
 }
 
 fn start(dir: &Path) -> Child {
@@ -71,9 +42,9 @@ fn a_table_has_rows_of_every_method() {
                  \"llff.window\" = 16, \"llff.crop\" = 8, method = ";
     let methods = ["srn", "nv", "llff"];
     let further = methods.map(|method| format!("\n[[row]]\nname = \"{method}\"\n{small}\"{method}\" }}\n"));
-    let dir = workplace(&(one + &further.concat()));
-    demand(&["sweep", "run", "tiny.toml", "--quiet"], dir.path(), 0);
-    let points = points_of(&dir.path().join("results/tiny"));
+    let place = workplace(&(one + &further.concat()));
+    place.run("sweep run tiny.toml --quiet", 0);
+    let points = points_of(&place.at("results/tiny"));
     let of = |row: &str| points.iter().find(|point| point["row"] == row).unwrap();
     for method in methods {
         let point = of(method);
@@ -88,12 +59,12 @@ fn a_table_has_rows_of_every_method() {
 fn smoothness_of_a_point_is_that_of_measure() {
     let one = TINY.replace("seeds = [0, 1]", "seeds = [0]").replace("\"builtin\"", "\"ring\"");
     let definition = one.split("[[row]]").take(2).collect::<Vec<_>>().join("[[row]]");
-    let dir = workplace(&definition.replace("= 60", "= 4").replace("[set]", "[set]\n\"data.kind\" = \"transforms\""));
-    demand(&["data", "export-builtin", "ring", "--width", "16"], dir.path(), 0);
-    demand(&["sweep", "run", "tiny.toml", "--data-root", ".", "--quiet"], dir.path(), 0);
-    let point = points_of(&dir.path().join("results/tiny")).remove(0);
-    let run = dir.path().join("runs/tiny/points").join(&point["id"]).join("run");
-    demand(&["eval", "--smoothness", "--quiet", run.to_str().unwrap()], dir.path(), 0);
+    let place = workplace(&definition.replace("= 60", "= 4").replace("[set]", "[set]\n\"data.kind\" = \"transforms\""));
+    place.run("data export-builtin ring --width 16", 0);
+    place.run("sweep run tiny.toml --data-root . --quiet", 0);
+    let point = points_of(&place.at("results/tiny")).remove(0);
+    let run = place.at("runs/tiny/points").join(&point["id"]).join("run");
+    place.run(&format!("eval --smoothness --quiet {}", run.display()), 0);
     let measured = rows(&text(&run.join("smoothness.csv"))).pop().unwrap();
     let number = |cell: &str| cell.parse::<f64>().unwrap();
     for metric in ["l1", "tv", "laplacian", "largest_density", "occupied"] {
@@ -108,9 +79,9 @@ fn smoothness_of_a_point_is_that_of_measure() {
 #[ignore = "slow"]
 fn killed_at_random_moments_equals_undisturbed() {
     let kills = std::env::var("AUGNERF_SWEEP_KILLS").map_or(20, |n| n.parse().expect("a number of kills"));
-    let (undisturbed, disturbed) = (workplace(TINY), workplace(TINY));
+    let (undisturbed, disturbed) = (workplace(&TINY), workplace(&TINY));
     let started = Instant::now();
-    demand(&["sweep", "run", "tiny.toml", "--quiet"], undisturbed.path(), 0);
+    undisturbed.run("sweep run tiny.toml --quiet", 0);
     // A loaded machine takes longer to get to a training.
     let window = (0.3 * started.elapsed().as_secs_f64()).max(0.4);
     let mut random = Random::new(7, Stream::Search, 0);
@@ -120,7 +91,7 @@ fn killed_at_random_moments_equals_undisturbed() {
         child.kill().unwrap();
         child.wait().unwrap();
     }
-    demand(&["sweep", "run", "tiny.toml", "--quiet"], disturbed.path(), 0);
+    disturbed.run("sweep run tiny.toml --quiet", 0);
     assert_same_tables(undisturbed.path(), disturbed.path());
     let mut sessions = 0;
     for point in entries(&disturbed.path().join("runs/tiny/points")) {
@@ -139,41 +110,33 @@ fn killed_at_random_moments_equals_undisturbed() {
 fn corrupted_points_see_what_a_training_would() {
     let noise = "\n[set]\n\"data.corruption.kind\" = \"shot-noise\"";
     let short = TINY.replace("\n[set]", noise).replace("\"train.steps\" = 60", "\"train.steps\" = 2");
-    let work = workplace(&short);
-    demand(&["sweep", "run", "tiny.toml", "--quiet"], work.path(), 0);
-    let points = points_of(&work.path().join("results/tiny"));
+    let place = workplace(&short);
+    place.run("sweep run tiny.toml --quiet", 0);
+    let points = points_of(&place.at("results/tiny"));
     assert_eq!(points.len(), 4);
-    let table = text(&work.path().join("results/tiny/table.md"));
+    let table = place.text("results/tiny/table.md");
     assert!(table.contains("corruption shot-noise 3"), "{table}");
     for row in &points {
         let seed = &row["seed"];
-        let set = ["--set", "data.width=16", "--set", "data.corruption.kind=shot-noise", "--seed", seed];
-        let copy = work.path().join(format!("{}-{seed}", row["id"]));
-        demand(&[&["data", "corrupt", copy.to_str().unwrap(), "--quiet"][..], &set].concat(), work.path(), 0);
-        let note = json(&copy.join("corruption.json"));
+        let copy = format!("{}-{seed}", row["id"]);
+        let set = set(&format!("data.width=16 data.corruption.kind=shot-noise seed={seed}"));
+        place.run(&format!("data corrupt {copy} --quiet{set}"), 0);
+        let note = place.json(&format!("{copy}/corruption.json"));
         assert_eq!(note["corruption_hash"], row["corruption_hash"]);
         assert_eq!(note["data_hash"], row["data_hash"]);
     }
 }
 
-/// A budget in seconds, too: whoever begins the folder measures it, for both.
 #[test]
 #[ignore = "slow"]
 fn two_runners_share_a_folder() {
-    let (alone, shared) = (workplace(TINY), workplace(TINY));
-    demand(&["sweep", "run", "tiny.toml", "--quiet"], alone.path(), 0);
+    let (alone, shared) = (workplace(&TINY), workplace(&TINY));
+    alone.run("sweep run tiny.toml --quiet", 0);
     let runners = [start(shared.path()), start(shared.path())];
     for mut runner in runners {
         assert!(runner.wait().unwrap().success());
     }
     assert_same_tables(alone.path(), shared.path());
-    let budget = format!("{TINY}[[row]]\nname = \"equal\"\nbudget = {{ kind = \"seconds\", like = \"Aug-NeRF\" }}\n");
-    let equal = workplace(&budget);
-    let runners = [start(equal.path()), start(equal.path())];
-    for mut runner in runners {
-        assert!(runner.wait().unwrap().success());
-    }
-    assert_eq!(entries(&equal.path().join("runs/tiny/points")).len(), 6);
     // One session each: no point was begun twice.
     for point in entries(&shared.path().join("runs/tiny/points")) {
         assert_eq!(json(&point.join("run/timing.json"))["sessions"], 1);
@@ -186,18 +149,18 @@ fn failures_are_listed_and_the_rest_is_done() {
         "[[row]]\nname = \"Aug-NeRF\"",
         "[[row]]\nname = \"broken\"\nset = { \"train.learning_rate\" = 1e30 }\n\n[[row]]\nname = \"Aug-NeRF\"",
     );
-    let dir = workplace(&broken);
-    let message = demand(&["sweep", "run", "tiny.toml", "--quiet"], dir.path(), 7);
+    let place = workplace(&broken);
+    let message = place.run("sweep run tiny.toml --quiet", 7);
     assert_says(
         &message,
         &["2 of 6 points failed", "4 are done", "--retry-failed", "broken · builtin · seed 1", "not a number"],
     );
-    let status = demand(&["sweep", "status", "runs/tiny"], dir.path(), 7);
-    demand(&["sweep", "collect", "runs/tiny"], dir.path(), 7);
-    let said = demand(&["sweep", "status", "results/tiny"], dir.path(), 7);
+    let status = place.run("sweep status runs/tiny", 7);
+    place.run("sweep collect runs/tiny", 7);
+    let said = place.run("sweep status results/tiny", 7);
     assert!(said.contains("results, 4 done, 2 failed"), "{said}");
     assert!(status.contains("failed") && status.contains("not a number") && status.contains("4 done"), "{status}");
-    let points = points_of(&dir.path().join("results/tiny"));
+    let points = points_of(&place.at("results/tiny"));
     let failed: Vec<_> = points.iter().filter(|row| row["status"] == "failed").collect();
     assert_eq!(failed.len(), 2, "{points:?}");
     for row in failed {
@@ -210,74 +173,74 @@ fn failures_are_listed_and_the_rest_is_done() {
 
 #[test]
 fn a_scene_that_is_missing_and_a_definition_that_changed_are_said() {
-    let dir = workplace(TINY);
-    let quick = ["--set", "train.steps=5", "--seeds", "0", "--quiet"];
-    let args = |further: &[&'static str]| [&["sweep", "run", "tiny.toml"], &quick[..], further].concat();
-    let message = demand(&args(&["--scenes", "builtin,orchids"]), dir.path(), 8);
+    let place = workplace(&TINY);
+    let quick = |further: &str, code: i32| {
+        place.run(&format!("sweep run tiny.toml --set train.steps=5 --seeds 0 --quiet {further}"), code)
+    };
+    let message = quick("--scenes builtin,orchids", 8);
     assert_says(&message, &["2 of 4 points have no data", "2 are done", "orchids", "AUGNERF_DATA"]);
     // Without any scene there is no table.
-    let message = demand(&args(&["--scenes", "orchids,ferns", "--name", "gone"]), dir.path(), 8);
+    let message = quick("--scenes orchids,ferns --name gone", 8);
     assert_says(&message, &["4 of 4 points have no data", "scenes are missing: ferns, orchids", "--data-root"]);
-    demand(&["sweep", "collect", "runs/gone"], dir.path(), 8);
-    assert!(!dir.path().join("results/gone").exists() && !message.contains("tables: "), "{message}");
-    let message = demand(&args(&[]), dir.path(), 2);
+    place.run("sweep collect runs/gone", 8);
+    assert!(!place.at("results/gone").exists() && !message.contains("tables: "), "{message}");
+    let message = quick("", 2);
     assert_says(
         &message,
         &["another definition", "differs in scenes", "2 of the old ones are gone", "--extend", "--name"],
     );
-    demand(&args(&["--extend"]), dir.path(), 0);
-    let plan = demand(&["sweep", "plan", "tiny.toml", "--seeds", "0"], dir.path(), 0);
+    quick("--extend", 0);
+    let plan = place.run("sweep plan tiny.toml --seeds 0", 0);
     assert!(plan.contains("2 points") && plan.contains("s/step") && plan.contains("in total"), "{plan}");
-    demand(&["sweep", "run", "nothing.toml"], dir.path(), 2);
-    demand(&["sweep", "status", "nothing"], dir.path(), 5);
+    place.run("sweep run nothing.toml", 2);
+    place.run("sweep status nothing", 5);
 }
 
 /// Rows that were trained by different programs are not put side by side; the points are all there.
 #[test]
 fn rows_of_two_revisions_are_refused_and_what_became_of_points_is_still_said() {
-    let dir = workplace(TINY);
-    demand(&["sweep", "run", "tiny.toml", "--quiet", "--set", "train.steps=5"], dir.path(), 0);
-    let result = newest(&dir.path().join("runs/tiny/points")).join("result.json");
+    let place = workplace(&TINY);
+    place.run("sweep run tiny.toml --quiet --set train.steps=5", 0);
+    let result = newest(&place.at("runs/tiny/points")).join("result.json");
     let value = json(&result);
     let fields = value["protocol"].as_array().unwrap();
     let revision = fields.iter().find(|field| field[0] == "code_revision").unwrap()[1].as_str().unwrap();
     std::fs::write(&result, text(&result).replace(revision, "another")).unwrap();
-    let message = demand(&["sweep", "run", "tiny.toml", "--quiet", "--set", "train.steps=5"], dir.path(), 9);
-    assert_says(&message, &["code_revision", "another", "--force"]);
-    let results = dir.path().join("results/tiny");
+    place.says("sweep run tiny.toml --quiet --set train.steps=5", 9, &["code_revision", "another", "--force"]);
+    let results = place.at("results/tiny");
     assert!(results.join("points.csv").is_file());
     assert!(!results.join("table.csv").exists() && !results.join("rows_builtin_psnr.svg").exists(), "no stale table");
-    demand(&["sweep", "collect", "runs/tiny", "--force"], dir.path(), 0);
+    place.run("sweep collect runs/tiny --force", 0);
     assert!(text(&results.join("table.md")).contains("code_revision"));
 }
 
 #[test]
 fn sigterm_stops_with_the_signal_s_code_and_the_next_run_ends_it() {
-    let dir = workplace(&TINY.replace("\"train.steps\" = 60", "\"train.steps\" = 200"));
-    let mut child = start(dir.path());
-    let points = dir.path().join("runs/tiny/points");
+    let place = workplace(&TINY.replace("\"train.steps\" = 60", "\"train.steps\" = 200"));
+    let mut child = start(place.path());
+    let points = place.at("runs/tiny/points");
     let begun = |point: &PathBuf| point.join("run/config.toml").exists();
     wait_for("a point in training", || points.is_dir() && entries(&points).iter().any(begun));
     Command::new("kill").args(["-TERM", &child.id().to_string()]).status().unwrap();
     assert_eq!(child.wait().unwrap().code(), Some(143));
-    demand(&["sweep", "run", "tiny.toml", "--quiet"], dir.path(), 0);
+    place.run("sweep run tiny.toml --quiet", 0);
 }
 
 /// "60 steps" above results of 5 would be a false title. What the folder keeps makes the same files again.
 #[test]
 fn titles_say_what_the_command_line_changed() {
-    let dir = workplace(&TINY.replace("\"tiny\"", "\"tiny, 60 steps\""));
-    let run = |further: &[&str]| {
-        demand(&[&["sweep", "run", "tiny.toml", "--quiet", "--seeds", "0"], further].concat(), dir.path(), 0);
-        files(&dir.path().join("results/tiny"), &[])
+    let place = workplace(&TINY.replace("\"tiny\"", "\"tiny, 60 steps\""));
+    let run = |further: &str| {
+        place.run(&format!("sweep run tiny.toml --quiet --seeds 0 {further}"), 0);
+        files(&place.at("results/tiny"), &[])
     };
-    let results = dir.path().join("results/tiny");
+    let results = place.at("results/tiny");
     let titled = ["table.md", "table.tex", "rows_builtin_psnr.txt", "curves_builtin_psnr.txt"];
     // The same as the file says, and no title of another.
-    let plain = run(&["--set", "train.steps=60", "--preset", "smoke"]);
+    let plain = run("--set train.steps=60 --preset smoke");
     titled.iter().for_each(|name| assert!(!text(&results.join(name)).contains("(with"), "{name}"));
-    assert_eq!(run(&[]), plain);
-    let changed = run(&["--set", "train.steps=45", "--set", "seed=0", "--extend"]);
+    assert_eq!(run(""), plain);
+    let changed = run("--set train.steps=45 --set seed=0 --extend");
     for name in titled {
         let text = text(&results.join(name));
         // Figures have it in the caption, so that no title is long.
@@ -285,28 +248,28 @@ fn titles_say_what_the_command_line_changed() {
         assert_eq!(text.contains("tiny, 60 steps (with seed = 0, train.steps = 45)"), !is_figure, "{name}: {text}");
         assert_eq!(text.contains("All rows: seed = 0, train.steps = 45."), is_figure, "{name}: {text}");
     }
-    demand(&["sweep", "collect", "runs/tiny"], dir.path(), 0);
+    place.run("sweep collect runs/tiny", 0);
     assert_eq!(files(&results, &[]), changed);
-    crate::verify::verify(dir.path(), &[], 0);
+    place.run("verify", 0);
 }
 
 /// A run that cannot be read is hours of training: it is said, not begun again over what is there.
 #[test]
 fn a_point_without_its_settings_fails_and_keeps_its_checkpoints() {
-    let dir = workplace(TINY);
-    let run = ["sweep", "run", "tiny.toml", "--quiet", "--seeds", "0", "--set", "train.steps=5"];
-    demand(&run, dir.path(), 0);
-    let point = std::fs::read_dir(dir.path().join("runs/tiny/points")).unwrap().next().unwrap().unwrap().path();
+    let place = workplace(&TINY);
+    let run = "sweep run tiny.toml --quiet --seeds 0 --set train.steps=5";
+    place.run(run, 0);
+    let point = std::fs::read_dir(place.at("runs/tiny/points")).unwrap().next().unwrap().unwrap().path();
     for file in ["result.json", "run/config.toml"] {
         std::fs::remove_file(point.join(file)).unwrap();
     }
-    let message = demand(&run, dir.path(), 7);
+    let message = place.run(run, 7);
     assert!(message.contains("config.toml"), "{message}");
     let checkpoints = std::fs::read_dir(point.join("run/checkpoints")).unwrap();
     assert_eq!(checkpoints.count(), 1, "nothing is deleted");
     // One that was killed before its first file is begun.
     std::fs::remove_dir_all(point.join("run/checkpoints")).unwrap();
-    demand(&[&run[..], &["--retry-failed"]].concat(), dir.path(), 0);
+    place.run(&format!("{run} --retry-failed"), 0);
 }
 
 /// Memory is the point's own: not that of a larger one before it, and none of two at once.
@@ -318,17 +281,16 @@ fn each_point_has_its_own_memory() {
     let rows = format!("[[row]]\nname = \"NeRF\"\nset = {large}\n[[row]]\nname = \"small\"\n");
     let (head, _) = TINY.split_once("[[row]]").unwrap();
     let definition = head.replace("\"train.steps\" = 60", "\"train.steps\" = 2").replace("[0, 1]", "[0]") + &rows;
-    let dir = workplace(&definition);
-    let memory = |arguments: &[&str]| -> Vec<String> {
-        demand(&[&["sweep", "run", "tiny.toml", "--quiet"], arguments].concat(), dir.path(), 0);
-        let name = arguments.last().unwrap();
-        let timing = self::rows(&text(&dir.path().join("results").join(name).join("timing.csv")));
+    let place = workplace(&definition);
+    let memory = |name: &str, jobs: u32| -> Vec<String> {
+        place.run(&format!("sweep run tiny.toml --quiet --jobs {jobs} --name {name}"), 0);
+        let timing = self::rows(&place.text(&format!("results/{name}/timing.csv")));
         timing.iter().map(|row| row["peak_memory_mib"].clone()).collect()
     };
-    let one_by_one = memory(&["--name", "one"]);
+    let one_by_one = memory("one", 1);
     let [large, small] = [0, 1].map(|index| one_by_one[index].parse::<f64>().unwrap());
     assert!(large > small + 50.0, "{large} MiB, then {small} MiB");
-    assert_eq!(memory(&["--jobs", "2", "--name", "two"]), ["", ""]);
+    assert_eq!(memory("two", 2), ["", ""]);
 }
 
 /// Depth errors are compared over the pixels that all rows show; what each evaluation keeps gives its own numbers again.
@@ -337,15 +299,15 @@ fn rows_are_compared_over_their_common_pixels() {
     let metrics = r#"metrics = ["depth_mae", "depth_left_out", "depth_mae_common", "depth_left_out_common"]"#;
     let definition = TINY.replace(r#"metrics = ["psnr", "ssim", "tv"]"#, metrics).replace("[0, 1]", "[0]");
     let definition = definition.replace("\"data.width\" = 16", "\"data.width\" = 24").replace("= 60", "= 150");
-    let dir = workplace(&definition);
-    demand(&["sweep", "run", "tiny.toml", "--quiet"], dir.path(), 0);
-    let points = points_of(&dir.path().join("results/tiny"));
+    let place = workplace(&definition);
+    place.run("sweep run tiny.toml --quiet", 0);
+    let points = points_of(&place.at("results/tiny"));
     let number = |row: usize, name: &str| points[row][name].parse::<f64>().unwrap();
     let common = number(0, "depth_left_out_common");
     assert_eq!(common, number(1, "depth_left_out_common"), "one mask for both rows");
     for (row, point) in points.iter().enumerate() {
         assert!(number(row, "depth_left_out") <= common);
-        let run = dir.path().join("runs/tiny/points").join(&point["id"]).join("run");
+        let run = place.at("runs/tiny/points").join(&point["id"]).join("run");
         let errors = DepthErrors::read(&run.join("depth_errors.gz")).unwrap().unwrap();
         let mean = |view: &Vec<f32>| {
             let solid: Vec<f64> =
@@ -355,48 +317,47 @@ fn rows_are_compared_over_their_common_pixels() {
         let own = errors.views.iter().map(mean).sum::<f64>() / errors.views.len() as f64;
         assert!((own - number(row, "depth_mae")).abs() < 1e-6 * own, "{own} {}", point["depth_mae"]);
     }
-    assert!(
-        number(0, "depth_mae_common") > 0.0
-            && text(&dir.path().join("results/tiny/table.md")).contains("depth_mae_common")
-    );
+    assert!(number(0, "depth_mae_common") > 0.0 && place.text("results/tiny/table.md").contains("depth_mae_common"));
 
     // A run of an earlier version keeps no errors: nothing is common until it is measured again.
-    let first = dir.path().join("runs/tiny/points").join(&points[0]["id"]).join("run/depth_errors.gz");
+    let first = place.at("runs/tiny/points").join(&points[0]["id"]).join("run/depth_errors.gz");
     let kept = std::fs::read(&first).unwrap();
     let mut fewer = DepthErrors::read(&first).unwrap().unwrap();
     fewer.views.pop();
     fewer.write(&first).unwrap();
-    let message = demand(&["sweep", "collect", "runs/tiny"], dir.path(), 5);
-    assert_says(&message, &["depth_errors.gz", "is damaged", "7 views", "measurement 8", "augnerf eval"]);
+    place.says(
+        "sweep collect runs/tiny",
+        5,
+        &["depth_errors.gz", "is damaged", "7 views", "measurement 8", "augnerf eval"],
+    );
     std::fs::remove_file(&first).unwrap();
-    demand(&["sweep", "collect", "runs/tiny"], dir.path(), 0);
-    let without = rows(&text(&dir.path().join("results/tiny/table.csv")));
+    place.run("sweep collect runs/tiny", 0);
+    let without = rows(&place.text("results/tiny/table.csv"));
     assert!(without.iter().all(|row| !row.contains_key("depth_mae_common_mean") && !row["depth_mae_mean"].is_empty()));
     // A run that cannot be measured again is no success, however often it is tried, and keeps its result and its run.
-    let remeasure = ["sweep", "run", "tiny.toml", "--quiet", "--remeasure"];
+    let remeasure = "sweep run tiny.toml --quiet --remeasure";
     let config = first.with_file_name("config.toml");
     let settings = text(&config);
     std::fs::write(&config, settings.replacen("seed = 0", "seed = 9", 1)).unwrap();
-    for arguments in [&remeasure[..], &remeasure, &[&remeasure[..], &["--retry-failed"]].concat()] {
-        let message = demand(arguments, dir.path(), 7);
-        assert_says(&message, &["1 of 2 points could not be measured again", "--remeasure", "a run of other settings"]);
+    for line in [remeasure, remeasure, &format!("{remeasure} --retry-failed")] {
+        let words = ["1 of 2 points could not be measured again", "--remeasure", "a run of other settings"];
+        place.says(line, 7, &words);
     }
-    demand(&["sweep", "status", "runs/tiny"], dir.path(), 0);
+    place.run("sweep status runs/tiny", 0);
     std::fs::write(&config, settings).unwrap();
-    demand(&remeasure, dir.path(), 0);
+    place.run(remeasure, 0);
     assert_eq!(std::fs::read(&first).unwrap(), kept);
-    assert_eq!(points_of(&dir.path().join("results/tiny")), points);
+    assert_eq!(points_of(&place.at("results/tiny")), points);
 }
 
 /// The first scene's file is damaged: its points fail, and those of the other are trained.
 #[test]
 fn a_scene_that_cannot_be_read_loses_no_other() {
-    let dir = workplace(&TINY.replace("[\"builtin\"]", "[\"broken\", \"builtin\"]").replace("[0, 1]", "[0]"));
-    std::fs::create_dir(dir.path().join("broken")).unwrap();
-    std::fs::write(dir.path().join("broken/transforms.json"), "{").unwrap();
-    let said = demand(&["sweep", "run", "tiny.toml", "--data-root", "."], dir.path(), 7);
-    assert_says(&said, &["scene broken cannot be read", "broken/transforms.json"]);
-    let points = points_of(&dir.path().join("results/tiny"));
+    let place = workplace(&TINY.replace("[\"builtin\"]", "[\"broken\", \"builtin\"]").replace("[0, 1]", "[0]"));
+    std::fs::create_dir(place.at("broken")).unwrap();
+    place.write("broken/transforms.json", "{");
+    place.says("sweep run tiny.toml --data-root .", 7, &["scene broken cannot be read", "broken/transforms.json"]);
+    let points = points_of(&place.at("results/tiny"));
     let of =
         |scene: &str| points.iter().filter(|row| row["scene"] == scene).map(|row| row["status"].as_str()).collect();
     let (broken, builtin): (Vec<&str>, Vec<&str>) = (of("broken"), of("builtin"));

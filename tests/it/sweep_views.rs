@@ -4,11 +4,10 @@ use std::path::{Path, PathBuf};
 
 use crate::common::assert_says;
 use crate::common::files::{entries, files, rows, text};
-use crate::common::program::{self, augnerf};
+use crate::common::program::Place;
 use crate::sweep_run::Costs;
 use augnerf::report::PointResult;
 use augnerf::sweep::{Claim, Definition, Point, SHIPPED, Sharing, SweepFolder, TEMPLATE, expand};
-use tempfile::TempDir;
 
 const BASE: &str = r#"
 title = "Which one?"
@@ -33,12 +32,6 @@ set = { "regularizer.kind" = "tv", "regularizer.weight" = 1e-5 }
 name = "C"
 set = { "regularizer.kind" = "l1", "regularizer.weight" = 1e-5 }
 "#;
-
-/// Runs in a folder, demands an exit code, and returns everything said.
-#[track_caller]
-fn demand(dir: &Path, arguments: &[&str], code: i32) -> String {
-    program::demand(augnerf(arguments).current_dir(dir), code)
-}
 
 /// PSNR of a row and seed: rows differ by more than seeds do, and the seeds of all rows rise and fall together.
 fn psnr(point: &Point) -> f64 {
@@ -82,178 +75,167 @@ fn number(row: &std::collections::HashMap<String, String>, column: &str) -> f64 
 
 #[test]
 fn chosen_rows_have_the_statistics_of_what_is_shown() {
-    let dir = TempDir::new().unwrap();
-    finished(dir.path(), "one", BASE, &[]);
-    demand(dir.path(), &["sweep", "collect", "runs/one"], 0);
-    let whole = rows(&text(&dir.path().join("results/one/table.csv")));
+    let place = Place::new();
+    finished(place.path(), "one", BASE, &[]);
+    place.run("sweep collect runs/one", 0);
+    let whole = rows(&place.text("results/one/table.csv"));
     assert_eq!(whole.len(), 4);
-    let notes = text(&dir.path().join("results/one/table.md"));
+    let notes = place.text("results/one/table.md");
     assert_says(&notes, &["lpips_squeeze: empty, no LPIPS weights were at hand", "--remeasure"]);
 
-    let collect =
-        |further: &[&str], code: i32| demand(dir.path(), &[&["sweep", "collect", "runs/one"], further].concat(), code);
+    let collect = |further: &str, code: i32| place.run(&format!("sweep collect runs/one {further}"), code);
     // The row's name has a comma of its own.
-    collect(&["--rows", "B,A, long,NeRF", "--metrics", "psnr", "--out", "view"], 0);
-    let chosen = rows(&text(&dir.path().join("view/table.csv")));
+    collect("--rows 'B,A, long,NeRF' --metrics psnr --out view", 0);
+    let chosen = rows(&place.text("view/table.csv"));
     assert_eq!(chosen.iter().map(|row| row["row"].as_str()).collect::<Vec<_>>(), ["B", "A, long", "NeRF"]);
     assert!(!chosen[0].contains_key("ssim_mean"), "{chosen:?}");
     let of = |table: &[std::collections::HashMap<String, String>], name: &str| {
         table.iter().find(|row| row["row"] == name).unwrap().clone()
     };
     // One comparison instead of three: nothing is left to correct.
-    collect(&["--rows", "NeRF,A, long", "--out", "pair"], 0);
-    let (pair, whole_p) = (of(&rows(&text(&dir.path().join("pair/table.csv"))), "A, long"), of(&whole, "A, long"));
+    collect("--rows 'NeRF,A, long' --out pair", 0);
+    let (pair, whole_p) = (of(&rows(&place.text("pair/table.csv")), "A, long"), of(&whole, "A, long"));
     assert_eq!(number(&pair, "psnr_p"), number(&whole_p, "psnr_p"));
     assert_eq!(number(&pair, "psnr_p_holm"), number(&pair, "psnr_p"));
     assert!(number(&whole_p, "psnr_p_holm") > number(&whole_p, "psnr_p"), "{whole_p:?}");
-    let markdown = text(&dir.path().join("view/table.md"));
+    let markdown = place.text("view/table.md");
     assert_says(&markdown, &["a view of one; rows, metrics chosen after the points were run", "Holm's correction"]);
-    assert!(text(&dir.path().join("view/view.toml")).contains("points_sha256"));
+    assert!(place.text("view/view.toml").contains("points_sha256"));
 
-    collect(&["--baseline", "A, long", "--out", "other"], 0);
-    let other = rows(&text(&dir.path().join("other/table.csv")));
+    collect("--baseline 'A, long' --out other", 0);
+    let other = rows(&place.text("other/table.csv"));
     assert_eq!(of(&other, "A, long")["baseline"], "");
     let turned = number(&of(&other, "NeRF"), "psnr_difference");
     assert!((turned + number(&of(&whole, "A, long"), "psnr_difference")).abs() < 1e-9);
-    collect(&["--rows", "B,C", "--baseline", "none", "--out", "none"], 0);
-    assert!(rows(&text(&dir.path().join("none/table.csv"))).iter().all(|row| !row.contains_key("psnr_difference")));
+    collect("--rows B,C --baseline none --out none", 0);
+    assert!(rows(&place.text("none/table.csv")).iter().all(|row| !row.contains_key("psnr_difference")));
 
-    assert_says(&collect(&["--rows", "B"], 2), &["--out"]);
-    assert_says(&collect(&["--rows", "B", "--out", "x"], 2), &["lacks 'NeRF'", "the baseline of 'B'", "--baseline"]);
-    assert_says(&collect(&["--rows", "Nerf", "--out", "x"], 2), &["'Nerf' is not a row", "A, long"]);
-    assert_says(&collect(&["--baseline", "D", "--out", "x"], 2), &["--baseline D", "NeRF"]);
-    assert_says(&collect(&["--metrics", "psnrr", "--out", "x"], 2), &["unknown metric 'psnrr'", "psnr"]);
-    assert_says(&collect(&["--rows", "NeRF", "--out", "results/one"], 4), &["complete tables", "--out"]);
+    assert_says(&collect("--rows B", 2), &["--out"]);
+    assert_says(&collect("--rows B --out x", 2), &["lacks 'NeRF'", "the baseline of 'B'", "--baseline"]);
+    assert_says(&collect("--rows Nerf --out x", 2), &["'Nerf' is not a row", "A, long"]);
+    assert_says(&collect("--baseline D --out x", 2), &["--baseline D", "NeRF"]);
+    assert_says(&collect("--metrics psnrr --out x", 2), &["unknown metric 'psnrr'", "psnr"]);
+    assert_says(&collect("--rows NeRF --out results/one", 4), &["complete tables", "--out"]);
     // Somebody's own figures, some of which have names of ours.
-    std::fs::create_dir(dir.path().join("paper")).unwrap();
-    std::fs::write(dir.path().join("paper/rows_overview.svg"), "mine").unwrap();
-    assert_says(
-        &collect(&["--rows", "NeRF", "--out", "paper"], 4),
-        &["paper holds files that are not a view", "--out"],
-    );
-    assert_eq!(text(&dir.path().join("paper/rows_overview.svg")), "mine");
-    collect(&["--rows", "NeRF", "--out", "pair"], 0);
-    collect(&["--rows", "NeRF,A, long", "--out", "pair"], 0);
+    std::fs::create_dir(place.at("paper")).unwrap();
+    place.write("paper/rows_overview.svg", "mine");
+    assert_says(&collect("--rows NeRF --out paper", 4), &["paper holds files that are not a view", "--out"]);
+    assert_eq!(place.text("paper/rows_overview.svg"), "mine");
+    collect("--rows NeRF --out pair", 0);
+    collect("--rows 'NeRF,A, long' --out pair", 0);
     // Of results alone, without the points, the same comes out; their own tables are left to `verify`.
-    collect(&["--rows", "NeRF,A, long", "--out", "again"], 0);
-    let of_results = ["sweep", "collect", "results/one", "--rows", "NeRF,A, long", "--out", "kept"];
-    demand(dir.path(), &of_results, 0);
-    let table = |folder: &str| text(&dir.path().join(folder).join("table.csv"));
+    collect("--rows 'NeRF,A, long' --out again", 0);
+    place.run("sweep collect results/one --rows 'NeRF,A, long' --out kept", 0);
+    let table = |folder: &str| text(&place.at(folder).join("table.csv"));
     assert_eq!(table("kept"), table("again"));
-    assert_says(&demand(dir.path(), &of_results[..3], 2), &["results, not points", "verify --update"]);
+    place.says("sweep collect results/one", 2, &["results, not points", "verify --update"]);
     // A point that several lines show counts once.
     let shared = format!("{}/results/paper/fig_embedded", env!("CARGO_MANIFEST_DIR"));
     assert_eq!(rows(&text(&Path::new(&shared).join("points.csv"))).len(), 117);
-    assert_says(&demand(dir.path(), &["sweep", "status", &shared], 0), &["results, 99 done"]);
+    place.says(&format!("sweep status {shared}"), 0, &["results, 99 done"]);
     // The sweep's own tables are what they were, and a view beside them does not disturb their check.
-    assert_eq!(rows(&text(&dir.path().join("results/one/table.csv"))), whole);
-    collect(&["--rows", "NeRF,B", "--out", "results/view"], 0);
-    let said = crate::verify::verify(dir.path(), &["results/view"], 0);
+    assert_eq!(rows(&place.text("results/one/table.csv")), whole);
+    collect("--rows NeRF,B --out results/view", 0);
+    let said = place.run("verify results/view", 0);
     assert!(said.contains("a view of sweeps"), "{said}");
 }
 
 /// Results are written over those of the same sweep, and over nothing else.
 #[test]
 fn results_replace_only_those_of_their_sweep() {
-    let dir = TempDir::new().unwrap();
-    let at = |path: &str| dir.path().join(path);
-    let collect = |further: &[&str], code: i32| demand(dir.path(), &[&["sweep", "collect"], further].concat(), code);
-    finished(dir.path(), "one", BASE, &[]);
-    finished(dir.path(), "two", &BASE.replace("seeds = [0, 1, 2]", "seeds = [3]"), &[]);
-    collect(&["runs/one", "--out", "tables"], 0);
+    let place = Place::new();
+    let at = |path: &str| place.at(path);
+    let collect = |further: &str, code: i32| place.run(&format!("sweep collect {further}"), code);
+    finished(place.path(), "one", BASE, &[]);
+    finished(place.path(), "two", &BASE.replace("seeds = [0, 1, 2]", "seeds = [3]"), &[]);
+    collect("runs/one --out tables", 0);
     let before = files(&at("tables"), &[]);
-    let said = collect(&["runs/two", "--out", "tables"], 4);
+    let said = collect("runs/two --out tables", 4);
     assert_says(&said, &["tables holds results of the sweep 'one', which those of 'two' would replace", "--out"]);
     // A figure of somebody's own with a name of ours.
     std::fs::create_dir(at("paper")).unwrap();
     std::fs::write(at("paper/curves_mine.svg"), "mine").unwrap();
-    let said = collect(&["runs/one", "--out", "paper"], 4);
+    let said = collect("runs/one --out paper", 4);
     assert_says(&said, &["paper holds files that are not results of a sweep", "--out"]);
     assert_eq!(entries(&at("paper")), [at("paper/curves_mine.svg")]);
     assert_eq!(text(&at("paper/curves_mine.svg")), "mine");
     // A view takes the place of chosen rows alone.
-    collect(&["runs/one", "--rows", "NeRF,B", "--out", "view"], 0);
-    assert_says(&collect(&["runs/one", "--out", "view"], 4), &["view holds files that are not results of a sweep"]);
-    collect(&["runs/one", "--out", "tables"], 0);
+    collect("runs/one --rows NeRF,B --out view", 0);
+    assert_says(&collect("runs/one --out view", 4), &["view holds files that are not results of a sweep"]);
+    collect("runs/one --out tables", 0);
     assert!(files(&at("tables"), &[]) == before, "the same files with the same bytes");
     // Beside hidden files, and beside seconds of steps, which a sweep takes over.
     std::fs::create_dir_all(at("results/named")).unwrap();
     for name in [".gitkeep", "step_seconds.json"] {
         std::fs::write(at("results/named").join(name), "").unwrap();
     }
-    collect(&["runs/one", "--name", "named"], 0);
-    collect(&["runs/one", "--name", "named"], 0);
+    collect("runs/one --name named", 0);
+    collect("runs/one --name named", 0);
     // In the sweep's own folder its results may have any of its names.
     std::fs::rename(at("runs/two"), at("own")).unwrap();
-    collect(&["own"], 0);
-    collect(&["own", "--name", "another"], 0);
+    collect("own", 0);
+    collect("own --name another", 0);
     assert_says(&text(&at("own/results/provenance.toml")), &["name = \"another\""]);
     // A sweep is not trained before.
     std::fs::write(at("mine.toml"), BASE).unwrap();
-    let begin = ["sweep", "run", "--create", "mine.toml"];
     std::fs::rename(at("tables"), at("results/mine")).unwrap();
-    assert_says(&demand(dir.path(), &begin, 4), &["results/mine holds results of the sweep 'one'"]);
+    place.says("sweep run --create mine.toml", 4, &["results/mine holds results of the sweep 'one'"]);
     assert!(!at("runs/mine").exists());
 }
 
 #[test]
 fn two_sweeps_stand_in_one_table_where_they_agree() {
-    let dir = TempDir::new().unwrap();
+    let place = Place::new();
     let later = BASE
         .replace("[0, 1, 2]", "[3, 4]")
         .replace("\"tv\", \"regularizer.weight\" = 1e-5", "\"tv\", \"regularizer.weight\" = 1e-4");
-    finished(dir.path(), "monday", BASE, &[]);
-    finished(dir.path(), "tuesday", &later, &[]);
-    let merge = ["sweep", "collect", "runs/monday", "--merge", "runs/tuesday", "--out", "both"];
-    demand(dir.path(), &merge, 0);
-    let table = rows(&text(&dir.path().join("both/table.csv")));
+    finished(place.path(), "monday", BASE, &[]);
+    finished(place.path(), "tuesday", &later, &[]);
+    let merge = "sweep collect runs/monday --merge runs/tuesday --out both";
+    place.run(merge, 0);
+    let table = rows(&place.text("both/table.csv"));
     let names: Vec<(&str, &str)> = table.iter().map(|row| (row["row"].as_str(), row["psnr_n"].as_str())).collect();
     let expected = [("NeRF", "5"), ("A, long", "5"), ("B", "3"), ("C", "5"), ("B (tuesday)", "2")];
     assert_eq!(names, expected, "seeds of equal settings join, other settings do not");
     let other = &table[4];
     assert_eq!((other["baseline"].as_str(), other["psnr_pairs"].as_str()), ("NeRF", "2"));
-    assert!(text(&dir.path().join("both/table.md")).contains("a view of monday and tuesday"));
+    assert!(place.text("both/table.md").contains("a view of monday and tuesday"));
     // What is left to do of the rows shown decides the exit code, by the names that these rows have here.
     let later_points = expand(&Definition::parse(&later, "tuesday").unwrap(), None, &Costs).unwrap();
     let of_b = later_points.iter().find(|point| point.places[0].row == "B").unwrap();
-    let tuesday = SweepFolder::new(&dir.path().join("runs/tuesday"));
+    let tuesday = SweepFolder::new(&place.at("runs/tuesday"));
     std::fs::remove_file(tuesday.point(&of_b.id).path().join("result.json")).unwrap();
-    let shown = |rows: &str, code: i32| demand(dir.path(), &[&merge[..], &["--rows", rows]].concat(), code);
+    let shown = |rows: &str, code: i32| place.run(&format!("{merge} --rows '{rows}'"), code);
     shown("NeRF,B", 0);
     assert_says(&shown("NeRF,B (tuesday)", 11), &["6 of 7 points are done", "1 are waiting"]);
 
-    finished(dir.path(), "wednesday", &later, &[("code_revision", "def"), ("width", "32")]);
-    let refused = [&merge[..4], &["runs/wednesday", "--out", "third"]].concat();
-    assert_says(
-        &demand(dir.path(), &refused, 9),
-        &["width is `16` in NeRF", "`32`", "they differ in code_revision as well", "--force"],
-    );
-    demand(dir.path(), &[&refused[..], &["--force"]].concat(), 0);
-    assert_says(&text(&dir.path().join("third/table.md")), &["NOT COMPARABLE", "B (wednesday) (width, code_revision)"]);
+    finished(place.path(), "wednesday", &later, &[("code_revision", "def"), ("width", "32")]);
+    let refused = "sweep collect runs/monday --merge runs/wednesday --out third";
+    place.says(refused, 9, &["width is `16` in NeRF", "`32`", "they differ in code_revision as well", "--force"]);
+    place.run(&format!("{refused} --force"), 0);
+    assert_says(&place.text("third/table.md"), &["NOT COMPARABLE", "B (wednesday) (width, code_revision)"]);
 }
 
 /// A label that pandas and R read as a missing value is none.
 #[test]
 fn labels_that_read_as_missing_values_are_refused() {
-    let dir = TempDir::new().unwrap();
-    finished(dir.path(), "one", BASE, &[]);
+    let place = Place::new();
+    finished(place.path(), "one", BASE, &[]);
     for label in ["NA", "None", "nan"] {
         let refused = format!("--label '{label}' is one that pandas and R read as a missing value");
-        let across = ["sweep", "across", "runs/one", "--row", "B", "--out", "both", "--label", &format!("one={label}")];
-        assert_says(&demand(dir.path(), &across, 2), &[&refused]);
-        assert_says(&demand(dir.path(), &["compare", "a", "b", "--label", label, "--label", "b"], 2), &[&refused]);
+        place.says(&format!("sweep across runs/one --row B --out both --label one={label}"), 2, &[&refused]);
+        place.says(&format!("compare a b --label {label} --label b"), 2, &[&refused]);
     }
 }
 
 #[test]
 fn a_new_sweep_file_runs_as_it_is_and_explains_every_key() {
-    let dir = TempDir::new().unwrap();
-    let said = demand(dir.path(), &["sweep", "new"], 0);
-    assert_says(&said, &["sweep.toml", "augnerf sweep plan sweep.toml"]);
-    let file = dir.path().join("sweep.toml");
+    let place = Place::new();
+    place.says("sweep new", 0, &["sweep.toml", "augnerf sweep plan sweep.toml"]);
+    let file = place.at("sweep.toml");
     let definition = Definition::read(&file).unwrap();
     assert_eq!(expand(&definition, None, &Costs).unwrap().len(), 8);
-    assert_says(&demand(dir.path(), &["sweep", "new"], 4), &["sweep.toml exists already"]);
+    place.says("sweep new", 4, &["sweep.toml exists already"]);
     // Every key of the page's tables has its line.
     let page = text(&Path::new(env!("CARGO_MANIFEST_DIR")).join("docs/sweep-file.md"));
     let (schema, _) = page.split_once("## Published numbers").unwrap();
@@ -282,18 +264,15 @@ fn shipped_sweeps_are_written_with_what_they_extend() {
     let names: Vec<_> = files.iter().map(|path| path.file_stem().unwrap().to_str().unwrap()).collect();
     let carried: Vec<&str> = SHIPPED.iter().map(|(name, _)| *name).collect();
     assert!(names.iter().all(|name| carried.contains(name)) && names.len() == carried.len(), "{names:?} {carried:?}");
-    let dir = TempDir::new().unwrap();
-    demand(dir.path(), &["sweep", "new", "mine.toml", "--from", "tab4_fern"], 0);
-    let mine = Definition::read(&dir.path().join("mine.toml")).unwrap();
+    let place = Place::new();
+    place.run("sweep new mine.toml --from tab4_fern", 0);
+    let mine = Definition::read(&place.at("mine.toml")).unwrap();
     assert_eq!(mine, Definition::read(&folder.join("paper/tab4_fern.toml")).unwrap());
     // The base is there already, as it is shipped.
-    demand(dir.path(), &["sweep", "new", "second.toml", "--from", "tab4_embedded"], 0);
-    std::fs::write(dir.path().join("tab4_ablation.toml"), "changed").unwrap();
-    assert_says(
-        &demand(dir.path(), &["sweep", "new", "third.toml", "--from", "tab4_fern"], 4),
-        &["tab4_ablation.toml exists"],
-    );
-    assert_says(&demand(dir.path(), &["sweep", "new", "x.toml", "--from", "nothing"], 2), &["--from nothing", "smoke"]);
+    place.run("sweep new second.toml --from tab4_embedded", 0);
+    place.write("tab4_ablation.toml", "changed");
+    place.says("sweep new third.toml --from tab4_fern", 4, &["tab4_ablation.toml exists"]);
+    place.says("sweep new x.toml --from nothing", 2, &["--from nothing", "smoke"]);
 }
 
 /// A bare name is the shipped sweep of that name, wherever one is; a path of an earlier time is told the present one.
@@ -304,35 +283,38 @@ fn shipped_sweeps_are_read_by_name() {
         let name = file.file_stem().unwrap();
         assert_eq!(Definition::read(Path::new(name)).unwrap(), Definition::read(&file).unwrap(), "{name:?}");
     }
-    let dir = TempDir::new().unwrap();
-    std::fs::create_dir(dir.path().join("smoke")).unwrap();
-    assert_says(&demand(dir.path(), &["sweep", "run", "--create", "smoke"], 0), &["runs/smoke"]);
+    let place = Place::new();
+    std::fs::create_dir(place.at("smoke")).unwrap();
+    place.says("sweep run --create smoke", 0, &["runs/smoke"]);
     for old in ["sweeps/tab4_fern.toml", "tab4_fern.toml"] {
-        let said = demand(dir.path(), &["sweep", "plan", old], 2);
-        assert_says(&said, &[old, "the shipped sweep of this name is sweeps/paper/tab4_fern.toml"]);
+        place.says(
+            &format!("sweep plan {old}"),
+            2,
+            &[old, "the shipped sweep of this name is sweeps/paper/tab4_fern.toml"],
+        );
     }
-    assert_says(&demand(dir.path(), &["sweep", "plan", "tab9"], 2), &["tab9", "the name of a shipped one"]);
+    place.says("sweep plan tab9", 2, &["tab9", "the name of a shipped one"]);
     // A file of one's own comes first.
-    std::fs::write(dir.path().join("tab4_fern"), "title = 3").unwrap();
-    assert_says(&demand(dir.path(), &["sweep", "plan", "tab4_fern"], 2), &["tab4_fern: ", "title"]);
+    place.write("tab4_fern", "title = 3");
+    place.says("sweep plan tab4_fern", 2, &["tab4_fern: ", "title"]);
 }
 
 #[test]
 fn plans_without_data_say_so_and_points_that_begin_have_no_step() {
-    let dir = TempDir::new().unwrap();
+    let place = Place::new();
     let absent = BASE.replace("\"builtin\"", "\"orchids\"");
-    std::fs::write(dir.path().join("absent.toml"), &absent).unwrap();
-    let said = demand(dir.path(), &["sweep", "plan", "absent.toml"], 8);
+    place.write("absent.toml", &absent);
+    let said = place.run("sweep plan absent.toml", 8);
     assert_says(&said, &["12 x no data", "orchids", "nothing measured", "--data-root"]);
     assert!(!said.contains("0 s in total"), "{said}");
 
-    let (folder, points) = finished(dir.path(), "one", BASE, &[]);
+    let (folder, points) = finished(place.path(), "one", BASE, &[]);
     let point = SweepFolder::new(&folder).point(&points[0].id);
     std::fs::remove_file(point.path().join("result.json")).unwrap();
     let claim = Claim::take(point.path(), Sharing::Locks).unwrap().unwrap();
-    let said = demand(dir.path(), &["sweep", "status", "runs/one"], 11);
+    let said = place.run("sweep status runs/one", 11);
     assert!(said.contains("starting") && !said.contains("of 0"), "{said}");
     claim.progress.begin(0, 250);
-    assert_says(&demand(dir.path(), &["sweep", "status", "runs/one"], 11), &["step 0 of 250"]);
+    place.says("sweep status runs/one", 11, &["step 0 of 250"]);
     drop(claim);
 }

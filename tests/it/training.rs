@@ -1,14 +1,12 @@
 //! What training promises besides the numbers of one step.
 
-use std::sync::atomic::AtomicUsize;
-
 use crate::common::{assert_says, parameters, runtime, tiny_config, tiny_scene, trained};
 use augnerf::base::Error;
 use augnerf::data::{Camera, View};
 use augnerf::metrics::psnr_float;
-use augnerf::run::{Between, Existing, Outcome, RunDir, Session, Viewer, interrupted};
-use augnerf::settings::{Core, DataKind, DensityActivation, Encoding, Method, PerturbField, Schedule};
-use augnerf::train::{Trainer, checkpoint, learning_rate};
+use augnerf::run::Viewer;
+use augnerf::settings::{DataKind, DensityActivation, Encoding, Method, PerturbField, Schedule};
+use augnerf::train::{Trainer, learning_rate};
 use candle_core::{DType, Device, Tensor};
 
 #[test]
@@ -210,93 +208,4 @@ fn a_model_without_fine_samples_trains_its_coarse_field_alone() {
     let camera = &scene.test[0].camera;
     let viewer = Viewer { model: trainer.model().unwrap(), config: &config, scene: &scene, runtime: runtime() };
     viewer.render(camera).unwrap();
-}
-
-#[test]
-fn the_step_uses_its_own_numbers_whatever_came_before() {
-    // Step 5 after four others, and step 5 of a trainer with the same weights that never took
-    // them: resuming needs no generator state.
-    let config = tiny_config(Method::AugNerf, |_| {});
-    let dir = tempfile::TempDir::new().unwrap();
-    let mut straight = trained(&config, 4);
-    let checkpoint = straight.save(dir.path()).unwrap();
-    let mut resumed = Trainer::resume(&checkpoint, &config, &tiny_scene(), DType::F32, runtime()).unwrap();
-    let (a, b) = (straight.step(true).unwrap(), resumed.step(true).unwrap());
-    assert_eq!((a.loss, a.sites), (b.loss, b.sites));
-    let roles = ["coarse", "fine"];
-    assert_eq!(parameters(&straight, &roles), parameters(&resumed, &roles));
-}
-
-/// The fused core and the plain one: roundings differ and grow with the steps, the curve does not.
-#[test]
-fn fused_and_plain_curves_agree() {
-    for method in [Method::Nerf, Method::AugNerf] {
-        let errors = |core: Core| -> Vec<f64> {
-            let config = tiny_config(method, |config| config.field.core = core);
-            let mut trainer = Trainer::new(&config, &tiny_scene(), DType::F32, runtime()).unwrap();
-            (0..100).map(|_| trainer.step(false).unwrap().psnr().unwrap()).collect()
-        };
-        let (fused, plain) = (errors(Core::Fused), errors(Core::Plain));
-        assert!((fused[0] - plain[0]).abs() < 1e-4, "{method:?}: {} {}", fused[0], plain[0]);
-        let mean = |curve: &[f64]| curve[80..].iter().sum::<f64>() / 20.0;
-        assert!((mean(&fused) - mean(&plain)).abs() < 0.1, "{method:?}: {} {}", mean(&fused), mean(&plain));
-    }
-}
-
-/// Evaluates in no time; a signal comes during the evaluation of step `stop_at`.
-struct Evaluating {
-    stop_at: u64,
-    run: std::path::PathBuf,
-}
-
-impl Between for Evaluating {
-    fn evaluate(&mut self, trainer: &Trainer) -> augnerf::base::Result<Vec<(&'static str, f64)>> {
-        let step = trainer.step_count();
-        if step == self.stop_at {
-            return Err(interrupted(15, step - 1, &self.run));
-        }
-        Ok(vec![("test_psnr", step as f64)])
-    }
-
-    fn saved(&mut self, _: u64, _: f64) -> augnerf::base::Result<()> {
-        Ok(())
-    }
-}
-
-/// An evaluation that a signal ends is done again by the next session, and its row is in the log once.
-#[test]
-fn a_stop_during_an_evaluation_loses_that_step_alone() {
-    let config = tiny_config(Method::Nerf, |config| {
-        config.train.steps = 12;
-        config.train.log_every = 3;
-        config.train.eval_every = 4;
-        config.train.checkpoint_every = 0;
-    });
-    let (scene, signal) = (tiny_scene(), AtomicUsize::new(0));
-    let folder = tempfile::TempDir::new().unwrap();
-    let go_on = |name: &str, stop_at: u64, resumed: bool| {
-        let path = folder.path().join(name);
-        let (run, trainer) = if resumed {
-            let run = RunDir::open(&path).unwrap();
-            let (_, newest) = checkpoint::list(&run.checkpoints()).unwrap().pop().unwrap();
-            let trainer = Trainer::resume(&newest, &config, &scene, DType::F32, runtime()).unwrap();
-            (run, trainer)
-        } else {
-            let run = RunDir::create(&path, Existing::Refuse, 0).unwrap();
-            std::fs::write(run.config(), config.to_toml()).unwrap();
-            (run, Trainer::new(&config, &scene, DType::F32, runtime()).unwrap())
-        };
-        let mut session = Session::new(&run, trainer).unwrap();
-        let outcome = session.run(&signal, &(), &mut Evaluating { stop_at, run: path });
-        (outcome, std::fs::read_to_string(run.scalars()).unwrap())
-    };
-    let (outcome, straight) = go_on("straight", 0, false);
-    assert_eq!(outcome.unwrap(), Outcome::Finished);
-    let (outcome, _) = go_on("stopped", 8, false);
-    let Err(Error::Interrupted { message, .. }) = outcome else { panic!("{outcome:?}") };
-    assert!(message.contains("at step 7"), "{message}");
-    let (outcome, resumed) = go_on("stopped", 0, true);
-    assert_eq!(outcome.unwrap(), Outcome::Finished);
-    assert_eq!(straight, resumed);
-    assert_eq!(straight.lines().filter(|line| line.starts_with("8,")).count(), 1, "{straight}");
 }

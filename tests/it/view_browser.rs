@@ -231,30 +231,6 @@ fn the_worst_case_stands_beside_the_clean_pass_and_a_ray_is_drawn() {
 
 #[test]
 #[ignore = "needs Chromium"]
-fn on_a_phone_nothing_sticks_out_and_the_picture_comes_first() {
-    served(vec![shown("one", Method::Nerf, 5)], |url, _| {
-        // A window is at least 500 pixels wide: a frame is not.
-        let browser = Browser::open(url, 1200, 800);
-        browser.call(
-            "goog/cdp/execute",
-            &json!({
-                "cmd": "Emulation.setDeviceMetricsOverride",
-                "params": { "width": 390, "height": 844, "deviceScaleFactor": 2, "mobile": true },
-            }),
-        );
-        browser.sharp_after(|browser| drop(browser.value("dispatchEvent(new Event('resize'))")));
-        assert_eq!(browser.value("innerWidth"), 390);
-        assert_eq!(browser.value("document.documentElement.scrollWidth <= innerWidth"), true, "it scrolls sideways");
-        let top = |id: &str| browser.value(&format!("document.getElementById('{id}').getBoundingClientRect().top"));
-        let order = ["picture", "ray", "layers"].map(|id| top(id).as_f64().unwrap());
-        assert!(order.is_sorted(), "controls come between the picture and its ray, or first: {order:?}");
-        let width = browser.value("frame().width").as_f64().unwrap();
-        assert!(width > 300.0, "the picture is {width} wide");
-    });
-}
-
-#[test]
-#[ignore = "needs Chromium"]
 fn two_people_look_at_once_and_a_lost_program_is_said() {
     let browsers = served(vec![shown("one", Method::Nerf, 10)], |url, _| {
         let browsers = [Browser::open(url, 900, 700), Browser::open(url, 900, 700)];

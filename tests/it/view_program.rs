@@ -57,24 +57,6 @@ fn strangers_do_not_end_the_page() {
     assert!(page.child.try_wait().unwrap().is_none());
 }
 
-/// A page that nobody can reach any more does not stay without a word.
-#[cfg(target_os = "linux")]
-#[test]
-#[ignore = "slow"]
-fn a_page_without_descriptors_ends_with_a_sentence() {
-    let (_dir, out) = Small { method: "nerf", settings: "" }.once();
-    let mut page = Page::start(&mut augnerf(&["view", out.to_str().unwrap(), "--port", "0", "--quiet"]));
-    let limit = libc::rlimit { rlim_cur: 3, rlim_max: 3 };
-    // SAFETY: the limit outlives the call, which writes nothing back.
-    let set = unsafe {
-        libc::prlimit(page.child.id() as libc::pid_t, libc::RLIMIT_NOFILE, &raw const limit, std::ptr::null_mut())
-    };
-    assert_eq!(set, 0);
-    assert_eq!(page.child.wait().unwrap().code(), Some(4));
-    let said = std::io::read_to_string(page.child.stderr.take().unwrap()).unwrap();
-    assert_says(&said, &["error: 127.0.0.1:", "no connection to the page can be accepted any more", "os error 24"]);
-}
-
 /// What is printed can be opened here, and names are addresses, too.
 #[test]
 fn the_address_of_an_interface_opens_on_this_computer() {

@@ -8,21 +8,20 @@ use augnerf::base::{Event, Listener};
 use augnerf::data::{self, Scene, seen_views};
 use augnerf::metrics::{Backbone, LPIPS, MeanMetrics, PSNR, Scope, measure};
 use augnerf::run::{Existing, Job, RunDir, Setup, Viewer, load_scene, read_picture};
-use augnerf::settings::{DataConfig, DataKind, EvalSplit, Preset, TrainViews, build, parse_assignment};
+use augnerf::settings::{DataConfig, DataKind, EvalSplit, Preset, TrainViews};
 use tempfile::TempDir;
 
 use crate::common::files::assert_same_files;
 use crate::common::needs::scene as scene_folder;
-use crate::common::program::refuse;
-use crate::common::{runtime, tiny_config, tiny_scene, trained};
+use crate::common::{built, runtime, tiny_config, tiny_scene, trained};
 
 const SMALL: [&str; 6] =
     ["data.width=16", "field.width=16", "train.rays=64", "train.steps=6", "train.log_every=6", "eval.pictures=1"];
 
 /// Trains on the embedded scene in a folder of its own; `metrics.json` and `scalars.csv`.
 fn run(settings: &[&str], events: &dyn Listener) -> (serde_json::Value, String) {
-    let set: Vec<_> = SMALL.iter().chain(settings).map(|text| parse_assignment(text).unwrap()).collect();
-    let (config, scene) = load_scene(build(Some(Preset::Smoke), None, &set).unwrap(), &()).unwrap();
+    let settings = SMALL.iter().chain(settings).copied().collect::<Vec<_>>().join("; ");
+    let (config, scene) = load_scene(built(Some(Preset::Smoke), &settings).unwrap(), &()).unwrap();
     let folder = TempDir::new().unwrap();
     let path = folder.path().join("run");
     let setup = Setup { config, scene: &scene, lpips: &[], runtime: runtime().clone() };
@@ -132,22 +131,6 @@ fn evaluations_between_steps_may_take_a_part_of_the_pixels() {
     assert_eq!(cell(&every, "loss"), cell(&some, "loss"));
 }
 
-#[test]
-fn choices_among_views_that_cannot_be_are_refused_in_words() {
-    let refused = |settings: &[&str], words: &[&str]| {
-        let set = settings.iter().flat_map(|text| ["--set", text]);
-        refuse(&["train", "--print-config"].into_iter().chain(set).collect::<Vec<_>>(), 2, words);
-    };
-    let forward = "data.kind=builtin-forward";
-    refused(&[forward, "data.holdout_offset=8"], &["data.holdout_offset = 8", "0 to 7"]);
-    refused(&["data.holdout_offset=1"], &["data.holdout_offset", "builtin-blender"]);
-    refused(&[forward, "data.eval_split=val"], &["data.eval_split", "data.validation"]);
-    refused(&[forward, "data.validation=1"], &["data.validation", "at least 2"]);
-    refused(&["data.train_views=0"], &["data.train_views", "at least 1"]);
-    refused(&["data.train_views=[\"r_1\", \"r_1\"]"], &["data.train_views", "once"]);
-    refused(&["data.train_views=few"], &["train_views", "a number and a rule such as"]);
-}
-
 fn names(scene: &Scene) -> [Vec<String>; 2] {
     [&scene.train, &scene.test].map(|views| views.iter().map(|view| view.name.clone()).collect())
 }
@@ -205,27 +188,15 @@ fn a_first_picture_comes_early_and_leaves_a_run_as_it_was() {
             }
         }
     }
-    for settings in [
-        &["method=nerf"][..],
-        &["method=aug-mip-nerf"],
-        &["method=srn", "srn.width=24", "train.chunk=16"],
-        &["method=nv", "nv.resolution=16", "nv.divide=16", "nv.warp_resolution=4"],
-        &[
-            "method=llff",
-            "data.kind=builtin-forward",
-            "llff.planes=8",
-            "llff.inputs=3",
-            "llff.window=16",
-            "llff.crop=8",
-        ],
+    for method in [
+        "method=nerf",
+        "method=aug-mip-nerf",
+        "method=srn; srn.width=24; train.chunk=16",
+        "method=nv; nv.resolution=16; nv.divide=16; nv.warp_resolution=4",
+        "method=llff; data.kind=builtin-forward; llff.planes=8; llff.inputs=3; llff.window=16; llff.crop=8",
     ] {
-        let set: Vec<_> = SMALL.iter().chain(settings).map(|text| parse_assignment(text).unwrap()).collect();
-        let set = [
-            set,
-            vec![parse_assignment("train.steps=20").unwrap(), parse_assignment("train.checkpoint_every=2").unwrap()],
-        ]
-        .concat();
-        let (config, scene) = load_scene(build(Some(Preset::Smoke), None, &set).unwrap(), &()).unwrap();
+        let settings = format!("{}; {method}; train.steps=20; train.checkpoint_every=2", SMALL.join("; "));
+        let (config, scene) = load_scene(built(Some(Preset::Smoke), &settings).unwrap(), &()).unwrap();
         let folder = TempDir::new().unwrap();
         let [plain, path] = ["plain", "run"].map(|name| folder.path().join(name));
         let setup = || Setup { config: config.clone(), scene: &scene, lpips: &[], runtime: runtime().clone() };
@@ -234,7 +205,7 @@ fn a_first_picture_comes_early_and_leaves_a_run_as_it_was() {
         let picture = path.join("renders/preview.png");
         let stopped = Job::create(&path, Existing::Refuse, setup()).unwrap().with_previews(0.0);
         let stopped = stopped.train(&Stop(&picture, &signal), &signal).err();
-        assert!(matches!(stopped, Some(augnerf::base::Error::Interrupted { .. })), "{settings:?}: {stopped:?}");
+        assert!(matches!(stopped, Some(augnerf::base::Error::Interrupted { .. })), "{method}: {stopped:?}");
         let drawn = read_picture(&picture).unwrap();
         assert!(drawn.width > 2 * drawn.height && drawn.pixels.iter().any(|value| *value != drawn.pixels[0]));
         signal.store(0, Ordering::SeqCst);

@@ -8,13 +8,14 @@ pub mod program;
 pub mod reference;
 
 use std::sync::OnceLock;
-use std::time::Instant;
 
-use augnerf::base::Image;
+use augnerf::base::{Image, Result};
 use augnerf::data::{Camera, Scene, SceneSpace, View};
 use augnerf::report::{PointResult, Record, RowSpec, Status};
 use augnerf::runtime::Runtime;
-use augnerf::settings::{Config, DataKind, DensityActivation, Encoding, Method, Resolved};
+use augnerf::settings::{
+    Config, DataKind, DensityActivation, Encoding, Method, Preset, Resolved, build, parse_assignment,
+};
 use augnerf::train::Trainer;
 use candle_core::{DType, Tensor};
 
@@ -141,22 +142,19 @@ pub fn assert_says(text: &str, words: &[&str]) {
     }
 }
 
-/// Demands that the second work takes at most so many times as long as the first. Both are repeated where the machine is busy.
+/// A configuration of some settings, between two of which stands `; `.
+pub fn built(preset: Option<Preset>, settings: &str) -> Result<Config> {
+    let set = settings.split("; ").map(parse_assignment).collect::<Result<Vec<_>>>()?;
+    build(preset, None, &set)
+}
+
+/// Demands that settings over preset `smoke` are refused with words.
 #[track_caller]
-pub fn assert_takes_at_most(times: f64, first: impl Fn(), second: impl Fn()) {
-    let seconds = |work: &dyn Fn()| {
-        let started = Instant::now();
-        work();
-        started.elapsed().as_secs_f64()
-    };
-    let (mut least, mut other) = (f64::INFINITY, f64::INFINITY);
-    for _ in 0..5 {
-        (least, other) = (least.min(seconds(&first)), other.min(seconds(&second)));
-        if other <= times * least {
-            return;
-        }
+pub fn assert_refused(cases: &[(&str, &[&str])]) {
+    for (settings, words) in cases {
+        let refusal = built(Some(Preset::Smoke), settings).and_then(|config| config.validate()).expect_err(settings);
+        assert_says(&refusal.to_string(), words);
     }
-    panic!("{other:.3} s, more than {times} times {least:.3} s");
 }
 
 /// A point that is done, on no axis.

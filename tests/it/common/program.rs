@@ -143,9 +143,9 @@ impl Place {
         String::from_utf8(output.stdout).unwrap()
     }
 
-    /// Demands the exit code and words of a refusal.
+    /// Demands an exit code and words of what is said.
     #[track_caller]
-    pub fn refuses(&self, line: &str, code: i32, words: &[&str]) {
+    pub fn says(&self, line: &str, code: i32, words: &[&str]) {
         assert_says(&self.run(line, code), words);
     }
 
@@ -153,6 +153,18 @@ impl Place {
     pub fn start(&self, line: &str) -> Child {
         self.command(line).stdout(Stdio::null()).stderr(Stdio::piped()).spawn().unwrap()
     }
+}
+
+/// A sweep of points of a second, on the embedded scene at 16 x 16: further settings, `key=value` with spaces between, and rows
+/// beside `NeRF`.
+pub fn tiny_sweep(seeds: &[u64], metrics: &[&str], settings: &str, rows: &[(&str, &str)]) -> String {
+    let head = "title = \"tiny\"\npreset = \"smoke\"\nscenes = [\"builtin\"]\nbaseline = \"NeRF\"";
+    let small = "data.width=16 field.width=16 sampling.coarse=8 sampling.fine=8 train.rays=64 ";
+    let setting = |text: &str| text.split_once('=').map(|(key, value)| format!("\"{key}\" = {value}\n")).unwrap();
+    let settings: String = small.split_whitespace().chain(settings.split_whitespace()).map(setting).collect();
+    let row = |(name, set): &(&str, &str)| format!("\n[[row]]\nname = \"{name}\"\nset = {{ {set} }}\n");
+    let rows: String = std::iter::once(&("NeRF", "")).chain(rows).map(row).collect();
+    format!("{head}\nseeds = {seeds:?}\nmetrics = {metrics:?}\n\n[set]\n{settings}{rows}")
 }
 
 /// Flags of settings with spaces between them.

@@ -1,7 +1,8 @@
 //! The same of fields on a hash grid.
 
 use super::*;
-use augnerf::field::{Order, Spatial};
+use crate::common::assert_refused;
+use augnerf::field::Spatial;
 use augnerf::settings::{Contraction, HashConfig, Interpolation};
 
 const CONTRACTIONS: [Contraction; 3] = [Contraction::None, Contraction::Axes, Contraction::Ball];
@@ -58,27 +59,6 @@ fn the_adjoint_equals_forward_tangents_and_autodiff() {
     for (i, config) in grids().iter().enumerate() {
         let points = points(i as u64, 33);
         assert_adjoint_is_exact(&rough(config, i as u64, &points), &points);
-    }
-}
-
-#[test]
-fn derivatives_equal_finite_differences_of_density() {
-    for (i, config) in grids().iter().enumerate() {
-        let points = points(20 + i as u64, 90);
-        assert_derivatives_are_differences(&rough(config, 20 + i as u64, &points), &points);
-    }
-}
-
-/// Of the table as of the networks.
-#[test]
-fn weight_gradients_equal_finite_differences() {
-    for (i, config) in grids().iter().enumerate() {
-        let points = points(40 + i as u64, 9);
-        let field = rough(config, 40 + i as u64, &points);
-        for term in terms().into_iter().filter(|(term, _)| config.has_laplacian() || term.name() != "laplacian") {
-            assert!(regularize_at(&field, &points, &[term], 0.1).unwrap().gradients[0].is_some());
-            assert_weight_gradients_are_differences(&field, &points, term, 1e-4);
-        }
     }
 }
 
@@ -160,42 +140,6 @@ fn chunks_add_up_to_the_same_bytes_for_any_number_of_threads() {
     }
 }
 
-/// What is above the order is NaN, which no result that needs it would survive; what is below it has the bytes that it has
-/// beside the Laplacian, and so have the weights' gradients.
-#[test]
-fn derivatives_that_are_not_asked_for_are_not_computed() {
-    let points = points(9, 33);
-    let bits = |tensor: &Tensor| flat(tensor).into_iter().map(f64::to_bits).collect::<Vec<_>>();
-    let is_nan = |tensor: &Tensor| flat(tensor).iter().all(|value| value.is_nan());
-    let whole = |term: &dyn SpaceTerm, field: &Field| {
-        let spatial = field.spatial(&points).unwrap();
-        spatial.weight_gradients(&term.cotangents(&spatial.at).unwrap()).unwrap()
-    };
-    for config in grids().iter().chain(&shapes()) {
-        let field = match config.encoding {
-            Encoding::Hash => rough(config, 9, &points),
-            _ => field(config, 9, &points),
-        };
-        let all = field.spatial(&points).unwrap().at;
-        assert_eq!(is_nan(&all.laplacian), !config.has_laplacian());
-        for order in [Order::Density, Order::Gradient] {
-            let at = field.spatial_up_to(order, &points).unwrap().at;
-            assert_eq!(bits(&at.density), bits(&all.density));
-            assert!(is_nan(&at.laplacian));
-            match order {
-                Order::Density => assert!(is_nan(&at.gradient)),
-                _ => assert_eq!(bits(&at.gradient), bits(&all.gradient)),
-            }
-        }
-        for term in [&L1 as &dyn SpaceTerm, &Tv] {
-            let found = regularize_at(&field, &points, &[(term, 1.0)], 1.0).unwrap().gradients;
-            for (found, expected) in found.iter().zip(whole(term, &field)) {
-                assert_eq!(found.as_ref().map(bits), expected.as_ref().map(bits), "{} {config:?}", term.name());
-            }
-        }
-    }
-}
-
 #[test]
 fn a_linear_grid_has_no_laplacian() {
     let lattice = Lattice { domain: BOX, side: 8 };
@@ -209,41 +153,6 @@ fn a_linear_grid_has_no_laplacian() {
         );
         assert_eq!(found.laplacian.is_some(), interpolation == Interpolation::Smoothstep);
     }
-    let config = |interpolation: Interpolation, kind: Regularizer| {
-        let config = augnerf::settings::Config {
-            regularizer: RegularizerConfig { kind: vec![kind], ..RegularizerConfig::default() },
-            ..augnerf::settings::Config::default()
-        };
-        let field =
-            FieldConfig { skips: Vec::new(), ..on_grid(interpolation, Contraction::None, config.field.clone()) };
-        augnerf::settings::Config { field, ..config }.validate()
-    };
-    let message = config(Interpolation::Linear, Regularizer::Laplacian).unwrap_err().to_string();
-    assert_says(&message, &["laplacian", "no second derivative", "smoothstep"]);
-    config(Interpolation::Smoothstep, Regularizer::Laplacian).unwrap();
-    config(Interpolation::Linear, Regularizer::Tv).unwrap();
-}
-
-#[test]
-fn terms_lower_what_they_measure() {
-    let lattice = Lattice { domain: BOX, side: 24 };
-    let train = |kind: Vec<Regularizer>, weight: Vec<f64>| {
-        let config = tiny_config(Method::Nerf, |config| {
-            let shape = shape(1, &[], 0, DensityActivation::Exp);
-            config.field = on_grid(Interpolation::Smoothstep, Contraction::None, shape);
-            config.field.hash.bounds = Some([[-1.5; 3], [1.5; 3]]);
-            config.sampling.fine = 16;
-            (config.regularizer.kind, config.regularizer.weight) = (kind, weight);
-            (config.regularizer.lattice, config.regularizer.points_per_step) = (16, 256);
-        });
-        let trained = trained(&config, 100);
-        let fields = trained.model().unwrap().fields().unwrap().by_role();
-        let found = measure(fields.last().unwrap().1, &lattice, || ()).unwrap();
-        [found.l1, found.tv, found.laplacian.unwrap()]
-    };
-    let plain = train(Vec::new(), Vec::new());
-    for (i, (term, weight)) in IN_SPACE.into_iter().zip([1e-3, 1e-4, 1e-6]).enumerate() {
-        let found = train(vec![term], vec![weight]);
-        assert!(found[i] < 0.9 * plain[i], "{}: {found:?}, plain {plain:?}", term.name());
-    }
+    let linear = "field.encoding=hash; regularizer.kind=laplacian; field.hash.interpolation=linear";
+    assert_refused(&[(linear, &["laplacian", "no second derivative", "smoothstep"])]);
 }
