@@ -10,7 +10,7 @@ use candle_core::{CpuStorage, CustomOp3, D, DType, Layout, Result, Shape, Tensor
 use rayon::prelude::*;
 
 use crate::base::place::is_ours;
-use crate::base::simd::vectorized;
+use crate::base::simd::{LANES, vectorized};
 
 use super::values::{Values, slice};
 
@@ -76,9 +76,6 @@ impl LayerNorm {
 
 /// Numbers per thread and iteration. Sums are taken block by block, in order.
 const BLOCK: usize = 1 << 15;
-
-/// Number of parallel sums.
-const LANES: usize = 16;
 
 /// f32 or f64. Sums are in f64.
 trait Number: WithDType + Into<f64> {

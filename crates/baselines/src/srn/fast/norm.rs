@@ -1,13 +1,10 @@
 //! Layer normalization with ReLU of rows in panels, over the channels of each.
 
-use crate::base::simd::vectorized;
+use crate::base::simd::{LANES, vectorized};
 use crate::field::fused::kernels::panels::{PANEL, Shape, Slab};
 use crate::srn::network::EPSILON;
 
 use super::weights::Block;
-
-/// Number of parallel sums.
-const LANES: usize = 16;
 
 /// Returns the range of a row's numbers from `column` to the end of its panel.
 #[inline(always)]

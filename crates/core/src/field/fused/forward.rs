@@ -207,9 +207,9 @@ impl Network {
             encoded: Buffer::new(rows(wanted.weights || wanted.points) * self.position_channels()),
             encoded_views: Buffer::new(rays * self.view_channels()),
             hidden: (0..depth).map(|_| self.rhs(rows(wanted.weights), width)).collect(),
-            masks: (0..depth).map(|_| Masks::new(rows(wanted.any()), width)).collect(),
+            masks: (0..depth).map(|_| Masks::new(Form::Single, rows(wanted.any()), width)).collect(),
             views: views().map(|width| self.rhs(rows(wanted.weights && rays > 0), width)).collect(),
-            view_masks: views().map(|width| Masks::new(rows(wanted.any() && rays > 0), width)).collect(),
+            view_masks: views().map(|width| Masks::new(Form::Single, rows(wanted.any() && rays > 0), width)).collect(),
         }
     }
 

@@ -1,8 +1,7 @@
 //! Adam for tables of which a step changes only some entries.
 
+use crate::base::simd::{LANES, vectorized};
 use crate::runtime::count_table_bytes;
-
-use super::simd::{Kernel, LANES, Processor, Simd};
 
 /// The numbers of an update (Kingma and Ba 2015, algorithm 1).
 #[derive(Clone, Copy, Debug)]
@@ -34,10 +33,6 @@ impl SparseAdam {
     /// # Panics
     /// If the sizes do not fit.
     pub fn update(&self, moving: Moving, gradient: &[f32], features: usize) {
-        self.update_on(Processor::here(), moving, gradient, features);
-    }
-
-    pub(super) fn update_on(&self, processor: Processor, moving: Moving, gradient: &[f32], features: usize) {
         let Moving { values, first, second } = moving;
         let sizes = [values.len(), first.len(), second.len()];
         assert!(sizes.iter().all(|size| *size == gradient.len()), "one moment and one gradient a parameter");
@@ -47,44 +42,32 @@ impl SparseAdam {
         macro_rules! update {
             ($($number:literal)*) => {
                 match features {
-                    $($number => {
-                        processor.run(Update::<$number> { adam: *self, values, first, second, gradient });
-                    })*
+                    $($number => vectorized(
+                        #[inline(always)]
+                        || self.pass::<$number>(Moving { values, first, second }, gradient),
+                    ),)*
                     _ => unreachable!("{features} features were refused"),
                 }
             };
         }
         update!(1 2 3 4 5 6 7 8);
     }
-}
 
-/// Sizes were checked.
-struct Update<'a, const F: usize> {
-    adam: SparseAdam,
-    values: &'a mut [f32],
-    first: &'a mut [f32],
-    second: &'a mut [f32],
-    gradient: &'a [f32],
-}
-
-impl<const F: usize> Kernel for Update<'_, F> {
+    /// Updates with checked sizes.
     #[inline(always)]
-    fn run(self, _: impl Simd) {
-        let adam = self.adam;
-        let [keep1, take1] = [adam.betas[0], 1.0 - adam.betas[0]].map(
+    fn pass<const F: usize>(&self, moving: Moving, gradient: &[f32]) {
+        let [keep1, keep2] = self.betas.map(
             #[inline(always)]
             |x| x as f32,
         );
-        let [keep2, take2] = [adam.betas[1], 1.0 - adam.betas[1]].map(
+        let [take1, take2] = self.betas.map(
             #[inline(always)]
-            |x| x as f32,
+            |x| (1.0 - x) as f32,
         );
-        let [rate, correction2, epsilon] = [adam.rate, adam.correction2, adam.epsilon].map(
-            #[inline(always)]
-            |x| x as f32,
-        );
-        let blocks = self.values.chunks_mut(LANES * F).zip(self.first.chunks_mut(LANES * F));
-        let blocks = blocks.zip(self.second.chunks_mut(LANES * F)).zip(self.gradient.chunks(LANES * F));
+        let (rate, correction2, epsilon) = (self.rate as f32, self.correction2 as f32, self.epsilon as f32);
+        let Moving { values, first, second } = moving;
+        let blocks = values.chunks_mut(LANES * F).zip(first.chunks_mut(LANES * F));
+        let blocks = blocks.zip(second.chunks_mut(LANES * F)).zip(gradient.chunks(LANES * F));
         for (((values, first), second), gradient) in blocks {
             let mut reached = [[false; F]; LANES];
             let mut any = false;

@@ -2,8 +2,8 @@
 
 use crate::settings::Interpolation;
 
-use super::simd::{LANES, Lanes, Simd};
 use super::{Level, PRIMES};
+use crate::base::simd::{LANES, Lanes, Simd};
 
 /// Points that pass through all levels before the next ones. They, their encodings and a level's table stay in near
 /// caches.
@@ -60,36 +60,44 @@ impl<S: Simd> Cells<S> {
     pub fn of(simd: S, level: &Level, points: &[Lanes; 3]) -> Cells<S> {
         let resolution = simd.splat(level.resolution as f32);
         let last = simd.splat((level.resolution - 1) as f32);
-        let axis = |points: &Lanes| {
+        let mut cells = Cells { vertex: [simd.splat_ints(0); 3], position: [simd.splat(0.0); 3] };
+        for (axis, points) in points.iter().enumerate() {
             let scaled = simd.mul(simd.load(points), resolution);
             let (vertex, floor) = simd.floor_within(scaled, last);
-            (vertex, simd.sub(scaled, floor))
-        };
-        let [x, y, z] = [axis(&points[0]), axis(&points[1]), axis(&points[2])];
-        Cells { vertex: [x.0, y.0, z.0], position: [x.1, y.1, z.1] }
+            cells.vertex[axis] = vertex;
+            cells.position[axis] = simd.sub(scaled, floor);
+        }
+        cells
     }
 
     /// Returns the entries of the cells' eight vertices, all within the level's table: x changes first, then y, then z.
     #[inline(always)]
     pub fn corners(&self, simd: S, level: &Level) -> [S::Ints; 8] {
         let [x, y, z] = self.vertex;
-        let add = |a, b| simd.add_ints(a, b);
         let one = simd.splat_ints(1);
+        let x1 = simd.add_ints(x, one);
+        let mut corners = [x; 8];
+        let pairs = corners.as_chunks_mut::<2>().0;
         if level.dense {
             let row = simd.splat_ints(level.resolution + 1);
             let plane = simd.mul_ints(row, row);
-            let a = add(x, simd.mul_ints(row, add(y, simd.mul_ints(row, z))));
-            let (b, c) = (add(a, row), add(a, plane));
-            let d = add(b, plane);
-            return [a, add(a, one), b, add(b, one), c, add(c, one), d, add(d, one)];
+            let start = simd.mul_ints(row, simd.add_ints(y, simd.mul_ints(row, z)));
+            let above = simd.add_ints(start, plane);
+            let edges = [start, simd.add_ints(start, row), above, simd.add_ints(above, row)];
+            for (pair, edge) in pairs.iter_mut().zip(edges) {
+                *pair = [simd.add_ints(x, edge), simd.add_ints(x1, edge)];
+            }
+        } else {
+            let mask = simd.splat_ints(level.entries as u32 - 1);
+            let primes = [simd.splat_ints(PRIMES[0]), simd.splat_ints(PRIMES[1])];
+            let (y, z) = (simd.mul_ints(y, primes[0]), simd.mul_ints(z, primes[1]));
+            let (y1, z1) = (simd.add_ints(y, primes[0]), simd.add_ints(z, primes[1]));
+            let edges = [simd.xor(y, z), simd.xor(y1, z), simd.xor(y, z1), simd.xor(y1, z1)];
+            for (pair, edge) in pairs.iter_mut().zip(edges) {
+                *pair = [simd.and(simd.xor(x, edge), mask), simd.and(simd.xor(x1, edge), mask)];
+            }
         }
-        let mask = simd.splat_ints(level.entries as u32 - 1);
-        let primes = [simd.splat_ints(PRIMES[0]), simd.splat_ints(PRIMES[1])];
-        let (x1, y, z) = (add(x, one), simd.mul_ints(y, primes[0]), simd.mul_ints(z, primes[1]));
-        let (y1, z1) = (add(y, primes[0]), add(z, primes[1]));
-        let edges = [simd.xor(y, z), simd.xor(y1, z), simd.xor(y, z1), simd.xor(y1, z1)];
-        let entry = |x, edge: usize| simd.and(simd.xor(x, edges[edge]), mask);
-        [entry(x, 0), entry(x1, 0), entry(x, 1), entry(x1, 1), entry(x, 2), entry(x1, 2), entry(x, 3), entry(x1, 3)]
+        corners
     }
 }
 
@@ -110,7 +118,7 @@ pub fn of_part<const W: usize, S: Simd>(
     entries
 }
 
-/// Returns a part's features at the cells' eight vertices.
+/// Returns each of a part's features at the cells' eight vertices.
 #[inline(always)]
 pub fn gather_corners<const W: usize, S: Simd>(
     simd: S,
@@ -118,15 +126,30 @@ pub fn gather_corners<const W: usize, S: Simd>(
     table: &[[f32; W]],
     entries: [S::Ints; 8],
     (part, parts): (usize, usize),
-) -> [[S::Floats; W]; 8] {
+) -> [[S::Floats; 8]; W] {
     assert!(table.len() >= level.entries * parts && part < parts);
     let corners = of_part::<W, S>(simd, entries, (part, parts));
-    let mut features = [[simd.splat(0.0); W]; 8];
+    let mut features = [[simd.splat(0.0); 8]; W];
     for k in 0..8 {
         // SAFETY: the corners are within the level's entries, and the table has all parts of those.
-        features[k] = unsafe { simd.gather(table, corners[k]) };
+        let corner = unsafe { simd.gather(table, corners[k]) };
+        for feature in 0..W {
+            features[feature][k] = corner[feature];
+        }
     }
     features
+}
+
+/// Interleaves the features of each lane.
+#[inline(always)]
+pub fn interleaved<const W: usize, S: Simd>(simd: S, features: [S::Floats; W]) -> [[f32; W]; LANES] {
+    let mut rows = [[0.0; W]; LANES];
+    for (feature, values) in features.into_iter().enumerate() {
+        for (row, value) in rows.iter_mut().zip(simd.store(values)) {
+            row[feature] = value;
+        }
+    }
+    rows
 }
 
 impl Level {
@@ -140,34 +163,40 @@ impl Level {
 impl Interpolation {
     /// Returns the upper vertex's weight at a position in a cell.
     #[inline(always)]
-    pub fn shares<S: Simd>(self, simd: S, position: [S::Floats; 3]) -> [S::Floats; 3] {
-        let share = |f| match self {
-            Interpolation::Linear => f,
-            Interpolation::Smoothstep => {
-                simd.mul(simd.mul(f, f), simd.neg_mul_add(simd.splat(2.0), f, simd.splat(3.0)))
-            }
-        };
-        [share(position[0]), share(position[1]), share(position[2])]
+    pub(super) fn shares<S: Simd>(self, simd: S, mut position: [S::Floats; 3]) -> [S::Floats; 3] {
+        for f in &mut position {
+            *f = match self {
+                Interpolation::Linear => *f,
+                Interpolation::Smoothstep => {
+                    simd.mul(simd.mul(*f, *f), simd.neg_mul_add(simd.splat(2.0), *f, simd.splat(3.0)))
+                }
+            };
+        }
+        position
     }
 
     /// Returns the derivative of the weight.
     #[inline(always)]
-    pub fn slopes<S: Simd>(self, simd: S, position: [S::Floats; 3]) -> [S::Floats; 3] {
-        let slope = |f| match self {
-            Interpolation::Linear => simd.splat(1.0),
-            Interpolation::Smoothstep => simd.mul(simd.mul(simd.splat(6.0), f), simd.sub(simd.splat(1.0), f)),
-        };
-        [slope(position[0]), slope(position[1]), slope(position[2])]
+    pub(super) fn slopes<S: Simd>(self, simd: S, mut position: [S::Floats; 3]) -> [S::Floats; 3] {
+        for f in &mut position {
+            *f = match self {
+                Interpolation::Linear => simd.splat(1.0),
+                Interpolation::Smoothstep => simd.mul(simd.mul(simd.splat(6.0), *f), simd.sub(simd.splat(1.0), *f)),
+            };
+        }
+        position
     }
 
     /// Returns the second derivative of the weight.
     #[inline(always)]
-    pub fn bends<S: Simd>(self, simd: S, position: [S::Floats; 3]) -> [S::Floats; 3] {
-        let bend = |f| match self {
-            Interpolation::Linear => simd.splat(0.0),
-            Interpolation::Smoothstep => simd.neg_mul_add(simd.splat(12.0), f, simd.splat(6.0)),
-        };
-        [bend(position[0]), bend(position[1]), bend(position[2])]
+    pub(super) fn bends<S: Simd>(self, simd: S, mut position: [S::Floats; 3]) -> [S::Floats; 3] {
+        for f in &mut position {
+            *f = match self {
+                Interpolation::Linear => simd.splat(0.0),
+                Interpolation::Smoothstep => simd.neg_mul_add(simd.splat(12.0), *f, simd.splat(6.0)),
+            };
+        }
+        position
     }
 }
 
@@ -175,4 +204,14 @@ impl Interpolation {
 #[inline(always)]
 pub fn mix<S: Simd>(simd: S, share: S::Floats, a: S::Floats, b: S::Floats) -> S::Floats {
     simd.mul_add(share, b, simd.neg_mul_add(share, a, a))
+}
+
+/// Interpolates along x between the vertices of a cell's four edges in that direction.
+#[inline(always)]
+pub fn mix_edges<S: Simd>(simd: S, x: S::Floats, corners: &[S::Floats; 8]) -> [S::Floats; 4] {
+    let mut edges = [x; 4];
+    for (edge, [a, b]) in edges.iter_mut().zip(corners.as_chunks::<2>().0) {
+        *edge = mix(simd, x, *a, *b);
+    }
+    edges
 }

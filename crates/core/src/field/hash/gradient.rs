@@ -1,8 +1,8 @@
 //! Gradients in the points.
 
-use super::cell::{BLOCK, Block, Cells, gather_corners, mix};
-use super::simd::{Kernel, LANES, Lanes, Processor, Simd};
+use super::cell::{BLOCK, Block, Cells, gather_corners, mix, mix_edges};
 use super::{HashGrid, by_features, count_corners};
+use crate::base::simd::{Kernel, LANES, Lanes, Processor, Simd};
 
 impl HashGrid {
     /// Computes the gradient in the points, `d_points [n, 3]`, from that in the encodings, `d_out [n, channels]`. It is
@@ -11,20 +11,10 @@ impl HashGrid {
     /// # Panics
     /// If the sizes do not fit.
     pub fn point_gradient(&self, tables: &[f32], points: &[f32], d_out: &[f32], d_points: &mut [f32]) {
-        self.point_gradient_on(Processor::here(), tables, (points, d_out), d_points);
-    }
-
-    pub(super) fn point_gradient_on(
-        &self,
-        processor: Processor,
-        tables: &[f32],
-        (points, d_out): (&[f32], &[f32]),
-        d_points: &mut [f32],
-    ) {
         self.check(tables.len(), points.len(), d_out.len());
         count_corners(d_out.len());
         assert_eq!(points.len(), d_points.len(), "one gradient a point");
-        by_features!(processor, self.features, W => {
+        by_features!(self.features, W => {
             let (tables, d_out) = (tables.as_chunks().0, d_out.as_chunks().0);
             PointGradient::<W> { grid: self, tables, points, d_out, d_points }
         });
@@ -42,7 +32,7 @@ struct PointGradient<'a, const W: usize> {
 
 impl<const W: usize> Kernel for PointGradient<'_, W> {
     #[inline(always)]
-    fn run(self, simd: impl Simd) {
+    fn run<S: Simd>(self, simd: S) {
         let parts = self.grid.parts::<W>();
         let length = self.grid.levels.len() * parts;
         let mut block = Block::empty();
@@ -65,10 +55,10 @@ impl<const W: usize> Kernel for PointGradient<'_, W> {
                         for (d_features, row) in d_features.iter_mut().zip(rows) {
                             *d_features = row[l * parts + part];
                         }
-                        let d_features = simd.columns(&d_features);
+                        let d_features = columns(simd, &d_features);
                         let corners = gather_corners(simd, level, table, entries, (part, parts));
                         for feature in 0..W {
-                            let slope = differences(simd, shares, |k| corners[k][feature]);
+                            let slope = differences(simd, shares, &corners[feature]);
                             for axis in 0..3 {
                                 along[axis] = simd.mul_add(d_features[feature], slope[axis], along[axis]);
                             }
@@ -86,6 +76,22 @@ impl<const W: usize> Kernel for PointGradient<'_, W> {
     }
 }
 
+/// Separates the features of all lanes.
+#[inline(always)]
+fn columns<const W: usize, S: Simd>(simd: S, rows: &[[f32; W]; LANES]) -> [S::Floats; W] {
+    let mut features = [[0.0; LANES]; W];
+    for (i, row) in rows.iter().enumerate() {
+        for (values, value) in features.iter_mut().zip(row) {
+            values[i] = *value;
+        }
+    }
+    let mut loaded = [simd.splat(0.0); W];
+    for (loaded, values) in loaded.iter_mut().zip(&features) {
+        *loaded = simd.load(values);
+    }
+    loaded
+}
+
 /// Writes numbers of groups, axis by axis, as points.
 #[inline(always)]
 fn write(groups: &[[Lanes; 3]], points: &mut [f32]) {
@@ -98,11 +104,13 @@ fn write(groups: &[[Lanes; 3]], points: &mut [f32]) {
 
 /// Returns the derivative of the interpolation between eight corners in the weight of each axis.
 #[inline(always)]
-fn differences<S: Simd>(simd: S, [x, y, z]: [S::Floats; 3], corner: impl Fn(usize) -> S::Floats) -> [S::Floats; 3] {
-    let edge = |k| mix(simd, x, corner(k), corner(k + 1));
-    let slope = |k| simd.sub(corner(k + 1), corner(k));
-    let edges = [edge(0), edge(2), edge(4), edge(6)];
-    let along_x = mix(simd, z, mix(simd, y, slope(0), slope(2)), mix(simd, y, slope(4), slope(6)));
+fn differences<S: Simd>(simd: S, [x, y, z]: [S::Floats; 3], corners: &[S::Floats; 8]) -> [S::Floats; 3] {
+    let edges = mix_edges(simd, x, corners);
+    let mut slopes = [x; 4];
+    for (slope, [a, b]) in slopes.iter_mut().zip(corners.as_chunks::<2>().0) {
+        *slope = simd.sub(*b, *a);
+    }
+    let along_x = mix(simd, z, mix(simd, y, slopes[0], slopes[1]), mix(simd, y, slopes[2], slopes[3]));
     let along_y = mix(simd, z, simd.sub(edges[1], edges[0]), simd.sub(edges[3], edges[2]));
     let along_z = simd.sub(mix(simd, y, edges[2], edges[3]), mix(simd, y, edges[0], edges[1]));
     [along_x, along_y, along_z]

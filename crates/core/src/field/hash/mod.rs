@@ -23,7 +23,6 @@ mod gradient;
 mod operator;
 mod reference;
 mod scatter;
-mod simd;
 #[cfg(test)]
 mod tests;
 
@@ -36,18 +35,18 @@ pub use scatter::Cotangents;
 
 use crate::settings::Interpolation;
 
-/// Runs a kernel on arrays of `[f32; W]`. Two features, the default, are one pair, which has special instructions.
-/// Other numbers of features are as many parts of one.
+/// Runs a kernel on arrays of `[f32; W]`. Two features, the default, are one pair. Other numbers of features are as
+/// many parts of one.
 macro_rules! by_features {
-    ($processor:expr, $features:expr, $width:ident => $kernel:expr) => {
+    ($features:expr, $width:ident => $kernel:expr) => {
         match $features {
             2 => {
                 const $width: usize = 2;
-                $processor.run($kernel)
+                Processor::here().run($kernel)
             }
             _ => {
                 const $width: usize = 1;
-                $processor.run_plain($kernel)
+                Processor::here().run($kernel)
             }
         }
     };

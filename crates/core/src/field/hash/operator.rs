@@ -5,9 +5,9 @@
 //! enough. It can be the derivative along an axis of the scene, the Laplacian there, or the sum of a loss's derivatives
 //! in each of them.
 
-use super::cell::{BLOCK, Block, Cells, gather_corners, of_part};
-use super::simd::{Kernel, LANES, Lanes, Processor, Simd};
-use super::{Cotangents, HashGrid, Level, by_features, count_corners};
+use super::cell::{BLOCK, Cells};
+use super::{Cotangents, HashGrid, Level};
+use crate::base::simd::{LANES, Lanes, Simd};
 
 /// A linear differential operator at a point of the unit cube, of at most second order. It has the coefficients of the
 /// value, of the derivatives along x, y, z, of those along xx, yy, zz, and of those along xy, xz, yz.
@@ -25,107 +25,7 @@ impl HashGrid {
     /// # Panics
     /// If the sizes do not fit.
     pub fn differentiate(&self, tables: &[f32], points: &[f32], operators: &[Operator<f32>], out: &mut [f32]) {
-        self.differentiate_on(Processor::here(), tables, (points, operators), out);
-    }
-
-    pub(super) fn differentiate_on(
-        &self,
-        processor: Processor,
-        tables: &[f32],
-        (points, operators): (&[f32], &[Operator<f32>]),
-        out: &mut [f32],
-    ) {
-        assert_eq!(self.check(tables.len(), points.len(), out.len()), operators.len(), "one operator a point");
-        count_corners(out.len());
-        by_features!(processor, self.features, W => {
-            let (tables, out) = (tables.as_chunks().0, out.as_chunks_mut().0);
-            Differentiate::<W> { grid: self, tables, points, operators, out }
-        });
-    }
-}
-
-/// Sizes were checked.
-struct Differentiate<'a, const W: usize> {
-    grid: &'a HashGrid,
-    tables: &'a [[f32; W]],
-    points: &'a [f32],
-    operators: &'a [Operator<f32>],
-    out: &'a mut [[f32; W]],
-}
-
-impl<const W: usize> Kernel for Differentiate<'_, W> {
-    #[inline(always)]
-    fn run(self, simd: impl Simd) {
-        let parts = self.grid.parts::<W>();
-        let length = self.grid.levels.len() * parts;
-        let (mut block, mut operators) = (Block::empty(), Operators::empty());
-        let blocks = self.points.chunks(3 * BLOCK).zip(self.operators.chunks(BLOCK));
-        for ((points, of_points), out) in blocks.zip(self.out.chunks_mut(length * BLOCK)) {
-            block.fill(points);
-            operators.fill(of_points);
-            for (l, level) in self.grid.levels.iter().enumerate() {
-                let table = level.table(self.tables, parts);
-                for ((start, count, points), operator) in block.groups().zip(&operators.groups) {
-                    let cells = Cells::of(simd, level, points);
-                    let entries = cells.corners(simd, level);
-                    let weights = weights(simd, self.grid, level, &cells, operator);
-                    for part in 0..parts {
-                        let corners = gather_corners(simd, level, table, entries, (part, parts));
-                        let mut features = [simd.splat(0.0); W];
-                        for (corner, weight) in corners.iter().zip(weights) {
-                            for (sum, feature) in features.iter_mut().zip(corner) {
-                                *sum = simd.mul_add(weight, *feature, *sum);
-                            }
-                        }
-                        let rows = out[start * length..][..count * length].chunks_exact_mut(length);
-                        for (row, features) in rows.zip(simd.rows(features)) {
-                            row[l * parts + part] = features;
-                        }
-                    }
-                }
-            }
-        }
-    }
-}
-
-/// Implements [`HashGrid::scatter`] for a record with operators, with checked sizes.
-pub struct Scatter<'a, const W: usize> {
-    pub grid: &'a HashGrid,
-    pub level: usize,
-    pub points: &'a [f32],
-    pub operators: &'a [Operator<f32>],
-    pub d_out: &'a [[f32; W]],
-    pub sum: &'a mut [[f32; W]],
-}
-
-impl<const W: usize> Kernel for Scatter<'_, W> {
-    #[inline(always)]
-    fn run(self, simd: impl Simd) {
-        let parts = self.grid.parts::<W>();
-        let length = self.grid.levels.len() * parts;
-        let level = &self.grid.levels[self.level];
-        let (mut block, mut operators) = (Block::empty(), Operators::empty());
-        let mut d_block = [[0.0; W]; BLOCK];
-        let blocks = self.points.chunks(3 * BLOCK).zip(self.operators.chunks(BLOCK));
-        for ((points, of_points), d_out) in blocks.zip(self.d_out.chunks(length * BLOCK)) {
-            block.fill(points);
-            operators.fill(of_points);
-            for part in 0..parts {
-                for (d_features, row) in d_block.iter_mut().zip(d_out.chunks_exact(length)) {
-                    *d_features = row[self.level * parts + part];
-                }
-                for ((start, count, points), operator) in block.groups().zip(&operators.groups) {
-                    let cells = Cells::of(simd, level, points);
-                    let corners = of_part::<W, _>(simd, cells.corners(simd, level), (part, parts));
-                    let corners = simd.store_corners(corners);
-                    let mut counts = [[0.0; LANES]; 8];
-                    for (counts, weights) in counts.iter_mut().zip(weights(simd, self.grid, level, &cells, operator)) {
-                        *counts = simd.store(weights);
-                    }
-                    simd.add_weighted(self.sum, &corners, &counts, &d_block[start..][..count]);
-                }
-            }
-        }
+        self.apply(tables, points, Some(operators), out);
     }
 }
 
@@ -137,20 +37,25 @@ impl<'a> Cotangents<'a> {
     }
 }
 
-/// A block's operators, coefficient by coefficient. Missing ones in the last group are 0.
-struct Operators {
-    groups: [Operator<Lanes>; BLOCK / LANES],
+/// A block's operators, coefficient by coefficient, if there are some. Missing ones in the last group are 0.
+pub struct Operators<'a> {
+    groups: Option<[Operator<Lanes>; BLOCK / LANES]>,
+    rest: &'a [Operator<f32>],
 }
 
-impl Operators {
-    fn empty() -> Operators {
-        Operators { groups: [[[0.0; LANES]; 10]; BLOCK / LANES] }
+impl<'a> Operators<'a> {
+    #[inline(always)]
+    pub fn new(operators: Option<&'a [Operator<f32>]>) -> Operators<'a> {
+        let groups = operators.map(|_| [[[0.0; LANES]; 10]; BLOCK / LANES]);
+        Operators { groups, rest: operators.unwrap_or_default() }
     }
 
-    /// Replaces the operators by those of at most [`BLOCK`] points.
+    /// Goes on to the next [`BLOCK`] points.
     #[inline(always)]
-    fn fill(&mut self, operators: &[Operator<f32>]) {
-        for (group, operators) in self.groups.iter_mut().zip(operators.chunks(LANES)) {
+    pub fn advance(&mut self) {
+        let Some(groups) = &mut self.groups else { return };
+        let (here, rest) = self.rest.split_at(BLOCK.min(self.rest.len()));
+        for (group, operators) in groups.iter_mut().zip(here.chunks(LANES)) {
             *group = [[0.0; LANES]; 10];
             for (i, operator) in operators.iter().enumerate() {
                 for (lanes, number) in group.iter_mut().zip(operator) {
@@ -158,12 +63,19 @@ impl Operators {
                 }
             }
         }
+        self.rest = rest;
+    }
+
+    /// Returns those of the points from `start` on.
+    #[inline(always)]
+    pub fn group(&self, start: usize) -> Option<&Operator<Lanes>> {
+        self.groups.as_ref().map(|groups| &groups[start / LANES])
     }
 }
 
-/// Returns the weight of each corner's feature in an operator's value.
+/// Returns the weight of each corner's features in an operator's value.
 #[inline(always)]
-fn weights<S: Simd>(
+pub fn weights<S: Simd>(
     simd: S,
     grid: &HashGrid,
     level: &Level,

@@ -1,7 +1,7 @@
 //! The kernels against the reference, and the reference against closed forms and finite differences.
 
-use super::simd::Processor;
 use super::*;
+use crate::base::simd::tests::on_each;
 use crate::settings::Contraction;
 
 mod operators;
@@ -107,22 +107,23 @@ fn kernels_follow_the_reference_with_the_same_bits_on_each_processor() {
             grid.encode_reference(&tables, &points, &mut expected[0]);
             grid.point_gradient_reference(&tables, &points, &d_out, &mut expected[1]);
             grid.table_gradient_reference(&points, &d_out, &mut expected[2]);
-            let mut first: Option<[Vec<f32>; 3]> = None;
-            for processor in Processor::all() {
+            let all = on_each(|| {
                 let mut found = [vec![0f32; d_out.len()], vec![0.0; points.len()], vec![0.0; tables.len()]];
-                grid.encode_on(processor, &tables32, &points32, &mut found[0]);
-                grid.point_gradient_on(processor, &tables32, (&points32, &d_out32), &mut found[1]);
+                grid.encode(&tables32, &points32, &mut found[0]);
+                grid.point_gradient(&tables32, &points32, &d_out32, &mut found[1]);
                 for (l, level) in grid.levels.iter().enumerate() {
                     let sum = &mut found[2][level.offset * grid.features..][..level.entries * grid.features];
-                    grid.scatter_on(processor, l, Cotangents::new(&points32, &d_out32), sum);
+                    grid.scatter(l, Cotangents::new(&points32, &d_out32), sum);
                 }
+                found
+            });
+            for (processor, found) in &all {
                 // Positions in cells lose digits as resolution grows: 512 of 2^24.
                 for (found, (expected, most)) in found.iter().zip(expected.iter().zip([1e-4, 3e-4, 1e-4])) {
                     let off = off(found, expected);
                     assert!(off < most, "{grid:?} {processor:?} {count}: {off}");
                 }
-                let first = first.get_or_insert_with(|| found.clone());
-                for (found, first) in found.iter().zip(first) {
+                for (found, first) in found.iter().zip(&all[0].1) {
                     assert_eq!(bits(found), bits(first), "{grid:?} {processor:?} {count}");
                 }
             }
@@ -229,7 +230,9 @@ fn vertices_and_faces_belong_to_one_cell() {
 /// Vertices whose hashes agree read one entry, and what pulls on either is added up there.
 #[test]
 fn colliding_vertices_share_one_entry() {
-    for (processor, interpolation) in Processor::all().into_iter().flat_map(|each| BOTH.map(|kind| (each, kind))) {
+    on_each(|| BOTH.map(colliding_vertices));
+
+    fn colliding_vertices(interpolation: Interpolation) {
         let grid = HashGrid::new(1, 2, 8, (32, 32), interpolation);
         let level = &grid.levels()[0];
         let first = [3, 5, 7];
@@ -239,10 +242,10 @@ fn colliding_vertices_share_one_entry() {
         let entry = 2 * level.entry(first);
         let tables = narrow(&signed(grid.entries() * 2, 12));
         let mut out = [0.0; 4];
-        grid.encode_on(processor, &tables, &points, &mut out);
+        grid.encode(&tables, &points, &mut out);
         assert_eq!([&out[..2], &out[2..]], [&tables[entry..][..2]; 2], "at a vertex stands its entry alone");
         let mut sum = vec![0.0; tables.len()];
-        grid.scatter_on(processor, 0, Cotangents::new(&points, &[1.0, -2.0, 0.5, 0.25]), &mut sum);
+        grid.scatter(0, Cotangents::new(&points, &[1.0, -2.0, 0.5, 0.25]), &mut sum);
         assert_eq!(sum[entry..][..2], [1.5, -1.75]);
         sum[entry..][..2].fill(0.0);
         assert!(sum.iter().all(|value| *value == 0.0), "nothing lands elsewhere");
@@ -272,24 +275,24 @@ fn smoothstep_has_a_continuous_gradient_and_no_slope_across_faces() {
 
 #[test]
 fn nan_stays_with_its_point() {
-    for processor in Processor::all() {
+    on_each(|| {
         let grid = HashGrid::new(4, 2, 6, (4, 32), Interpolation::Linear);
         let tables = narrow(&signed(grid.entries() * 2, 10));
         let mut points = narrow(&numbers(60, 11));
         let mut expected = vec![0.0; 20 * 8];
-        grid.encode_on(processor, &tables, &points, &mut expected);
+        grid.encode(&tables, &points, &mut expected);
         points[3 * 7 + 1] = f32::NAN;
         let mut out = vec![0.0; 20 * 8];
-        grid.encode_on(processor, &tables, &points, &mut out);
+        grid.encode(&tables, &points, &mut out);
         assert!(out[56..64].iter().all(|value| value.is_nan()));
         assert_eq!((&out[..56], &out[64..]), (&expected[..56], &expected[64..]));
         let mut d_points = vec![0.0; 60];
-        grid.point_gradient_on(processor, &tables, (&points, &expected), &mut d_points);
+        grid.point_gradient(&tables, &points, &expected, &mut d_points);
         let nan: Vec<usize> = (0..60).filter(|i| d_points[*i].is_nan()).collect();
         assert!(nan.iter().all(|i| i / 3 == 7) && !nan.is_empty(), "{nan:?}");
         // Far outside there is no such cell, and nothing beyond the table is read.
-        grid.encode_on(processor, &tables, &[f32::MAX, f32::INFINITY, -1e9], &mut out[..8]);
-    }
+        grid.encode(&tables, &[f32::MAX, f32::INFINITY, -1e9], &mut out[..8]);
+    });
 }
 
 #[test]
@@ -378,8 +381,7 @@ fn a_domain_s_jacobian_is_its_finite_difference() {
 #[test]
 fn sparse_adam_moves_what_has_a_gradient() {
     for features in [1, 2, 3, 8] {
-        let mut states = Vec::new();
-        for processor in Processor::all() {
+        let states = on_each(|| {
             let count = 101 * features;
             let start = narrow(&signed(count, 20));
             let mut state = [start.clone(), vec![0.0; count], vec![0.0; count]];
@@ -403,7 +405,7 @@ fn sparse_adam_moves_what_has_a_gradient() {
                     epsilon: 1e-15,
                 };
                 let [values, first, second] = &mut state;
-                adam.update_on(processor, Moving { values, first, second }, &gradient, features);
+                adam.update(Moving { values, first, second }, &gradient, features);
                 let [p, m, v] = &mut expected;
                 for i in 0..count {
                     let entry = &gradient[i / features * features..][..features];
@@ -417,11 +419,11 @@ fn sparse_adam_moves_what_has_a_gradient() {
                 }
             }
             for (found, expected) in state.iter().zip(&expected) {
-                assert!(off(found, expected) < 1e-6, "{features} {processor:?} {}", off(found, expected));
+                assert!(off(found, expected) < 1e-6, "{features} {}", off(found, expected));
             }
             assert_eq!(bits(&state[0][61 * features..]), bits(&start[61 * features..]));
-            states.push(state.map(|values| bits(&values)));
-        }
-        assert!(states.iter().all(|state| *state == states[0]));
+            state.map(|values| bits(&values))
+        });
+        assert!(states.iter().all(|(_, state)| *state == states[0].1));
     }
 }

@@ -1,10 +1,11 @@
 //! The operations on rows of sums before they leave the registers, and their targets.
 
-use super::panels::{Bits, BitsMut, Form, PanelsMut, padded};
-use super::simd::{LANES, Simd};
+use super::panels::{Form, PanelsMut, View, padded};
+use super::{load, store};
+use crate::base::simd::{LANES, Simd};
 
 /// The sums of a block of rows.
-pub(super) type Block<S, const MR: usize, const NV: usize> = [[<S as Simd>::V; NV]; MR];
+pub(super) type Block<S, const MR: usize, const NV: usize> = [[<S as Simd>::Floats; NV]; MR];
 
 /// Added to every row.
 #[derive(Clone, Copy)]
@@ -43,11 +44,11 @@ pub struct Finish<'a> {
     /// Sets negative numbers to 0.
     pub relu: bool,
     /// Receives a bit for each positive number.
-    pub positive: Option<BitsMut<'a>>,
+    pub positive: Option<View<&'a mut [u16]>>,
     /// Receives the numbers at this stage.
     pub out: Option<Out<'a>>,
     /// Sets numbers without their bit to 0.
-    pub mask: Option<Bits<'a>>,
+    pub mask: Option<View<&'a [u16]>>,
     /// Adds the numbers to the sum of their row's ray.
     pub by_ray: Option<ByRay<'a>>,
     /// Receives the numbers at this stage as the left side of bf16.
@@ -59,8 +60,8 @@ pub struct Finish<'a> {
 }
 
 impl Finish<'_> {
-    /// Checks the slices, and returns whether pairs of bf16 are written.
-    pub(super) fn check(&self, rows: usize, columns: usize) -> bool {
+    /// Checks the slices.
+    pub(super) fn check(&self, rows: usize, columns: usize) {
         let whole = padded(columns);
         let bias = self.bias.is_none_or(|bias| match bias.of_rays {
             (_, 0) => bias.values.len() == whole,
@@ -81,7 +82,6 @@ impl Finish<'_> {
             bias && density && masks && plain && by_ray && across && panels && alone,
             "what rows are finished with does not fit"
         );
-        self.across.is_some() || self.panels.as_ref().is_some_and(|to| to.shape.form == Form::Down)
     }
 }
 
@@ -97,6 +97,7 @@ impl Finish<'_> {
     #[inline(always)]
     pub(super) unsafe fn block<S: Simd, const MR: usize, const NV: usize>(
         &mut self,
+        simd: S,
         sums: &mut Block<S, MR, NV>,
         (row, column): (usize, usize),
         columns: usize,
@@ -104,39 +105,39 @@ impl Finish<'_> {
     ) {
         // SAFETY: `check` has seen that all slices have these rows and columns.
         unsafe {
-            self.add::<S, MR, NV>(sums, (row, column), columns);
+            self.add::<S, MR, NV>(simd, sums, (row, column), columns);
             if self.relu {
                 for sum in sums.iter_mut() {
                     for v in sum {
-                        *v = S::relu(*v);
+                        *v = simd.relu(*v);
                     }
                 }
             }
             if let Some(positive) = &mut self.positive {
-                let (mut to, step) = (positive.at(row, column), positive.shape.step(column) / LANES);
+                let (mut to, step) = (positive.at_mut(row, column), positive.shape.step(column) / LANES);
                 for sums in sums.iter() {
                     for v in 0..NV {
-                        *to.add(v) = S::positive(sums[v]);
+                        *to.add(v) = simd.positive(sums[v]);
                     }
                     to = to.wrapping_add(step);
                 }
             }
             if let Some(out) = &mut self.out {
                 for r in 0..MR {
-                    let to = out.values.as_mut_ptr().add((row + r) * out.stride);
-                    put::<S, NV>(to, &sums[r], (column, columns), out.accumulate && !holds_out);
+                    let to = &mut out.values[(row + r) * out.stride..][..columns];
+                    put(simd, to, &sums[r], column, out.accumulate && !holds_out);
                 }
             }
             if let Some(mask) = self.mask {
                 let (mut bits, step) = (mask.at(row, column), mask.shape.step(column) / LANES);
                 for sums in sums.iter_mut() {
                     for v in 0..NV {
-                        sums[v] = S::keep(sums[v], *bits.add(v));
+                        sums[v] = simd.keep(sums[v], *bits.add(v));
                     }
                     bits = bits.wrapping_add(step);
                 }
             }
-            self.leave::<S, MR, NV>(sums, (row, column), columns);
+            self.leave::<S, MR, NV>(simd, sums, (row, column), columns);
         }
     }
 
@@ -144,6 +145,7 @@ impl Finish<'_> {
     #[inline(always)]
     unsafe fn add<S: Simd, const MR: usize, const NV: usize>(
         &self,
+        simd: S,
         sums: &mut Block<S, MR, NV>,
         (row, column): (usize, usize),
         columns: usize,
@@ -158,16 +160,16 @@ impl Finish<'_> {
                         (first, samples) => values.wrapping_add((first + row + r) / samples * padded(columns)),
                     };
                     for v in 0..NV {
-                        sums[v] = S::add(sums[v], S::load(from.add(LANES * v)));
+                        sums[v] = simd.add(sums[v], load(simd, from.add(LANES * v)));
                     }
                 }
             }
             if let Some((d, weights)) = self.density {
                 for r in 0..MR {
-                    let d = S::splat(*d.as_ptr().add(row + r));
+                    let d = simd.splat(*d.as_ptr().add(row + r));
                     for v in 0..NV {
-                        let weight = S::load(weights.as_ptr().add(column + LANES * v));
-                        sums[r][v] = S::add(sums[r][v], S::mul(d, weight));
+                        let weight = load(simd, weights.as_ptr().add(column + LANES * v));
+                        sums[r][v] = simd.add(sums[r][v], simd.mul(d, weight));
                     }
                 }
             }
@@ -178,6 +180,7 @@ impl Finish<'_> {
     #[inline(always)]
     unsafe fn leave<S: Simd, const MR: usize, const NV: usize>(
         &mut self,
+        simd: S,
         sums: &mut Block<S, MR, NV>,
         (row, column): (usize, usize),
         columns: usize,
@@ -190,41 +193,41 @@ impl Finish<'_> {
                     let to = by_ray.sums.as_mut_ptr().add(ray * padded(columns) + column);
                     for v in 0..NV {
                         let to = to.add(LANES * v);
-                        S::store(to, S::add(S::load(to), sums[r][v]));
+                        store(simd, to, simd.add(load(simd, to), sums[r][v]));
                     }
                 }
             }
-            if let Some(across) = self.across.as_mut().filter(|_| S::PAIRS) {
-                let (mut to, step) = (across.at(row, column), across.shape.step(column));
+            if let Some(across) = self.across.as_mut() {
+                let (mut to, step) = (across.at_mut(row, column), across.shape.step(column));
                 for sums in sums.iter() {
                     for v in 0..NV {
-                        S::store_rounded(to.add(LANES / 2 * v), sums[v]);
+                        to.add(LANES / 2 * v).cast::<[f32; LANES / 2]>().write(simd.rounded(sums[v]));
                     }
                     to = to.wrapping_add(step);
                 }
             }
             if let Some(delta) = self.delta {
                 for r in 0..MR {
-                    let delta = given::<S, NV>(delta.as_ptr().add((row + r) * columns), column, columns);
+                    let delta = given::<S, NV>(simd, &delta[(row + r) * columns..][..columns], column);
                     for v in 0..NV {
-                        sums[r][v] = S::add(sums[r][v], delta[v]);
+                        sums[r][v] = simd.add(sums[r][v], delta[v]);
                     }
                 }
             }
             let Some(panels) = &mut self.panels else { return };
-            let (mut to, step) = (panels.at(row, column), panels.shape.step(column));
-            if S::PAIRS && panels.shape.form == Form::Down {
+            let (mut to, step) = (panels.at_mut(row, column), panels.shape.step(column));
+            if panels.shape.form == Form::Down {
                 for r in (0..MR).step_by(2) {
                     for v in 0..NV {
-                        let next = if r + 1 < MR { sums[r + 1][v] } else { S::splat(0.0) };
-                        S::store(to.add(LANES * v), S::pair(sums[r][v], next));
+                        let next = if r + 1 < MR { sums[r + 1][v] } else { simd.splat(0.0) };
+                        store(simd, to.add(LANES * v), simd.pair(sums[r][v], next));
                     }
                     to = to.wrapping_add(step);
                 }
             } else {
                 for sums in sums.iter() {
                     for v in 0..NV {
-                        S::store(to.add(LANES * v), sums[v]);
+                        store(simd, to.add(LANES * v), sums[v]);
                     }
                     to = to.wrapping_add(step);
                 }
@@ -235,41 +238,37 @@ impl Finish<'_> {
 
 /// Writes a row's numbers from `column` on, or adds them to the target.
 #[inline(always)]
-pub(super) unsafe fn put<S: Simd, const NV: usize>(
-    row: *mut f32,
-    numbers: &[S::V; NV],
-    (column, columns): (usize, usize),
+pub(super) fn put<S: Simd, const NV: usize>(
+    simd: S,
+    row: &mut [f32],
+    numbers: &[S::Floats; NV],
+    column: usize,
     accumulate: bool,
 ) {
-    // SAFETY: the row has `columns` numbers.
-    unsafe {
-        let before = if accumulate { given::<S, NV>(row, column, columns) } else { [S::splat(0.0); NV] };
-        for v in 0..NV {
-            let first = column + LANES * v;
-            let sum = if accumulate { S::add(before[v], numbers[v]) } else { numbers[v] };
-            if first + LANES <= columns {
-                S::store(row.add(first), sum);
-            } else if first < columns {
-                S::store_first(row.add(first), sum, columns - first);
-            }
+    for (v, numbers) in numbers.iter().enumerate() {
+        let Some(to) = row.get_mut(column + LANES * v..) else { return };
+        let sum = if accumulate { simd.add(given_vector(simd, to), *numbers) } else { *numbers };
+        match to.first_chunk_mut::<LANES>() {
+            Some(to) => *to = simd.store(sum),
+            None => simd.store_first(to, sum),
         }
     }
 }
 
 /// Returns numbers of a row from `column` on, and 0 beyond its end.
 #[inline(always)]
-pub(super) unsafe fn given<S: Simd, const NV: usize>(row: *const f32, column: usize, columns: usize) -> [S::V; NV] {
-    // SAFETY: the row has `columns` numbers.
-    unsafe {
-        let mut out = [S::splat(0.0); NV];
-        for (v, out) in out.iter_mut().enumerate() {
-            let first = column + LANES * v;
-            if first + LANES <= columns {
-                *out = S::load(row.add(first));
-            } else if first < columns {
-                *out = S::load_first(row.add(first), columns - first);
-            }
-        }
-        out
+pub(super) fn given<S: Simd, const NV: usize>(simd: S, row: &[f32], column: usize) -> [S::Floats; NV] {
+    let mut out = [simd.splat(0.0); NV];
+    for (v, out) in out.iter_mut().enumerate() {
+        *out = given_vector(simd, row.get(column + LANES * v..).unwrap_or_default());
+    }
+    out
+}
+
+#[inline(always)]
+fn given_vector<S: Simd>(simd: S, from: &[f32]) -> S::Floats {
+    match from.first_chunk::<LANES>() {
+        Some(from) => simd.load(from),
+        None => simd.load_first(from),
     }
 }

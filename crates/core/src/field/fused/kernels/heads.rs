@@ -4,8 +4,8 @@ use crate::runtime::count_multiply_adds;
 
 use super::finish::{given, put};
 use super::panels::{Form, PANEL, Panels, padded};
-use super::simd::{LANES, Simd};
-use super::{Kernel, launch};
+use super::{launch, load};
+use crate::base::simd::{Kernel, LANES, Simd};
 
 /// Weights `[outputs, inputs]` for each form of rows.
 pub struct Head {
@@ -40,7 +40,7 @@ pub fn head_forward(head: &Head, x: &[Panels], y: &mut [f32]) {
     let fits = x.iter().all(|x| x.fits(rows, head.inputs) && x.shape.form == form) && form != Form::Down;
     assert!(fits, "rows of a head do not fit");
     count_multiply_adds(y.len() * head.inputs * x.len());
-    launch(form == Form::Across, Forward { head, x, y });
+    launch(Forward { head, x, y });
 }
 
 struct Forward<'a> {
@@ -51,23 +51,19 @@ struct Forward<'a> {
 
 impl Kernel for Forward<'_> {
     #[inline(always)]
-    unsafe fn run<S: Simd>(self) {
+    fn run<S: Simd>(self, simd: S) {
         let Forward { head, x, y } = self;
         let (outputs, rows) = (head.outputs, y.len() / head.outputs);
         for o in 0..outputs {
             for first in (0..rows).step_by(LANES) {
                 let count = LANES.min(rows - first);
-                let mut totals = [0f32; LANES];
-                // SAFETY: as the caller promises; `head_forward` has checked the slices.
-                unsafe {
-                    let mut sums = [S::splat(0.0); LANES];
-                    for x in x {
-                        head.dots::<S>(&mut sums, x, (first, count), o);
-                    }
-                    S::store(totals.as_mut_ptr(), S::add(S::sums(&sums), S::splat(head.bias[o])));
+                let mut sums = [simd.splat(0.0); LANES];
+                for x in x {
+                    // SAFETY: `head_forward` has checked the slices.
+                    unsafe { head.dots::<S>(simd, &mut sums, x, (first, count), o) };
                 }
-                for (i, total) in totals[..count].iter().enumerate() {
-                    y[(first + i) * outputs + o] = *total;
+                for (i, sum) in sums[..count].iter().enumerate() {
+                    y[(first + i) * outputs + o] = simd.store(*sum).iter().sum::<f32>() + head.bias[o];
                 }
             }
         }
@@ -80,13 +76,14 @@ impl Head {
     #[inline(always)]
     unsafe fn dots<S: Simd>(
         &self,
-        sums: &mut [S::V; LANES],
+        simd: S,
+        sums: &mut [S::Floats; LANES],
         x: &Panels,
         (first, count): (usize, usize),
         output: usize,
     ) {
         let whole = padded(self.inputs);
-        let across = S::PAIRS && x.shape.form == Form::Across;
+        let across = x.shape.form == Form::Across;
         let weights = if across { &self.halves } else { &self.weights };
         for panel in (0..whole).step_by(PANEL) {
             let weights = weights[output * whole + panel..][..x.shape.width(panel)].as_ptr();
@@ -98,14 +95,14 @@ impl Head {
                 unsafe {
                     let weights = weights.add(if across { 2 * column } else { column });
                     let (even, odd) =
-                        (S::load(weights), if across { S::load(weights.add(LANES)) } else { S::splat(0.0) });
+                        (load(simd, weights), if across { load(simd, weights.add(LANES)) } else { simd.splat(0.0) });
                     for (i, sum) in block.iter_mut().enumerate() {
-                        let words = S::load(rows.add(i.min(count - 1) * step + column));
+                        let words = load(simd, rows.add(i.min(count - 1) * step + column));
                         if across {
-                            *sum = S::add(*sum, S::mul(S::first(words), even));
-                            *sum = S::add(*sum, S::mul(S::second(words), odd));
+                            *sum = simd.add(*sum, simd.mul(simd.first(words), even));
+                            *sum = simd.add(*sum, simd.mul(simd.second(words), odd));
                         } else {
-                            *sum = S::add(*sum, S::mul(words, even));
+                            *sum = simd.add(*sum, simd.mul(words, even));
                         }
                     }
                 }
@@ -121,7 +118,7 @@ pub fn head_gradient(dz: &[f32], outputs: usize, x: Panels, sum: &mut [f32]) {
     let fits = x.fits(rows, columns) && x.shape.form != Form::Across && sum.len() == outputs * columns;
     assert!(fits, "the gradient of a head does not fit");
     count_multiply_adds(dz.len() * columns);
-    launch(x.shape.form == Form::Down, Gradient { dz, outputs, x, sum });
+    launch(Gradient { dz, outputs, x, sum });
 }
 
 struct Gradient<'a> {
@@ -133,14 +130,14 @@ struct Gradient<'a> {
 
 impl Kernel for Gradient<'_> {
     #[inline(always)]
-    unsafe fn run<S: Simd>(mut self) {
+    fn run<S: Simd>(mut self, simd: S) {
         let (outputs, columns) = (self.outputs, self.x.shape.columns);
         for (output, panel) in (0..outputs).flat_map(|output| (0..columns).step_by(PANEL).map(move |at| (output, at))) {
-            // SAFETY: as the caller promises; `head_gradient` has checked the slices.
+            // SAFETY: `head_gradient` has checked the slices.
             unsafe {
                 match self.x.shape.width(panel) {
-                    PANEL => self.panel::<S, { PANEL / LANES }>(output, panel),
-                    _ => self.panel::<S, { PANEL / LANES / 2 }>(output, panel),
+                    PANEL => self.panel::<S, { PANEL / LANES }>(simd, output, panel),
+                    _ => self.panel::<S, { PANEL / LANES / 2 }>(simd, output, panel),
                 }
             }
         }
@@ -150,27 +147,27 @@ impl Kernel for Gradient<'_> {
 impl Gradient<'_> {
     /// Adds an output's gradients of the weights for a panel.
     #[inline(always)]
-    unsafe fn panel<S: Simd, const NV: usize>(&mut self, output: usize, panel: usize) {
-        let (columns, down) = (self.x.shape.columns, S::PAIRS && self.x.shape.form == Form::Down);
-        let to = self.sum[output * columns..][..columns].as_mut_ptr();
+    unsafe fn panel<S: Simd, const NV: usize>(&mut self, simd: S, output: usize, panel: usize) {
+        let (columns, down) = (self.x.shape.columns, self.x.shape.form == Form::Down);
+        let to = &mut self.sum[output * columns..][..columns];
         let (start, step) = (self.x.at(0, panel), self.x.shape.step(panel));
         // SAFETY: as in `run`.
         unsafe {
-            let mut sums = given::<S, NV>(to, panel, columns);
+            let mut sums = given::<S, NV>(simd, to, panel);
             for row in 0..self.dz.len() / self.outputs {
-                let scale = S::splat(*self.dz.as_ptr().add(row * self.outputs + output));
+                let scale = simd.splat(*self.dz.as_ptr().add(row * self.outputs + output));
                 let from = start.wrapping_add(step * if down { row / 2 } else { row });
                 for v in 0..NV {
-                    let words = S::load(from.add(LANES * v));
+                    let words = load(simd, from.add(LANES * v));
                     let numbers = match down {
-                        true if row % 2 == 0 => S::first(words),
-                        true => S::second(words),
+                        true if row % 2 == 0 => simd.first(words),
+                        true => simd.second(words),
                         false => words,
                     };
-                    sums[v] = S::add(sums[v], S::mul(scale, numbers));
+                    sums[v] = simd.add(sums[v], simd.mul(scale, numbers));
                 }
             }
-            put::<S, NV>(to, &sums, (panel, columns), false);
+            put(simd, to, &sums, panel, false);
         }
     }
 }

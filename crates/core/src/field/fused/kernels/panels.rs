@@ -2,9 +2,10 @@
 //! enough. A product then reads its left side and writes its result without packing. The weight gradient finds 64
 //! neighbours of every row in one stream.
 
-use super::simd::{round, word};
-use crate::base::simd::vectorized;
-use crate::field::fused::pool::Buffer;
+use std::ops::{Deref, DerefMut};
+
+use crate::base::simd::{vectorized, word};
+use crate::field::fused::pool::{Buffer, Pooled};
 
 /// Columns of a panel.
 pub const PANEL: usize = 64;
@@ -17,9 +18,10 @@ pub fn padded(columns: usize) -> usize {
 }
 
 /// The content of a word.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Form {
     /// An f32.
+    #[default]
     Single,
     /// bf16 of two neighbours in a row: for the left side of a product.
     Across,
@@ -28,7 +30,7 @@ pub enum Form {
 }
 
 /// Form and size of rows in panels.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Shape {
     /// The content of a word.
     pub form: Form,
@@ -73,23 +75,42 @@ impl Shape {
     }
 }
 
-/// Rows in panels.
-#[derive(Default)]
-pub struct Slab {
-    words: Buffer<f32>,
-    shape: Option<Shape>,
+/// The content of a buffer.
+pub trait Word: Pooled {
+    /// Numbers of a row that share a word, for [`Form::Single`].
+    const NUMBERS: usize;
 }
 
-impl Slab {
+impl Word for f32 {
+    const NUMBERS: usize = 1;
+}
+
+impl Word for u16 {
+    const NUMBERS: usize = 16;
+}
+
+/// A table in panels.
+#[derive(Default)]
+pub struct Table<W: Word> {
+    words: Buffer<W>,
+    shape: Shape,
+}
+
+/// Rows in panels.
+pub type Slab = Table<f32>;
+/// A bit for each number of rows in panels.
+pub type Masks = Table<u16>;
+
+impl<W: Word> Table<W> {
     /// Allocates rows with arbitrary content.
-    pub fn new(form: Form, rows: usize, columns: usize) -> Slab {
+    pub fn new(form: Form, rows: usize, columns: usize) -> Table<W> {
         let shape = Shape { form, rows, columns };
-        Slab { words: Buffer::new(shape.words()), shape: Some(shape) }
+        Table { words: Buffer::new(shape.words() / W::NUMBERS), shape }
     }
 
     /// Returns the content of its words.
     pub fn form(&self) -> Form {
-        self.shape.unwrap_or(EMPTY).form
+        self.shape.form
     }
 
     /// Returns whether it has no rows.
@@ -98,146 +119,55 @@ impl Slab {
     }
 
     /// Returns the rows from `start` on.
-    pub fn rows(&self, start: usize) -> Panels<'_> {
-        Panels { words: &self.words, shape: self.shape.unwrap_or(EMPTY), start }
+    pub fn rows(&self, start: usize) -> View<&[W]> {
+        View { words: &self.words, shape: self.shape, start }
     }
 
     /// Returns the rows from `start` on, mutably.
-    pub fn rows_mut(&mut self, start: usize) -> PanelsMut<'_> {
-        PanelsMut { words: &mut self.words, shape: self.shape.unwrap_or(EMPTY), start }
+    pub fn rows_mut(&mut self, start: usize) -> View<&mut [W]> {
+        View { words: &mut self.words, shape: self.shape, start }
     }
 }
 
-const EMPTY: Shape = Shape { form: Form::Single, rows: 0, columns: 0 };
+/// A table from row `start` on.
+#[derive(Clone, Copy)]
+pub struct View<T> {
+    /// The words of all rows.
+    pub words: T,
+    /// The shape of all rows.
+    pub shape: Shape,
+    /// The first row.
+    pub start: usize,
+}
 
 /// Rows in panels, from row `start` on.
-#[derive(Clone, Copy)]
-pub struct Panels<'a> {
-    /// The words of all rows.
-    pub words: &'a [f32],
-    /// The shape of all rows.
-    pub shape: Shape,
-    /// The first row.
-    pub start: usize,
-}
-
+pub type Panels<'a> = View<&'a [f32]>;
 /// Mutable rows in panels, from row `start` on.
-pub struct PanelsMut<'a> {
-    /// The words of all rows.
-    pub words: &'a mut [f32],
-    /// The shape of all rows.
-    pub shape: Shape,
-    /// The first row.
-    pub start: usize,
-}
+pub type PanelsMut<'a> = View<&'a mut [f32]>;
 
-impl Panels<'_> {
+impl<W: Word, T: Deref<Target = [W]>> View<T> {
     /// Returns whether there are `rows` rows that begin with a complete word.
     pub fn fits(&self, rows: usize, columns: usize) -> bool {
-        fits(self.words.len(), self.shape, (self.start, rows), columns)
+        let (shape, start) = (self.shape, self.start);
+        let whole = shape.form != Form::Down || start.is_multiple_of(2);
+        let words = W::NUMBERS * self.words.len();
+        whole && shape.columns == columns && start + rows <= shape.rows && shape.words() <= words
     }
 
     /// Returns the address of the word with a row's number at `column`.
     #[inline(always)]
-    pub fn at(&self, row: usize, column: usize) -> *const f32 {
-        self.words.as_ptr().wrapping_add(self.shape.offset(self.start + row, column))
-    }
-}
-
-impl PanelsMut<'_> {
-    /// Returns whether there are `rows` rows that begin with a complete word.
-    pub fn fits(&self, rows: usize, columns: usize) -> bool {
-        fits(self.words.len(), self.shape, (self.start, rows), columns)
+    pub fn at(&self, row: usize, column: usize) -> *const W {
+        self.words.as_ptr().wrapping_add(self.shape.offset(self.start + row, column) / W::NUMBERS)
     }
 
     /// Returns the address of the word with a row's number at `column`.
     #[inline(always)]
-    pub fn at(&mut self, row: usize, column: usize) -> *mut f32 {
-        self.words.as_mut_ptr().wrapping_add(self.shape.offset(self.start + row, column))
+    pub fn at_mut(&mut self, row: usize, column: usize) -> *mut W
+    where
+        T: DerefMut,
+    {
+        self.words.as_mut_ptr().wrapping_add(self.shape.offset(self.start + row, column) / W::NUMBERS)
     }
-}
-
-fn fits(words: usize, shape: Shape, (start, rows): (usize, usize), columns: usize) -> bool {
-    let whole = shape.form != Form::Down || start.is_multiple_of(2);
-    whole && shape.columns == columns && start + rows <= shape.rows && shape.words() <= words
-}
-
-/// A bit for each number of rows in panels.
-#[derive(Default)]
-pub struct Masks {
-    bits: Buffer<u16>,
-    shape: Option<Shape>,
-}
-
-impl Masks {
-    /// Allocates masks with arbitrary content.
-    pub fn new(rows: usize, columns: usize) -> Masks {
-        let shape = Shape { form: Form::Single, rows, columns };
-        Masks { bits: Buffer::new(shape.words() / 16), shape: Some(shape) }
-    }
-
-    /// Returns the masks from row `start` on.
-    pub fn rows(&self, start: usize) -> Bits<'_> {
-        Bits { bits: &self.bits, shape: self.shape.unwrap_or(EMPTY), start }
-    }
-
-    /// Returns the masks from row `start` on, mutably.
-    pub fn rows_mut(&mut self, start: usize) -> BitsMut<'_> {
-        BitsMut { bits: &mut self.bits, shape: self.shape.unwrap_or(EMPTY), start }
-    }
-}
-
-/// Masks from row `start` on.
-#[derive(Clone, Copy)]
-pub struct Bits<'a> {
-    /// The bits of all rows.
-    pub bits: &'a [u16],
-    /// The shape of all rows.
-    pub shape: Shape,
-    /// The first row.
-    pub start: usize,
-}
-
-/// Mutable masks from row `start` on.
-pub struct BitsMut<'a> {
-    /// The bits of all rows.
-    pub bits: &'a mut [u16],
-    /// The shape of all rows.
-    pub shape: Shape,
-    /// The first row.
-    pub start: usize,
-}
-
-impl Bits<'_> {
-    /// Returns whether there are bits for `rows` rows.
-    pub fn fits(&self, rows: usize, columns: usize) -> bool {
-        fits(16 * self.bits.len(), self.shape, (self.start, rows), columns)
-    }
-
-    /// Returns the address of a row's bits from `column` on.
-    #[inline(always)]
-    pub fn at(&self, row: usize, column: usize) -> *const u16 {
-        self.bits.as_ptr().wrapping_add(self.shape.offset(self.start + row, column) / 16)
-    }
-}
-
-impl BitsMut<'_> {
-    /// Returns whether there are bits for `rows` rows.
-    pub fn fits(&self, rows: usize, columns: usize) -> bool {
-        fits(16 * self.bits.len(), self.shape, (self.start, rows), columns)
-    }
-
-    /// Returns the address of a row's bits from `column` on.
-    #[inline(always)]
-    pub fn at(&mut self, row: usize, column: usize) -> *mut u16 {
-        self.bits.as_mut_ptr().wrapping_add(self.shape.offset(self.start + row, column) / 16)
-    }
-}
-
-/// Returns whether rows are consecutive and can be read in place.
-fn neighbours(rows: &[usize], form: Form) -> bool {
-    let (first, last) = (rows[0], rows[rows.len() - 1]);
-    last - first + 1 == rows.len() && (form != Form::Down || first.is_multiple_of(2))
 }
 
 /// Space for gathered rows.
@@ -250,53 +180,52 @@ pub struct Gathered {
 impl Gathered {
     /// Returns the rows `rows` (ascending, at least one) of `all`, in place or gathered.
     pub fn rows<'a>(&'a mut self, all: &'a Slab, rows: &[usize]) -> Panels<'a> {
-        let Some(shape) = all.shape else { return all.rows(0) };
-        if neighbours(rows, shape.form) {
-            return all.rows(rows[0]);
+        match all.shape.form {
+            Form::Down => gathered(&mut self.slab, all, rows, pair_rows),
+            Form::Single | Form::Across => gathered(&mut self.slab, all, rows, copy_rows),
         }
-        let to = Shape { rows: rows.len().next_multiple_of(2), ..shape };
-        if self.slab.shape != Some(to) {
-            self.slab = Slab::new(to.form, to.rows, to.columns);
-        }
-        for column in (0..padded(shape.columns)).step_by(PANEL) {
-            let width = shape.width(column);
-            let out = &mut self.slab.words[to.offset(0, column)..];
-            match shape.form {
-                Form::Down => {
-                    for (pair, out) in rows.chunks(2).zip(out.chunks_exact_mut(width)) {
-                        let of = |row: usize| (&all.words[shape.offset(row, column)..][..width], row % 2 == 1);
-                        pair_up(of(pair[0]), pair.get(1).map(|row| of(*row)), out);
-                    }
-                }
-                Form::Single | Form::Across => {
-                    let step = shape.step(column);
-                    for (row, out) in rows.iter().zip(out.chunks_exact_mut(step)) {
-                        out.copy_from_slice(&all.words[shape.offset(*row, column)..][..step]);
-                    }
-                }
-            }
-        }
-        self.slab.rows(0)
     }
 
     /// Returns the same rows of masks.
-    pub fn masks<'a>(&'a mut self, all: &'a Masks, rows: &[usize]) -> Bits<'a> {
-        let Some(shape) = all.shape else { return all.rows(0) };
-        if neighbours(rows, Form::Single) {
-            return all.rows(rows[0]);
-        }
-        let to = Shape { rows: rows.len(), ..shape };
-        if self.masks.shape != Some(to) {
-            self.masks = Masks::new(to.rows, to.columns);
-        }
-        for column in (0..padded(shape.columns)).step_by(PANEL) {
-            let width = shape.width(column) / 16;
-            let out = self.masks.bits[to.offset(0, column) / 16..].chunks_exact_mut(width);
-            for (row, out) in rows.iter().zip(out) {
-                out.copy_from_slice(&all.bits[shape.offset(*row, column) / 16..][..width]);
-            }
-        }
-        self.masks.rows(0)
+    pub fn masks<'a>(&'a mut self, all: &'a Masks, rows: &[usize]) -> View<&'a [u16]> {
+        gathered(&mut self.masks, all, rows, copy_rows)
+    }
+}
+
+/// Returns rows of `all`, in place if they are neighbours, or in `room` where `fill` writes those of a panel.
+fn gathered<'a, W: Word>(
+    room: &'a mut Table<W>,
+    all: &'a Table<W>,
+    rows: &[usize],
+    fill: impl Fn(&Table<W>, &[usize], usize, &mut [W]),
+) -> View<&'a [W]> {
+    let (first, last, shape) = (rows[0], rows[rows.len() - 1], all.shape);
+    let whole = shape.form != Form::Down || first.is_multiple_of(2);
+    if all.is_empty() || (whole && last - first + 1 == rows.len()) {
+        return all.rows(first);
+    }
+    let to = Shape { rows: rows.len().next_multiple_of(2), ..shape };
+    if room.shape != to {
+        *room = Table::new(to.form, to.rows, to.columns);
+    }
+    for column in (0..padded(shape.columns)).step_by(PANEL) {
+        fill(all, rows, column, &mut room.words[to.offset(0, column) / W::NUMBERS..]);
+    }
+    room.rows(0)
+}
+
+fn copy_rows<W: Word>(all: &Table<W>, rows: &[usize], column: usize, out: &mut [W]) {
+    let step = all.shape.step(column) / W::NUMBERS;
+    for (row, out) in rows.iter().zip(out.chunks_exact_mut(step)) {
+        out.copy_from_slice(&all.words[all.shape.offset(*row, column) / W::NUMBERS..][..step]);
+    }
+}
+
+fn pair_rows(all: &Slab, rows: &[usize], column: usize, out: &mut [f32]) {
+    let width = all.shape.width(column);
+    for (pair, out) in rows.chunks(2).zip(out.chunks_exact_mut(width)) {
+        let of = |row: usize| (&all.words[all.shape.offset(row, column)..][..width], row % 2 == 1);
+        pair_up(of(pair[0]), pair.get(1).map(|row| of(*row)), out);
     }
 }
 
@@ -350,8 +279,10 @@ impl Packed {
                     let at = |i: usize| weights[(panel + o) * output_stride + i * input_stride];
                     *to = match pairs {
                         false => at(step),
-                        true if 2 * step + 1 < inputs => word(at(2 * step), at(2 * step + 1)),
-                        true => f32::from_bits(round(at(2 * step))),
+                        true => {
+                            let second = if 2 * step + 1 < inputs { at(2 * step + 1) } else { 0.0 };
+                            word(at(2 * step), second)
+                        }
                     };
                 }
             }

@@ -6,8 +6,8 @@ use crate::runtime::count_multiply_adds;
 
 use super::finish::{Block, given};
 use super::panels::{Form, PANEL, Packed, Panels, padded};
-use super::simd::{LANES, Simd};
-use super::{Kernel, launch};
+use super::{launch, load};
+use crate::base::simd::{Kernel, LANES, Simd};
 
 pub use super::finish::{Bias, ByRay, Finish, Out};
 
@@ -54,9 +54,10 @@ pub enum Rows<'a> {
 impl Rows<'_> {
     /// Finishes `rows` rows of `columns` numbers.
     pub fn finish(self, rows: usize, columns: usize, mut to: Finish) {
-        let pairs = self.check(rows, columns) | to.check(rows, columns);
+        self.check(rows, columns);
+        to.check(rows, columns);
         count_multiply_adds(rows * columns * self.terms());
-        launch(pairs, Finished { from: self, rows, columns, to: &mut to });
+        launch(Finished { from: self, rows, columns, to: &mut to });
     }
 
     /// Returns the number of products in a sum.
@@ -68,8 +69,8 @@ impl Rows<'_> {
         }
     }
 
-    /// Checks the slices, and returns whether pairs of bf16 are read.
-    fn check(&self, rows: usize, columns: usize) -> bool {
+    /// Checks the slices.
+    fn check(&self, rows: usize, columns: usize) {
         let fits = match self {
             Rows::Products(sources) => sources.iter().all(|source| source.fits(rows, columns)),
             Rows::Few { dz, weights, outputs } => {
@@ -82,7 +83,6 @@ impl Rows<'_> {
             Rows::Panels(panels) => panels.shape.form == Form::Single && panels.fits(rows, columns),
         };
         assert!(fits, "rows that are finished do not fit");
-        matches!(self, Rows::Products(sources) if sources.iter().any(|source| source.weights.pairs))
     }
 }
 
@@ -110,17 +110,17 @@ struct Finished<'a, 'b> {
 
 impl Kernel for Finished<'_, '_> {
     #[inline(always)]
-    unsafe fn run<S: Simd>(mut self) {
-        // SAFETY: as the caller promises; `Rows::finish` has checked the slices.
+    fn run<S: Simd>(mut self, simd: S) {
+        // SAFETY: `Rows::finish` has checked the slices.
         unsafe {
             for panel in (0..padded(self.columns)).step_by(PANEL) {
                 let width = (padded(self.columns) - panel).min(PANEL);
                 match width == PANEL {
-                    true if S::WIDE => self.panel::<S, 6, 4>(panel),
-                    false if S::WIDE => self.panel::<S, 12, 2>(panel),
+                    true if S::WIDE => self.panel::<S, 6, 4>(simd, panel),
+                    false if S::WIDE => self.panel::<S, 12, 2>(simd, panel),
                     _ => {
                         for column in (panel..panel + width).step_by(LANES) {
-                            self.panel::<S, 6, 1>(column);
+                            self.panel::<S, 6, 1>(simd, column);
                         }
                     }
                 }
@@ -131,58 +131,63 @@ impl Kernel for Finished<'_, '_> {
 
 impl Finished<'_, '_> {
     #[inline(always)]
-    unsafe fn panel<S: Simd, const MR: usize, const NV: usize>(&mut self, column: usize) {
+    unsafe fn panel<S: Simd, const MR: usize, const NV: usize>(&mut self, simd: S, column: usize) {
         let mut row = 0;
         // SAFETY: as in `run`.
         unsafe {
             while row + MR <= self.rows {
-                self.block::<S, MR, NV>(row, column);
+                self.block::<S, MR, NV>(simd, row, column);
                 row += MR;
             }
             while row + 4 <= self.rows {
-                self.block::<S, 4, NV>(row, column);
+                self.block::<S, 4, NV>(simd, row, column);
                 row += 4;
             }
             while row + 2 <= self.rows {
-                self.block::<S, 2, NV>(row, column);
+                self.block::<S, 2, NV>(simd, row, column);
                 row += 2;
             }
             if row < self.rows {
-                self.block::<S, 1, NV>(row, column);
+                self.block::<S, 1, NV>(simd, row, column);
             }
         }
     }
 
     #[inline(always)]
-    unsafe fn block<S: Simd, const MR: usize, const NV: usize>(&mut self, row: usize, column: usize) {
+    unsafe fn block<S: Simd, const MR: usize, const NV: usize>(&mut self, simd: S, row: usize, column: usize) {
         // SAFETY: as in `run`.
         unsafe {
-            let sums = self.sums::<S, MR, NV>(row, column);
+            let sums = self.sums::<S, MR, NV>(simd, row, column);
             let goes_on = self.rows == 1 && matches!(self.from, Rows::Products(_));
             // Two rows at a time, so that a row's numbers stay in registers.
             for r in (0..MR / 2 * 2).step_by(2) {
                 let mut pair = [sums[r], sums[r + 1]];
-                self.to.block::<S, 2, NV>(&mut pair, (row + r, column), self.columns, goes_on);
+                self.to.block::<S, 2, NV>(simd, &mut pair, (row + r, column), self.columns, goes_on);
             }
             if MR % 2 == 1 {
-                self.to.block::<S, 1, NV>(&mut [sums[MR - 1]], (row + MR - 1, column), self.columns, goes_on);
+                self.to.block::<S, 1, NV>(simd, &mut [sums[MR - 1]], (row + MR - 1, column), self.columns, goes_on);
             }
         }
     }
 
     #[inline(always)]
-    unsafe fn sums<S: Simd, const MR: usize, const NV: usize>(&self, row: usize, column: usize) -> Block<S, MR, NV> {
+    unsafe fn sums<S: Simd, const MR: usize, const NV: usize>(
+        &self,
+        simd: S,
+        row: usize,
+        column: usize,
+    ) -> Block<S, MR, NV> {
         // SAFETY: as in `run`.
         unsafe {
-            let mut sums = [[S::splat(0.0); NV]; MR];
+            let mut sums = [[simd.splat(0.0); NV]; MR];
             match self.from {
                 // A single row has a single sum, which starts from the content of `out`.
                 Rows::Products(sources) if self.rows == 1 => {
                     if let Some(out) = self.to.out.as_ref().filter(|out| out.accumulate) {
-                        sums[0] = given::<S, NV>(out.values.as_ptr(), column, self.columns);
+                        sums[0] = given(simd, &out.values[..self.columns], column);
                     }
                     for source in sources {
-                        source.multiply::<S, MR, NV>(&mut sums, row, column);
+                        source.multiply::<S, MR, NV>(simd, &mut sums, row, column);
                     }
                     sums
                 }
@@ -192,20 +197,20 @@ impl Finished<'_, '_> {
                     let mut room = MaybeUninit::<Block<S, MR, NV>>::uninit();
                     let waiting = std::hint::black_box(room.as_mut_ptr());
                     for (i, source) in others.iter().enumerate() {
-                        let mut of_source = [[S::splat(0.0); NV]; MR];
-                        source.multiply::<S, MR, NV>(&mut of_source, row, column);
+                        let mut of_source = [[simd.splat(0.0); NV]; MR];
+                        source.multiply::<S, MR, NV>(simd, &mut of_source, row, column);
                         if i > 0 {
-                            add_block::<S, MR, NV>(&mut of_source, &*waiting);
+                            add_block::<S, MR, NV>(simd, &mut of_source, &*waiting);
                         }
                         waiting.write(of_source);
                     }
-                    last.multiply::<S, MR, NV>(&mut sums, row, column);
+                    last.multiply::<S, MR, NV>(simd, &mut sums, row, column);
                     if !others.is_empty() {
-                        add_block::<S, MR, NV>(&mut sums, &*waiting);
+                        add_block::<S, MR, NV>(simd, &mut sums, &*waiting);
                     }
                     sums
                 }
-                from => from.rows::<S, MR, NV>(row, column, self.columns),
+                from => from.rows::<S, MR, NV>(simd, row, column, self.columns),
             }
         }
     }
@@ -216,11 +221,12 @@ impl Rows<'_> {
     #[inline(always)]
     unsafe fn rows<S: Simd, const MR: usize, const NV: usize>(
         self,
+        simd: S,
         row: usize,
         column: usize,
         columns: usize,
     ) -> Block<S, MR, NV> {
-        let mut sums = [[unsafe { S::splat(0.0) }; NV]; MR];
+        let mut sums = [[simd.splat(0.0); NV]; MR];
         for (r, sums) in sums.iter_mut().enumerate() {
             let row = row + r;
             // SAFETY: `check` has seen that the slices have these rows and columns.
@@ -229,22 +235,21 @@ impl Rows<'_> {
                     Rows::Products(_) => {}
                     Rows::Few { dz, weights, outputs } => {
                         for o in 0..outputs {
-                            let scale = S::splat(*dz.as_ptr().add(row * outputs + o));
+                            let scale = simd.splat(*dz.as_ptr().add(row * outputs + o));
                             let weights = weights.as_ptr().add(o * padded(columns) + column);
                             for v in 0..NV {
-                                sums[v] = S::add(sums[v], S::mul(scale, S::load(weights.add(LANES * v))));
+                                sums[v] = simd.add(sums[v], simd.mul(scale, load(simd, weights.add(LANES * v))));
                             }
                         }
                     }
-                    Rows::Given(values) => *sums = given::<S, NV>(values.as_ptr().add(row * columns), column, columns),
+                    Rows::Given(values) => *sums = given(simd, &values[row * columns..][..columns], column),
                     Rows::Chosen(values, chosen) => {
-                        let from = values.as_ptr().add(*chosen.as_ptr().add(row) * columns);
-                        *sums = given::<S, NV>(from, column, columns);
+                        *sums = given(simd, &values[chosen[row] * columns..][..columns], column);
                     }
                     Rows::Panels(panels) => {
                         let from = panels.at(row, column);
                         for v in 0..NV {
-                            sums[v] = S::load(from.add(LANES * v));
+                            sums[v] = load(simd, from.add(LANES * v));
                         }
                     }
                 }
@@ -255,14 +260,14 @@ impl Rows<'_> {
 }
 
 #[inline(always)]
-pub(super) unsafe fn add_block<S: Simd, const MR: usize, const NV: usize>(
+pub(super) fn add_block<S: Simd, const MR: usize, const NV: usize>(
+    simd: S,
     sums: &mut Block<S, MR, NV>,
     others: &Block<S, MR, NV>,
 ) {
     for r in 0..MR {
         for v in 0..NV {
-            // SAFETY: the CPU has the instructions.
-            sums[r][v] = unsafe { S::add(sums[r][v], others[r][v]) };
+            sums[r][v] = simd.add(sums[r][v], others[r][v]);
         }
     }
 }
@@ -271,6 +276,7 @@ impl Source<'_> {
     #[inline(always)]
     unsafe fn multiply<S: Simd, const MR: usize, const NV: usize>(
         &self,
+        simd: S,
         sums: &mut Block<S, MR, NV>,
         row: usize,
         column: usize,
@@ -281,17 +287,17 @@ impl Source<'_> {
             match self.lhs {
                 Lhs::Rows(values) => {
                     let left = (values.as_ptr().add(row * inputs), inputs, 1);
-                    multiply_add::<S, false, MR, NV>(sums, left, self.weights.at(column, 0), inputs);
+                    multiply_add::<S, false, MR, NV>(simd, sums, left, self.weights.at(column, 0), inputs);
                 }
                 Lhs::Panels(panels) => {
                     for input in (0..inputs).step_by(PANEL) {
                         let count = (inputs - input).min(PANEL);
                         let left = (panels.at(row, input), panels.shape.step(input), 1);
                         let weights = self.weights.at(column, input);
-                        if S::PAIRS && self.weights.pairs {
-                            multiply_add::<S, true, MR, NV>(sums, left, weights, count.div_ceil(2));
+                        if self.weights.pairs {
+                            multiply_add::<S, true, MR, NV>(simd, sums, left, weights, count.div_ceil(2));
                         } else {
-                            multiply_add::<S, false, MR, NV>(sums, left, weights, count);
+                            multiply_add::<S, false, MR, NV>(simd, sums, left, weights, count);
                         }
                     }
                 }
@@ -304,6 +310,7 @@ impl Source<'_> {
 /// step. `a`: its start, and the words to the next row and step. `b`: its start, and the words to the next step.
 #[inline(always)]
 pub(super) unsafe fn multiply_add<S: Simd, const PAIRS: bool, const MR: usize, const NV: usize>(
+    simd: S,
     sums: &mut Block<S, MR, NV>,
     (a, a_row, a_step): (*const f32, usize, usize),
     (b, b_step): (*const f32, usize),
@@ -313,16 +320,16 @@ pub(super) unsafe fn multiply_add<S: Simd, const PAIRS: bool, const MR: usize, c
     // SAFETY: both sides have these words.
     unsafe {
         for _ in 0..steps {
-            let mut right = [S::splat(0.0); NV];
+            let mut right = [simd.splat(0.0); NV];
             for v in 0..NV {
-                right[v] = S::load(b.add(LANES * v));
+                right[v] = load(simd, b.add(LANES * v));
             }
             for r in 0..MR {
-                let left = S::splat(*a.add(r * a_row));
+                let left = simd.splat(*a.add(r * a_row));
                 for v in 0..NV {
                     block[r][v] = match PAIRS {
-                        true => S::dot_pairs(left, right[v], block[r][v]),
-                        false => S::mul_add(left, right[v], block[r][v]),
+                        true => simd.dot_pairs(left, right[v], block[r][v]),
+                        false => simd.mul_add(left, right[v], block[r][v]),
                     };
                 }
             }

@@ -3,7 +3,7 @@
 
 use gemm::Parallelism;
 
-use crate::base::simd::vectorized;
+use crate::base::simd::{LANES, vectorized};
 use crate::runtime::count_multiply_adds;
 
 /// A read-only matrix inside a slice.
@@ -74,9 +74,6 @@ pub fn multiply(out: &mut [f32], stride: usize, a: Matrix, b: Matrix, accumulate
     }
 }
 
-/// Number of parallel sums of a dot product.
-const LANES: usize = 16;
-
 /// Computes `y [rows, outputs] = x W^T` for few outputs, with `weight [outputs, columns]`: a dot product for each
 /// number.
 pub fn few_forward(x: &[f32], weight: &[f32], outputs: usize, y: &mut [f32]) {
@@ -94,6 +91,7 @@ pub fn few_forward(x: &[f32], weight: &[f32], outputs: usize, y: &mut [f32]) {
     );
 }
 
+/// Returns a dot product in [`LANES`] parallel sums.
 #[inline(always)]
 fn dot(a: &[f32], b: &[f32]) -> f32 {
     let mut sums = [0f32; LANES];

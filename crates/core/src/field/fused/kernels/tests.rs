@@ -1,15 +1,9 @@
 //! Kernels against sums in f64 of what they read, and each implementation against the portable one.
 
-use std::cell::Cell;
-
 use super::panels::{Form, Masks, Packed, Slab, filled_up, padded};
 use super::product::{Bias, ByRay, Finish, Lhs, Out, Rows, Source};
 use super::*;
-
-thread_local! {
-    /// Kernels run on it, instead of on the fastest.
-    pub(super) static CHOSEN: Cell<Option<Backend>> = const { Cell::new(None) };
-}
+use crate::base::simd::{round, tests::on_each};
 
 /// Numbers in -1..1 of all magnitudes, some of them 0, -0 or subnormal.
 fn numbers(seed: usize, count: usize) -> Vec<f32> {
@@ -29,7 +23,12 @@ fn numbers(seed: usize, count: usize) -> Vec<f32> {
 
 /// As the field's precision has it between layers.
 fn kept(pairs: bool, value: f32) -> f64 {
-    f64::from(if pairs { f32::from_bits(simd::round(value) << 16) } else { value })
+    f64::from(if pairs { f32::from_bits(round(value) << 16) } else { value })
+}
+
+/// The two numbers of a word of bf16.
+fn numbers_of(word: f32) -> [f32; 2] {
+    [word.to_bits() << 16, word.to_bits() & 0xffff_0000].map(f32::from_bits)
 }
 
 fn forms(pairs: bool) -> (Form, Form) {
@@ -56,8 +55,8 @@ fn read(slab: &Slab, rows: usize, columns: usize) -> Vec<f32> {
         let word = |row: usize, column: usize| panels.words[panels.shape.offset(row, column)];
         match panels.shape.form {
             Form::Single => word(row, column),
-            Form::Across => simd::numbers(word(row, column / 2 * 2))[column % 2],
-            Form::Down => simd::numbers(word(row, column))[row % 2],
+            Form::Across => numbers_of(word(row, column / 2 * 2))[column % 2],
+            Form::Down => numbers_of(word(row, column))[row % 2],
         }
     };
     (0..rows * columns).map(|i| number(i / columns, i % columns)).collect()
@@ -121,7 +120,7 @@ impl Case {
         let bias = filled_up(&given.bias);
         let (left, right) = forms(pairs);
         let (mut y, mut y_down) = (Slab::new(left, rows, outputs), Slab::new(right, rows, outputs));
-        let mut masks = Masks::new(rows, outputs);
+        let mut masks = Masks::new(Form::Single, rows, outputs);
         let mut plain = vec![0.5f32; rows * outputs];
         let finish = Finish {
             bias: Some(Bias { values: &bias, of_rays: (0, 0) }),
@@ -151,7 +150,7 @@ impl Case {
         let mut of_bias = numbers(9, outputs);
         bias_gradient(dz_down.rows(0), rows, &mut of_bias);
         let back = Packed::new(pairs, (inputs, 1), (outputs, all), &given.weights[Case::ENCODED..]);
-        let mut input_masks = Masks::new(rows, inputs);
+        let mut input_masks = Masks::new(Form::Single, rows, inputs);
         let positive = Some(input_masks.rows_mut(0));
         Rows::Given(&given.x).finish(rows, inputs, Finish { positive, ..Finish::default() });
         let rays: Vec<usize> = (0..rows).map(|row| row / 3).collect();
@@ -275,16 +274,10 @@ fn products_are_those_of_f64() {
 fn every_implementation_gives_the_same_bits() {
     for case in cases() {
         let given = case.given();
-        let run = |backend| {
-            CHOSEN.set(Some(backend));
-            let found = case.run(&given);
-            CHOSEN.set(None);
-            found
-        };
-        let portable = run(Backend::Portable);
-        for backend in Backend::all(case.pairs) {
-            for (found, expected) in run(backend).parts.into_iter().zip(&portable.parts) {
-                assert_eq!(found, *expected, "{case:?} on {backend:?}");
+        let found = on_each(|| case.run(&given));
+        for (processor, other) in &found[1..] {
+            for (found, expected) in other.parts.iter().zip(&found[0].1.parts) {
+                assert_eq!(found, expected, "{case:?} on {processor:?}");
             }
         }
     }
@@ -299,19 +292,16 @@ fn pairs_of_all_magnitudes_give_the_same_bits() {
         (from..).map(number).filter(|v| v.is_finite() && v.abs() < 1e18).take(count).collect()
     };
     let (x, weights) = (finite(0, rows * inputs), finite(1 << 20, inputs * outputs));
-    let run = |backend| {
-        CHOSEN.set(Some(backend));
+    let found = on_each(|| {
         let (left, _) = slabs(true, &x, rows, inputs);
         let packed = Packed::new(true, (outputs, inputs), (inputs, 1), &weights);
         let mut y = vec![0f32; rows * outputs];
         let out = Some(Out { values: &mut y, stride: outputs, accumulate: false });
         let sources = [Source { lhs: Lhs::Panels(left.rows(0)), weights: &packed }];
         Rows::Products(&sources).finish(rows, outputs, Finish { out, ..Finish::default() });
-        CHOSEN.set(None);
         y.into_iter().map(f32::to_bits).collect::<Vec<u32>>()
-    };
-    let portable = run(Backend::Portable);
-    assert!(Backend::all(true).all(|backend| run(backend) == portable));
+    });
+    assert!(found.iter().all(|(_, bits)| *bits == found[0].1));
 }
 
 #[test]
@@ -335,7 +325,7 @@ fn rows_are_brought_together() {
     let values = numbers(1, rows * columns);
     for pairs in [false, true] {
         let (_, all) = slabs(pairs, &values, rows, columns);
-        let mut masks = Masks::new(rows, columns);
+        let mut masks = Masks::new(Form::Single, rows, columns);
         let positive = Some(masks.rows_mut(0));
         Rows::Given(&values).finish(rows, columns, Finish { positive, ..Finish::default() });
         let mut gathered = panels::Gathered::default();
@@ -347,7 +337,7 @@ fn rows_are_brought_together() {
             let found = gathered.rows(&all, &chosen);
             let number = |row: usize, column: usize| {
                 let word = found.words[found.shape.offset(found.start + row, column)];
-                if pairs { simd::numbers(word)[row % 2] } else { word }
+                if pairs { numbers_of(word)[row % 2] } else { word }
             };
             for (row, column) in (0..chosen.len() * columns).map(|at| (at / columns, at % columns)) {
                 let kept = kept(pairs, given[row * columns + column]);
@@ -359,7 +349,7 @@ fn rows_are_brought_together() {
             }
             let bits = gathered.masks(&masks, &chosen);
             for (row, column) in (0..chosen.len() * columns).map(|at| (at / columns, at % columns)) {
-                let word = bits.bits[bits.shape.offset(bits.start + row, column) / 16];
+                let word = bits.words[bits.shape.offset(bits.start + row, column) / 16];
                 assert_eq!(word >> (column % 16) & 1 == 1, given[row * columns + column] > 0.0);
             }
         }

@@ -30,21 +30,22 @@ fn kernels_of_operators_follow_the_reference_with_the_same_bits_on_each_processo
             let mut expected = [vec![0.0; d_out.len()], vec![0.0; tables.len()]];
             grid.differentiate_reference(&tables, &points, &operators, &mut expected[0]);
             grid.operator_gradient_reference(&points, &operators, &d_out, &mut expected[1]);
-            let mut first: Option<[Vec<f32>; 2]> = None;
-            for processor in Processor::all() {
+            let all = on_each(|| {
                 let mut found = [vec![0f32; d_out.len()], vec![0.0; tables.len()]];
-                grid.differentiate_on(processor, &tables32, (&points32, &operators32), &mut found[0]);
+                grid.differentiate(&tables32, &points32, &operators32, &mut found[0]);
                 let record = Cotangents::of_operators(&points32, &operators32, &d_out32);
                 for (l, level) in grid.levels.iter().enumerate() {
                     let sum = &mut found[1][level.offset * grid.features..][..level.entries * grid.features];
-                    grid.scatter_on(processor, l, record, sum);
+                    grid.scatter(l, record, sum);
                 }
+                found
+            });
+            for (processor, found) in &all {
                 for (found, expected) in found.iter().zip(&expected) {
                     let off = off(found, expected);
                     assert!(off < 2e-4, "{grid:?} {processor:?} {count}: {off}");
                 }
-                let first = first.get_or_insert_with(|| found.clone());
-                for (found, first) in found.iter().zip(first) {
+                for (found, first) in found.iter().zip(&all[0].1) {
                     assert_eq!(bits(found), bits(first), "{grid:?} {processor:?} {count}");
                 }
             }
