@@ -46,7 +46,7 @@ impl<const PAIRS: bool> Kernel for Weights<'_, PAIRS> {
                         false if S::WIDE => self.panel::<S, 12, 2>(simd, output, column),
                         _ => {
                             for column in (column..column + width).step_by(LANES) {
-                                self.panel::<S, 6, 1>(simd, output, column);
+                                self.panel::<S, 4, 1>(simd, output, column);
                             }
                         }
                     }

@@ -120,7 +120,7 @@ impl Kernel for Finished<'_, '_> {
                     false if S::WIDE => self.panel::<S, 12, 2>(simd, panel),
                     _ => {
                         for column in (panel..panel + width).step_by(LANES) {
-                            self.panel::<S, 6, 1>(simd, column);
+                            self.panel::<S, 4, 1>(simd, column);
                         }
                     }
                 }
