@@ -182,21 +182,15 @@ fn balance_prints_a_grid_of_weights() {
     place.says("train --balance --method aug-nerf", 2, &["aug-nerf", "plain NeRF"]);
 }
 
-#[test]
-fn killed_and_resumed_equals_not_having_stopped() {
-    for method in ["aug-nerf", "aug-mip-nerf"] {
-        killed_and_resumed("smoke", 60, &format!("--method {method}{}", set("train.steps=120 train.eval_every=40")));
-    }
-}
-
 /// Tables and the moments of entries that gradients have met go through checkpoints, too.
 #[test]
-fn a_hash_field_killed_and_resumed_equals_one_that_was_not() {
-    let small = "field.hash.levels=4 field.hash.log2_table=10 train.steps=90 train.eval_every=30";
-    for (method, precision) in [("nerf", "f32"), ("aug-nerf", "bf16")] {
-        let set = set(&format!("{small} field.precision={precision}"));
-        killed_and_resumed("fast", 20, &format!("--method {method}{set}"));
-    }
+fn killed_and_resumed_equals_not_having_stopped() {
+    let network = set("train.steps=120 train.eval_every=40");
+    let grid = set("field.hash.levels=4 field.hash.log2_table=10 train.steps=90 train.eval_every=30");
+    killed_and_resumed("smoke", 60, &format!("--method aug-nerf{network}"));
+    killed_and_resumed("smoke", 60, &format!("--method aug-mip-nerf{network}"));
+    killed_and_resumed("fast", 20, &grid);
+    killed_and_resumed("fast", 20, &format!("--method aug-nerf --set field.precision=bf16{grid}"));
 }
 
 /// A run that is killed once it has the checkpoint of `step`.

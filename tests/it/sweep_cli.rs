@@ -1,13 +1,13 @@
 //! `augnerf sweep` as a user meets it: killed, shared, failing, resumed, collected.
 
 use std::path::{Path, PathBuf};
-use std::process::{Child, Command, Stdio};
+use std::process::Command;
 use std::sync::LazyLock;
 use std::time::{Duration, Instant};
 
 use crate::common::assert_says;
 use crate::common::files::{assert_same_files, entries, files, json, newest, points_of, rows, text};
-use crate::common::program::{Place, augnerf, set, tiny_sweep, wait_for};
+use crate::common::program::{Place, set, tiny_sweep, wait_for};
 use augnerf::base::rng::{Random, Stream};
 use augnerf::run::DepthErrors;
 
@@ -21,11 +21,6 @@ static TINY: LazyLock<String> = LazyLock::new(|| {
 /// A working folder with a sweep file in it.
 fn workplace(definition: &str) -> Place {
     Place::with("tiny.toml", definition)
-}
-
-fn start(dir: &Path) -> Child {
-    let mut command = augnerf(&["sweep", "run", "tiny.toml", "--quiet"]);
-    command.current_dir(dir).stdout(Stdio::null()).stderr(Stdio::null()).spawn().unwrap()
 }
 
 /// Tables and figures of two folders are alike, but for what depends on the clock.
@@ -86,7 +81,7 @@ fn killed_at_random_moments_equals_undisturbed() {
     let window = (0.3 * started.elapsed().as_secs_f64()).max(0.4);
     let mut random = Random::new(7, Stream::Search, 0);
     for _ in 0..kills {
-        let mut child = start(disturbed.path());
+        let mut child = disturbed.start("sweep run tiny.toml --quiet");
         std::thread::sleep(Duration::from_secs_f64(0.02 + window * random.uniform()));
         child.kill().unwrap();
         child.wait().unwrap();
@@ -132,7 +127,7 @@ fn corrupted_points_see_what_a_training_would() {
 fn two_runners_share_a_folder() {
     let (alone, shared) = (workplace(&TINY), workplace(&TINY));
     alone.run("sweep run tiny.toml --quiet", 0);
-    let runners = [start(shared.path()), start(shared.path())];
+    let runners = [shared.start("sweep run tiny.toml --quiet"), shared.start("sweep run tiny.toml --quiet")];
     for mut runner in runners {
         assert!(runner.wait().unwrap().success());
     }
@@ -217,7 +212,7 @@ fn rows_of_two_revisions_are_refused_and_what_became_of_points_is_still_said() {
 #[test]
 fn sigterm_stops_with_the_signal_s_code_and_the_next_run_ends_it() {
     let place = workplace(&TINY.replace("\"train.steps\" = 60", "\"train.steps\" = 200"));
-    let mut child = start(place.path());
+    let mut child = place.start("sweep run tiny.toml --quiet");
     let points = place.at("runs/tiny/points");
     let begun = |point: &PathBuf| point.join("run/config.toml").exists();
     wait_for("a point in training", || points.is_dir() && entries(&points).iter().any(begun));
@@ -285,7 +280,8 @@ fn each_point_has_its_own_memory() {
     let memory = |name: &str, jobs: u32| -> Vec<String> {
         place.run(&format!("sweep run tiny.toml --quiet --jobs {jobs} --name {name}"), 0);
         let timing = self::rows(&place.text(&format!("results/{name}/timing.csv")));
-        timing.iter().map(|row| row["peak_memory_mib"].clone()).collect()
+        // A column of nothing is none.
+        timing.iter().map(|row| row.get("peak_memory_mib").cloned().unwrap_or_default()).collect()
     };
     let one_by_one = memory("one", 1);
     let [large, small] = [0, 1].map(|index| one_by_one[index].parse::<f64>().unwrap());
