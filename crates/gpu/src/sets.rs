@@ -3,7 +3,7 @@
 use augnerf_core::base::Result;
 use augnerf_core::base::rng::Stream;
 use augnerf_core::data::Scene;
-use augnerf_core::methods::AttackGeometry;
+use augnerf_core::methods::{AttackGeometry, PassPlan, Search};
 use augnerf_core::perturb::{
     Draw, Epsilon, Level, Norm, PaperSite, PassGeometry, PerSite, Radius, SampleDensity, Sets, SiteNumbers, StepUnit,
     output_range,
@@ -46,23 +46,16 @@ enum SiteRadius {
     Pixel { pixel: f64, cap: f64 },
 }
 
-/// The sizes of a pass.
-#[derive(Clone, Copy)]
-pub(crate) struct PassSize {
-    pub(crate) is_coarse: bool,
-    pub(crate) samples: usize,
-    pub(crate) columns: usize,
-}
-
 impl PassSets {
-    /// Returns the sets of passes of this size.
-    pub(crate) fn new(config: &Resolved, scene: &Scene, size: PassSize) -> Result<PassSets> {
+    /// Returns the sets of a perturbed pass.
+    pub(crate) fn new(config: &Resolved, scene: &Scene, plan: &PassPlan, search: &Search) -> Result<PassSets> {
+        let columns = config.field.encoding.t_vals(plan.count);
         let geometry = AttackGeometry::new(config, scene);
         let perturb = &config.perturb;
-        let t_vals = Tensor::zeros((1, size.columns), DType::F64, &Device::Cpu)?;
+        let t_vals = Tensor::zeros((1, columns), DType::F64, &Device::Cpu)?;
         let direction_norm = Tensor::full(FAR, (1, 1), &Device::Cpu)?;
-        let pass = geometry.pass(&t_vals, size.samples, &direction_norm, size.is_coarse)?;
-        let sets = Sets::new(perturb.sites_of_pass(size.is_coarse), &pass)?;
+        let pass = geometry.pass(&t_vals, plan.count, &direction_norm, plan.is_coarse)?;
+        let sets = Sets::new(search.sites.iter().cloned(), &pass)?;
         let sites = sets.iter().map(|entry| {
             let (site, set) = (entry.site.at(), &entry.set);
             let numbers = perturb.numbers[site];
@@ -80,11 +73,11 @@ impl PassSets {
                 }
             };
             let (size_of, per_ray) = match site {
-                PaperSite::T => (1, size.columns),
+                PaperSite::T => (1, columns),
                 PaperSite::View => (2, 1),
-                PaperSite::Xyz | PaperSite::Rgb => (3, size.samples),
-                PaperSite::Feature => (config.field.width, size.samples),
-                PaperSite::Density => (1, size.samples),
+                PaperSite::Xyz | PaperSite::Rgb => (3, plan.count),
+                PaperSite::Feature => (config.field.width, plan.count),
+                PaperSite::Density => (1, plan.count),
             };
             Ok(SiteSet { site, numbers, radius, size: size_of, per_ray, masks: set.mask.is_some() })
         });

@@ -2,7 +2,7 @@
 
 use augnerf_core::base::{Error, Result};
 use augnerf_core::data::{RayParts, Scene};
-use augnerf_core::methods::{Batches, Fields, LogColumns, StepReport, is_regularized, log_columns, not_finite};
+use augnerf_core::methods::{Batches, Fields, LogColumns, Plan, StepReport, is_regularized, log_columns, not_finite};
 use augnerf_core::perturb::PaperSite;
 use augnerf_core::runtime::Accelerator;
 use augnerf_core::settings::{Precision, Regularizer, Resolved};
@@ -17,9 +17,9 @@ use crate::rays::{bins, packed};
 use crate::record::{FIXED_SCALE, Integrand, Outputs, Recorder, SpaceAt, Words, Work};
 use crate::sets::PassSets;
 
-use self::buffers::{StepBuffers, pass_sizes};
+use self::buffers::StepBuffers;
 use self::chunk::ChunkRecorder;
-use self::results::{COUNTS, DIAGNOSED, Left, SPACE, alone, first_of, no_flags, shift_of};
+use self::results::{COUNTS, DIAGNOSED, Left, SPACE, alone, first_of, no_flags, shift_of, slot};
 
 mod buffers;
 mod chunk;
@@ -34,6 +34,7 @@ pub(crate) const MOST_REPORTS: usize = 16;
 pub struct Steps {
     gpu: Gpu,
     config: Resolved,
+    plan: Plan,
     scene_bounds: (f64, f64),
     background: Option<[f32; 3]>,
     fields: Fields,
@@ -91,10 +92,11 @@ impl Steps {
             let opened = learned.iter().map(of_passes).collect();
             Ok((learned, opened, opening))
         })??;
+        let plan = Plan::of(config);
         let mut sets: [Option<PassSets>; 2] = [None, None];
-        if config.method.is_augmented() && config.perturb.source().is_some() {
-            for (set, size) in sets.iter_mut().zip(pass_sizes(config)) {
-                *set = size.map(|size| PassSets::new(config, scene, size)).transpose()?;
+        for pass in &plan.second {
+            if let Some(search) = &pass.search {
+                sets[slot(pass, false)] = Some(PassSets::new(config, scene, pass, search)?);
             }
         }
         let (coarse, fine) = config.samples();
@@ -104,6 +106,7 @@ impl Steps {
         let mut steps = Steps {
             gpu: gpu.clone(),
             config: config.clone(),
+            plan,
             scene_bounds: scene.bounds(),
             background: scene.background,
             fields: fields.clone(),
@@ -133,7 +136,7 @@ impl Steps {
 
     /// Returns the columns that its steps log, in order.
     pub fn columns(&self) -> LogColumns {
-        log_columns(&self.config, self.config.regularizer.terms().map(|(term, _)| term.name()))
+        log_columns(&self.config, &self.plan, self.config.regularizer.terms().map(|(term, _)| term.name()))
     }
 
     /// Returns what a step does, by counting.
@@ -352,18 +355,9 @@ impl Steps {
         }
     }
 
-    fn field(&self, role: &str) -> Option<&FieldBuffers> {
-        let index = self.roles.iter().position(|known| *known == role)?;
-        Some(&self.opened[index])
-    }
-
-    /// The field of clean fine passes.
-    fn fine(&self) -> Option<&FieldBuffers> {
-        (self.config.sampling.fine > 0).then(|| self.field("fine").unwrap_or_else(|| self.coarse()))
-    }
-
-    fn coarse(&self) -> &FieldBuffers {
-        self.field("coarse").expect("there is always a coarse field")
+    fn field(&self, role: &str) -> &FieldBuffers {
+        let index = self.roles.iter().position(|known| *known == role).expect("the plan names fields that there are");
+        &self.opened[index]
     }
 
     /// Records the work of a step up to its gradients.

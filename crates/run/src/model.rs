@@ -8,6 +8,7 @@ use crate::accelerator;
 use crate::base::{Error, Result};
 use crate::data::Scene;
 use crate::field::Density;
+use crate::losses::WeightedTerm;
 use crate::methods::{Family, FieldLearner, FieldRenderer, Fields, Learner, Network, Renderer, is_timed};
 use crate::runtime::Runtime;
 use crate::settings::{Capability, Config, Representation, Resolved};
@@ -63,7 +64,7 @@ impl Model {
         let device = runtime.device();
         if config.representation().is_field() {
             let (learner, redraws) = FieldLearner::start(config, scene, dtype, device)?;
-            check_duration(&learner, runtime)?;
+            check_duration(&learner, config, runtime)?;
             let model = Model::Fields(learner.fields().clone());
             return Ok(Start { model, learner: Box::new(learner), redraws });
         }
@@ -104,7 +105,7 @@ impl Model {
             Model::Fields(fields) => {
                 FieldLearner::check(config, scene, dtype, device)?;
                 let learner = FieldLearner::new(config, scene, fields.clone(), dtype, device)?;
-                check_duration(&learner, runtime)?;
+                check_duration(&learner, config, runtime)?;
                 Ok(Box::new(learner))
             }
             Model::Baseline(..) => {
@@ -224,8 +225,11 @@ impl Model {
 }
 
 /// Returns an error if a run's terms in space would take this machine too long. An accelerator takes its own time.
-fn check_duration(learner: &FieldLearner, runtime: &Runtime) -> Result<()> {
-    if runtime.accelerator().is_none() { learner.check_own_duration() } else { Ok(()) }
+fn check_duration(learner: &FieldLearner, config: &Resolved, runtime: &Runtime) -> Result<()> {
+    if runtime.accelerator().is_some() {
+        return Ok(());
+    }
+    learner.check_duration(&WeightedTerm::all(&config.regularizer), &config.regularizer, config.train.steps)
 }
 
 /// Returns the error for an operation that the representation does not support.

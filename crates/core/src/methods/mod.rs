@@ -21,8 +21,8 @@ pub use batches::{Batch, Batches};
 pub use diagnostics::{SiteDiagnostics, SiteSummary, columns as site_columns, logged_sites};
 pub use extremes::Extremes;
 pub use fields::{
-    AttackGeometry, Balance, FieldLearner, FieldRenderer, Fields, StepLosses, coarse_weight, is_regularized, is_timed,
-    log_columns, loss_weights, parts, step_over_radius,
+    AttackGeometry, Balance, CountedTerms, FieldLearner, FieldRenderer, Fields, PassPlan, Plan, SampleSource, Search,
+    StepLosses, is_regularized, is_timed, log_columns, parts, step_over_radius,
 };
 pub use gradients::Gradients;
 pub use host_stepper::HostStepper;

@@ -117,4 +117,23 @@ impl Sets {
         }
         Ok(deltas)
     }
+
+    /// Gives each of so many rays the deltas of another one, as far as its own sets allow: that of the next ray on a random
+    /// circle.
+    ///
+    /// # Errors
+    /// Those of candle.
+    pub fn permuted(&self, deltas: &Deltas, rays: usize, random: &mut Random) -> Result<Deltas> {
+        let circle = random.distinct(rays, rays as u32);
+        let mut order = vec![0u32; rays];
+        (0..rays).for_each(|i| order[circle[i] as usize] = circle[(i + 1) % rays]);
+        let mut permuted = Deltas::default();
+        for SiteSet { site, set } in &self.0 {
+            if let Some(delta) = deltas.get(site.name()) {
+                let order = Tensor::from_slice(&order, rays, delta.device())?;
+                permuted.set(site.name(), set.project(&delta.detach().contiguous()?.index_select(&order, 0)?)?);
+            }
+        }
+        Ok(permuted)
+    }
 }

@@ -11,7 +11,7 @@ use crate::device::Gpu;
 use crate::network::Shape;
 use crate::rays::{RAY, bins};
 use crate::record::{OUT, SLOT, Scratch};
-use crate::sets::{PassSets, PassSize, SetBuffers, numbers_to_draw};
+use crate::sets::{PassSets, SetBuffers, numbers_to_draw};
 
 use super::MOST_REPORTS;
 use super::results::{COUNTS, DIAGNOSED, FLAGS, LEFT, SLOTS};
@@ -95,17 +95,6 @@ impl StepBuffers {
         }
         self
     }
-}
-
-/// Returns the sizes of a step's perturbed passes, coarse and fine.
-pub(super) fn pass_sizes(config: &Resolved) -> [Option<PassSize>; 2] {
-    let (coarse, fine) = config.samples();
-    let size = |is_coarse: bool, samples: usize| PassSize {
-        is_coarse,
-        samples,
-        columns: config.field.encoding.t_vals(samples),
-    };
-    [config.representation().has_coarse_loss().then(|| size(true, coarse)), (fine > 0).then(|| size(false, fine))]
 }
 
 /// The points of the terms in space.

@@ -1,19 +1,18 @@
 //! The work of a chunk of rays: its clean passes, its search, its perturbed passes.
 
 use augnerf_core::base::rng::Stream;
-use augnerf_core::methods::{coarse_weight, loss_weights};
+use augnerf_core::methods::{PassPlan, SampleSource, Search};
 use augnerf_core::perturb::{Draw, PaperSite};
-use augnerf_core::settings::{DeltaSource, OutputPlace, PerturbField, Regularizer, Resample, Resolved, SecondPass};
+use augnerf_core::settings::{DeltaSource, OutputPlace, Regularizer, Resolved};
 use wgpu::Buffer;
 
 use crate::device::groups;
 use crate::kernels::Kernel;
-use crate::network::FieldBuffers;
 use crate::record::{DeltaBuffers, ON_RAYS, PassAt, PassLoss, Recorder, Resampling, Wanted, Words};
-use crate::sets::{Deltas, DrawAt, HostChunks, Stretch};
+use crate::sets::{Deltas, DrawAt, HostChunks, PassSets, Stretch};
 
 use super::Steps;
-use super::results::{COARSE, FINE, SECOND_COARSE, SECOND_FINE, alone, at_random, bounded, first_of};
+use super::results::{alone, at_random, bounded, first_of, slot};
 
 /// Records the work of a chunk of rays.
 pub(super) struct ChunkRecorder<'a> {
@@ -24,7 +23,7 @@ pub(super) struct ChunkRecorder<'a> {
     pub(super) log: bool,
 }
 
-/// The random numbers of a clean pass: one part of a stream for all rays of the step, or one for each chunk of the host.
+/// The random numbers of a pass: one part of a stream for all rays of the step, or one for each chunk of the host.
 #[derive(Clone, Copy, PartialEq)]
 enum CleanPass {
     First,
@@ -32,19 +31,18 @@ enum CleanPass {
 }
 
 impl<'a> ChunkRecorder<'a> {
+    /// Records the passes of the plan.
     pub(super) fn record(&self, recorder: &mut Recorder<'a>) {
-        let steps = self.steps;
-        let slots = [COARSE, FINE];
-        let (clean_weight, perturbed_weight) = loss_weights(&steps.config, 0);
-        self.clean(recorder, CleanPass::First, clean_weight, slots);
-        if !steps.config.method.is_augmented() {
-            return;
+        let plan = &self.steps.plan;
+        let (clean_weight, second_weight) = plan.loss_weights(0);
+        for pass in &plan.clean {
+            self.clean(recorder, CleanPass::First, pass, clean_weight);
         }
-        match steps.config.perturb.second {
-            SecondPass::Clean => {
-                self.clean(recorder, CleanPass::Second, perturbed_weight, [SECOND_COARSE, SECOND_FINE])
+        for pass in &plan.second {
+            match &pass.search {
+                Some(search) => self.perturbed(recorder, pass, search, second_weight),
+                None => self.clean(recorder, CleanPass::Second, pass, second_weight),
             }
-            SecondPass::Perturbed(source) => self.perturbed(recorder, source, perturbed_weight),
         }
     }
 
@@ -57,19 +55,17 @@ impl<'a> ChunkRecorder<'a> {
         weight / (3 * self.config().train.rays) as f64
     }
 
-    fn pass(&self, field: &'a FieldBuffers, is_coarse: bool, t_vals: &'a Buffer, slot: usize) -> PassAt<'a> {
-        let (coarse, fine) = self.config().samples();
-        let samples = if is_coarse { coarse } else { fine };
+    fn pass(&self, plan: &PassPlan, is_second: bool, t_vals: &'a Buffer, noise: Option<&'a Buffer>) -> PassAt<'a> {
         PassAt {
-            field,
+            field: self.steps.field(plan.field),
             ray0: self.ray0,
             rays: self.rays,
-            samples,
-            columns: self.config().field.encoding.t_vals(samples),
+            samples: plan.count,
+            columns: self.config().field.encoding.t_vals(plan.count),
             t_vals,
-            noise: None,
+            noise,
             deltas: DeltaBuffers::default(),
-            out: &self.steps.buffers.outs[slot],
+            out: &self.steps.buffers.outs[slot(plan, is_second)],
         }
     }
 
@@ -131,47 +127,77 @@ impl<'a> ChunkRecorder<'a> {
         Some(noise)
     }
 
-    /// Records a clean pass of both fields and its gradients.
-    fn clean(&self, recorder: &mut Recorder<'a>, which: CleanPass, weight: f64, [coarse_slot, fine_slot]: [usize; 2]) {
-        let steps = self.steps;
-        let (config, buffers) = (self.config(), &steps.buffers);
-        let kinds = self.kinds();
-        self.numbers(recorder, which, &buffers.jitter, kinds[0], &[]);
+    /// Records the samples of a pass, and returns them.
+    fn samples(&self, recorder: &mut Recorder<'a>, which: CleanPass, plan: &PassPlan) -> &'a Buffer {
+        let buffers = &self.steps.buffers;
+        let is_first = which == CleanPass::First && plan.search.is_none();
+        let t_fine = if is_first { &buffers.t_fine } else { &buffers.t_second };
+        match plan.samples {
+            SampleSource::OfCleanPass if plan.is_coarse => &buffers.t_coarse,
+            SampleSource::OfCleanPass => &buffers.t_fine,
+            SampleSource::Stratified => self.stratified(recorder, which),
+            SampleSource::PlacedByDensity => {
+                let t_vals = self.stratified(recorder, which);
+                let count = self.config().sampling.coarse;
+                let placing = PassPlan { is_coarse: true, field: "coarse", count, ..plan.clone() };
+                recorder.place_by_density(&self.pass(&placing, !is_first, t_vals, None));
+                self.resample(recorder, which, t_vals, t_fine)
+            }
+            // The way back leaves the weights of the coarse samples as they are.
+            SampleSource::Resampled => {
+                let moves = |sets: &PassSets| plan.search.is_some() && sets.sites().any(|site| site == PaperSite::T);
+                let t_coarse = match self.steps.sets[0].as_ref().is_some_and(moves) {
+                    true => recorder.moved_t_vals(),
+                    false => &buffers.t_coarse,
+                };
+                self.resample(recorder, which, t_coarse, t_fine)
+            }
+        }
+    }
+
+    /// Records samples in bins between near and far.
+    fn stratified(&self, recorder: &mut Recorder<'a>, which: CleanPass) -> &'a Buffer {
+        let (config, buffers) = (self.config(), &self.steps.buffers);
+        self.numbers(recorder, which, &buffers.jitter, self.kinds()[0], &[]);
         let columns = config.field.encoding.t_vals(config.sampling.coarse);
         let words = Words::default().u(self.rays).u(columns).u(0).u(0);
         let bound = [(1, &buffers.rows), (2, &buffers.jitter), (3, &buffers.t_coarse)];
         recorder.run(Kernel::new("sample"), words, &bound, groups(self.rays * columns));
-        let coarse = self.pass(steps.coarse(), true, &buffers.t_coarse, coarse_slot);
-        let is_first = which == CleanPass::First;
-        let loss_of = |weight: f64, is_evaluated: bool| {
-            let counts = |term: Regularizer| is_first && steps.counts_in_pass(term, is_evaluated);
-            let of = |term: Regularizer| config.regularizer.terms().find(|(known, _)| *known == term && counts(term));
-            let per_ray = |(_, weight): (Regularizer, f64)| weight / config.train.rays as f64;
-            PassLoss {
-                weight: self.weight(weight),
-                terms: ON_RAYS.map(|(term, _)| of(term).map_or(0.0, per_ray)),
-                occlusion_share: config.regularizer.occlusion_share,
-            }
+        &buffers.t_coarse
+    }
+
+    /// Records fine samples from the weights of the coarse ones.
+    fn resample(
+        &self,
+        recorder: &mut Recorder<'a>,
+        which: CleanPass,
+        t_coarse: &'a Buffer,
+        t_fine: &'a Buffer,
+    ) -> &'a Buffer {
+        let (kinds, u) = (self.kinds(), &self.steps.buffers.u);
+        self.numbers(recorder, which, u, kinds[3], &kinds[..3]);
+        recorder.resample(self.resampling(), t_coarse, u, t_fine);
+        t_fine
+    }
+
+    /// Records a clean pass and its gradients.
+    fn clean(&self, recorder: &mut Recorder<'a>, which: CleanPass, plan: &PassPlan, weight: f64) {
+        let config = self.config();
+        let t_vals = self.samples(recorder, which, plan);
+        let noise = self.noise(recorder, which, plan.is_coarse);
+        let pass = self.pass(plan, which == CleanPass::Second, t_vals, noise);
+        let weight_of = |wanted: Regularizer| {
+            let known = config.regularizer.terms().find(|(term, _)| *term == wanted);
+            let counted = known.filter(|(term, _)| plan.counts(term.is_of_evaluated_pass()));
+            counted.map_or(0.0, |(_, weight)| weight / config.train.rays as f64)
         };
-        let trained = Wanted { weights: true, ..Wanted::default() };
-        if config.representation().has_coarse_loss() {
-            let noise = self.noise(recorder, which, true);
-            let coarse = PassAt { noise, ..coarse };
-            let weight = weight * coarse_weight(&steps.config);
-            recorder.forward(&coarse, Some(loss_of(weight, steps.fine().is_none())));
-            recorder.back(&coarse, trained);
-        } else {
-            recorder.place_by_density(&coarse);
-        }
-        let Some(field) = steps.fine() else { return };
-        // The way back leaves the weights of the samples as they are.
-        let t_fine = if is_first { &buffers.t_fine } else { &buffers.t_second };
-        self.numbers(recorder, which, &buffers.u, kinds[3], &kinds[..3]);
-        recorder.resample(self.resampling(), &buffers.t_coarse, &buffers.u, t_fine);
-        let noise = self.noise(recorder, which, false);
-        let fine = PassAt { noise, ..self.pass(field, false, t_fine, fine_slot) };
-        recorder.forward(&fine, Some(loss_of(weight, true)));
-        recorder.back(&fine, trained);
+        let loss = PassLoss {
+            weight: self.weight(weight * plan.weight),
+            terms: ON_RAYS.map(|(term, _)| weight_of(term)),
+            occlusion_share: config.regularizer.occlusion_share,
+        };
+        recorder.forward(&pass, Some(loss));
+        recorder.back(&pass, Wanted { weights: true, ..Wanted::default() });
     }
 
     fn resampling(&self) -> Resampling {
@@ -192,45 +218,12 @@ impl<'a> ChunkRecorder<'a> {
         }
     }
 
-    /// Records the perturbed passes on the clean pass's samples.
-    fn perturbed(&self, recorder: &mut Recorder<'a>, source: DeltaSource, weight: f64) {
-        let steps = self.steps;
-        let buffers = &steps.buffers;
-        let separate = (self.config().perturb.field == PerturbField::Separate).then(|| steps.field("adversarial"));
-        let own = separate.flatten();
-        if self.config().representation().has_coarse_loss() {
-            let field = own.unwrap_or_else(|| steps.coarse());
-            let noise = self.noise(recorder, CleanPass::First, true);
-            let pass = PassAt { noise, ..self.pass(field, true, &buffers.t_coarse, SECOND_COARSE) };
-            self.perturbed_pass(recorder, 0, source, pass, weight * coarse_weight(&steps.config));
-        }
-        let Some(field) = steps.fine() else { return };
-        let mut t_vals = &buffers.t_fine;
-        if self.config().perturb.resample == Resample::Perturbed && self.config().representation().has_coarse_loss() {
-            let t_coarse =
-                match steps.sets[0].as_ref().is_some_and(|sets| sets.sites().any(|site| site == PaperSite::T)) {
-                    true => recorder.moved_t_vals(),
-                    false => &buffers.t_coarse,
-                };
-            let kinds = self.kinds();
-            self.numbers(recorder, CleanPass::First, &buffers.u, kinds[3], &kinds[..3]);
-            recorder.resample(self.resampling(), t_coarse, &buffers.u, &buffers.t_second);
-            t_vals = &buffers.t_second;
-        }
-        let noise = self.noise(recorder, CleanPass::First, false);
-        let pass = PassAt { noise, ..self.pass(own.unwrap_or(field), false, t_vals, SECOND_FINE) };
-        self.perturbed_pass(recorder, 1, source, pass, weight);
-    }
-
-    /// Records the draws, the search, the perturbed pass with its gradients, and the diagnostics before it.
-    fn perturbed_pass(
-        &self,
-        recorder: &mut Recorder<'a>,
-        index: usize,
-        source: DeltaSource,
-        pass: PassAt<'a>,
-        weight: f64,
-    ) {
+    /// Records the draws of a perturbed pass, its search, the pass with its gradients, and the diagnostics before it.
+    fn perturbed(&self, recorder: &mut Recorder<'a>, plan: &PassPlan, search: &Search, weight: f64) {
+        let (index, source) = (slot(plan, false), search.source);
+        let t_vals = self.samples(recorder, CleanPass::First, plan);
+        let noise = self.noise(recorder, CleanPass::First, plan.is_coarse);
+        let pass = self.pass(plan, true, t_vals, noise);
         let steps = self.steps;
         let perturb = &self.config().perturb;
         let sets = steps.sets[index].as_ref().expect("a perturbed pass has sets");
@@ -242,7 +235,7 @@ impl<'a> ChunkRecorder<'a> {
         recorder.draw(&at);
         let deltas = buffers.of_pass(sets, Deltas::Searched, perturb.injection_layer, before);
         let pass = PassAt { deltas, ..pass };
-        let loss = PassLoss { weight: self.weight(weight), ..PassLoss::default() };
+        let loss = PassLoss { weight: self.weight(weight * plan.weight), ..PassLoss::default() };
         if source == DeltaSource::WorstCase {
             // A loss without a weight: lambda may be 0.
             let searched = PassLoss { weight: self.weight(1.0), ..PassLoss::default() };

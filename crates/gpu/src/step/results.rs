@@ -1,8 +1,8 @@
 //! What a step leaves to be read, and the report made of it.
 
-use augnerf_core::methods::{Extremes, SiteDiagnostics, StepLosses, StepReport, coarse_weight};
+use augnerf_core::methods::{Extremes, PassPlan, SiteDiagnostics, StepLosses, StepReport};
 use augnerf_core::perturb::PaperSite;
-use augnerf_core::settings::{RegularizedFields, Regularizer};
+use augnerf_core::settings::Regularizer;
 
 use crate::record::{FIRST_TERM, ON_RAYS, SLOT};
 
@@ -17,10 +17,6 @@ const L1: usize = 0;
 const TV: usize = 1;
 
 /// Slots: clean passes, perturbed passes, terms in space of the coarse and the fine field, diagnostics.
-pub(super) const COARSE: usize = 0;
-pub(super) const FINE: usize = 1;
-pub(super) const SECOND_COARSE: usize = 2;
-pub(super) const SECOND_FINE: usize = 3;
 pub(super) const SPACE: usize = 4;
 pub(super) const DIAGNOSED: usize = 6;
 /// Slots of a pass's diagnostics: without deltas, and of each site with its deltas, their shift, and with random ones.
@@ -62,6 +58,11 @@ pub(super) fn no_flags() -> [u32; FLAGS] {
     flags
 }
 
+/// The slot of a pass.
+pub(super) fn slot(plan: &PassPlan, is_second: bool) -> usize {
+    2 * usize::from(is_second) + usize::from(!plan.is_coarse)
+}
+
 /// The slot of a pass (0 coarse, 1 fine) without deltas.
 pub(super) fn first_of(pass: usize) -> usize {
     DIAGNOSED + pass * OF_PASS
@@ -90,13 +91,9 @@ pub(super) fn bounded(pass: usize, site: PaperSite) -> usize {
 impl Steps {
     /// The slots of passes that a step has.
     pub(super) fn slots(&self, log: bool) -> Vec<usize> {
-        let augmented = self.config.method.is_augmented();
-        let (coarse, fine) = (self.config.representation().has_coarse_loss(), self.config.sampling.fine > 0);
-        let mut slots = Vec::new();
-        slots.extend(coarse.then_some(COARSE));
-        slots.extend(fine.then_some(FINE));
-        slots.extend((augmented && coarse).then_some(SECOND_COARSE));
-        slots.extend((augmented && fine).then_some(SECOND_FINE));
+        let (clean, second) = (self.plan.clean.iter(), self.plan.second.iter());
+        let mut slots: Vec<usize> =
+            clean.map(|pass| slot(pass, false)).chain(second.map(|pass| slot(pass, true))).collect();
         if log {
             for (pass, sets) in self.sets.iter().enumerate() {
                 let Some(sets) = sets else { continue };
@@ -110,38 +107,25 @@ impl Steps {
 
     /// Makes the report of a step from its results.
     pub(super) fn report(&self, Left { results, counts, .. }: &Left) -> StepReport {
-        let config = &self.config;
+        let (config, plan) = (&self.config, &self.plan);
         let value = |slot: usize, what: usize| f64::from(results[slot * SLOT + what]);
-        let slots = self.slots(false);
-        let mse_of = |slot: usize| slots.contains(&slot).then(|| value(slot, MSE));
-        let second = [mse_of(SECOND_COARSE).map(|loss| coarse_weight(config) * loss), mse_of(SECOND_FINE)];
+        let mse = |pass: &PassPlan, is_second: bool| value(slot(pass, is_second), MSE);
+        let clean = |is_coarse: bool| plan.clean.iter().find(|pass| pass.is_coarse == is_coarse);
+        let of_second = plan.second.iter().map(|pass| pass.weight * mse(pass, true));
         let losses = StepLosses {
-            coarse: mse_of(COARSE),
-            fine: mse_of(FINE),
-            perturbed: config.method.is_augmented().then(|| second.into_iter().flatten().sum::<f64>()),
+            coarse: clean(true).map(|pass| mse(pass, false)),
+            fine: clean(false).map(|pass| mse(pass, false)),
+            perturbed: (!plan.second.is_empty()).then(|| of_second.sum()),
             further: config
                 .regularizer
                 .terms()
                 .map(|(term, weight)| (term.name(), weight, self.value_of(term, &value)))
                 .collect(),
         };
-        let evaluated = self.evaluated();
-        let extremes: Vec<f64> = (1..FIRST_TERM).map(|what| value(evaluated, what)).collect();
-        let (terms, loss) = losses.terms(config, 0);
-        let clean = losses.clean(config);
-        StepReport {
-            terms,
-            loss,
-            mse: losses.mse(),
-            extremes: Extremes::read(&extremes),
-            sites: counts.as_ref().map_or_else(Vec::new, |counts| self.diagnose(&value, counts, clean)),
-            of_weights: Vec::new(),
-        }
-    }
-
-    /// The slot of the pass that is evaluated.
-    fn evaluated(&self) -> usize {
-        if self.config.sampling.fine > 0 { FINE } else { COARSE }
+        let evaluated = plan.clean.iter().find(|pass| pass.is_evaluated).expect("a pass is evaluated");
+        let extremes: Vec<f64> = (1..FIRST_TERM).map(|what| value(slot(evaluated, false), what)).collect();
+        let sites = |clean| counts.as_ref().map_or_else(Vec::new, |counts| self.diagnose(&value, counts, clean));
+        losses.report(plan, 0, Extremes::read(&extremes), sites)
     }
 
     /// The value of a regularizer, summed over its fields.
@@ -152,16 +136,10 @@ impl Steps {
             Regularizer::Tv => in_space(TV),
             _ => {
                 let index = ON_RAYS.iter().position(|(known, _)| *known == term).expect("others are refused");
-                let is_clean = |slot: &usize| *slot == COARSE || *slot == FINE;
-                let counts = |slot: &usize| is_clean(slot) && self.counts_in_pass(term, *slot == self.evaluated());
-                self.slots(false).iter().filter(|slot| counts(slot)).map(|slot| value(*slot, FIRST_TERM + index)).sum()
+                let counting = self.plan.clean.iter().filter(|pass| pass.counts(term.is_of_evaluated_pass()));
+                counting.map(|pass| value(slot(pass, false), FIRST_TERM + index)).sum()
             }
         }
-    }
-
-    /// Whether a term on rays counts in a clean pass: the one that is evaluated, or the coarse one before it.
-    pub(super) fn counts_in_pass(&self, term: Regularizer, is_evaluated: bool) -> bool {
-        is_evaluated || self.config.regularizer.fields == RegularizedFields::Both && !term.is_of_evaluated_pass()
     }
 
     /// Makes the diagnostics of each site from the losses of its passes.
@@ -173,16 +151,16 @@ impl Steps {
             }
             let (mut gain, mut over_random, mut shifts, mut passes) = (0.0, 0.0, 0.0, 0.0);
             let mut shares = Vec::new();
-            for (pass, sets) in self.sets.iter().enumerate() {
-                let Some(sets) = sets else { continue };
+            for plan in &self.plan.second {
+                let pass = slot(plan, false);
+                let Some(sets) = &self.sets[pass] else { continue };
                 if !sets.sites().any(|on| on == site) {
                     // Switched on with a set of size 0: there is no perturbation, and no gain.
                     passes += if numbers.perturbs() { 0.0 } else { 1.0 };
                     continue;
                 }
                 let first = first_of(pass);
-                let weight = if pass == 0 { coarse_weight(&self.config) } else { 1.0 };
-                let loss = |slot: usize| weight * value(slot, MSE);
+                let loss = |slot: usize| plan.weight * value(slot, MSE);
                 gain += loss(alone(first, site)) - loss(first);
                 over_random += loss(alone(first, site)) - loss(at_random(first, site));
                 shifts += EIGHT_BIT * value(shift_of(first, site), 0);

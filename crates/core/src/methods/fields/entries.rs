@@ -10,48 +10,52 @@ use crate::settings::{ChangedEntries, Core, Encoding, PerturbField};
 
 use super::learner::FieldLearner;
 
-impl FieldLearner {
-    /// Returns whether the gradients of a hash grid's two passes are known apart.
-    pub(super) fn separates_entries(&self) -> bool {
-        let on_grid = self.config.field.encoding == Encoding::Hash && self.config.field.core == Core::Fused;
-        on_grid
-            && is_host(&self.device)
-            && self.dtype == DType::F32
-            && self.config.perturb.field == PerturbField::Shared
-    }
+/// Of the hash grid's entries that a step changes, the share that only its second pass changes.
+pub(super) const ONLY_SECOND: &str = "only_second.entries";
 
-    /// Returns the gradients of hash grids from a step's records. With `log` it also returns, of the entries that both passes
-    /// change, the share that only the second one changes, if there are two passes.
-    pub(super) fn of_tables(&self, tables: &[Vec<TableRecord>], log: bool) -> Result<(Gradients, Option<f64>)> {
-        let masks = self.config.perturb.entries == ChangedEntries::Clean;
-        let is_of_second = |record: &TableRecord| record.is_of_second_pass;
-        let has_second = tables.iter().flatten().any(is_of_second);
-        if !has_second || !(masks || log) {
-            return Ok((Gradients(self.fields.table_gradients(tables, |_| true)?), None));
-        }
-        let clean = self.fields.table_gradients(tables, |record| !is_of_second(record))?;
-        let second = self.fields.table_gradients(tables, is_of_second)?;
-        let (mut changed, mut only_second) = (0.0, 0.0);
-        let mut masked = Vec::new();
-        for (clean, second) in clean.iter().zip(&second) {
-            let (Some(clean), Some(second)) = (clean, second) else {
-                masked.push(None);
-                continue;
-            };
-            let [by_clean, by_second] = [is_changed(clean)?, is_changed(second)?];
-            changed += count(&by_clean.maximum(&by_second)?)?;
-            only_second += count(&(&by_second * (1.0 - &by_clean)?)?)?;
-            masked.push(Some(second.broadcast_mul(&by_clean)?));
-        }
-        let share = (log && changed > 0.0).then(|| only_second / changed);
-        if !masks {
-            // All at once, whose rounding is that of other steps.
-            return Ok((Gradients(self.fields.table_gradients(tables, |_| true)?), share));
-        }
-        let mut gradients = Gradients(clean);
-        gradients.merge(Gradients(masked))?;
-        Ok((gradients, share))
+/// Returns whether the gradients of a hash grid's two passes are known apart.
+pub(super) fn are_separate(learner: &FieldLearner) -> bool {
+    let FieldLearner { config, device, dtype, .. } = learner;
+    let on_grid = config.field.encoding == Encoding::Hash && config.field.core == Core::Fused;
+    on_grid && is_host(device) && *dtype == DType::F32 && config.perturb.field == PerturbField::Shared
+}
+
+/// Returns the gradients of hash grids from a step's records. With `log` it also returns, of the entries that both passes
+/// change, the share that only the second one changes, if there are two passes.
+pub(super) fn of_tables(
+    learner: &FieldLearner,
+    tables: &[Vec<TableRecord>],
+    log: bool,
+) -> Result<(Gradients, Option<f64>)> {
+    let masks = learner.config.perturb.entries == ChangedEntries::Clean;
+    let of = |counts: &dyn Fn(&TableRecord) -> bool| learner.fields.table_gradients(tables, counts);
+    let is_of_second = |record: &TableRecord| record.is_of_second_pass;
+    let has_second = tables.iter().flatten().any(is_of_second);
+    if !has_second || !(masks || log) {
+        return Ok((Gradients(of(&|_| true)?), None));
     }
+    let clean = of(&|record| !is_of_second(record))?;
+    let second = of(&is_of_second)?;
+    let (mut changed, mut only_second) = (0.0, 0.0);
+    let mut masked = Vec::new();
+    for (clean, second) in clean.iter().zip(&second) {
+        let (Some(clean), Some(second)) = (clean, second) else {
+            masked.push(None);
+            continue;
+        };
+        let [by_clean, by_second] = [is_changed(clean)?, is_changed(second)?];
+        changed += count(&by_clean.maximum(&by_second)?)?;
+        only_second += count(&(&by_second * (1.0 - &by_clean)?)?)?;
+        masked.push(Some(second.broadcast_mul(&by_clean)?));
+    }
+    let share = (log && changed > 0.0).then(|| only_second / changed);
+    if !masks {
+        // All at once, whose rounding is that of other steps.
+        return Ok((Gradients(of(&|_| true)?), share));
+    }
+    let mut gradients = Gradients(clean);
+    gradients.merge(Gradients(masked))?;
+    Ok((gradients, share))
 }
 
 /// Returns 1 for entries, `[entries, 1]`, with a gradient, and 0 for others.

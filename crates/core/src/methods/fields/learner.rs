@@ -1,24 +1,33 @@
-//! The learner of all field methods: its state. Start, step and the parts of the step are in files of their own.
+//! The learner of all field methods: its state, and what is added to it.
 
 use std::sync::Arc;
 
-use candle_core::{DType, Device, Var};
+use candle_core::{DType, Device, Tensor, Var};
 
 use crate::base::place::is_host;
 use crate::base::{Error, Result};
-use crate::data::{PointRays, RayParts, Scene, UnseenCameras};
-use crate::losses::WeightedTerm;
+use crate::data::{Camera, PointRays, RayGroup, RayParts, Scene, UnseenCameras};
+use crate::losses::{LossTerm, WeightedTerm};
 use crate::methods::batches::Batches;
+use crate::methods::diagnostics::columns as site_columns;
+use crate::methods::learner::{Learner, LogColumns, StepResult, StopCheck};
 use crate::perturb::{PaperSite, Site};
-use crate::render::ray_parts;
-use crate::settings::{ChangedEntries, Encoding, Resolved};
+use crate::render::{ray_parts, render_rays};
+use crate::runtime::over_parts;
+use crate::settings::{ChangedEntries, DeltaSource, Encoding, Resolved};
 
 use super::geometry::AttackGeometry;
 use super::networks::Fields;
+use super::plan::Plan;
+use super::report::log_columns;
+use super::terms::unseen_groups;
+use super::{entries, step};
 
 /// Trains the fields of one experiment on one scene.
 pub struct FieldLearner {
     pub(super) config: Resolved,
+    /// What a step consists of.
+    pub(super) plan: Plan,
     /// Start and end of a ray's interval, in units of `t_vals`.
     pub(super) bounds: (f64, f64),
     /// The colour behind missing accumulation.
@@ -36,8 +45,6 @@ pub struct FieldLearner {
     pub(super) unseen: Option<UnseenCameras>,
     /// The training views' rays to points.
     pub(super) points: PointRays,
-    /// Sites of the perturbed pass beside the configuration's.
-    pub(super) own_sites: Vec<Arc<dyn Site>>,
 }
 
 impl FieldLearner {
@@ -54,6 +61,7 @@ impl FieldLearner {
         let terms = WeightedTerm::all(&config.regularizer);
         let mut learner = FieldLearner {
             config: config.clone(),
+            plan: Plan::of(config),
             bounds: scene.bounds(),
             background: scene.background,
             geometry: AttackGeometry::new(config, scene),
@@ -65,17 +73,148 @@ impl FieldLearner {
             terms: Vec::new(),
             unseen: None,
             points: PointRays::of(scene, config.data.origin_of_pixels()),
-            own_sites: Vec::new(),
         };
         learner.place_unseen_cameras(&terms)?;
         learner.terms = terms;
         Ok(learner)
     }
 
+    /// Makes the cameras of unseen rays if terms read such rays. See [`unseen_cameras`].
+    pub(super) fn place_unseen_cameras(&mut self, terms: &[WeightedTerm]) -> Result<()> {
+        let cameras = unseen_cameras(&self.config, self.batches.cameras(), &self.points, terms)?;
+        self.unseen = cameras.or(self.unseen.take());
+        Ok(())
+    }
+
     /// Returns the fields that are trained.
     pub fn fields(&self) -> &Fields {
         &self.fields
     }
+}
+
+impl Learner for FieldLearner {
+    fn columns(&self) -> LogColumns {
+        let terms = self.terms.iter().map(|WeightedTerm { term, .. }| term.name());
+        let mut columns = log_columns(&self.config, &self.plan, terms);
+        columns.further.extend(self.plan.own_sites().flat_map(|site| site_columns(site.name())));
+        if self.config.method.is_augmented() && entries::are_separate(self) {
+            columns.further.push(entries::ONLY_SECOND.into());
+        }
+        columns
+    }
+
+    fn add_term(&mut self, term: LossTerm, weight: f64) -> Result<()> {
+        if self.terms.iter().any(|known| known.term.name() == term.name()) {
+            let name = term.name();
+            return Err(Error::Config(format!("the loss already has a term '{name}'; rename the new one")));
+        }
+        let reads_derivatives = match &term {
+            LossTerm::InSpace(_) => true,
+            LossTerm::OnRays(term, _) => term.reads_slopes(),
+            LossTerm::OnTables(_) => false,
+        };
+        if reads_derivatives && !self.config.representation().has_derivatives_at_points() {
+            return Err(Error::Config(format!(
+                "the term '{}' needs density's derivatives at points, which method {} lacks; use nerf or aug-nerf",
+                term.name(),
+                self.config.method.name()
+            )));
+        }
+        if matches!(term, LossTerm::OnTables(_)) && self.config.field.encoding != Encoding::Hash {
+            let name = term.name();
+            return Err(Error::Config(format!(
+                "the term '{name}' needs the tables of a hash grid; set field.encoding = \"hash\""
+            )));
+        }
+        let term = WeightedTerm::constant(term, weight);
+        self.place_unseen_cameras(std::slice::from_ref(&term))?;
+        self.terms.push(term);
+        Ok(())
+    }
+
+    fn add_site(&mut self, site: Arc<dyn Site>) -> Result<()> {
+        let (name, at) = (site.name(), site.at());
+        let refuse = |why: &str| Err(Error::Config(format!("the site '{name}' cannot be added: {why}")));
+        let perturb = &self.config.perturb;
+        if !self.config.method.is_augmented() || perturb.source().is_none() {
+            return refuse(
+                "no pass of this training is perturbed; use --method aug-nerf and a perturb.kind with deltas",
+            );
+        }
+        if perturb.source() == Some(DeltaSource::Permuted) {
+            return refuse(
+                "perturb.kind = \"permuted\" gives rays each other's deltas, and an own delta need not have rays",
+            );
+        }
+        if name.is_empty()
+            || !name.chars().all(|c| c.is_ascii_lowercase() || c.is_ascii_digit() || c == '_' || c == '-')
+        {
+            return refuse(
+                "its name must have lower-case letters, digits, '_' and '-' alone, because it names columns of the logs",
+            );
+        }
+        if PaperSite::of_name(name).is_some() || self.plan.own_sites().any(|known| known.name() == name) {
+            return refuse("there is a site of that name; rename it");
+        }
+        if at == PaperSite::View && !perturb.sites[PaperSite::View].on() {
+            return refuse("rays have tangents at view only if the site view is on; set perturb.view.passes");
+        }
+        self.plan.add_site(&site);
+        Ok(())
+    }
+
+    fn has_colours(&self) -> bool {
+        true
+    }
+
+    fn colours(&mut self, step: u64) -> Result<Option<Tensor>> {
+        let fields = self.fields.at_step(&self.config, step)?.frozen()?;
+        let rays = self.batches.batch(step).rays.to_tensors(self.dtype, &self.device)?;
+        let (sampling, size) = (&self.config.sampling, self.config.train.chunk);
+        let starts: Vec<usize> = (0..rays.len()).step_by(size).collect();
+        let of_part = |starts: &[usize]| -> Result<Tensor> {
+            let part = rays.narrow(starts[0], size.min(rays.len() - starts[0]))?;
+            Ok(render_rays(&fields.coarse, fields.fine(), &part, self.bounds, sampling, self.background)?.rgb)
+        };
+        Ok(Some(Tensor::cat(&over_parts(&self.device, &starts, 1, of_part)?, 0)?))
+    }
+
+    fn step(&mut self, step: u64, log: bool, stop_check: &StopCheck) -> Result<StepResult> {
+        step::step(self, step, log, stop_check)
+    }
+}
+
+/// Returns the cameras of unseen rays if terms read such rays.
+///
+/// # Errors
+/// There are no such cameras, no points, or fewer rays than terms read at once.
+pub(super) fn unseen_cameras(
+    config: &Resolved,
+    cameras: &[Camera],
+    points: &PointRays,
+    terms: &[WeightedTerm],
+) -> Result<Option<UnseenCameras>> {
+    let of_cameras = |group: &RayGroup| *group != RayGroup::Point;
+    let is_read = unseen_groups(terms).any(|group| of_cameras(&group));
+    let unseen = is_read.then(|| UnseenCameras::of(cameras, config.unseen_poses)).transpose()?;
+    unseen_groups(terms).try_for_each(|group| {
+        if config.unseen_rays < group.rays() {
+            return Err(Error::Config(format!(
+                "a term of the loss reads {} unseen rays at once, and regularizer.unseen_rays is {}; raise it, or train.rays",
+                group.rays(),
+                config.unseen_rays
+            )));
+        }
+        if group == RayGroup::Point && points.count() == 0 {
+            return Err(Error::Config(
+                "a term of the loss, such as regularizer.kind=sparse-depth, reads depth at points of a COLMAP model, and this scene \
+                 has none; take a COLMAP scene with its points, or another term"
+                    .into(),
+            ));
+        }
+        unseen.as_ref().filter(|_| of_cameras(&group)).map_or(Ok(()), |cameras| cameras.check(group))
+    })?;
+    Ok(unseen)
 }
 
 /// Returns an error for terms on derivatives of hash grids on a device of candle that is no CPU, and for clean entries where

@@ -1,28 +1,29 @@
 //! Radiance fields: NeRF, MipNeRF, and both with worst-case augmentation.
 //!
-//! A step is a clean pass, an optional search and perturbed pass, and regularizers in space. Rays are processed in
-//! chunks whose gradients are added. The chunk bounds memory, and small chunks stay in a CPU's cache.
+//! `step` is a training step from top to bottom; `plan` says what it consists of.
 
-mod chunk;
+mod balance;
+mod diagnosis;
+mod draws;
 mod entries;
 mod geometry;
 mod learner;
 mod networks;
-mod passes;
-mod perturbed;
-mod regularized;
+mod plan;
 mod renderer;
 mod report;
-mod results;
+mod space;
 mod start;
 mod step;
+mod sums;
 mod terms;
-mod unseen;
 
+pub use balance::Balance;
 pub use geometry::{AttackGeometry, step_over_radius};
 pub use learner::FieldLearner;
 pub use networks::Fields;
-pub use passes::parts;
-pub use regularized::{Balance, is_regularized, is_timed};
+pub use plan::{CountedTerms, PassPlan, Plan, SampleSource, Search};
 pub use renderer::FieldRenderer;
-pub use report::{StepLosses, coarse_weight, log_columns, loss_weights};
+pub use report::{StepLosses, log_columns};
+pub use space::{is_regularized, is_timed};
+pub use step::parts;

@@ -78,6 +78,15 @@ impl Fields {
         self.fine().unwrap_or(&self.coarse)
     }
 
+    /// Returns the field of a name.
+    ///
+    /// # Panics
+    /// There is no such field.
+    pub fn of(&self, role: &str) -> &Field {
+        let found = self.by_role().into_iter().find(|(known, _)| *known == role);
+        found.unwrap_or_else(|| panic!("no field {role}")).1
+    }
+
     /// Returns the fields with their names, in the fixed order.
     pub fn by_role(&self) -> Vec<(&'static str, &Field)> {
         let optional = [("fine", &self.fine), ("adversarial", &self.adversarial)];

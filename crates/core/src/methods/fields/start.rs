@@ -10,10 +10,10 @@ use crate::render::positions_at;
 use crate::settings::{Contraction, DensityActivation, Encoding, FieldConfig, Resolved};
 use crate::space::Lattice;
 
-use super::learner::{FieldLearner, check_device};
+use super::draws::Draws;
+use super::learner::{FieldLearner, check_device, unseen_cameras};
 use super::networks::Fields;
-use super::regularized;
-use super::unseen::unseen_cameras;
+use super::space;
 
 /// Number of redraws of a dead start before the run fails.
 const MOST_REDRAWS: u64 = 100;
@@ -29,7 +29,7 @@ impl FieldLearner {
         let mut redraws = vec![0; Fields::roles(config).len()];
         let fields = Fields::init(config, &redraws, dtype, device)?.at_step(config, 0)?;
         let mut learner = FieldLearner::new(config, scene, fields, dtype, device)?;
-        let first = learner.draw(0)?;
+        let first = Draws::batch(&mut learner, 0)?;
         let positions = positions_at(&learner.fields.coarse, &first.rays, &first.t_coarse)?.flatten(0, 1)?;
         loop {
             let dead = learner.dead_fields(&positions)?;
@@ -59,7 +59,7 @@ impl FieldLearner {
     /// Those of [`FieldLearner::new`]; no ray meets a box of the settings.
     pub fn check(config: &Resolved, scene: &Scene, dtype: DType, device: &Device) -> Result<()> {
         if config.regularizer.has_space_terms() {
-            regularized::lattice(&config.regularizer).check_meets(scene, "regularizer.domain")?;
+            space::lattice(&config.regularizer).check_meets(scene, "regularizer.domain")?;
         }
         check_grid(config, scene)?;
         check_device(config, dtype, device)?;

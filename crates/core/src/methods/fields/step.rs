@@ -1,148 +1,347 @@
-//! One training step: its passes and its terms in space.
+//! One training step of fields, from top to bottom as the paper's algorithm 1. The [`Plan`](super::Plan) says which passes it
+//! has; numbers of lines are those of the algorithm.
+//!
+//! Rays are processed in chunks whose gradients are added. The chunk bounds memory, and small chunks stay in a CPU's cache.
 
-use std::sync::Arc;
+use candle_core::{DType, Tensor};
 
-use candle_core::Tensor;
-
-use crate::base::{Error, Result};
+use crate::base::Result;
+use crate::base::rng::{Random, Stream};
+use crate::base::tensors::sum;
+use crate::data::RayGroup;
+use crate::field::Field;
 use crate::losses::{LossTerm, TermSource, WeightedTerm};
-use crate::methods::diagnostics::columns as site_columns;
-use crate::methods::learner::{Learner, LogColumns, StepResult, StopCheck};
-use crate::methods::stepper::StepReport;
-use crate::perturb::{PaperSite, Site};
-use crate::render::render_rays;
+use crate::methods::Extremes;
+use crate::methods::gradients::Gradients;
+use crate::methods::learner::{StepResult, StopCheck};
+use crate::perturb::{Deltas, Draw, Sets, worst_case};
+use crate::render::{
+    FixedSamples, Pass, PassLoss, Perturbation, PerturbedOutput, clean_pass, clean_pass_loss, noiseless_acc,
+    perturbed_pass, perturbed_pass_loss, photometric_loss, place, resample, samples_of,
+};
 use crate::runtime::over_parts;
-use crate::settings::{DeltaSource, Encoding};
+use crate::settings::DeltaSource;
 
+use super::diagnosis::diagnose;
+use super::draws::Draws;
+use super::entries::{ONLY_SECOND, of_tables};
 use super::learner::FieldLearner;
-use super::report::{ONLY_SECOND, StepLosses, log_columns};
-use super::results::ChunkResult;
-use super::terms::{self, TermValues};
+use super::networks::Fields;
+use super::plan::{PassPlan, Plan, SampleSource, Search};
+use super::report::StepLosses;
+use super::space::{decay, integrate};
+use super::sums::Sums;
+use super::terms::{RayTerms, TermValues, in_space, unseen_groups};
 
-impl Learner for FieldLearner {
-    fn columns(&self) -> LogColumns {
-        let mut columns = log_columns(&self.config, self.terms.iter().map(|WeightedTerm { term, .. }| term.name()));
-        columns.further.extend(self.own_sites.iter().flat_map(|site| site_columns(site.name())));
-        if self.config.method.is_augmented() && self.separates_entries() {
-            columns.further.push(ONLY_SECOND.into());
+/// Number of parts of a step, which threads share. Each sums its gradients in place.
+const PARTS: usize = 16;
+
+/// Returns the number of parts of a step with this many chunks.
+pub fn parts(chunks: usize) -> usize {
+    chunks.div_ceil(chunks.div_ceil(PARTS).max(1))
+}
+
+/// Computes the loss of the step after `step` finished ones, and its gradients. A [`Stepper`](crate::methods::Stepper) then
+/// updates the parameters (line 24).
+pub(super) fn step(learner: &mut FieldLearner, step: u64, log: bool, stop_check: &StopCheck) -> Result<StepResult> {
+    learner.fields = learner.fields.at_step(&learner.config, step)?;
+    // Line 3: rays with their colours, and all random numbers of their clean passes.
+    let batch = Draws::batch(learner, step)?;
+    let learner = &*learner;
+    let (plan, config) = (&learner.plan, &learner.config);
+    let terms: Vec<WeightedTerm> = learner.terms.iter().map(|term| term.at(step)).collect();
+    let mut values = TermValues::of(&terms);
+
+    // Lines 4 to 23.
+    let passes = Passes {
+        learner,
+        clean: &plan.clean,
+        second: &plan.second,
+        weights: plan.loss_weights(step),
+        terms: &terms,
+        source: TermSource::TrainingRays,
+        log,
+        stop_check,
+    };
+    let Sums { mut gradients, losses, only_second, diagnostics, .. } = passes.over(&batch)?;
+    values.fill(TermSource::TrainingRays, &losses.on_rays()?);
+
+    // Terms that the paper's line 23 has not: on rays without photographs, in space, and on tables.
+    for group in unseen_groups(&terms) {
+        let unseen = on_unseen(passes, group, step)?;
+        gradients.merge(unseen.gradients)?;
+        values.fill(TermSource::UnseenRays(group), &unseen.losses.on_rays()?);
+    }
+    if let Some((found, of_space)) = integrate(learner, &in_space(&terms), &config.regularizer, step, stop_check)? {
+        gradients.merge(of_space)?;
+        values.fill(TermSource::Space, &found.to_vec1::<f64>()?);
+    }
+    for WeightedTerm { term, weight, .. } in &terms {
+        if let LossTerm::OnTables(term) = term {
+            let (found, of_tables) = decay(learner, *term, *weight, &config.regularizer, &gradients)?;
+            gradients.merge(of_tables)?;
+            values.fill(TermSource::Tables, &[found]);
         }
-        columns
     }
 
-    fn add_term(&mut self, term: LossTerm, weight: f64) -> Result<()> {
-        if self.terms.iter().any(|known| known.term.name() == term.name()) {
-            let name = term.name();
-            return Err(Error::Config(format!("the loss already has a term '{name}'; rename the new one")));
-        }
-        let reads_derivatives = match &term {
-            LossTerm::InSpace(_) => true,
-            LossTerm::OnRays(term, _) => term.reads_slopes(),
-            LossTerm::OnTables(_) => false,
+    let ([coarse, fine, perturbed], extremes) = losses.read()?;
+    let losses = StepLosses { coarse, fine, perturbed, further: values.finish() };
+    let sites = |clean| diagnostics.map_or_else(Vec::new, |sums| sums.finish(clean));
+    let mut report = losses.report(plan, step, extremes, sites);
+    report.of_weights.extend(only_second.map(|share| (ONLY_SECOND.to_string(), share)));
+    Ok(StepResult { gradients, report })
+}
+
+/// Runs the clean passes of a step's rays without photographs, in such groups.
+pub(super) fn on_unseen(passes: Passes, group: RayGroup, step: u64) -> Result<Sums> {
+    let passes = Passes { second: &[], source: TermSource::UnseenRays(group), log: false, ..passes };
+    let clean = Plan::unseen(passes.clean, |pass| passes.terms_of(pass).count());
+    Passes { clean: &clean, ..passes }.over(&Draws::unseen(passes.learner, group, step)?)
+}
+
+/// The passes of a step over its rays, and what they minimize.
+#[derive(Clone, Copy)]
+pub(super) struct Passes<'a> {
+    pub(super) learner: &'a FieldLearner,
+    /// See [`Plan`].
+    pub(super) clean: &'a [PassPlan],
+    pub(super) second: &'a [PassPlan],
+    /// Weights of the losses of both.
+    pub(super) weights: (f64, f64),
+    /// Further terms, of which those of `source` count.
+    pub(super) terms: &'a [WeightedTerm],
+    /// The rays: a step's own, or unseen ones.
+    pub(super) source: TermSource,
+    /// Requests diagnostics.
+    pub(super) log: bool,
+    pub(super) stop_check: &'a StopCheck<'a>,
+}
+
+/// The samples of a pass, and their weights along the ray, both without graph.
+struct Rendered {
+    t_vals: Tensor,
+    weights: Tensor,
+}
+
+impl<'a> Passes<'a> {
+    /// Runs them over all rays of a step.
+    pub(super) fn over(&self, whole: &Draws) -> Result<Sums> {
+        let learner = self.learner;
+        // Rays that belong together stay together.
+        let together = if let TermSource::UnseenRays(group) = self.source { group.rays() } else { 1 };
+        let size = (learner.config.train.chunk / together).max(1) * together;
+        let starts: Vec<(usize, usize)> = (0..whole.rays.len()).step_by(size).enumerate().collect();
+        let prepared = learner.fields.prepared()?;
+        let work = |part: &[(usize, usize)]| -> Result<Sums> {
+            let fields = prepared.recording()?;
+            let mut sums = Sums::new(learner.variables.len());
+            for &(index, start) in part {
+                (self.stop_check)()?;
+                let count = size.min(whole.rays.len() - start);
+                sums.add(self.chunk(&fields, &whole.narrow(index, start, count)?)?)?;
+            }
+            sums.gradients.merge(Gradients(fields.recorded()?))?;
+            Ok(Sums { tables: fields.table_records(), ..sums })
         };
-        if reads_derivatives && !self.config.representation().has_derivatives_at_points() {
-            return Err(Error::Config(format!(
-                "the term '{}' needs density's derivatives at points, which method {} lacks; use nerf or aug-nerf",
-                term.name(),
-                self.config.method.name()
-            )));
-        }
-        if matches!(term, LossTerm::OnTables(_)) && self.config.field.encoding != Encoding::Hash {
-            let name = term.name();
-            return Err(Error::Config(format!(
-                "the term '{name}' needs the tables of a hash grid; set field.encoding = \"hash\""
-            )));
-        }
-        let term = WeightedTerm::constant(term, weight);
-        self.place_unseen_cameras(std::slice::from_ref(&term))?;
-        self.terms.push(term);
-        Ok(())
+        // One thread per part, so that a chunk's tensors stay in its core's cache. Parts do not depend on the number of
+        // threads, and the sums below are in their order. The bits are always the same.
+        let mut sums = Sums::sum(over_parts(&learner.device, &starts, starts.len().div_ceil(PARTS), work)?)?;
+        let (of_tables, only_second) = of_tables(learner, &std::mem::take(&mut sums.tables), self.log)?;
+        sums.gradients.merge(of_tables)?;
+        Ok(Sums { only_second, ..sums })
     }
 
-    fn add_site(&mut self, site: Arc<dyn Site>) -> Result<()> {
-        let (name, at) = (site.name(), site.at());
-        let refuse = |why: &str| Err(Error::Config(format!("the site '{name}' cannot be added: {why}")));
-        let perturb = &self.config.perturb;
-        if !self.config.method.is_augmented() || perturb.source().is_none() {
-            return refuse(
-                "no pass of this training is perturbed; use --method aug-nerf and a perturb.kind with deltas",
-            );
+    /// Runs them over a chunk. Losses and gradients are weighted with its fraction of the rays, so that chunks add up.
+    fn chunk(&self, fields: &Fields, draws: &Draws) -> Result<Sums> {
+        let mut sums = Sums::new(self.learner.variables.len()).with_diagnostics(self.log);
+        let mut clean: Vec<Rendered> = Vec::new();
+        for plan in self.clean {
+            let t_vals = self.samples(plan, fields, draws, clean.last(), None)?;
+            clean.push(self.clean_pass(plan, fields, draws, t_vals, self.weights.0, &mut sums)?);
         }
-        if perturb.source() == Some(DeltaSource::Permuted) {
-            return refuse(
-                "perturb.kind = \"permuted\" gives rays each other's deltas, and an own delta need not have rays",
-            );
-        }
-        if name.is_empty()
-            || !name.chars().all(|c| c.is_ascii_lowercase() || c.is_ascii_digit() || c == '_' || c == '-')
-        {
-            return refuse(
-                "its name must have lower-case letters, digits, '_' and '-' alone, because it names columns of the logs",
-            );
-        }
-        if PaperSite::of_name(name).is_some() || self.own_sites.iter().any(|known| known.name() == name) {
-            return refuse("there is a site of that name; rename it");
-        }
-        if at == PaperSite::View && !perturb.sites[PaperSite::View].on() {
-            return refuse("rays have tangents at view only if the site view is on; set perturb.view.passes");
-        }
-        self.own_sites.push(site);
-        Ok(())
-    }
-
-    fn has_colours(&self) -> bool {
-        true
-    }
-
-    fn colours(&mut self, step: u64) -> Result<Option<Tensor>> {
-        let fields = self.fields.at_step(&self.config, step)?.frozen()?;
-        let rays = self.batches.batch(step).rays.to_tensors(self.dtype, &self.device)?;
-        let (sampling, size) = (&self.config.sampling, self.config.train.chunk);
-        let starts: Vec<usize> = (0..rays.len()).step_by(size).collect();
-        let of_part = |starts: &[usize]| -> Result<Tensor> {
-            let part = rays.narrow(starts[0], size.min(rays.len() - starts[0]))?;
-            Ok(render_rays(&fields.coarse, fields.fine(), &part, self.bounds, sampling, self.background)?.rgb)
+        let of_clean_passes = fields.record_counts();
+        let again = match self.second {
+            [PassPlan { search: None, .. }, ..] => Some(draws.again(self.learner)?),
+            _ => None,
         };
-        Ok(Some(Tensor::cat(&over_parts(&self.device, &starts, 1, of_part)?, 0)?))
+        let mut control = Sums::new(self.learner.variables.len());
+        let mut second: Vec<Rendered> = Vec::new();
+        for (plan, of_clean) in self.second.iter().zip(&clean) {
+            let draws = again.as_ref().unwrap_or(draws);
+            let t_vals = self.samples(plan, fields, draws, second.last(), Some(of_clean))?;
+            second.push(match &plan.search {
+                Some(search) => self.perturbed_pass(plan, search, fields, draws, &t_vals, &mut sums)?,
+                None => self.clean_pass(plan, fields, draws, t_vals, self.weights.1, &mut control)?,
+            });
+        }
+        fields.mark_second_pass(&of_clean_passes);
+        sums.gradients.merge(control.gradients)?;
+        let of_control = control.losses.clean(self.clean[0].weight)?;
+        sums.losses.perturbed = sum(sums.losses.perturbed.take(), of_control)?;
+        Ok(sums)
     }
 
-    fn step(&mut self, step: u64, log: bool, stop_check: &StopCheck) -> Result<StepResult> {
-        self.fields = self.fields.at_step(&self.config, step)?;
-        let whole = self.draw(step)?;
-        let weighted: Vec<WeightedTerm> = self.terms.iter().map(|term| term.at(step)).collect();
-        let ChunkResult { mut gradients, losses, only_second, diagnostics, .. } =
-            self.passes(&whole, self.step_loss(&weighted, step), log, stop_check)?;
-        let mut values = TermValues::of(&weighted);
-        values.fill(TermSource::TrainingRays, &losses.on_rays()?);
-        for group in terms::unseen_groups(&weighted) {
-            let unseen = self.on_unseen(group, &weighted, step, stop_check)?;
-            gradients.merge(unseen.gradients)?;
-            values.fill(TermSource::UnseenRays(group), &unseen.losses.on_rays()?);
+    /// Returns the samples of a pass (lines 6 and 7), `t_vals`. `coarse` is the pass before it, and `clean` that of its kind.
+    fn samples(
+        &self,
+        plan: &PassPlan,
+        fields: &Fields,
+        draws: &Draws,
+        coarse: Option<&Rendered>,
+        clean: Option<&Rendered>,
+    ) -> Result<Tensor> {
+        let sampling = &self.learner.config.sampling;
+        match plan.samples {
+            SampleSource::Stratified => Ok(draws.t_coarse.clone()),
+            SampleSource::Resampled => {
+                let Rendered { t_vals, weights } = coarse.expect("the coarse pass comes first");
+                resample(&fields.coarse, sampling, t_vals, weights, draws.u())
+            }
+            SampleSource::PlacedByDensity => {
+                place(&fields.coarse.frozen()?, &draws.rays, &draws.t_coarse, sampling, draws.u())
+            }
+            SampleSource::OfCleanPass => Ok(clean.expect("clean passes come first").t_vals.clone()),
         }
-        let terms_in_space = terms::in_space(&weighted);
-        let regularized = self.regularize(&terms_in_space, &self.config.regularizer, step, stop_check)?;
-        if let Some((in_space, of_terms)) = regularized {
-            gradients.merge(of_terms)?;
-            values.fill(TermSource::Space, &in_space.to_vec1::<f64>()?);
+    }
+
+    fn terms_of(&self, plan: &PassPlan) -> RayTerms<'a> {
+        RayTerms::of(self.terms, self.source, plan)
+    }
+
+    /// Runs a clean pass (lines 10, 11, 18 and 20), and adds the gradients of `weight` times its loss and of the terms on its
+    /// rays, in one way back. Losses are added times the chunk's fraction, and those of terms unweighted.
+    fn clean_pass(
+        &self,
+        plan: &PassPlan,
+        fields: &Fields,
+        draws: &Draws,
+        t_vals: Tensor,
+        weight: f64,
+        sums: &mut Sums,
+    ) -> Result<Rendered> {
+        let (learner, field, terms) = (self.learner, fields.of(plan.field), self.terms_of(plan));
+        let pass = draws.pass(learner, plan, &t_vals);
+        let weight = weight * draws.share * plan.weight;
+        let Some(target) = &draws.target else {
+            let out = clean_pass(field, pass)?;
+            terms.descend(learner, (field, pass), &out, None, draws, sums)?;
+            return Ok(Rendered { weights: out.composite.weights.detach(), t_vals });
+        };
+        let out = if terms.count() {
+            let out = clean_pass(field, pass)?;
+            let loss = photometric_loss(&out.composite.rgb, target)?;
+            terms.descend(learner, (field, pass), &out, Some(&(&loss * weight)?), draws, sums)?;
+            PassLoss { loss, composite: out.composite, t_vals: out.t_vals, raw_density: out.raw_density }
+        } else {
+            let out = clean_pass_loss(field, pass, target)?;
+            sums.gradients.add(&learner.variables, &(&out.loss * weight)?.backward()?)?;
+            out
+        };
+        let loss = (out.loss.detach().to_dtype(DType::F64)? * draws.share)?;
+        *(if plan.is_coarse { &mut sums.losses.coarse } else { &mut sums.losses.fine }) = Some(loss);
+        if plan.is_evaluated {
+            let acc = noiseless_acc(field, &out, pass)?;
+            sums.losses.extremes = Some(Extremes::tensor(&acc, &out.composite.rgb, target)?);
         }
-        for WeightedTerm { term, weight, .. } in &weighted {
-            if let LossTerm::OnTables(decay) = term {
-                let (value, of_tables) = self.decay(*decay, *weight, &self.config.regularizer, &gradients)?;
-                gradients.merge(of_tables)?;
-                values.fill(TermSource::Tables, &[value]);
+        Ok(Rendered { weights: out.composite.weights.detach(), t_vals })
+    }
+
+    /// Finds the deltas of a perturbed pass (line 4), runs it (lines 9 to 13, 19 and 21), and adds the gradients of its loss,
+    /// with its weight in the step.
+    fn perturbed_pass(
+        &self,
+        plan: &PassPlan,
+        search: &Search,
+        fields: &Fields,
+        draws: &Draws,
+        t_vals: &Tensor,
+        sums: &mut Sums,
+    ) -> Result<Rendered> {
+        let (learner, field) = (self.learner, fields.of(plan.field));
+        let pass = draws.pass(learner, plan, t_vals);
+        let norm = &pass.rays.direction_norm;
+        let geometry = learner.geometry.pass(t_vals, samples_of(field, t_vals)?, norm, plan.is_coarse)?;
+        let sets = Sets::new(search.sites.iter().cloned(), &geometry)?;
+        let target = draws.target.as_ref().expect("training rays have colours");
+        let at = Perturbed { learner, plan, search, draws, field, pass, target, sets };
+        let deltas = at.deltas()?;
+        let out = match &mut sums.diagnostics {
+            Some(diagnostics) => {
+                let PerturbedOutput { pass: out, used } = perturbed_pass(field, pass, at.perturbation(&deltas))?;
+                diagnose(&at, &used, diagnostics)?;
+                PassLoss::of(out, target)?
+            }
+            None => perturbed_pass_loss(field, pass, at.perturbation(&deltas), target)?.0,
+        };
+        let share = draws.share * plan.weight;
+        sums.gradients.add(&learner.variables, &(&out.loss * (self.weights.1 * share))?.backward()?)?;
+        let loss = (out.loss.detach().to_dtype(DType::F64)? * share)?;
+        sums.losses.perturbed = sum(sums.losses.perturbed.take(), Some(loss))?;
+        Ok(Rendered { t_vals: out.t_vals, weights: out.composite.weights.detach() })
+    }
+}
+
+/// A perturbed pass of a chunk, and the sets of its deltas.
+pub(super) struct Perturbed<'a> {
+    pub(super) learner: &'a FieldLearner,
+    pub(super) plan: &'a PassPlan,
+    pub(super) search: &'a Search,
+    pub(super) draws: &'a Draws,
+    pub(super) field: &'a Field,
+    pub(super) pass: Pass<'a>,
+    pub(super) target: &'a Tensor,
+    sets: Sets,
+}
+
+impl Perturbed<'_> {
+    pub(super) fn perturbation<'a>(&'a self, deltas: &'a Deltas) -> Perturbation<'a> {
+        let perturb = &self.learner.config.perturb;
+        Perturbation { deltas, sets: &self.sets, injection_layer: perturb.injection_layer, output: perturb.output }
+    }
+
+    /// Number of the pass within the step. Each has its own random numbers.
+    fn number(&self) -> u64 {
+        2 * self.draws.index + u64::from(self.plan.is_coarse)
+    }
+
+    /// Returns a random point of every set. Each site has its own numbers of `stream`.
+    pub(super) fn draw(&self, draw: Draw, stream: Stream) -> Result<Deltas> {
+        let random = |part| Random::part(self.learner.config.seed, stream, self.draws.step, part);
+        self.sets.draw(draw, self.number(), random)
+    }
+
+    /// Returns random or worst-case deltas, detached.
+    fn deltas(&self) -> Result<Deltas> {
+        match self.search.source {
+            DeltaSource::Gaussian => self.draw(Draw::Gaussian, Stream::Search),
+            DeltaSource::Uniform => self.draw(Draw::Uniform, Stream::Search),
+            DeltaSource::WorstCase => self.search(1.0),
+            DeltaSource::BestCase => self.search(-1.0),
+            DeltaSource::Permuted => {
+                let seed = self.learner.config.seed;
+                let mut random = Random::part(seed, Stream::Permutation, self.draws.step, self.number());
+                self.sets.permuted(&self.search(1.0)?, self.pass.rays.len(), &mut random)
             }
         }
-        let ([coarse, fine, perturbed], extremes) = losses.read()?;
-        let step_losses = StepLosses { coarse, fine, perturbed, further: values.finish() };
-        let clean = step_losses.clean(&self.config);
-        let (terms, loss) = step_losses.terms(&self.config, step);
-        let report = StepReport {
-            terms,
-            loss,
-            mse: step_losses.mse(),
-            extremes,
-            sites: diagnostics.map_or_else(Vec::new, |sums| sums.finish(clean)),
-            of_weights: only_second.map(|share| (ONLY_SECOND.to_string(), share)).into_iter().collect(),
-        };
-        Ok(StepResult { gradients, report })
+    }
+
+    /// Runs PGD from a random start, on the loss times `sign`.
+    fn search(&self, sign: f64) -> Result<Deltas> {
+        let start = self.draw(Draw::Uniform, Stream::Search)?;
+        let field = self.field.frozen()?;
+        // Scaled gradients are for parameters, not for deltas.
+        let pass = Pass { scales_gradients: false, ..self.pass };
+        let mut fixed = None;
+        worst_case(&self.sets, start, |at| {
+            let perturbation = self.perturbation(at.deltas);
+            if fixed.is_none() && at.fixes_samples() {
+                fixed = Some(FixedSamples::new(&field, pass, perturbation)?);
+            }
+            let (out, used) = match &fixed {
+                Some(fixed) => fixed.perturbed_pass_loss(perturbation, self.target)?,
+                None => perturbed_pass_loss(&field, pass, perturbation, self.target)?,
+            };
+            Ok((if sign == 1.0 { out.loss } else { (out.loss * sign)? }, used))
+        })
     }
 }

@@ -1,4 +1,4 @@
-//! What a step minimizes next to the photometric losses: terms on the rays of its clean passes, and terms in space.
+//! The terms of a step's loss next to the photometric ones: those on the rays of a clean pass, and the values of all.
 
 use candle_core::backprop::GradStore;
 use candle_core::{DType, Tensor, Var};
@@ -9,76 +9,12 @@ use crate::data::RayGroup;
 use crate::field::{Cotangents, Field, Order, Spatial};
 use crate::losses::{LossTerm, RayPass, RayTerm, SpaceTerm, TermSource, WeightedTerm};
 use crate::methods::gradients::Gradients;
-use crate::render::{Pass, PassLoss, PassOutput, clean_pass, clean_pass_loss, photometric_loss, positions_at};
-use crate::settings::RegularizedFields;
+use crate::render::{Pass, PassOutput, positions_at};
 
+use super::draws::Draws;
 use super::learner::FieldLearner;
-use super::report::loss_weights;
-use super::results::ChunkResult;
-
-/// What passes of a step minimize.
-#[derive(Clone, Copy)]
-pub(super) struct StepLoss<'a> {
-    /// Weight of the clean passes' photometric loss.
-    pub clean: f64,
-    /// Weight of the perturbed passes' loss.
-    pub perturbed: f64,
-    /// Additional terms, of which those of `source` count in clean passes.
-    pub terms: &'a [WeightedTerm],
-    /// The rays of the passes: the step's own, or unseen ones.
-    pub source: TermSource,
-    /// The fields whose passes they count in.
-    pub fields: RegularizedFields,
-}
-
-impl StepLoss<'_> {
-    /// Returns the terms on rays of this source, with whether they count in a clean pass: of the evaluated field, or of
-    /// the coarse one before it.
-    fn terms_on(&self, is_evaluated: bool) -> impl Iterator<Item = (&dyn RayTerm, f64, bool)> {
-        let both = self.fields == RegularizedFields::Both;
-        let counts = move |term: &dyn RayTerm| is_evaluated || both && !term.is_of_evaluated_pass();
-        self.terms.iter().filter(|weighted| weighted.term.source() == self.source).filter_map(move |weighted| {
-            match &weighted.term {
-                LossTerm::OnRays(term, _) => Some((&**term, weighted.weight, counts(&**term))),
-                LossTerm::InSpace(_) | LossTerm::OnTables(_) => None,
-            }
-        })
-    }
-
-    /// Returns whether any of them counts in the coarse pass before the evaluated one.
-    pub(super) fn counts_in_coarse_pass(&self) -> bool {
-        self.terms_on(false).any(|(.., counts)| counts)
-    }
-
-    /// Returns the rays that belong together.
-    pub(super) fn group(&self) -> RayGroup {
-        match self.source {
-            TermSource::UnseenRays(group) => group,
-            TermSource::TrainingRays | TermSource::Space | TermSource::Tables => RayGroup::One,
-        }
-    }
-}
-
-/// The weights of a clean pass in a step.
-#[derive(Clone, Copy)]
-pub(super) struct Counts {
-    /// Weight of its photometric loss, including its fraction of the step's rays.
-    pub weight: f64,
-    /// Its fraction of the step's rays.
-    pub share: f64,
-    /// The pass is the evaluated one.
-    pub is_evaluated: bool,
-}
-
-/// A rendered clean pass, whose terms are to be descended.
-pub(super) struct Rendered<'a> {
-    pub out: &'a PassOutput,
-    pub pass: Pass<'a>,
-    /// Its photometric loss, if it has one.
-    pub loss: Option<&'a Tensor>,
-    /// See [`RayPass::point_t`].
-    pub point_t: Option<&'a Tensor>,
-}
+use super::plan::PassPlan;
+use super::sums::Sums;
 
 /// The terms in space with their weights.
 pub(super) fn in_space(terms: &[WeightedTerm]) -> Vec<(&dyn SpaceTerm, f64)> {
@@ -119,92 +55,66 @@ impl<'a> TermValues<'a> {
     }
 }
 
-impl FieldLearner {
-    /// What the step after `step` finished ones minimizes, with these terms.
-    pub(super) fn step_loss<'a>(&self, terms: &'a [WeightedTerm], step: u64) -> StepLoss<'a> {
-        let (clean, perturbed) = loss_weights(&self.config, step);
-        StepLoss { clean, perturbed, terms, source: TermSource::TrainingRays, fields: self.config.regularizer.fields }
+/// The terms on the rays of a pass with their weights, and whether each counts in it.
+pub(super) struct RayTerms<'a>(Vec<(&'a dyn RayTerm, f64, bool)>);
+
+impl<'a> RayTerms<'a> {
+    /// Returns those of a source.
+    pub(super) fn of(terms: &'a [WeightedTerm], source: TermSource, plan: &PassPlan) -> RayTerms<'a> {
+        let of_source = terms.iter().filter(|weighted| weighted.term.source() == source);
+        let on_rays = of_source.filter_map(|weighted| match &weighted.term {
+            LossTerm::OnRays(term, _) => Some((&**term, weighted.weight, plan.counts(term.is_of_evaluated_pass()))),
+            LossTerm::InSpace(_) | LossTerm::OnTables(_) => None,
+        });
+        RayTerms(on_rays.collect())
     }
 
-    /// Renders a clean pass and adds the gradients of its photometric loss and of the terms on its rays, in one way back.
-    /// Returns the photometric loss times the share; the terms' means over the rays, unweighted, are added to the
-    /// result's losses.
-    pub(super) fn descend_clean(
-        &self,
-        field: &Field,
-        pass: Pass,
-        target: &Tensor,
-        step_loss: StepLoss,
-        Counts { weight, share, is_evaluated }: Counts,
-        result: &mut ChunkResult,
-    ) -> Result<(Tensor, PassLoss)> {
-        if !step_loss.terms_on(is_evaluated).any(|(.., counts)| counts) {
-            let out = clean_pass_loss(field, pass, target)?;
-            let loss = self.descend(&out.loss, weight, &mut result.gradients)?;
-            return Ok(((loss * share)?, out));
-        }
-        let out = clean_pass(field, pass)?;
-        let loss = photometric_loss(&out.composite.rgb, target)?;
-        let counts = Counts { weight, share, is_evaluated };
-        let rendered = Rendered { out: &out, pass, loss: Some(&loss), point_t: None };
-        self.descend_terms(field, rendered, step_loss, counts, result)?;
-        Ok(((loss.detach().to_dtype(DType::F64)? * share)?, PassLoss::of(out, target)?))
+    /// Returns whether any of them counts.
+    pub(super) fn count(&self) -> bool {
+        self.0.iter().any(|(.., counts)| *counts)
     }
 
-    /// Adds the gradients of a pass's loss, if it has one, and of the terms on its rays, in one way back. The terms' means
-    /// are added to the result's losses.
-    pub(super) fn descend_terms(
+    /// Adds the gradients of a pass's weighted loss, if it has one, and of its terms, in one way back. The terms' means are
+    /// added to the sums, unweighted.
+    pub(super) fn descend(
         &self,
-        field: &Field,
-        Rendered { out, pass, loss, point_t }: Rendered,
-        step_loss: StepLoss,
-        Counts { weight, share, is_evaluated }: Counts,
-        result: &mut ChunkResult,
+        learner: &FieldLearner,
+        (field, pass): (&Field, Pass),
+        out: &PassOutput,
+        loss: Option<&Tensor>,
+        draws: &Draws,
+        sums: &mut Sums,
     ) -> Result<()> {
-        let reads_slopes = step_loss.terms_on(is_evaluated).any(|(term, _, counts)| counts && term.reads_slopes());
+        let reads_slopes = self.0.iter().any(|(term, _, counts)| *counts && term.reads_slopes());
         let slopes = reads_slopes.then(|| SampleSlopes::of(field, pass)).transpose()?;
         let seen = RayPass {
             output: out,
-            bounds: self.bounds,
+            bounds: learner.bounds,
             direction_norm: &pass.rays.direction_norm,
             directions: &pass.rays.directions,
             slopes: slopes.as_ref().map(|slopes| slopes.at_samples.as_tensor()),
-            point_t,
+            point_t: draws.point_t.as_ref(),
         };
-        let (mut total, values) = self.terms_of(&seen, step_loss, share, is_evaluated)?;
-        if let Some(loss) = loss {
-            total = ((loss * weight)? + total.to_dtype(loss.dtype())?)?;
-        }
-        let store = total.backward()?;
-        result.gradients.add(&self.variables, &store)?;
-        if let Some(slopes) = slopes {
-            slopes.descend(field, &self.variables, &store, &mut result.gradients)?;
-        }
-        result.losses.on_rays = sum(result.losses.on_rays.take(), Some(values))?;
-        Ok(())
-    }
-
-    /// Returns the weighted sum of the terms on a pass's rays, and the values of all of the source, unweighted and
-    /// detached, `[terms]`. Both are multiplied by the share, and f64.
-    fn terms_of(
-        &self,
-        seen: &RayPass,
-        step_loss: StepLoss,
-        share: f64,
-        is_evaluated: bool,
-    ) -> Result<(Tensor, Tensor)> {
-        let mut total = Tensor::zeros((), DType::F64, &self.device)?;
-        let mut values = Vec::new();
-        for (term, weight, counts) in step_loss.terms_on(is_evaluated) {
+        let (mut total, mut values) = (Tensor::zeros((), DType::F64, &learner.device)?, Vec::new());
+        for (term, weight, counts) in &self.0 {
             if !counts {
-                values.push(Tensor::zeros((), DType::F64, &self.device)?);
+                values.push(Tensor::zeros((), DType::F64, &learner.device)?);
                 continue;
             }
-            let mean = term.per_group(seen)?.mean_all()?.to_dtype(DType::F64)?;
-            total = (total + (&mean * (weight * share))?)?;
-            values.push((mean.detach() * share)?);
+            let mean = term.per_group(&seen)?.mean_all()?.to_dtype(DType::F64)?;
+            total = (total + (&mean * (weight * draws.share))?)?;
+            values.push((mean.detach() * draws.share)?);
         }
-        Ok((total, Tensor::stack(&values, 0)?))
+        if let Some(loss) = loss {
+            total = (loss + total.to_dtype(loss.dtype())?)?;
+        }
+        let store = total.backward()?;
+        sums.gradients.add(&learner.variables, &store)?;
+        if let Some(slopes) = slopes {
+            slopes.descend(field, &learner.variables, &store, &mut sums.gradients)?;
+        }
+        sums.losses.on_rays = sum(sums.losses.on_rays.take(), Some(Tensor::stack(&values, 0)?))?;
+        Ok(())
     }
 }
 

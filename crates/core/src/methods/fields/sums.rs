@@ -1,17 +1,16 @@
-//! The contributions of chunks to a step.
+//! What the chunks of a step add up to.
 
 use candle_core::Tensor;
 
 use crate::base::Result;
 use crate::base::tensors::sum;
 use crate::field::TableRecord;
+use crate::methods::Extremes;
+use crate::methods::diagnostics::Sums as SiteSums;
 use crate::methods::gradients::Gradients;
 
-use crate::methods::Extremes;
-use crate::methods::diagnostics::Sums;
-
-/// The contribution of one chunk to a step.
-pub(super) struct ChunkResult {
+/// The contribution of one chunk, or of several, to a step.
+pub(super) struct Sums {
     pub(super) gradients: Gradients,
     pub(super) losses: Losses,
     /// For each field, what its hash grid's gradient is made of.
@@ -19,7 +18,7 @@ pub(super) struct ChunkResult {
     /// Of the hash grids' entries that a step changes, the share that only its second pass changes, if requested.
     pub(super) only_second: Option<f64>,
     /// Diagnostics, if requested.
-    pub(super) diagnostics: Option<Sums>,
+    pub(super) diagnostics: Option<SiteSums>,
 }
 
 /// Losses weighted with the chunk's fraction, and extremes of the rays. They are f64 tensors that stay on the device
@@ -35,37 +34,34 @@ pub(super) struct Losses {
     pub(super) extremes: Option<Tensor>,
 }
 
-impl ChunkResult {
-    pub(super) fn new(parameters: usize) -> ChunkResult {
+impl Sums {
+    /// Returns those of nothing, for a model with so many parameters.
+    pub(super) fn new(parameters: usize) -> Sums {
         let gradients = Gradients::none(parameters);
-        ChunkResult { gradients, losses: Losses::default(), tables: Vec::new(), only_second: None, diagnostics: None }
+        Sums { gradients, losses: Losses::default(), tables: Vec::new(), only_second: None, diagnostics: None }
+    }
+
+    pub(super) fn with_diagnostics(self, requested: bool) -> Sums {
+        Sums { diagnostics: requested.then(SiteSums::default), ..self }
     }
 
     /// Sums the parts of a step in their order. There is at least one.
-    pub(super) fn sum(parts: Vec<ChunkResult>) -> Result<ChunkResult> {
-        let (mut gradients, mut rest) = (Vec::with_capacity(parts.len()), None::<ChunkResult>);
-        for part in parts {
-            let ChunkResult { gradients: of_part, losses, tables, diagnostics, .. } = part;
-            gradients.push(of_part);
-            let part = ChunkResult { losses, tables, diagnostics, ..ChunkResult::new(0) };
-            match &mut rest {
-                Some(sum) => sum.add(part)?,
-                None => rest = Some(part),
-            }
+    pub(super) fn sum(parts: Vec<Sums>) -> Result<Sums> {
+        let (mut gradients, mut rest) = (Vec::with_capacity(parts.len()), Sums::new(0));
+        for mut part in parts {
+            gradients.push(std::mem::replace(&mut part.gradients, Gradients::none(0)));
+            rest.add(part)?;
         }
-        Ok(ChunkResult { gradients: Gradients::sum(gradients)?, ..rest.expect("a batch has rays") })
+        Ok(Sums { gradients: Gradients::sum(gradients)?, ..rest })
     }
 
-    pub(super) fn add(&mut self, other: ChunkResult) -> Result<()> {
+    pub(super) fn add(&mut self, other: Sums) -> Result<()> {
         self.gradients.merge(other.gradients)?;
         self.losses.add(other.losses)?;
-        if self.tables.is_empty() {
-            self.tables = other.tables;
-        } else {
-            self.tables.iter_mut().zip(other.tables).for_each(|(records, more)| records.extend(more));
-        }
-        if let (Some(mine), Some(other)) = (&mut self.diagnostics, other.diagnostics) {
-            mine.merge(other);
+        self.tables.resize_with(other.tables.len().max(self.tables.len()), Vec::new);
+        self.tables.iter_mut().zip(other.tables).for_each(|(records, more)| records.extend(more));
+        if let Some(other) = other.diagnostics {
+            self.diagnostics.get_or_insert_default().merge(other);
         }
         Ok(())
     }

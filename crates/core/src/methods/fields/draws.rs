@@ -1,0 +1,146 @@
+//! The rays of a step with the random numbers of its clean pass, complete and in chunks.
+
+use candle_core::Tensor;
+
+use crate::base::Result;
+use crate::base::rng::{Random, Stream};
+use crate::data::{RayBuffer, RayGroup, Rays};
+use crate::render::{Pass, columns, sampling};
+
+use super::learner::FieldLearner;
+use super::plan::PassPlan;
+
+/// Streams of random numbers of a step's unseen rays: one for each kind of groups.
+const GROUPS: u64 = 3;
+
+/// Rays of one step, their targets, and the random numbers of their clean passes.
+pub(super) struct Draws {
+    pub(super) rays: Rays,
+    /// True colours, `[rays, 3]`. Unseen rays have none.
+    pub(super) target: Option<Tensor>,
+    /// The t of the known point on each ray, `[rays]`, of rays to points.
+    pub(super) point_t: Option<Tensor>,
+    pub(super) t_coarse: Tensor,
+    noise_coarse: Option<Tensor>,
+    noise_fine: Option<Tensor>,
+    /// Positions in the inverse CDF, `[rays, fine]`.
+    u: Option<Tensor>,
+    /// Fraction of the step's rays.
+    pub(super) share: f64,
+    /// Steps finished before this one.
+    pub(super) step: u64,
+    /// Number of the chunk within the step.
+    pub(super) index: u64,
+}
+
+impl Draws {
+    /// Returns the batch of the step after `step` finished ones.
+    pub(super) fn batch(learner: &mut FieldLearner, step: u64) -> Result<Draws> {
+        let batch = learner.batches.batch(step);
+        let target = Tensor::from_vec(batch.target, (batch.rays.len(), 3), &learner.device)?.to_dtype(learner.dtype)?;
+        let mut random = Random::new(learner.config.seed, Stream::Jitter, step);
+        Ok(Draws { target: Some(target), ..Draws::of(learner, &batch.rays, step, &mut random)? })
+    }
+
+    /// Returns a step's rays without photographs' colours in groups.
+    pub(super) fn unseen(learner: &FieldLearner, group: RayGroup, step: u64) -> Result<Draws> {
+        let (seed, count) = (learner.config.seed, learner.config.unseen_rays);
+        let kind = match group {
+            RayGroup::One => 0,
+            RayGroup::Pair => 1,
+            RayGroup::Patch => 2,
+            RayGroup::Point => {
+                let mut random = Random::new(seed, Stream::Points, step);
+                let (pixels, t) = learner.points.draw(count, &mut random);
+                let point_t = Tensor::from_vec(t, pixels.len(), &learner.device)?.to_dtype(learner.dtype)?;
+                let draws = Draws::of(learner, &learner.batches.rays_of(&pixels), step, &mut random)?;
+                return Ok(Draws { point_t: Some(point_t), ..draws });
+            }
+        };
+        let mut random = Random::new(seed, Stream::Unseen, step * GROUPS + kind);
+        let cameras = learner.unseen.as_ref().expect("cameras are placed with the term");
+        let pixels = cameras.rays(group, count / group.rays(), &mut random);
+        Draws::of(learner, &learner.batches.rays_of(&pixels), step, &mut random)
+    }
+
+    fn of(learner: &FieldLearner, rays: &RayBuffer, step: u64, random: &mut Random) -> Result<Draws> {
+        Draws::of_rays(learner, rays.to_tensors(learner.dtype, &learner.device)?, step, random)
+    }
+
+    /// Returns the same chunk with random numbers of its own.
+    pub(super) fn again(&self, learner: &FieldLearner) -> Result<Draws> {
+        let Draws { share, step, index, .. } = *self;
+        let mut random = Random::part(learner.config.seed, Stream::Search, step, index);
+        let drawn = Draws::of_rays(learner, self.rays.clone(), step, &mut random)?;
+        Ok(Draws { target: self.target.clone(), share, index, ..drawn })
+    }
+
+    /// Draws jitter, density noise and inverse-CDF positions of a clean pass, in a fixed order.
+    fn of_rays(learner: &FieldLearner, rays: Rays, step: u64, random: &mut Random) -> Result<Draws> {
+        let FieldLearner { config, dtype, device, .. } = learner;
+        let sampling = &config.sampling;
+        let (n, coarse, fine) = (rays.len(), sampling.coarse, sampling.fine);
+        let (columns, fine_columns) = columns(&learner.fields.coarse, sampling);
+        let (intervals, (_, fine_samples)) = (config.field.encoding.at_intervals(), config.samples());
+        let jitter = sampling.jitter.then(|| random.uniform_tensor(&[n, columns], *dtype, device)).transpose()?;
+        let bounds = sampling.annealed(learner.bounds, step);
+        let t_coarse = sampling::stratified(bounds, sampling.spacing, n, columns, jitter.as_ref(), &rays.origins)?;
+        let std = config.density_noise;
+        let mut noise = |samples: usize| -> Result<Option<Tensor>> {
+            if std == 0.0 || samples == 0 {
+                return Ok(None);
+            }
+            Ok(Some((random.normal_tensor(&[n, samples], *dtype, device)? * std)?))
+        };
+        let (noise_coarse, noise_fine) = (noise(coarse)?, noise(fine_samples)?);
+        let u = match (fine, sampling.jitter) {
+            (0, _) => None,
+            (_, true) => {
+                let uniform = random.uniform_tensor(&[n, fine_columns], *dtype, device)?;
+                Some(if intervals { sampling::stratified_u(&uniform)? } else { uniform })
+            }
+            (_, false) => Some(sampling::even_u(n, fine_columns, &t_coarse)?),
+        };
+        let (target, point_t) = (None, None);
+        Ok(Draws { rays, target, point_t, t_coarse, noise_coarse, noise_fine, u, share: 1.0, step, index: 0 })
+    }
+
+    /// Returns chunk number `index` of a step's rays.
+    pub(super) fn narrow(&self, index: usize, start: usize, count: usize) -> Result<Draws> {
+        // Shared, not copied, if the complete tensor is contiguous.
+        let part = |tensor: &Tensor| tensor.narrow(0, start, count)?.contiguous();
+        let maybe = |tensor: &Option<Tensor>| tensor.as_ref().map(part).transpose();
+        Ok(Draws {
+            rays: self.rays.narrow(start, count)?,
+            target: maybe(&self.target)?,
+            point_t: maybe(&self.point_t)?,
+            t_coarse: part(&self.t_coarse)?,
+            noise_coarse: maybe(&self.noise_coarse)?,
+            noise_fine: maybe(&self.noise_fine)?,
+            u: maybe(&self.u)?,
+            share: count as f64 / self.rays.len() as f64,
+            step: self.step,
+            index: index as u64,
+        })
+    }
+
+    /// Returns the positions in the inverse CDF of the samples of a fine pass.
+    ///
+    /// # Panics
+    /// There is no fine pass.
+    pub(super) fn u(&self) -> &Tensor {
+        self.u.as_ref().expect("a fine pass has numbers to place its samples")
+    }
+
+    /// Returns a pass with samples at `t_vals`.
+    pub(super) fn pass<'a>(&'a self, learner: &FieldLearner, plan: &PassPlan, t_vals: &'a Tensor) -> Pass<'a> {
+        let noise = if plan.is_coarse { &self.noise_coarse } else { &self.noise_fine };
+        Pass {
+            rays: &self.rays,
+            t_vals,
+            density_noise: noise.as_ref(),
+            background: learner.background,
+            scales_gradients: learner.config.train.gradient_scaling,
+        }
+    }
+}

@@ -1,0 +1,197 @@
+//! What a step of fields consists of. The plan is made once from settings; the steps of the CPU and of a GPU execute it.
+
+use std::sync::Arc;
+
+use crate::perturb::{PaperSite, Site};
+use crate::settings::{
+    DeltaSource, Objective, PerturbField, RegularizedFields, Resample, Resolved, SecondPass, WeightSchedule,
+};
+
+/// The passes of a step in their order. Each list has a coarse pass, a fine one, or both.
+pub struct Plan {
+    /// The clean passes (paper, algorithm 1, lines 6 to 11).
+    pub clean: Vec<PassPlan>,
+    /// The passes after them: perturbed (lines 9 to 13), or clean again as the control of equal loss weight. Empty for
+    /// methods that are not augmented.
+    pub second: Vec<PassPlan>,
+    objective: Objective,
+    lambda: (f64, WeightSchedule),
+}
+
+/// One pass of a step.
+#[derive(Clone)]
+pub struct PassPlan {
+    /// It is a coarse pass, or the fine one.
+    pub is_coarse: bool,
+    /// The field that it queries, one of [`Fields::roles`](super::Fields::roles).
+    pub field: &'static str,
+    /// Where its samples come from.
+    pub samples: SampleSource,
+    /// Number of samples of a ray.
+    pub count: usize,
+    /// Weight of its squared error beside that of the other pass of the list.
+    pub weight: f64,
+    /// Its colours are those of an evaluation.
+    pub is_evaluated: bool,
+    /// The terms on rays that count in it.
+    pub terms: CountedTerms,
+    /// The deltas of a perturbed pass.
+    pub search: Option<Search>,
+}
+
+/// Where the samples of a pass come from.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum SampleSource {
+    /// Bins between near and far, with jitter.
+    Stratified,
+    /// The inverse CDF of the weights of the coarse pass before it.
+    Resampled,
+    /// The same, of the coarse field's density at stratified samples. That field has no pass of its own.
+    PlacedByDensity,
+    /// They are those of the clean pass of its kind, coarse or fine.
+    OfCleanPass,
+}
+
+/// The terms on rays that count in a pass.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum CountedTerms {
+    /// All.
+    All,
+    /// All but those of the evaluated pass alone.
+    ButOfEvaluated,
+    /// None.
+    None,
+}
+
+/// The deltas of a perturbed pass.
+#[derive(Clone)]
+pub struct Search {
+    /// Where they come from.
+    pub source: DeltaSource,
+    /// The sites with a delta, each with its PGD steps and its set.
+    pub sites: Vec<Arc<dyn Site>>,
+}
+
+impl PassPlan {
+    /// Returns whether a term on rays counts in it. Some count in the evaluated pass alone.
+    pub fn counts(&self, is_of_evaluated_pass: bool) -> bool {
+        match self.terms {
+            CountedTerms::All => true,
+            CountedTerms::ButOfEvaluated => !is_of_evaluated_pass,
+            CountedTerms::None => false,
+        }
+    }
+}
+
+impl Plan {
+    /// Returns the plan of a configuration.
+    pub fn of(config: &Resolved) -> Plan {
+        let clean = Plan::clean(config, config.regularizer.fields);
+        let second = match (config.method.is_augmented(), config.perturb.second) {
+            (false, _) => Vec::new(),
+            (true, SecondPass::Clean) => clean.iter().cloned().map(alone).collect(),
+            (true, SecondPass::Perturbed(source)) => {
+                clean.iter().cloned().map(|pass| perturbed(config, source, alone(pass))).collect()
+            }
+        };
+        let lambda = (config.perturb.lambda, config.perturb.lambda_schedule);
+        Plan { clean, second, objective: config.perturb.objective, lambda }
+    }
+
+    /// Returns the clean passes, with terms in the passes of `fields`.
+    pub fn clean(config: &Resolved, fields: RegularizedFields) -> Vec<PassPlan> {
+        let (has_coarse, has_fine) = (config.representation().has_coarse_loss(), config.sampling.fine > 0);
+        let (coarse, fine) = config.samples();
+        let both = fields == RegularizedFields::Both;
+        let first = PassPlan {
+            is_coarse: true,
+            field: "coarse",
+            samples: SampleSource::Stratified,
+            count: coarse,
+            weight: if has_fine { config.train.coarse_weight } else { 1.0 },
+            is_evaluated: !has_fine,
+            terms: match (has_fine, both) {
+                (false, _) => CountedTerms::All,
+                (true, true) => CountedTerms::ButOfEvaluated,
+                (true, false) => CountedTerms::None,
+            },
+            search: None,
+        };
+        let last = PassPlan {
+            is_coarse: false,
+            field: if config.representation().has_fine_field() { "fine" } else { "coarse" },
+            samples: if has_coarse { SampleSource::Resampled } else { SampleSource::PlacedByDensity },
+            count: fine,
+            weight: 1.0,
+            is_evaluated: true,
+            terms: CountedTerms::All,
+            search: None,
+        };
+        let passes = [(has_coarse || !has_fine).then_some(first), has_fine.then_some(last)];
+        passes.into_iter().flatten().collect()
+    }
+
+    /// Returns the passes of unseen rays, where `counts` says whether terms that read them count in a pass. A coarse pass
+    /// without terms only places samples.
+    pub fn unseen(clean: &[PassPlan], counts: impl Fn(&PassPlan) -> bool) -> Vec<PassPlan> {
+        match clean {
+            [coarse, fine] if !counts(coarse) => {
+                vec![PassPlan { samples: SampleSource::PlacedByDensity, ..fine.clone() }]
+            }
+            _ => clean.to_vec(),
+        }
+    }
+
+    /// Returns the weights of the clean passes' loss and of the second ones' in the step after `step` finished ones.
+    pub fn loss_weights(&self, step: u64) -> (f64, f64) {
+        let lambda = self.lambda.1.at(self.lambda.0, step);
+        match (self.second.is_empty(), self.objective) {
+            (true, _) => (1.0, 0.0),
+            (false, Objective::Paper) => (1.0, lambda),
+            (false, Objective::Released) => (1.0 - lambda, lambda),
+        }
+    }
+
+    /// Returns the weight of the coarse pass's loss, which is 1 if it is the only pass.
+    pub fn coarse_weight(&self) -> f64 {
+        self.clean[0].weight
+    }
+
+    /// Adds a site of the user's own to the perturbed passes.
+    pub fn add_site(&mut self, site: &Arc<dyn Site>) {
+        let searches = self.second.iter_mut().filter_map(|pass| pass.search.as_mut());
+        searches.for_each(|search| search.sites.push(site.clone()));
+    }
+
+    /// Returns the sites that were added.
+    pub fn own_sites(&self) -> impl Iterator<Item = &Arc<dyn Site>> {
+        let search = self.second.first().and_then(|pass| pass.search.as_ref());
+        search.into_iter().flat_map(Search::own_sites)
+    }
+}
+
+impl Search {
+    /// Returns the sites of the user's own.
+    pub fn own_sites(&self) -> impl Iterator<Item = &Arc<dyn Site>> {
+        self.sites.iter().filter(|site| PaperSite::of_name(site.name()).is_none())
+    }
+}
+
+/// Returns a pass without terms, which nothing is evaluated by.
+fn alone(pass: PassPlan) -> PassPlan {
+    PassPlan { is_evaluated: false, terms: CountedTerms::None, ..pass }
+}
+
+/// Returns the same pass with deltas. It has the samples of the clean one, unless its coarse pass places them.
+fn perturbed(config: &Resolved, source: DeltaSource, pass: PassPlan) -> PassPlan {
+    let resamples = config.perturb.resample == Resample::Perturbed && pass.samples == SampleSource::Resampled;
+    PassPlan {
+        field: match config.perturb.field {
+            PerturbField::Shared => pass.field,
+            PerturbField::Separate => "adversarial",
+        },
+        samples: if resamples { SampleSource::Resampled } else { SampleSource::OfCleanPass },
+        search: Some(Search { source, sites: config.perturb.sites_of_pass(pass.is_coarse) }),
+        ..pass
+    }
+}
