@@ -113,7 +113,7 @@ pub mod base {
 /// The machine of a run: device, threads, memory, host, clocks.
 pub mod runtime {
     pub use augnerf_core::runtime::*;
-    pub use augnerf_run::{DeviceWork, KernelTime, ListedDevice, list_devices, open_runtime};
+    pub use augnerf_run::{ListedDevice, list_devices, open_runtime};
 }
 
 /// The model of each method, with its training and its rendering.

@@ -219,7 +219,7 @@ proptest! {
 fn the_search_raises_the_loss_and_beats_random_deltas_on_a_trained_field() {
     let config = tiny_config(Method::Nerf, |_| {});
     let trainer = trained(&config, 300);
-    let field = &trainer.model().unwrap().fields().unwrap().coarse;
+    let field = trainer.model().unwrap().fields().unwrap().coarse();
     let weights: Vec<Tensor> =
         field.variables().iter().map(|(_, var)| var.as_tensor().to_dtype(DType::F64).unwrap()).collect();
     // Each level by itself, then all together, in the calibrated sizes.

@@ -447,7 +447,7 @@ fn the_balance_is_a_ratio_of_gradient_norms_and_moves_nothing() {
             let term = regularize(field, &points, &[term]).unwrap();
             term.gradients.iter().flatten().flat_map(flat).map(|g| g * g).sum::<f64>()
         };
-        let norm = trainer.model().unwrap().fields().unwrap().by_role().into_iter().map(of_field).sum::<f64>().sqrt();
+        let norm = trainer.model().unwrap().fields().unwrap().by_role().map(of_field).sum::<f64>().sqrt();
         assert!((balance.term_norm / norm - 1.0).abs() < 1e-4, "{balance:?} {norm}");
     }
 

@@ -184,7 +184,7 @@ fn mip_nerf_fits_the_scene_with_one_field() {
         let config = tiny_config(method, |_| {});
         let scene = tiny_scene();
         let mut trainer = trained(&config, 300);
-        assert_eq!(trainer.model().unwrap().fields().unwrap().by_role().len(), 1);
+        assert_eq!(trainer.model().unwrap().fields().unwrap().by_role().count(), 1);
         let View { camera, image, .. } = &scene.test[0];
         let viewer = Viewer { model: trainer.model().unwrap(), config: &config, scene: &scene, runtime: runtime() };
         let psnr = psnr_float(&viewer.render(camera).unwrap().image, image).unwrap().unwrap();

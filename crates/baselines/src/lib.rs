@@ -4,7 +4,7 @@
 
 #![warn(missing_docs)]
 
-pub(crate) use augnerf_core::{base, data, field, losses, methods, runtime, settings};
+pub(crate) use augnerf_core::{base, data, field, methods, runtime, settings};
 
 mod families;
 pub mod grids;

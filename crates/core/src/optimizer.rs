@@ -2,11 +2,11 @@
 
 use std::cell::RefCell;
 
-use candle_core::{CpuStorage, InplaceOp1, Layout, Storage, Tensor, Var, WithDType};
+use candle_core::{CpuStorage, InplaceOp1, Layout, Storage, Tensor, Var};
 use rayon::prelude::*;
 
 use crate::base::Result;
-use crate::base::place::is_ours;
+use crate::base::place::is_ours_in_f32;
 use crate::base::simd::vectorized;
 use crate::field::hash::{Moving, SparseAdam};
 use crate::settings::{Located, Schedule, TrainConfig};
@@ -64,6 +64,17 @@ pub struct Moments {
     pub second: Tensor,
 }
 
+impl Moments {
+    /// Returns moments of 0, in the order of the variables.
+    ///
+    /// # Errors
+    /// Those of candle.
+    pub fn zero(variables: &[(String, Var)]) -> Result<Vec<Moments>> {
+        let zero = |(_, var): &(String, Var)| Ok(Moments { first: var.zeros_like()?, second: var.zeros_like()? });
+        variables.iter().map(zero).collect()
+    }
+}
+
 /// Adam (Kingma and Ba 2015).
 pub struct Adam {
     settings: AdamSettings,
@@ -74,10 +85,7 @@ pub struct Adam {
 impl Adam {
     /// Creates an optimizer with moments of zero.
     pub fn new(settings: AdamSettings, variables: Vec<(String, Var)>) -> Result<Adam> {
-        let zero = |(_, var): &(String, Var)| -> Result<Moments> {
-            Ok(Moments { first: var.zeros_like()?, second: var.zeros_like()? })
-        };
-        let moments = variables.iter().map(zero).collect::<Result<_>>()?;
+        let moments = Moments::zero(&variables)?;
         Ok(Adam { settings, variables, moments })
     }
 
@@ -109,7 +117,7 @@ impl Adam {
                 .try_for_each(|var| var.set(&(var.as_tensor() * (1.0 - learning_rate * weight_decay))?))?;
         }
         let correction2 = 1.0 - beta2.powf(updates as f64);
-        if self.variables.iter().all(|(_, var)| is_ours(var)) {
+        if self.variables.iter().all(|(_, var)| is_ours_in_f32(var)) {
             let update = Update { settings: self.settings, rate: learning_rate / correction1, correction2 };
             let all = self.variables.par_iter().zip(&self.moments).zip(gradients);
             return all.try_for_each(|(((name, var), moments), gradient)| {
@@ -145,7 +153,7 @@ impl Adam {
     }
 }
 
-/// The update on the CPU: one pass over parameter, moments and gradient, in place.
+/// The update in f32 on the CPU: one pass over parameter, moments and gradient, in place.
 struct Update {
     settings: AdamSettings,
     /// The learning rate over the first moment's correction.
@@ -170,34 +178,17 @@ impl Update {
         let Storage::Cpu(gradient) = &*gradient else { unreachable!("parameters are on the processor") };
         let (start, end) = layout.contiguous_offsets().expect("made contiguous");
         let features = if sparse { var.dim(1)? } else { 1 };
-        let update = |p: &mut CpuStorage, m: &mut CpuStorage, v: &mut CpuStorage| {
-            if let (
-                true,
-                CpuStorage::F32(values),
-                CpuStorage::F32(first),
-                CpuStorage::F32(second),
-                CpuStorage::F32(g),
-            ) = (sparse, &mut *p, &mut *m, &mut *v, gradient)
-            {
-                self.pass_table(Moving { values, first, second }, &g[start..end], features);
-                return Ok(());
+        let update = |p: &mut CpuStorage, m: &mut CpuStorage, v: &mut CpuStorage| match (p, m, v, gradient) {
+            (CpuStorage::F32(values), CpuStorage::F32(first), CpuStorage::F32(second), CpuStorage::F32(gradient)) => {
+                let (moving, gradient) = (Moving { values, first, second }, &gradient[start..end]);
+                if sparse {
+                    self.pass_table(moving, gradient, features)
+                } else {
+                    self.pass(moving, gradient)
+                }
+                Ok(())
             }
-            macro_rules! pass {
-                ($kind:ident, $sqrt:expr) => {
-                    if let (CpuStorage::$kind(p), CpuStorage::$kind(m), CpuStorage::$kind(v), CpuStorage::$kind(g)) =
-                        (&mut *p, &mut *m, &mut *v, gradient)
-                    {
-                        let g = &g[start..end];
-                        return Ok(match sparse {
-                            true => self.pass_entries(p, (m, v), g, features, $sqrt),
-                            false => self.pass(p, (m, v), g, $sqrt),
-                        });
-                    }
-                };
-            }
-            pass!(F32, f32::sqrt);
-            pass!(F64, f64::sqrt);
-            candle_core::bail!("adam: parameters, moments and gradients are all f32 or all f64")
+            _ => candle_core::bail!("adam: parameters, moments and gradients are all f32"),
         };
         Ok(lend(var, |p| lend(&moments.first, |m| lend(&moments.second, |v| update(p, m, v))))?)
     }
@@ -216,43 +207,19 @@ impl Update {
         });
     }
 
-    /// Updates entry by entry, in any precision.
-    fn pass_entries<T: WithDType>(
-        &self,
-        parameters: &mut [T],
-        (first, second): (&mut [T], &mut [T]),
-        gradient: &[T],
-        features: usize,
-        sqrt: impl Fn(T) -> T + Copy,
-    ) {
-        let moments = first.chunks_exact_mut(features).zip(second.chunks_exact_mut(features));
-        let entries = parameters.chunks_exact_mut(features).zip(moments).zip(gradient.chunks_exact(features));
-        for ((parameters, moments), gradient) in entries {
-            if gradient.iter().any(|g| *g != T::from_f64(0.0)) {
-                self.pass(parameters, moments, gradient, sqrt);
-            }
-        }
-    }
-
-    fn pass<T: WithDType>(
-        &self,
-        parameters: &mut [T],
-        (first, second): (&mut [T], &mut [T]),
-        gradient: &[T],
-        sqrt: impl Fn(T) -> T,
-    ) {
+    fn pass(&self, Moving { values, first, second }: Moving, gradient: &[f32]) {
         let sizes = [first.len(), second.len(), gradient.len()];
-        assert!(sizes.iter().all(|size| *size == parameters.len()), "one moment and one gradient a parameter");
+        assert!(sizes.iter().all(|size| *size == values.len()), "one moment and one gradient a parameter");
         let AdamSettings { beta2, epsilon, .. } = self.settings;
-        let [keep1, take1, keep2, take2] = [BETA1, 1.0 - BETA1, beta2, 1.0 - beta2].map(T::from_f64);
-        let [rate, correction2, epsilon] = [self.rate, self.correction2, epsilon].map(T::from_f64);
+        let [keep1, take1, keep2, take2] = [BETA1, 1.0 - BETA1, beta2, 1.0 - beta2].map(|beta| beta as f32);
+        let [rate, correction2, epsilon] = [self.rate, self.correction2, epsilon].map(|number| number as f32);
         vectorized(
             #[inline(always)]
             || {
-                for (((p, m), v), g) in parameters.iter_mut().zip(&mut *first).zip(&mut *second).zip(gradient) {
+                for (((p, m), v), g) in values.iter_mut().zip(&mut *first).zip(&mut *second).zip(gradient) {
                     *m = *m * keep1 + take1 * *g;
                     *v = *v * keep2 + take2 * (*g * *g);
-                    *p -= *m * rate / (sqrt(*v / correction2) + epsilon);
+                    *p -= *m * rate / ((*v / correction2).sqrt() + epsilon);
                 }
             },
         );

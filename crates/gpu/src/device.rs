@@ -1,6 +1,5 @@
 //! The adapter, its buffers and its pipelines.
 
-use std::any::Any;
 use std::collections::HashMap;
 use std::fmt;
 use std::sync::{Arc, Mutex, OnceLock, PoisonError, mpsc};
@@ -499,20 +498,5 @@ fn copy(encoder: &mut CommandEncoder, from: &[&Buffer], to: &Buffer) {
     for buffer in from {
         encoder.copy_buffer_to_buffer(buffer, 0, to, at, buffer.size());
         at += buffer.size();
-    }
-}
-
-impl Accelerator for Gpu {
-    fn description(&self) -> String {
-        let Adapter { name, backend, driver, .. } = &self.0.adapter;
-        format!("{name}, {backend}, {driver}")
-    }
-
-    fn synchronize(&self) -> Result<()> {
-        self.wait()
-    }
-
-    fn as_any(&self) -> &dyn Any {
-        self
     }
 }

@@ -56,10 +56,8 @@ impl GpuRenderer {
         shape: &Shape,
         chunk: usize,
     ) -> Result<GpuRenderer> {
-        let coarse_field = FieldBuffers::of(gpu, shape, &fields.coarse)?;
-        let has_own_fine = fields.by_role().iter().any(|(role, _)| *role == "fine");
-        let fine_field = fields.fine().filter(|_| has_own_fine);
-        let fine_field = fine_field.map(|field| FieldBuffers::of(gpu, shape, field)).transpose()?;
+        let coarse_field = FieldBuffers::of(gpu, shape, fields.coarse())?;
+        let fine_field = fields.get("fine").map(|field| FieldBuffers::of(gpu, shape, field)).transpose()?;
         let buffers = PassBuffers::new(gpu, config, scene, shape, chunk);
         let PassBuffers { scratch, rays, out, rows, jitter, t_coarse, t_fine, flags } = &buffers;
         let mut recorder = Recorder {

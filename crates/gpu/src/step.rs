@@ -1,10 +1,13 @@
 //! Training steps of NeRF and Aug-NeRF on the device.
 
-use augnerf_core::base::{Error, Result};
+use augnerf_core::base::Result;
 use augnerf_core::data::{RayParts, Scene};
-use augnerf_core::methods::{Batches, Fields, LogColumns, Plan, StepReport, is_regularized, log_columns, not_finite};
+use augnerf_core::methods::{
+    Batches, DeviceSteps, Fields, LogColumns, Plan, StepAt, StepReport, is_regularized, log_columns, not_finite,
+};
+use augnerf_core::optimizer::Moments;
 use augnerf_core::perturb::PaperSite;
-use augnerf_core::runtime::Accelerator;
+use augnerf_core::runtime::{DeviceWork, KernelTime};
 use augnerf_core::settings::{Precision, Regularizer, Resolved};
 use candle_core::Tensor;
 use wgpu::Buffer;
@@ -75,7 +78,7 @@ impl Steps {
         config: &Resolved,
         scene: &Scene,
         fields: &Fields,
-        moments: Option<[Vec<Tensor>; 2]>,
+        moments: Option<&[Moments]>,
     ) -> Result<Steps> {
         check(config)?;
         check_precision(gpu, config)?;
@@ -115,7 +118,7 @@ impl Steps {
             learned,
             opened,
             opening,
-            roles: fields.by_role().into_iter().map(|(role, _)| role).collect(),
+            roles: fields.by_role().map(|(role, _)| role).collect(),
             sets,
             buffers,
             tiles: gpu.tiles(config.field.precision)?,
@@ -134,53 +137,24 @@ impl Steps {
         Ok(steps)
     }
 
-    /// Returns the columns that its steps log, in order.
-    pub fn columns(&self) -> LogColumns {
-        log_columns(&self.config, &self.plan, self.config.regularizer.terms().map(|(term, _)| term.name()))
-    }
-
-    /// Returns what a step does, by counting.
-    pub fn work(&self) -> (usize, f64, usize) {
-        (self.work.dispatches + self.update.len(), self.work.multiply_adds, self.sent)
-    }
-
-    /// Returns the tiles in which wide layers are multiplied.
-    pub fn tiles(&self) -> &'static str {
-        self.tiles.name()
-    }
-
-    /// Takes the step after `step` finished ones. `updates` counts Adam's updates with this one. It does not wait for the
-    /// device, unless as many steps as it keeps wait for [`Steps::reports`].
+    /// Takes a step without its update, and counts and measures what it does.
     ///
     /// # Errors
-    /// [`Error::Diverged`]: something in a step that waited is not finite, or the device was lost.
-    pub fn step(&mut self, step: u64, updates: u64, learning_rate: f64, log: bool) -> Result<()> {
-        if self.waiting.len() == MOST_REPORTS {
-            self.wait_for_reports()?;
-        }
-        self.compute(step, updates, learning_rate, log, true)
-    }
-
-    /// Computes a step without an update.
-    ///
-    /// # Errors
-    /// Those of [`Steps::reports`].
-    pub fn try_step(&mut self, step: u64, log: bool) -> Result<StepReport> {
-        self.wait_for_reports()?;
-        self.compute(step, 1, 0.0, log, false)?;
-        let waited = self.wait_for_reports();
-        self.clear_gradients();
-        waited?;
-        Ok(self.reports.pop().expect("the step that was waited for"))
-    }
-
-    /// Waits for the steps since the last call, and returns their reports.
-    ///
-    /// # Errors
-    /// [`Error::Diverged`]: something in one of them is not finite. No later step changed a parameter. The device was lost.
-    pub fn reports(&mut self) -> Result<Vec<StepReport>> {
-        self.wait_for_reports()?;
-        Ok(std::mem::take(&mut self.reports))
+    /// Those of a step.
+    pub fn work(&mut self) -> Result<DeviceWork> {
+        self.try_step(0, false)?;
+        let of_kernel = |(kernel, milliseconds, dispatches): (&str, f64, usize)| KernelTime {
+            kernel: kernel.into(),
+            dispatches,
+            milliseconds,
+        };
+        Ok(DeviceWork {
+            dispatches: self.work.dispatches + self.update.len(),
+            multiply_adds: self.work.multiply_adds,
+            bytes_sent: self.sent,
+            tiles: self.tiles.name().into(),
+            kernels: self.profile(0)?.into_iter().map(of_kernel).collect(),
+        })
     }
 
     fn wait_for_reports(&mut self) -> Result<()> {
@@ -275,23 +249,6 @@ impl Steps {
         Ok(4 * values.len())
     }
 
-    /// Copies parameters into the model's variables, and returns the moments in their order.
-    ///
-    /// # Errors
-    /// The device was lost.
-    pub fn fetch(&self) -> Result<[Vec<Tensor>; 2]> {
-        let mut moments: [Vec<Tensor>; 2] = Default::default();
-        for (learned, (_, field)) in self.learned.iter().zip(self.fields.by_role()) {
-            let [values, first, second] = learned.read(&self.gpu, &self.shape)?;
-            for ((_, var), value) in field.variables().iter().zip(values) {
-                var.set(&value)?;
-            }
-            moments[0].extend(first);
-            moments[1].extend(second);
-        }
-        Ok(moments)
-    }
-
     /// Computes a step without an update, and returns its gradients in the host's order, for tests.
     #[doc(hidden)]
     pub fn gradients(&mut self, step: u64) -> Result<(StepReport, Vec<Tensor>)> {
@@ -307,18 +264,10 @@ impl Steps {
         Ok((report, gradients))
     }
 
-    /// Whether the device measures the time of kernels.
-    pub fn has_timestamps(&self) -> bool {
-        self.gpu.has_timestamps()
-    }
-
-    /// Measures each kernel of a step, summed by name: milliseconds and dispatches.
-    ///
-    /// # Errors
-    /// The device has no timestamps, or was lost.
-    pub fn profile(&mut self, step: u64) -> Result<Vec<(&'static str, f64, usize)>> {
+    /// Measures each kernel of a step, summed by name: milliseconds and dispatches. Empty if the device has no timestamps.
+    fn profile(&mut self, step: u64) -> Result<Vec<(&'static str, f64, usize)>> {
         if !self.gpu.has_timestamps() {
-            return Err(Error::Config(format!("{} has no timestamps", self.gpu.description())));
+            return Ok(Vec::new());
         }
         self.send(step, 1, 0.0)?;
         let work = &self.plain;
@@ -333,6 +282,49 @@ impl Steps {
         }
         sums.sort_by(|a, b| b.1.total_cmp(&a.1));
         Ok(sums)
+    }
+}
+
+impl DeviceSteps for Steps {
+    fn columns(&self) -> LogColumns {
+        log_columns(&self.config, &self.plan, self.config.regularizer.terms().map(|(term, _)| term.name()))
+    }
+
+    fn step(&mut self, StepAt { step, updates, learning_rate, log }: StepAt) -> Result<()> {
+        if self.waiting.len() == MOST_REPORTS {
+            self.wait_for_reports()?;
+        }
+        self.compute(step, updates, learning_rate, log, true)
+    }
+
+    fn reports(&mut self) -> Result<Vec<StepReport>> {
+        self.wait_for_reports()?;
+        Ok(std::mem::take(&mut self.reports))
+    }
+
+    fn most_reports(&self) -> usize {
+        MOST_REPORTS
+    }
+
+    fn try_step(&mut self, step: u64, log: bool) -> Result<StepReport> {
+        self.wait_for_reports()?;
+        self.compute(step, 1, 0.0, log, false)?;
+        let waited = self.wait_for_reports();
+        self.clear_gradients();
+        waited?;
+        Ok(self.reports.pop().expect("the step that was waited for"))
+    }
+
+    fn fetch(&mut self) -> Result<Vec<Moments>> {
+        let mut moments = Vec::new();
+        for (learned, (_, field)) in self.learned.iter().zip(self.fields.by_role()) {
+            let [values, first, second] = learned.read(&self.gpu, &self.shape)?;
+            for ((_, var), value) in field.variables().iter().zip(values) {
+                var.set(&value)?;
+            }
+            moments.extend(first.into_iter().zip(second).map(|(first, second)| Moments { first, second }));
+        }
+        Ok(moments)
     }
 }
 
@@ -480,14 +472,17 @@ fn has_tangents(config: &Resolved) -> bool {
 }
 
 /// Copies the parameters of fields, with their moments, to the device.
-fn copied(gpu: &Gpu, shape: &Shape, fields: &Fields, moments: Option<[Vec<Tensor>; 2]>) -> Result<Vec<FieldBuffers>> {
+fn copied(gpu: &Gpu, shape: &Shape, fields: &Fields, moments: Option<&[Moments]>) -> Result<Vec<FieldBuffers>> {
     let mut start = 0;
     let mut learned = Vec::new();
     for (_, field) in fields.by_role() {
         let values: Vec<Tensor> = field.variables().iter().map(|(_, var)| var.as_detached_tensor()).collect();
         let part = start..start + values.len();
-        let of_field = moments.as_ref().map(|pair| [pair[0][part.clone()].to_vec(), pair[1][part.clone()].to_vec()]);
         start = part.end;
+        let of_field = moments.map(|moments| {
+            let of = |which: fn(&Moments) -> &Tensor| moments[part.clone()].iter().map(|m| which(m).clone()).collect();
+            [of(|moments| &moments.first), of(|moments| &moments.second)]
+        });
         learned.push(FieldBuffers::new(gpu, shape, &values, of_field)?);
     }
     Ok(learned)

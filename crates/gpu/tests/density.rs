@@ -5,6 +5,7 @@ mod common;
 use augnerf_core::field::{Density, FieldDensity};
 use augnerf_core::losses::{measure, measure_density};
 use augnerf_core::methods::FieldLearner;
+use augnerf_core::runtime::Accelerator;
 use augnerf_core::space::{Lattice, densities};
 use candle_core::{DType, Device, Tensor};
 use common::{config, flat, gpu, scene};
@@ -25,7 +26,7 @@ fn compare(settings: &[&str]) {
         }
     }
     let field = learner.fields().evaluated();
-    let (host, device) = (FieldDensity::new(field).unwrap(), augnerf_gpu::density(gpu(), field).unwrap());
+    let (host, device) = (FieldDensity::new(field).unwrap(), gpu().density(field).unwrap());
     let (points, variance) = (points(), [0.0; 3]);
     let views = points.broadcast_div(&points.sqr().unwrap().sum_keepdim(1).unwrap().sqrt().unwrap()).unwrap();
     let near = |found: &Tensor, expected: &Tensor, what: &str| {

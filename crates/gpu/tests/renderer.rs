@@ -4,6 +4,7 @@ mod common;
 
 use augnerf_core::data::{RayBuffer, RayParts};
 use augnerf_core::methods::{FieldLearner, FieldRenderer, Renderer};
+use augnerf_core::runtime::Accelerator;
 use augnerf_core::settings::PixelOrigin;
 use candle_core::{DType, Device, Tensor};
 use common::{config, flat, gpu, scene};
@@ -24,7 +25,7 @@ fn differences(settings: &[&str]) -> [f64; 3] {
     let rays = RayBuffer::new(&pixels, None, PixelOrigin::Corner, RayParts::default());
     let rays = rays.to_tensors(DType::F32, &Device::Cpu).unwrap();
     let on_host = FieldRenderer::new(&fields, &config, &scene).unwrap().render(&rays).unwrap();
-    let renderer = augnerf_gpu::renderer(gpu(), &fields, &config, &scene).unwrap();
+    let renderer = gpu().renderer(&fields, &config, &scene).unwrap();
     let found = renderer.render(&rays).unwrap();
     let largest = |a: &Tensor, b: &Tensor| {
         let pairs = flat(a).into_iter().zip(flat(b));

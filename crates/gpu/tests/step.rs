@@ -2,7 +2,7 @@
 
 mod common;
 
-use augnerf_core::methods::{FieldLearner, Learner};
+use augnerf_core::methods::{DeviceSteps, FieldLearner, Learner, StepAt};
 use augnerf_core::settings::DensityActivation;
 use augnerf_gpu::Steps;
 use candle_core::{DType, Device, Tensor};
@@ -10,6 +10,10 @@ use common::{config, flat, gpu, scene};
 
 fn norm(values: impl Iterator<Item = f64>) -> f64 {
     values.map(|x| x * x).sum::<f64>().sqrt()
+}
+
+fn at(step: u64, learning_rate: f64, log: bool) -> StepAt {
+    StepAt { step, updates: step + 1, learning_rate, log }
 }
 
 /// How much a step on the device may differ, relatively.
@@ -198,7 +202,7 @@ fn rays_in_parts_have_the_numbers_of_all_at_once() {
         let step = |budget: usize| {
             let gpu = gpu().with_budget(budget);
             let mut steps = Steps::new(&gpu, &config, &scene, learner.fields(), None).unwrap();
-            let dispatches = steps.work().0;
+            let dispatches = steps.work().unwrap().dispatches;
             let (report, gradients) = steps.gradients(3).unwrap();
             (dispatches, report.loss, gradients.iter().flat_map(flat).collect::<Vec<f64>>())
         };
@@ -246,9 +250,9 @@ fn the_same_bytes_twice_and_after_a_fetch() {
             for step in 0..4 {
                 if stops && step == 2 {
                     let moments = steps.fetch().unwrap();
-                    steps = Steps::new(gpu(), &config, &scene, learner.fields(), Some(moments)).unwrap();
+                    steps = Steps::new(gpu(), &config, &scene, learner.fields(), Some(&moments)).unwrap();
                 }
-                steps.step(step, step + 1, 0.01, step == 1).unwrap();
+                steps.step(at(step, 0.01, step == 1)).unwrap();
                 // Reports may be asked for after each step, or after several.
                 if stops || step == 3 {
                     losses.extend(steps.reports().unwrap().into_iter().map(|report| report.loss));
@@ -256,7 +260,9 @@ fn the_same_bytes_twice_and_after_a_fetch() {
             }
             let moments = steps.fetch().unwrap();
             let values = learner.fields().variables().into_iter().map(|(_, var)| var.as_tensor().copy().unwrap());
-            let all = values.chain(moments.into_iter().flatten()).map(|tensor| flat(&tensor));
+            let all = values
+                .chain(moments.into_iter().flat_map(|moments| [moments.first, moments.second]))
+                .map(|tensor| flat(&tensor));
             assert_eq!(losses.len(), 4);
             all.chain([losses]).collect::<Vec<Vec<f64>>>()
         };
@@ -282,7 +288,7 @@ fn what_is_not_finite_is_reported() {
     };
     let before = values();
     // The first of several that nobody waited for.
-    (4..7).for_each(|step| steps.step(step, step + 1, 0.01, false).unwrap());
+    (4..7).for_each(|step| steps.step(at(step, 0.01, false)).unwrap());
     let error = steps.reports().unwrap_err().to_string();
     assert!(
         error.contains("diverged at step 5: the ") && error.contains(" fine") && error.contains("not a number"),
@@ -301,12 +307,12 @@ fn the_first_of_many_waiting_steps_that_is_not_finite_is_named() {
     let (config, scene) = (config(&["method=nerf"]), scene());
     let (learner, _) = FieldLearner::start(&config, &scene, DType::F32, &Device::Cpu).unwrap();
     let mut steps = Steps::new(gpu(), &config, &scene, learner.fields(), None).unwrap();
-    (0..20).for_each(|step| steps.step(step, step + 1, 0.001, false).unwrap());
+    (0..20).for_each(|step| steps.step(at(step, 0.001, false)).unwrap());
     let reports = steps.reports().unwrap();
     assert_eq!(reports.len(), 20);
     assert!(reports[19].loss < reports[0].loss, "{} {}", reports[0].loss, reports[19].loss);
     // A rate that leaves no finite loss: step 24 moves, and step 25 says so.
-    (20..28).for_each(|step| steps.step(step, step + 1, if step == 23 { 1e30 } else { 0.001 }, false).unwrap());
+    (20..28).for_each(|step| steps.step(at(step, if step == 23 { 1e30 } else { 0.001 }, false)).unwrap());
     let error = steps.reports().unwrap_err().to_string();
     assert!(error.contains("diverged at step 25: the loss"), "{error}");
 }

@@ -5,12 +5,11 @@ use std::time::Instant;
 use candle_core::DType;
 use serde::Serialize;
 
-use crate::accelerator::{self, DeviceWork};
 use crate::base::{Error, Image, Result};
 use crate::data::{Camera, Scene, View};
 use crate::field::peak_gflops;
 use crate::revision::revision;
-use crate::runtime::{Runtime, peak_memory_mib};
+use crate::runtime::{DeviceWork, Runtime, peak_memory_mib};
 use crate::settings::{DataKind, Extent, Method, Preset, REGULARIZERS, Regularizer, Resolved, parse_assignment};
 use crate::train::Trainer;
 
@@ -246,6 +245,10 @@ impl Workload {
         let multiply_adds = done.multiply_adds as f64 / self.steps as f64;
         let gflops = 2e-9 * multiply_adds / median;
         let peak = fused.then(peak_gflops);
+        let on_device = runtime.accelerator().map(|accelerator| {
+            let fields = trainer.model()?.fields_on_accelerator(&config)?;
+            accelerator.work(&config, &scene_of(config.method), fields)
+        });
         Ok(Timed {
             peer: format!("augnerf {}", revision()),
             workload,
@@ -261,7 +264,7 @@ impl Workload {
             gemm_peak_gflops: peak,
             share_of_peak: peak.map(|peak| gflops / peak),
             peak_memory_mib: memory,
-            on_device: accelerator::work(runtime, &config, &scene_of(config.method), trainer.model()?)?,
+            on_device: on_device.transpose()?,
         })
     }
 }

@@ -7,7 +7,7 @@ use candle_core::{DType, Device, Tensor, Var};
 use crate::accelerator;
 use crate::base::{Error, Result};
 use crate::data::Scene;
-use crate::field::Density;
+use crate::field::{Density, Field, FieldDensity};
 use crate::losses::WeightedTerm;
 use crate::methods::{Family, FieldLearner, FieldRenderer, Fields, Learner, Network, Renderer, is_timed};
 use crate::runtime::Runtime;
@@ -21,16 +21,6 @@ pub enum Model {
     Fields(Fields),
     /// Another representation: Scene Representation Networks, Neural Volumes, the network of LLFF.
     Baseline(Representation, Arc<dyn Network>),
-}
-
-/// The start of a run.
-pub struct Start {
-    /// The initial parameters.
-    pub model: Model,
-    /// Learner of these parameters.
-    pub learner: Box<dyn Learner>,
-    /// How often each of [`Model::parts`] was initialized again because it started dead.
-    pub redraws: Vec<u64>,
 }
 
 /// Returns how a representation's parameters are made, or `None` for radiance fields and if baselines are not built
@@ -56,23 +46,21 @@ fn baseline(config: &Config) -> Result<&'static dyn Family> {
 }
 
 impl Model {
-    /// Starts a run at step 0. A network that starts dead is initialized again.
+    /// Returns the initial parameters of a run, and how often each of [`Model::parts`] was initialized again because it
+    /// started dead.
     ///
     /// # Errors
     /// Settings do not suit the scene; every initialization is dead; the method is not built in.
-    pub fn start(config: &Resolved, scene: &Scene, dtype: DType, runtime: &Runtime) -> Result<Start> {
+    pub fn start(config: &Resolved, scene: &Scene, dtype: DType, runtime: &Runtime) -> Result<(Model, Vec<u64>)> {
         let device = runtime.device();
         if config.representation().is_field() {
             let (learner, redraws) = FieldLearner::start(config, scene, dtype, device)?;
             check_duration(&learner, config, runtime)?;
-            let model = Model::Fields(learner.fields().clone());
-            return Ok(Start { model, learner: Box::new(learner), redraws });
+            return Ok((Model::Fields(learner.fields().clone()), redraws));
         }
         let family = baseline(config)?;
         family.check(config, scene)?;
-        let model = Model::Baseline(config.representation(), family.init(config, dtype, device)?);
-        let learner = model.learner(config, scene, dtype, device)?;
-        Ok(Start { model, learner, redraws: vec![0] })
+        Ok((Model::Baseline(config.representation(), family.init(config, dtype, device)?), vec![0]))
     }
 
     /// Checks that a run can start at step 0. It makes a model only to measure terms in space at very many points.
@@ -89,30 +77,15 @@ impl Model {
         }
     }
 
-    /// Returns the learner of a new run with these parameters, after the checks of a run's start.
+    /// Checks that a run can start from these parameters.
     ///
     /// # Errors
     /// Settings do not suit the scene.
-    pub fn first_learner(
-        &self,
-        config: &Resolved,
-        scene: &Scene,
-        dtype: DType,
-        runtime: &Runtime,
-    ) -> Result<Box<dyn Learner>> {
-        let device = runtime.device();
-        match self {
-            Model::Fields(fields) => {
-                FieldLearner::check(config, scene, dtype, device)?;
-                let learner = FieldLearner::new(config, scene, fields.clone(), dtype, device)?;
-                check_duration(&learner, config, runtime)?;
-                Ok(Box::new(learner))
-            }
-            Model::Baseline(..) => {
-                baseline(config)?.check(config, scene)?;
-                self.learner(config, scene, dtype, device)
-            }
-        }
+    pub fn check_start(&self, config: &Resolved, scene: &Scene, dtype: DType, runtime: &Runtime) -> Result<()> {
+        let Model::Fields(fields) = self else { return baseline(config)?.check(config, scene) };
+        FieldLearner::check(config, scene, dtype, runtime.device())?;
+        let learner = FieldLearner::new(config, scene, fields.clone(), dtype, runtime.device())?;
+        check_duration(&learner, config, runtime)
     }
 
     /// Returns the names of a configuration's networks, in the fixed order of parameters.
@@ -180,7 +153,7 @@ impl Model {
     /// A weight is not a number; errors of candle; the runtime's accelerator does not render the method.
     pub fn renderer(&self, config: &Config, scene: &Scene, runtime: &Runtime) -> Result<Box<dyn Renderer>> {
         if let Some(accelerator) = runtime.accelerator() {
-            return accelerator::renderer(&**accelerator, config, scene, self);
+            return accelerator.renderer(self.fields_on_accelerator(config)?, config, scene);
         }
         match self {
             Model::Fields(fields) => Ok(Box::new(FieldRenderer::new(fields, config, scene)?)),
@@ -202,11 +175,22 @@ impl Model {
     /// The method has no density; the runtime's accelerator does not compute it.
     pub fn density(&self, runtime: &Runtime) -> Result<Box<dyn Density>> {
         match self {
-            Model::Fields(fields) => accelerator::density(runtime, fields.evaluated()),
+            Model::Fields(fields) => density(runtime, fields.evaluated()),
             Model::Baseline(representation, network) => {
                 let density = network.density()?;
                 density.ok_or_else(|| unsupported(*representation, Capability::Density, "no density"))
             }
+        }
+    }
+
+    /// Returns the radiance fields, which alone an accelerator trains and renders.
+    ///
+    /// # Errors
+    /// The method has no radiance fields.
+    pub(crate) fn fields_on_accelerator(&self, config: &Config) -> Result<&Fields> {
+        match self {
+            Model::Fields(fields) => Ok(fields),
+            Model::Baseline(..) => Err(accelerator::refused(config)),
         }
     }
 
@@ -221,6 +205,14 @@ impl Model {
                 Err(unsupported(*representation, Capability::Samples, "no radiance fields"))
             }
         }
+    }
+}
+
+/// Returns the density of a field, on the runtime's accelerator where it has one.
+pub(crate) fn density(runtime: &Runtime, field: &Field) -> Result<Box<dyn Density>> {
+    match runtime.accelerator() {
+        Some(accelerator) => accelerator.density(field),
+        None => Ok(Box::new(FieldDensity::new(field)?)),
     }
 }
 

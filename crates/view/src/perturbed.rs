@@ -63,7 +63,7 @@ impl PerturbedRenderer {
     /// # Errors
     /// Those of candle.
     pub fn pass(&self, rays: &Rays, target: Option<&Tensor>, attack: &Attack, part: u64) -> Result<PassOutput> {
-        let (coarse, field) = (&self.fields.coarse, self.fields.evaluated());
+        let (coarse, field) = (self.fields.coarse(), self.fields.evaluated());
         let sampling = &self.config.sampling;
         let own =
             stratified(self.bounds, sampling.spacing, rays.len(), columns(coarse, sampling).0, None, &rays.origins)?;

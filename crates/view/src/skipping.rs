@@ -40,11 +40,8 @@ impl SkippingRenderer {
     ) -> Result<Option<SkippingRenderer>> {
         let fields = fields.frozen()?;
         let mut space_of = |field: &Field| EmptySpace::of(field, config, scene, runtime, pause);
-        let Some(coarse) = space_of(&fields.coarse)? else { return Ok(None) };
-        let fine = match fields.by_role().into_iter().find(|(role, _)| *role == "fine") {
-            Some((_, fine)) => space_of(fine)?,
-            None => None,
-        };
+        let Some(coarse) = space_of(fields.coarse())? else { return Ok(None) };
+        let fine = fields.get("fine").map(space_of).transpose()?.flatten();
         let (sampling, bounds, background) = (config.sampling.clone(), scene.bounds(), scene.background);
         Ok(Some(SkippingRenderer { fields, spaces: (coarse, fine), sampling, bounds, background }))
     }
@@ -86,7 +83,7 @@ impl SkippingRenderer {
 
     /// Returns the weights of the coarse pass, `[rays, samples]`, from densities alone.
     fn coarse_weights(&self, rays: &Rays, t_vals: &Tensor) -> Result<Tensor> {
-        let field = &self.fields.coarse;
+        let field = self.fields.coarse();
         let samples = samples_of(field, t_vals)?;
         let (points, asked) = points_of_interest(field, &self.spaces.0, rays, t_vals)?;
         let mut density = vec![0f32; rays.len() * samples];
@@ -105,7 +102,7 @@ impl Renderer for SkippingRenderer {
     }
 
     fn render(&self, rays: &Rays) -> Result<RenderedRays> {
-        let coarse = &self.fields.coarse;
+        let coarse = self.fields.coarse();
         let (columns, fine_columns) = columns(coarse, &self.sampling);
         let t_vals = stratified(self.bounds, self.sampling.spacing, rays.len(), columns, None, &rays.origins)?;
         let Some(fine) = self.fields.fine() else { return self.pass(coarse, &self.spaces.0, rays, &t_vals) };

@@ -2,12 +2,11 @@
 
 use candle_core::{DType, Tensor, Var};
 
-use crate::base::{Error, Image, Result};
+use crate::base::{Image, Result};
 use crate::data::Scene;
 use crate::grids::alpha_over::alpha_over;
 use crate::grids::blend_views::blend_views;
 use crate::grids::planes::plane_sample;
-use crate::losses::LossTerm;
 use crate::methods::Gradients;
 use crate::methods::{Extremes, Learner, LogColumns, StepReport, StepResult, StopCheck, Term};
 use crate::settings::{PlanesLoss, Resolved};
@@ -109,13 +108,6 @@ impl Learner for PlanesLearner {
         LogColumns { photometric: vec![LOSS.into()], further: Vec::new() }
     }
 
-    fn add_term(&mut self, term: LossTerm, _weight: f64) -> Result<()> {
-        Err(Error::Config(format!(
-            "the term '{}' needs a field's density or weights along a ray, which method llff lacks; use nerf or aug-nerf",
-            term.name()
-        )))
-    }
-
     fn step(&mut self, step: u64, _log: bool, stop_check: &StopCheck) -> Result<StepResult> {
         let work = draw(&self.config, &self.stage, step)?;
         let blended = self.blended(&self.network.weights(true), &work, stop_check)?;
@@ -132,14 +124,9 @@ impl Learner for PlanesLearner {
         let number = |tensor: &Tensor| tensor.to_dtype(DType::F64)?.to_scalar::<f64>();
         let value = number(&loss)?;
         let described = "loss of the view that is left out".to_string();
-        let report = StepReport {
-            terms: vec![Term { name: LOSS.into(), described, value, weight: 1.0 }],
-            loss: value,
-            mse: number(&square)?,
-            extremes: Extremes::read(&Extremes::tensor(&blended.acc, &blended.rgb, &target)?.to_vec1::<f64>()?),
-            sites: Vec::new(),
-            of_weights: Vec::new(),
-        };
+        let terms = vec![Term { name: LOSS.into(), described, value, weight: 1.0 }];
+        let extremes = Extremes::tensor(&blended.acc, &blended.rgb, &target)?.to_vec1::<f64>()?;
+        let report = StepReport::new(terms, value, number(&square)?, Extremes::read(&extremes));
         Ok(StepResult { gradients, report })
     }
 }

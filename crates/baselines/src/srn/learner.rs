@@ -2,10 +2,9 @@
 
 use candle_core::{DType, Device};
 
+use crate::base::Result;
 use crate::base::rng::{Random, Stream};
-use crate::base::{Error, Result};
 use crate::data::{RayParts, Scene};
-use crate::losses::LossTerm;
 use crate::methods::Batches;
 use crate::methods::{Learner, LogColumns, StepReport, StepResult, StopCheck, Term};
 use crate::runtime::over_parts;
@@ -83,13 +82,6 @@ impl Learner for SrnLearner {
         LogColumns { photometric: vec!["loss_image".into()], further }
     }
 
-    fn add_term(&mut self, term: LossTerm, _weight: f64) -> Result<()> {
-        Err(Error::Config(format!(
-            "the term '{}' needs a radiance field's samples or density, which method srn lacks; use nerf",
-            term.name()
-        )))
-    }
-
     fn step(&mut self, step: u64, _log: bool, stop_check: &StopCheck) -> Result<StepResult> {
         let work = self.draw(step);
         let sums = self.march(&work, stop_check)?;
@@ -103,19 +95,14 @@ impl Learner for SrnLearner {
             value,
             weight,
         };
-        let report = StepReport {
-            terms: vec![
-                term("loss_image", "loss of the colours", image, srn.image_weight),
-                term("loss_depth", "loss of depths behind the camera", depth, srn.depth_weight),
-                // If all rays end at one depth, the image is blank. This is a diagnostic, not part of the loss.
-                term("depth_deviation", "deviation of the rays' depths", deviation, 0.0),
-            ],
-            loss: srn.image_weight * image + srn.depth_weight * depth,
-            mse: sums.error / (3.0 * rays),
-            extremes: sums.extremes,
-            sites: Vec::new(),
-            of_weights: Vec::new(),
-        };
+        let terms = vec![
+            term("loss_image", "loss of the colours", image, srn.image_weight),
+            term("loss_depth", "loss of depths behind the camera", depth, srn.depth_weight),
+            // If all rays end at one depth, the image is blank. This is a diagnostic, not part of the loss.
+            term("depth_deviation", "deviation of the rays' depths", deviation, 0.0),
+        ];
+        let loss = srn.image_weight * image + srn.depth_weight * depth;
+        let report = StepReport::new(terms, loss, sums.error / (3.0 * rays), sums.extremes);
         Ok(StepResult { gradients: sums.gradients(&self.srn)?, report })
     }
 }

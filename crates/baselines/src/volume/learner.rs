@@ -2,12 +2,11 @@
 
 use candle_core::{DType, Device, Tensor, Var};
 
+use crate::base::Result;
 use crate::base::rng::{Random, Stream};
-use crate::base::{Error, Result};
 use crate::data::{RayParts, Scene};
 use crate::grids::march::{March, Pace};
 use crate::grids::variation::log_variation;
-use crate::losses::LossTerm;
 use crate::methods::Batches;
 use crate::methods::Gradients;
 use crate::methods::{Extremes, Learner, LogColumns, StepReport, StepResult, StopCheck, Term};
@@ -128,13 +127,6 @@ impl Learner for VolumeLearner {
         LogColumns { photometric: vec!["loss_image".into()], further }
     }
 
-    fn add_term(&mut self, term: LossTerm, _weight: f64) -> Result<()> {
-        Err(Error::Config(format!(
-            "the term '{}' needs a radiance field's samples or derivatives, which method nv lacks; use nerf",
-            term.name()
-        )))
-    }
-
     fn step(&mut self, step: u64, _log: bool, stop_check: &StopCheck) -> Result<StepResult> {
         let batch = self.batches.batch(step);
         let rays = batch.rays.to_tensors(self.dtype, &self.device)?;
@@ -179,14 +171,7 @@ impl Learner for VolumeLearner {
         // loss.
         terms.push(term("mean_acc", "mean accumulation", &losses.acc.mean_all()?, 0.0)?);
         let extremes = Extremes::tensor(&losses.acc, &(losses.rgb / WHITE)?, &target)?.to_vec1::<f64>()?;
-        let report = StepReport {
-            terms,
-            loss,
-            mse,
-            extremes: Extremes::read(&extremes),
-            sites: Vec::new(),
-            of_weights: Vec::new(),
-        };
+        let report = StepReport::new(terms, loss, mse, Extremes::read(&extremes));
         Ok(StepResult { gradients, report })
     }
 }

@@ -19,7 +19,7 @@ const LAST_LOGS: usize = 10;
 const EIGHT_BIT: f64 = 255.0;
 
 /// Returns the mean absolute difference between colours of the same rays, in 8-bit steps.
-pub(super) fn colour_shift(moved: &Tensor, unmoved: &Tensor) -> Result<f64> {
+pub fn colour_shift(moved: &Tensor, unmoved: &Tensor) -> Result<f64> {
     Ok(EIGHT_BIT * (moved - unmoved)?.abs()?.mean_all()?.to_dtype(DType::F64)?.to_scalar::<f64>()?)
 }
 

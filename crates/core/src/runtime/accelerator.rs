@@ -1,12 +1,19 @@
 //! Accelerators that are no device of candle.
 
-use std::any::Any;
 use std::fmt::Debug;
 
-use crate::base::Result;
+use serde::Serialize;
 
-/// A device that trains and renders with its own program, such as a GPU. candle computes on the CPU beside it.
-pub trait Accelerator: Any + Debug + Send + Sync {
+use crate::base::{Error, Result};
+use crate::data::Scene;
+use crate::field::{Density, Field};
+use crate::methods::{DeviceSteps, Fields, Renderer};
+use crate::optimizer::Moments;
+use crate::settings::{Config, Resolved};
+
+/// A device that trains and renders fields with its own program, such as a GPU. candle computes on the CPU beside it. What it
+/// does not implement ends with an error that names it.
+pub trait Accelerator: Debug + Send + Sync {
     /// Returns adapter and driver, for a run's provenance: `NVIDIA H200, Vulkan, driver 580.159`.
     fn description(&self) -> String;
 
@@ -16,6 +23,80 @@ pub trait Accelerator: Any + Debug + Send + Sync {
     /// If the device is lost.
     fn synchronize(&self) -> Result<()>;
 
-    /// Returns itself, for those who know its type.
-    fn as_any(&self) -> &dyn Any;
+    /// Checks that it trains a configuration.
+    ///
+    /// # Errors
+    /// [`Error::Config`] names what it does not train.
+    fn check(&self, _config: &Resolved) -> Result<()> {
+        Err(unsupported(self))
+    }
+
+    /// Returns what trains fields, with the moments of their parameters, or with 0.
+    ///
+    /// # Errors
+    /// [`Error::Config`]: it does not train what the configuration asks for, or has too little memory.
+    fn steps(
+        &self,
+        _config: &Resolved,
+        _scene: &Scene,
+        _fields: &Fields,
+        _moments: Option<&[Moments]>,
+    ) -> Result<Box<dyn DeviceSteps>> {
+        Err(unsupported(self))
+    }
+
+    /// Counts and measures what a step does.
+    ///
+    /// # Errors
+    /// Those of [`Accelerator::steps`] and of a step.
+    fn work(&self, _config: &Resolved, _scene: &Scene, _fields: &Fields) -> Result<DeviceWork> {
+        Err(unsupported(self))
+    }
+
+    /// Returns what renders fields with their current weights.
+    ///
+    /// # Errors
+    /// [`Error::Config`]: it does not render such fields, or has too little memory.
+    fn renderer(&self, _fields: &Fields, _config: &Config, _scene: &Scene) -> Result<Box<dyn Renderer>> {
+        Err(unsupported(self))
+    }
+
+    /// Returns the density of a field with its current weights.
+    ///
+    /// # Errors
+    /// [`Error::Config`]: it does not query such a field, or has too little memory.
+    fn density(&self, _field: &Field) -> Result<Box<dyn Density>> {
+        Err(unsupported(self))
+    }
+}
+
+fn unsupported<A: Accelerator + ?Sized>(accelerator: &A) -> Error {
+    let description = accelerator.description();
+    Error::Config(format!("device gpu: this program cannot train or render on {description}; use --device cpu"))
+}
+
+/// What a step does on an accelerator.
+#[derive(Clone, Debug, Default, PartialEq, Serialize)]
+pub struct DeviceWork {
+    /// Dispatches of kernels.
+    pub dispatches: usize,
+    /// Multiply-adds of matrix products.
+    pub multiply_adds: f64,
+    /// Bytes sent to the device.
+    pub bytes_sent: usize,
+    /// The tiles in which wide layers are multiplied.
+    pub tiles: String,
+    /// Each kind of kernel, the longest first, measured one after another. Empty if the device has no timestamps.
+    pub kernels: Vec<KernelTime>,
+}
+
+/// The dispatches of a kernel in a step.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct KernelTime {
+    /// The kernel.
+    pub kernel: String,
+    /// Their number.
+    pub dispatches: usize,
+    /// Their time together.
+    pub milliseconds: f64,
 }

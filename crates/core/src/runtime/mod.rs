@@ -15,7 +15,7 @@ mod memory;
 mod process;
 mod work;
 
-pub use accelerator::Accelerator;
+pub use accelerator::{Accelerator, DeviceWork, KernelTime};
 pub use host::{Host, Timing, instructions};
 pub use host::{free_memory_mib, host_name, peak_memory_mib};
 pub use memory::MemoryWatch;
@@ -310,10 +310,6 @@ mod tests {
         fn synchronize(&self) -> Result<()> {
             Err(Error::Config("the card is lost".into()))
         }
-
-        fn as_any(&self) -> &dyn std::any::Any {
-            self
-        }
     }
 
     #[test]
@@ -325,7 +321,7 @@ mod tests {
             assert!(runtime.device().is_cpu() && !runtime.is_cpu() && runtime.instructions().is_none());
             let shared = runtime.share(2).unwrap();
             let card = shared.accelerator().unwrap();
-            assert!(card.as_any().is::<Card>() && card.description() == "a card, driver 1");
+            assert_eq!(card.description(), "a card, driver 1");
             assert_eq!(shared.synchronize().unwrap_err().to_string(), "the card is lost");
             // In turn: a part sees those before it.
             let seen = std::sync::Mutex::new(Vec::new());

@@ -82,7 +82,7 @@ impl Profile {
         check_pixel(pixel, &run.view.camera)?;
         let bounds = scene.bounds();
         let fields = model.fields()?.frozen()?;
-        let (coarse, fine) = (&fields.coarse, fields.fine());
+        let (coarse, fine) = (fields.coarse(), fields.fine());
         let pixel = [(&run.view.camera, pixel.0 as u32, pixel.1 as u32)];
         let parts = ray_parts(fields.evaluated());
         let ray = RayBuffer::new(&pixel, scene.ndc.as_ref(), config.data.origin_of_pixels(), parts)

@@ -23,8 +23,8 @@ use super::preview::{self, Preview};
 use super::scene_file::RecordedScene;
 use super::session::stop_check;
 use super::{
-    Between, EVALUATION_COLUMNS, Existing, Measurement, Outcome, Pictures, Report, RunDir, Session,
-    TRAINING_VIEW_COLUMNS, Viewer, interrupted, scene_file, surface_reference,
+    Between, EVALUATION_COLUMNS, Existing, Measurement, Pictures, Report, RunDir, Session, TRAINING_VIEW_COLUMNS,
+    Viewer, interrupted, scene_file, surface_reference,
 };
 
 /// The inputs of a training.
@@ -315,7 +315,7 @@ impl<'a> Job<'a> {
 }
 
 impl Experiment<'_> {
-    fn train(&self, trainer: Trainer, events: &dyn Listener, signal: &AtomicUsize) -> Result<Finished> {
+    fn train(&self, mut trainer: Trainer, events: &dyn Listener, signal: &AtomicUsize) -> Result<Finished> {
         self.notes.iter().for_each(|note| events.on(Event::Note(note)));
         self.report_redraws(&trainer, events);
         let (first, config) = (trainer.step_count(), &self.setup.config);
@@ -323,24 +323,20 @@ impl Experiment<'_> {
         events.on(Event::TrainingStarted { first, steps, rays });
         let preview = self.previews_from.map(|shortest| Preview::new((first, steps), shortest));
         let mut watcher = Watcher { experiment: self, events, signal, seconds_evaluation: 0.0, preview };
-        let mut session = Session::new(&self.run, trainer)?;
-        let outcome = session.run(signal, events, &mut watcher);
+        let session = trainer.run(&self.run, signal, events, &mut watcher);
         events.on(Event::TrainingFinished);
-        if let Outcome::Stopped { signal } = outcome? {
-            return Err(interrupted(signal, session.trainer().step_count(), self.run.path()));
-        }
+        let Session { seconds, last_terms } = session?;
         let evaluating = Instant::now();
-        let report = self.evaluate(session.trainer(), events, signal)?;
-        let seconds = evaluating.elapsed().as_secs_f64() + watcher.seconds_evaluation;
-        self.timing(session.trainer().step_count(), session.seconds(), seconds).write(&self.run.timing())?;
+        let report = self.evaluate(&trainer, events, signal)?;
+        let of_evaluation = evaluating.elapsed().as_secs_f64() + watcher.seconds_evaluation;
+        self.timing(trainer.step_count(), seconds, of_evaluation).write(&self.run.timing())?;
         // Whoever switches the check of each step off wants the numbers of collapsed trainings, too.
         if self.setup.config.train.collapse_steps > 0 {
             report.check_learned(self.run.path())?;
         }
-        let steps = (session.trainer().step_count(), self.setup.config.train.steps);
-        let heavy_terms = heavy_terms(&self.setup.config, &session.trainer().columns(), session.last_terms());
-        let (model, seconds) = (session.trainer().model()?.clone(), session.seconds());
-        Ok(Finished { report, model, steps, seconds, heavy_terms })
+        let steps = (trainer.step_count(), self.setup.config.train.steps);
+        let heavy_terms = heavy_terms(&self.setup.config, &trainer.columns(), &last_terms);
+        Ok(Finished { report, model: trainer.model()?.clone(), steps, seconds, heavy_terms })
     }
 
     fn report_redraws(&self, trainer: &Trainer, events: &dyn Listener) {

@@ -55,7 +55,7 @@ pub use scalars::Scalars;
 pub use scene_file::WorldMatrix;
 pub use scene_picture::scene_picture;
 pub use score::{Matching, Picture, Score, Truth, pictures, score};
-pub use session::{Between, EVALUATION_COLUMNS, Outcome, Session, TRAINING_VIEW_COLUMNS, interrupted};
+pub use session::{Between, EVALUATION_COLUMNS, Session, TRAINING_VIEW_COLUMNS, interrupted};
 pub use smoothness::{FieldSmoothness, SMOOTHNESS_SIDE, SmoothnessReport, check_measurable, smoothness_box};
 pub use surface::{
     BUILTIN, Surface, builtin_surface, most_memory_mib, reference_mesh, surface_box, surface_reference,

@@ -22,33 +22,18 @@ pub trait Between {
     fn saved(&mut self, step: u64, seconds: f64) -> Result<()>;
 }
 
-/// How a session ended.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Outcome {
-    /// All steps are done.
-    Finished,
-    /// A signal stopped the session; a checkpoint was written.
-    Stopped {
-        /// The signal's number.
-        signal: i32,
-    },
-}
-
 /// Columns of an evaluation during training.
 pub const EVALUATION_COLUMNS: [&str; 2] = ["test_psnr", "test_psnr_float"];
 
 /// Columns that it fills if it also measures training views.
 pub const TRAINING_VIEW_COLUMNS: [&str; 2] = ["train_psnr", "gap"];
 
-/// A training session of one process in one run folder.
-pub struct Session<'a> {
-    run: &'a RunDir,
-    trainer: Trainer,
-    scalars: Scalars,
-    /// Time spent on steps, without logs and evaluations.
-    stepping: Duration,
-    /// The terms of the loss in the last step of this session.
-    last_terms: Vec<Term>,
+/// What a process measured of its part of a training.
+pub struct Session {
+    /// Seconds spent on steps, without logs and evaluations.
+    pub seconds: f64,
+    /// The terms of the loss in the last step; none if it took no step.
+    pub last_terms: Vec<Term>,
 }
 
 /// Returns the columns of `scalars.csv` after `step`.
@@ -84,102 +69,108 @@ fn values(stats: &StepStats) -> Vec<(String, f64)> {
     values
 }
 
-impl<'a> Session<'a> {
-    /// Creates a session that continues from the trainer's step: 0, or that of its checkpoint.
-    pub fn new(run: &'a RunDir, trainer: Trainer) -> Result<Session<'a>> {
-        let columns = columns(&trainer);
+impl Trainer {
+    /// Trains in a run folder from this step, 0 or that of a checkpoint, to the last one. Writes checkpoints every N steps,
+    /// every T minutes, before an evaluated step, at a stop and at the end.
+    ///
+    /// # Errors
+    /// [`Error::Interrupted`], with a checkpoint, once `signal` holds a signal's number, which also interrupts a long step.
+    /// Those of [`Trainer::step`], of logs and checkpoints, and of `between`.
+    pub fn run(
+        &mut self,
+        run: &RunDir,
+        signal: &AtomicUsize,
+        events: &dyn Listener,
+        between: &mut dyn Between,
+    ) -> Result<Session> {
+        let train = self.config().train.clone();
+        let columns = columns(self);
         let columns: Vec<&str> = columns.iter().map(String::as_str).collect();
-        let scalars = Scalars::resume(&run.scalars(), &columns, trainer.step_count())?;
-        Ok(Session { run, trainer, scalars, stepping: Duration::ZERO, last_terms: Vec::new() })
-    }
-
-    /// Returns the trainer at the current step.
-    pub fn trainer(&self) -> &Trainer {
-        &self.trainer
-    }
-
-    /// Returns the seconds spent on steps in this session.
-    pub fn seconds(&self) -> f64 {
-        self.stepping.as_secs_f64()
-    }
-
-    /// Returns the terms of the loss in the last step of this session; none before its first.
-    pub fn last_terms(&self) -> &[Term] {
-        &self.last_terms
-    }
-
-    /// Trains to the last step, or until `signal` holds a signal's number, which also interrupts a long step. Writes
-    /// checkpoints every N steps, every T minutes, before an evaluated step, at a stop and at the end.
-    pub fn run(&mut self, signal: &AtomicUsize, events: &dyn Listener, between: &mut dyn Between) -> Result<Outcome> {
-        let train = self.trainer.config().train.clone();
+        let scalars = Scalars::resume(&run.scalars(), &columns, self.step_count())?;
+        let mut journal = Journal { run, scalars, stepping: Duration::ZERO, last_terms: Vec::new(), events, between };
         let mut saved_at = Instant::now();
         // The session starts from a checkpoint, or from step 0, which is a function of the configuration.
-        let mut saved_step = self.trainer.step_count();
-        while self.trainer.step_count() < train.steps {
-            let next = self.trainer.step_count() + 1;
+        let mut saved_step = self.step_count();
+        while self.step_count() < train.steps {
+            let next = self.step_count() + 1;
             let last = next == train.steps;
             let log = next.is_multiple_of(train.log_every) || last;
             // Only 0 is a multiple of 0, which means "never" here. The last step's evaluation is the run's.
             let evaluate = next.is_multiple_of(train.eval_every) && !last;
             if evaluate && saved_step != next - 1 {
                 // A step's row is written once, with its evaluation. After a stop there, the step is repeated.
-                self.save(events, between)?;
+                journal.save(self)?;
                 (saved_at, saved_step) = (Instant::now(), next - 1);
             }
             let started = Instant::now();
-            let stats = match self.trainer.step_unless(log, log || evaluate, &|| stop_check(signal)) {
+            let stats = match self.step_unless(log, log || evaluate, &|| stop_check(signal)) {
                 Err(Error::Interrupted { signal, .. }) => {
                     // A stop within the step, which is repeated.
-                    self.save(events, between)?;
-                    return Ok(Outcome::Stopped { signal });
+                    journal.save(self)?;
+                    return Err(interrupted(signal, next - 1, run.path()));
                 }
                 stats => stats?,
             };
-            self.stepping += started.elapsed();
+            journal.stepping += started.elapsed();
             if let (Some(stats), true) = (&stats, log || evaluate) {
-                self.log(stats, evaluate, between)?;
+                journal.log(self, stats, evaluate)?;
             }
-            self.measured(stats, events);
-            between.stepped(&self.trainer)?;
+            journal.measured(stats);
+            journal.between.stepped(self)?;
             let by_step = next.is_multiple_of(train.checkpoint_every);
             let minutes = saved_at.elapsed().as_secs_f64() / 60.0;
             let by_time = train.checkpoint_minutes > 0.0 && minutes >= train.checkpoint_minutes;
             let stop = signal.load(Ordering::SeqCst);
             if by_step || by_time || last || stop != 0 {
-                self.save(events, between)?;
+                journal.save(self)?;
                 (saved_at, saved_step) = (Instant::now(), next);
             }
             if stop != 0 && !last {
-                return Ok(Outcome::Stopped { signal: stop as i32 });
+                return Err(interrupted(stop as i32, next, run.path()));
             }
         }
-        Ok(Outcome::Finished)
+        Ok(Session { seconds: journal.stepping.as_secs_f64(), last_terms: journal.last_terms })
     }
+}
 
-    fn log(&mut self, stats: &StepStats, evaluate: bool, between: &mut dyn Between) -> Result<()> {
+/// What is written and told of a training as it goes on.
+struct Journal<'a> {
+    run: &'a RunDir,
+    scalars: Scalars,
+    /// Time spent on steps, without logs and evaluations.
+    stepping: Duration,
+    /// The terms of the loss in the last step of this session.
+    last_terms: Vec<Term>,
+    events: &'a dyn Listener,
+    between: &'a mut dyn Between,
+}
+
+impl Journal<'_> {
+    fn log(&mut self, trainer: &Trainer, stats: &StepStats, evaluate: bool) -> Result<()> {
         let mut values = values(stats);
         if evaluate {
-            values.extend(between.evaluate(&self.trainer)?.into_iter().map(|(name, value)| (name.to_string(), value)));
+            let found = self.between.evaluate(trainer)?;
+            values.extend(found.into_iter().map(|(name, value)| (name.to_string(), value)));
         }
         let named: Vec<(&str, f64)> = values.iter().map(|(name, value)| (name.as_str(), *value)).collect();
         self.scalars.append(stats.step, &named)
     }
 
-    fn measured(&mut self, stats: Option<StepStats>, events: &dyn Listener) {
+    fn measured(&mut self, stats: Option<StepStats>) {
         if let Some(stats) = stats {
-            events.on(Event::Stepped { step: stats.step, loss: stats.loss, psnr: stats.psnr() });
+            self.events.on(Event::Stepped { step: stats.step, loss: stats.loss, psnr: stats.psnr() });
             self.last_terms = stats.terms;
         }
     }
 
-    fn save(&mut self, events: &dyn Listener, between: &mut dyn Between) -> Result<()> {
+    fn save(&mut self, trainer: &mut Trainer) -> Result<()> {
         let started = Instant::now();
-        let stats = self.trainer.catch_up()?;
+        let stats = trainer.catch_up()?;
         self.stepping += started.elapsed();
-        self.measured(stats, events);
+        self.measured(stats);
         self.scalars.sync()?;
-        self.trainer.save(&self.run.checkpoints())?;
-        between.saved(self.trainer.step_count(), self.seconds())
+        trainer.save(&self.run.checkpoints())?;
+        self.between.saved(trainer.step_count(), self.stepping.as_secs_f64())
     }
 }
 

@@ -6,14 +6,13 @@ use std::time::Instant;
 
 use serde::Serialize;
 
-use crate::accelerator;
 use crate::base::csv::csv_of_named;
 use crate::base::files::write_atomic;
 use crate::base::{Error, Event, Listener, Result};
 use crate::data::Scene;
 use crate::field::Density;
 use crate::losses::{Smoothness, estimate_seconds, measure, measure_density};
-use crate::model::Model;
+use crate::model::{Model, density};
 use crate::report::tables::file_field;
 use crate::runtime::Runtime;
 use crate::settings::{Capability, Config};
@@ -96,7 +95,7 @@ fn measure_fields(
     events: &dyn Listener,
 ) -> Result<Vec<FieldSmoothness>> {
     lattice.check_meets(scene, "the sampling grid of smoothness")?;
-    let fields: Vec<_> = model.fields()?.by_role().into_iter().filter(|(role, _)| *role != "adversarial").collect();
+    let fields: Vec<_> = model.fields()?.by_role().filter(|(role, _)| *role != "adversarial").collect();
     // Laplacians are the host's.
     let has_laplacian = fields[0].1.config().has_laplacian();
     let on_accelerator = runtime.accelerator().is_some() && !has_laplacian;
@@ -104,7 +103,7 @@ fn measure_fields(
         events.on(Event::Note("the field has a Laplacian, which the processor computes: this is measured there"));
     }
     let seconds = match on_accelerator {
-        true => seconds_on(&*accelerator::density(runtime, fields[0].1)?, lattice)?,
+        true => seconds_on(&*density(runtime, fields[0].1)?, lattice)?,
         false => estimate_seconds(fields[0].1, lattice, lattice.cells(), &[])?,
     };
     check_duration(seconds * fields.len() as f64, lattice)?;
@@ -114,7 +113,7 @@ fn measure_fields(
     let measured = fields.into_iter().map(|(role, field)| {
         let smoothness = if on_accelerator {
             let mut cells = 0;
-            measure_density(&*accelerator::density(runtime, field)?, lattice, |more| {
+            measure_density(&*density(runtime, field)?, lattice, |more| {
                 let before = cells / CELLS;
                 cells += more;
                 (before..cells / CELLS).for_each(|_| events.on(Event::Advanced));

@@ -339,15 +339,15 @@ impl Trainer {
 
     /// Returns counters and provenance at this step. Dead steps are counted as far as steps are measured.
     pub fn state(&self) -> State {
-        let mut state = State { empty_steps: self.stepping.borrow().dead_steps(), ..self.state.clone() };
+        let mut state = State { empty_steps: self.stepper.borrow().dead_steps(), ..self.state.clone() };
         state.touch(&self.runtime);
         state
     }
 
     fn tensor_bytes(&self) -> Result<Vec<u8>> {
-        let (variables, stepping) = (self.model()?.variables(), self.stepping.borrow());
+        let (variables, stepper) = (self.model()?.variables(), self.stepper.borrow());
         let mut named: Vec<(String, Tensor)> = Vec::new();
-        for ((name, var), moments) in variables.iter().zip(stepping.stepper().moments()) {
+        for ((name, var), moments) in variables.iter().zip(stepper.moments()) {
             named.push((name.clone(), var.as_tensor().clone()));
             named.push((format!("adam.first.{name}"), moments.first.clone()));
             named.push((format!("adam.second.{name}"), moments.second.clone()));
@@ -374,8 +374,8 @@ impl Trainer {
             let state = load_state(checkpoint)?;
             check_config(checkpoint, &state, config)?;
             let (model, moments) = inputs.restore(checkpoint, state.step, true)?;
-            let stepper = inputs.stepper(&model, None, moments)?;
-            Ok(inputs.trainer(model, stepper, state))
+            let steps = inputs.steps(&model, moments)?;
+            Ok(inputs.trainer(model, steps, state))
         })
     }
 }

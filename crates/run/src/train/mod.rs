@@ -10,22 +10,25 @@ use crate::accelerator;
 use crate::base::{Error, Result};
 use crate::data::Scene;
 use crate::losses::LossTerm;
-use crate::methods::{HostStepper, Learner, LogColumns, StepAt, Stepper, StopCheck};
-use crate::model::{Model, Start};
+use crate::methods::{LogColumns, StepAt, StopCheck};
+use crate::model::Model;
 use crate::perturb::Site;
 use crate::runtime::Runtime;
 use crate::settings::Resolved;
 
 pub mod checkpoint;
+mod descent;
 mod health;
 mod memory;
 mod origin;
+mod sharpness;
 mod stats;
-mod stepping;
+mod stepper;
 mod sums;
 
 use checkpoint::State;
-use stepping::Stepping;
+use descent::Descent;
+use stepper::{Stepper, Steps};
 
 pub use crate::optimizer::{Adam, AdamSettings, Moments, learning_rate};
 pub use memory::graphs_mib;
@@ -71,7 +74,7 @@ pub struct Trainer {
     model: Model,
     /// The model after the newest step, once it was asked for.
     shown: OnceCell<Model>,
-    stepping: RefCell<Stepping>,
+    stepper: RefCell<Stepper>,
     /// Counters, and the provenance of earlier steps.
     state: State,
 }
@@ -86,34 +89,28 @@ struct Inputs<'a> {
 }
 
 impl Inputs<'_> {
-    /// Returns what trains `model`, with saved moments or 0. `learner` is that of a new run. This is the one place that
-    /// chooses between an accelerator and candle's devices.
-    fn stepper(
-        self,
-        model: &Model,
-        learner: Option<Box<dyn Learner>>,
-        moments: Option<Vec<Moments>>,
-    ) -> Result<Box<dyn Stepper>> {
+    /// Returns what takes the steps of `model`, with saved moments or 0. This is the one place that chooses between an
+    /// accelerator and candle's devices.
+    fn steps(self, model: &Model, moments: Option<Vec<Moments>>) -> Result<Steps> {
         let Inputs { config, scene, dtype, runtime } = self;
         if let Some(accelerator) = runtime.accelerator() {
-            return accelerator::stepper(&**accelerator, config, scene, model, moments);
+            let fields = model.fields_on_accelerator(config)?;
+            let steps = accelerator.steps(config, scene, fields, moments.as_deref())?;
+            return Ok(Steps::Device(steps, moments.map_or_else(|| Moments::zero(&model.variables()), Ok)?));
         }
-        let learner = match learner {
-            Some(learner) => learner,
-            None => model.learner(config, scene, dtype, runtime.device())?,
-        };
-        Ok(Box::new(HostStepper::new(config, learner, model.variables(), moments)?))
+        let learner = model.learner(config, scene, dtype, runtime.device())?;
+        Ok(Steps::Learner(Box::new(Descent::new(config, learner, model.variables(), moments)?)))
     }
 
     /// Returns a trainer that continues from `state` with parameters and moments of that step.
-    fn trainer(self, model: Model, stepper: Box<dyn Stepper>, state: State) -> Trainer {
+    fn trainer(self, model: Model, steps: Steps, state: State) -> Trainer {
         let Inputs { config, runtime, .. } = self;
         Trainer {
             config: config.clone(),
             runtime: runtime.clone(),
             model,
             shown: OnceCell::new(),
-            stepping: RefCell::new(Stepping::new(stepper, state.empty_steps)),
+            stepper: RefCell::new(Stepper::new(steps, config, state.empty_steps)),
             state: State { format: checkpoint::FORMAT, config_hash: config.hash(), ..state },
         }
     }
@@ -138,9 +135,9 @@ impl Trainer {
         accelerator::check(config, runtime)?;
         let inputs = Inputs { config, scene, dtype, runtime };
         runtime.install(|| {
-            let Start { model, learner, redraws } = Model::start(config, scene, dtype, runtime)?;
-            let stepper = inputs.stepper(&model, Some(learner), None)?;
-            Ok(inputs.trainer(model, stepper, State { redraws, ..State::default() }))
+            let (model, redraws) = Model::start(config, scene, dtype, runtime)?;
+            let steps = inputs.steps(&model, None)?;
+            Ok(inputs.trainer(model, steps, State { redraws, ..State::default() }))
         })
     }
 
@@ -163,7 +160,7 @@ impl Trainer {
         let runtime = self.runtime.clone();
         let mut timed = || -> Result<f64> {
             let started = Instant::now();
-            runtime.install(|| self.stepping.get_mut().stepper_mut().try_step(self.state.step, stop_check))?;
+            runtime.install(|| self.stepper.get_mut().try_step(self.state.step, stop_check))?;
             Ok(started.elapsed().as_secs_f64())
         };
         let first = timed()?;
@@ -181,7 +178,7 @@ impl Trainer {
     /// [`Error::Diverged`]: a number of the steps was not finite, or all rays stayed empty too long. The parameters cannot
     /// be read from their device.
     pub fn model(&self) -> Result<&Model> {
-        self.stepping.borrow_mut().fetch(self.config.train.collapse_steps)?;
+        self.stepper.borrow_mut().fetch()?;
         if self.shown.get().is_none() {
             // What is hidden depends on the step, and is computed from the fetched parameters.
             let _ = self.shown.set(self.model.at_step(&self.config, self.state.step)?);
@@ -201,23 +198,24 @@ impl Trainer {
 
     /// Returns the log columns of the learner's terms and diagnostics.
     pub fn columns(&self) -> LogColumns {
-        self.stepping.borrow().stepper().columns()
+        self.stepper.borrow().columns()
     }
 
-    /// Adds a custom term to the loss; see [`Stepper::add_term`].
+    /// Adds a custom term to the loss; see [`Learner::add_term`](crate::methods::Learner::add_term).
     ///
     /// # Errors
     /// A term of that name exists, or the method cannot compute it.
     pub fn add_term(&mut self, term: LossTerm, weight: f64) -> Result<()> {
-        self.stepping.get_mut().stepper_mut().add_term(term, weight)
+        self.stepper.get_mut().add_term(term, weight)
     }
 
-    /// Adds a site of your own to the perturbed pass; see [`Stepper::add_site`].
+    /// Adds a site of your own to the perturbed pass; see
+    /// [`Learner::add_site`](crate::methods::Learner::add_site).
     ///
     /// # Errors
     /// A site of that name exists, no pass is perturbed, or the method or device takes none.
     pub fn add_site(&mut self, site: impl Site + 'static) -> Result<()> {
-        self.stepping.get_mut().stepper_mut().add_site(Arc::new(site))
+        self.stepper.get_mut().add_site(Arc::new(site))
     }
 
     /// Takes one step and waits for its measurements. With `log`, the learner computes its diagnostics.
@@ -244,7 +242,7 @@ impl Trainer {
     /// # Errors
     /// Those of [`Trainer::step`].
     pub fn catch_up(&mut self) -> Result<Option<StepStats>> {
-        self.stepping.get_mut().catch_up(self.config.train.collapse_steps)
+        self.stepper.get_mut().catch_up()
     }
 
     fn step_here(&mut self, log: bool, wait: bool, stop_check: &StopCheck) -> Result<Option<StepStats>> {
@@ -252,10 +250,9 @@ impl Trainer {
         let State { step, adam_since, .. } = self.state;
         let rate = learning_rate(&self.config, step);
         let at = StepAt { step, updates: step + 1 - adam_since, learning_rate: rate, log };
-        let stepping = self.stepping.get_mut();
-        stepping.step(at, stop_check)?;
-        let limit = self.config.train.collapse_steps;
-        let stats = if wait || stepping.is_due() { stepping.catch_up(limit)? } else { None };
+        let stepper = self.stepper.get_mut();
+        stepper.step(at, stop_check)?;
+        let stats = if wait || stepper.is_due() { stepper.catch_up()? } else { None };
         self.state.step += 1;
         Ok(stats)
     }

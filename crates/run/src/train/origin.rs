@@ -64,9 +64,9 @@ impl Trainer {
                     (Model::from_parameters(config, values)?, None, state)
                 }
             };
-            let learner = model.first_learner(config, scene, dtype, runtime)?;
-            let stepper = inputs.stepper(&model, Some(learner), moments)?;
-            Ok(inputs.trainer(model, stepper, state))
+            model.check_start(config, scene, dtype, runtime)?;
+            let steps = inputs.steps(&model, moments)?;
+            Ok(inputs.trainer(model, steps, state))
         })
     }
 }

@@ -1,13 +1,12 @@
 //! A trainer whose parameters are kept elsewhere, and what is refused there.
 
-use std::any::Any;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 
 use candle_core::{Device, Tensor};
 
 use super::*;
-use crate::methods::{Extremes, StepReport, Term, not_finite};
+use crate::methods::{DeviceSteps, Extremes, StepReport, Term, not_finite};
 use crate::run::load_scene;
 use crate::runtime::Accelerator;
 use crate::settings::{Preset, build, parse_assignment};
@@ -16,7 +15,6 @@ use crate::settings::{Preset, build, parse_assignment};
 struct Elsewhere {
     kept: f64,
     shown: Vec<candle_core::Var>,
-    moments: Vec<Moments>,
     fetches: Arc<AtomicU64>,
     reports: Vec<StepReport>,
     /// The step that is not finite, which its report tells.
@@ -26,36 +24,29 @@ struct Elsewhere {
 impl Elsewhere {
     fn new(model: &Model, fetches: &Arc<AtomicU64>) -> Elsewhere {
         let shown: Vec<_> = model.variables().into_iter().map(|(_, var)| var).collect();
-        let zero =
-            |var: &candle_core::Var| Moments { first: var.zeros_like().unwrap(), second: var.zeros_like().unwrap() };
-        let moments = shown.iter().map(zero).collect();
-        Elsewhere { kept: 0.0, shown, moments, breaks_at: None, reports: Vec::new(), fetches: fetches.clone() }
+        Elsewhere { kept: 0.0, shown, breaks_at: None, reports: Vec::new(), fetches: fetches.clone() }
+    }
+
+    fn report(&self) -> StepReport {
+        let term = Term { name: "loss".into(), described: "loss".into(), value: self.kept, weight: 1.0 };
+        StepReport::new(vec![term], self.kept, 0.25, Extremes::none(0.0))
+    }
+
+    /// Returns what a trainer takes its steps with.
+    fn steps(self, model: &Model) -> Steps {
+        Steps::Device(Box::new(self), Moments::zero(&model.variables()).unwrap())
     }
 }
 
-impl Stepper for Elsewhere {
+impl DeviceSteps for Elsewhere {
     fn columns(&self) -> LogColumns {
         LogColumns::default()
     }
 
-    fn add_term(&mut self, term: LossTerm, _weight: f64) -> Result<()> {
-        Err(Error::Config(format!("no term {}", term.name())))
-    }
-
-    fn step(&mut self, at: StepAt, stop_check: &StopCheck) -> Result<()> {
-        stop_check()?;
+    fn step(&mut self, at: StepAt) -> Result<()> {
         assert_eq!((at.step as f64, at.updates as f64), (self.kept, self.kept + 1.0));
         self.kept += 1.0;
-        let term = Term { name: "loss".into(), described: "loss".into(), value: self.kept, weight: 1.0 };
-        let extremes = Extremes::none(0.0);
-        self.reports.push(StepReport {
-            terms: vec![term],
-            loss: self.kept,
-            mse: 0.25,
-            extremes,
-            sites: Vec::new(),
-            of_weights: Vec::new(),
-        });
+        self.reports.push(self.report());
         assert!(self.reports.len() <= self.most_reports());
         Ok(())
     }
@@ -73,23 +64,19 @@ impl Stepper for Elsewhere {
         5
     }
 
-    fn try_step(&mut self, step: u64, stop_check: &StopCheck) -> Result<()> {
+    fn try_step(&mut self, step: u64, _: bool) -> Result<StepReport> {
         assert_eq!(step as f64, self.kept);
-        stop_check()
+        Ok(self.report())
     }
 
-    fn fetch(&mut self) -> Result<()> {
+    fn fetch(&mut self) -> Result<Vec<Moments>> {
         self.fetches.fetch_add(1, Ordering::SeqCst);
         let all = |tensor: &Tensor| (tensor.zeros_like()? + self.kept).and_then(|tensor| tensor.contiguous());
-        for (var, moments) in self.shown.iter().zip(&mut self.moments) {
+        let each = self.shown.iter().map(|var| {
             var.set(&all(var)?)?;
-            (moments.first, moments.second) = (all(var)?, all(var)?);
-        }
-        Ok(())
-    }
-
-    fn moments(&self) -> &[Moments] {
-        &self.moments
+            Ok(Moments { first: all(var)?, second: all(var)? })
+        });
+        each.collect()
     }
 }
 
@@ -103,10 +90,6 @@ impl Accelerator for Card {
 
     fn synchronize(&self) -> Result<()> {
         Ok(())
-    }
-
-    fn as_any(&self) -> &dyn Any {
-        self
     }
 }
 
@@ -130,11 +113,11 @@ fn shown(trainer: &Trainer) -> f32 {
 fn parameters_that_are_kept_elsewhere_are_fetched_when_they_are_looked_at() {
     let (config, scene) = small("method=nerf");
     let cpu = Runtime::new("cpu", Some(1)).unwrap();
-    let (model, fetches) = (Model::start(&config, &scene, DType::F32, &cpu).unwrap().model, Arc::default());
-    let stepper = Box::new(Elsewhere::new(&model, &fetches));
+    let (model, fetches) = (Model::start(&config, &scene, DType::F32, &cpu).unwrap().0, Arc::default());
+    let steps = Elsewhere::new(&model, &fetches).steps(&model);
     let gpu = gpu();
     let inputs = Inputs { config: &config, scene: &scene, dtype: DType::F32, runtime: &gpu };
-    let mut trainer = inputs.trainer(model, stepper, State { redraws: vec![0; 2], ..State::default() });
+    let mut trainer = inputs.trainer(model, steps, State { redraws: vec![0; 2], ..State::default() });
     let fetched = || fetches.load(Ordering::SeqCst);
 
     // Its parameters are the model's until the first step.
@@ -176,11 +159,11 @@ fn parameters_that_are_kept_elsewhere_are_fetched_when_they_are_looked_at() {
 fn measurements_of_steps_that_nobody_waits_for_come_together() {
     let (config, scene) = small("method=nerf");
     let cpu = Runtime::new("cpu", Some(1)).unwrap();
-    let model = Model::start(&config, &scene, DType::F32, &cpu).unwrap().model;
-    let stepper = Box::new(Elsewhere::new(&model, &Arc::default()));
+    let model = Model::start(&config, &scene, DType::F32, &cpu).unwrap().0;
+    let steps = Elsewhere::new(&model, &Arc::default()).steps(&model);
     let gpu = gpu();
     let inputs = Inputs { config: &config, scene: &scene, dtype: DType::F32, runtime: &gpu };
-    let mut trainer = inputs.trainer(model, stepper, State { redraws: vec![0; 2], ..State::default() });
+    let mut trainer = inputs.trainer(model, steps, State { redraws: vec![0; 2], ..State::default() });
     let step = |trainer: &mut Trainer, wait: bool| {
         trainer.step_unless(false, wait, &|| Ok(())).unwrap().map(|stats| (stats.step, stats.loss))
     };
@@ -199,11 +182,11 @@ fn measurements_of_steps_that_nobody_waits_for_come_together() {
 fn a_broken_step_ends_a_training() {
     let (config, scene) = small("method=nerf");
     let cpu = Runtime::new("cpu", Some(1)).unwrap();
-    let model = Model::start(&config, &scene, DType::F32, &cpu).unwrap().model;
-    let stepper = Elsewhere { breaks_at: Some(3), ..Elsewhere::new(&model, &Arc::default()) };
+    let model = Model::start(&config, &scene, DType::F32, &cpu).unwrap().0;
+    let steps = Elsewhere { breaks_at: Some(3), ..Elsewhere::new(&model, &Arc::default()) }.steps(&model);
     let gpu = gpu();
     let inputs = Inputs { config: &config, scene: &scene, dtype: DType::F32, runtime: &gpu };
-    let mut trainer = inputs.trainer(model, Box::new(stepper), State { redraws: vec![0; 2], ..State::default() });
+    let mut trainer = inputs.trainer(model, steps, State { redraws: vec![0; 2], ..State::default() });
     let broken = (0..6).find_map(|_| trainer.step_unless(false, false, &|| Ok(())).err());
     let message = broken.unwrap_or_else(|| trainer.catch_up().unwrap_err()).to_string();
     assert!(message.contains("diverged at step 3"), "{message}");
@@ -221,9 +204,9 @@ fn a_restarted_run_has_no_redraws() {
     let (config, scene) = small("method=nerf");
     let cpu = Runtime::new("cpu", Some(1)).unwrap();
     let inputs = Inputs { config: &config, scene: &scene, dtype: DType::F32, runtime: &cpu };
-    let model = Model::start(&config, &scene, DType::F32, &cpu).unwrap().model;
-    let stepper = inputs.stepper(&model, None, None).unwrap();
-    let parent = inputs.trainer(model, stepper, State { redraws: vec![3, 1], ..State::default() });
+    let model = Model::start(&config, &scene, DType::F32, &cpu).unwrap().0;
+    let steps = inputs.steps(&model, None).unwrap();
+    let parent = inputs.trainer(model, steps, State { redraws: vec![3, 1], ..State::default() });
     let folder = tempfile::tempdir().unwrap();
     let checkpoint = parent.save(folder.path()).unwrap();
     let redraws = |goes_on: bool| {
@@ -249,8 +232,8 @@ fn what_an_accelerator_cannot_train_is_refused() {
         assert_eq!(method, "method srn: device gpu does not train or render it; use --device cpu");
         let (config, scene) = small("method=srn");
         assert!(Trainer::check(&config, &scene, DType::F32, &gpu).is_err());
-        let start = Model::start(&config, &scene, DType::F32, &gpu).unwrap();
-        assert_eq!(start.model.renderer(&config, &scene, &gpu).err().unwrap().to_string(), method);
+        let (model, _) = Model::start(&config, &scene, DType::F32, &gpu).unwrap();
+        assert_eq!(model.renderer(&config, &scene, &gpu).err().unwrap().to_string(), method);
     }
 }
 

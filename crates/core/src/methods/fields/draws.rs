@@ -80,7 +80,7 @@ impl Draws {
         let FieldLearner { config, dtype, device, .. } = learner;
         let sampling = &config.sampling;
         let (n, coarse, fine) = (rays.len(), sampling.coarse, sampling.fine);
-        let (columns, fine_columns) = columns(&learner.fields.coarse, sampling);
+        let (columns, fine_columns) = columns(learner.fields.coarse(), sampling);
         let (intervals, (_, fine_samples)) = (config.field.encoding.at_intervals(), config.samples());
         let jitter = sampling.jitter.then(|| random.uniform_tensor(&[n, columns], *dtype, device)).transpose()?;
         let bounds = sampling.annealed(learner.bounds, step);

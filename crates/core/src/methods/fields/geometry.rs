@@ -9,6 +9,8 @@ use crate::perturb::{
 };
 use crate::settings::{Resolved, Spacing};
 
+use super::plan::Plan;
+
 /// Shortest direction of a ray, indexed by NDC: in NDC a ray goes from -1 to 1 along the view axis, in the world it has
 /// length 1.
 const SHORTEST: [f64; 2] = [1.0, 2.0];
@@ -79,18 +81,17 @@ pub fn step_over_radius(config: &Resolved, scene: &Scene) -> Result<Vec<(PaperSi
     let geometry = AttackGeometry::new(config, scene);
     let (near, far) = geometry.bounds;
     let direction_norm = Tensor::full(SHORTEST[usize::from(geometry.pixel.ndc)], (1, 1), &Device::Cpu)?;
-    let (coarse, fine) = config.samples();
-    let coarse = if config.representation().has_coarse_loss() { coarse } else { 0 };
     let mut ratios: Vec<(PaperSite, f64)> = Vec::new();
-    for (is_coarse, samples) in [(true, coarse), (false, fine)].into_iter().filter(|(_, samples)| *samples > 0) {
-        let columns = config.field.encoding.t_vals(samples);
+    for plan in Plan::of(config).second {
+        let Some(search) = plan.search else { continue };
+        let columns = config.field.encoding.t_vals(plan.count);
         let at = |i: usize| match config.sampling.spacing {
             Spacing::Depth => near + (far - near) * i as f64 / (columns - 1) as f64,
             spacing => spacing.at((near, far), i as f64 / (columns - 1) as f64),
         };
         let t_vals = Tensor::from_vec((0..columns).map(at).collect::<Vec<f64>>(), (1, columns), &Device::Cpu)?;
-        let pass = geometry.pass(&t_vals, samples, &direction_norm, is_coarse)?;
-        for SiteSet { site, set } in Sets::new(config.perturb.sites_of_pass(is_coarse), &pass)?.iter() {
+        let pass = geometry.pass(&t_vals, plan.count, &direction_norm, plan.is_coarse)?;
+        for SiteSet { site, set } in Sets::new(search.sites, &pass)?.iter() {
             let pgd = site.pgd();
             let ratio = match pgd.unit {
                 StepUnit::Absolute => pgd.step_size / set.radius.mean_all()?.to_scalar::<f64>()?,

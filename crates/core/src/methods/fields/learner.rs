@@ -67,7 +67,7 @@ impl FieldLearner {
             geometry: AttackGeometry::new(config, scene),
             device: device.clone(),
             dtype,
-            batches: Batches::new(config, scene, RayParts { tangents, ..ray_parts(&fields.coarse) })?,
+            batches: Batches::new(config, scene, RayParts { tangents, ..ray_parts(fields.coarse()) })?,
             variables: fields.variables(),
             fields,
             terms: Vec::new(),
@@ -174,7 +174,7 @@ impl Learner for FieldLearner {
         let starts: Vec<usize> = (0..rays.len()).step_by(size).collect();
         let of_part = |starts: &[usize]| -> Result<Tensor> {
             let part = rays.narrow(starts[0], size.min(rays.len() - starts[0]))?;
-            Ok(render_rays(&fields.coarse, fields.fine(), &part, self.bounds, sampling, self.background)?.rgb)
+            Ok(render_rays(fields.coarse(), fields.fine(), &part, self.bounds, sampling, self.background)?.rgb)
         };
         Ok(Some(Tensor::cat(&over_parts(&self.device, &starts, 1, of_part)?, 0)?))
     }

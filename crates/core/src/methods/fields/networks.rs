@@ -9,14 +9,10 @@ use crate::settings::{Config, PerturbField};
 /// The coarse and the fine field, and the additional field of the released code's perturbed pass.
 #[derive(Clone)]
 pub struct Fields {
-    /// Places samples. It is the complete model if there is no fine field.
-    pub coarse: Field,
-    /// The field that is rendered and evaluated, if there are two.
-    fine: Option<Field>,
-    /// The coarse field also renders the fine pass.
-    one: bool,
-    /// The perturbed pass's own field (`perturb.field = "separate"`). It is never evaluated.
-    pub adversarial: Option<Field>,
+    /// With their names, in the fixed order.
+    fields: Vec<(&'static str, Field)>,
+    /// There is a fine pass. Without a field of its own it queries the coarse one.
+    has_fine_pass: bool,
 }
 
 impl Fields {
@@ -59,39 +55,33 @@ impl Fields {
     }
 
     fn from_fields(config: &Config, fields: Vec<Field>) -> Fields {
-        let mut fields = Fields::roles(config).into_iter().zip(fields).collect::<std::collections::HashMap<_, _>>();
-        Fields {
-            coarse: fields.remove("coarse").expect("there is always a coarse field"),
-            fine: fields.remove("fine"),
-            one: config.sampling.fine > 0 && !config.representation().has_fine_field(),
-            adversarial: fields.remove("adversarial"),
-        }
+        let fields = Fields::roles(config).into_iter().zip(fields).collect();
+        Fields { fields, has_fine_pass: config.sampling.fine > 0 }
+    }
+
+    /// Returns the field that places samples. It is the complete model if there is no fine pass.
+    pub fn coarse(&self) -> &Field {
+        &self.fields[0].1
     }
 
     /// Returns the field of the fine pass, or `None` if there is no such pass.
     pub fn fine(&self) -> Option<&Field> {
-        self.fine.as_ref().or(self.one.then_some(&self.coarse))
+        self.has_fine_pass.then(|| self.get("fine").unwrap_or_else(|| self.coarse()))
     }
 
     /// Returns the field that is rendered and measured.
     pub fn evaluated(&self) -> &Field {
-        self.fine().unwrap_or(&self.coarse)
+        self.fine().unwrap_or_else(|| self.coarse())
     }
 
-    /// Returns the field of a name.
-    ///
-    /// # Panics
-    /// There is no such field.
-    pub fn of(&self, role: &str) -> &Field {
-        let found = self.by_role().into_iter().find(|(known, _)| *known == role);
-        found.unwrap_or_else(|| panic!("no field {role}")).1
+    /// Returns the field of a name, one of [`Fields::roles`].
+    pub fn get(&self, role: &str) -> Option<&Field> {
+        self.by_role().find(|(known, _)| *known == role).map(|(_, field)| field)
     }
 
-    /// Returns the fields with their names, in the fixed order.
-    pub fn by_role(&self) -> Vec<(&'static str, &Field)> {
-        let optional = [("fine", &self.fine), ("adversarial", &self.adversarial)];
-        let further = optional.into_iter().filter_map(|(role, field)| field.as_ref().map(|field| (role, field)));
-        std::iter::once(("coarse", &self.coarse)).chain(further).collect()
+    /// Iterates over the fields with their names, in the fixed order.
+    pub fn by_role(&self) -> impl Iterator<Item = (&'static str, &Field)> {
+        self.fields.iter().map(|(role, field)| (*role, field))
     }
 
     /// Returns the same fields as they are after `step` finished steps: what `field.frequency_steps` still hide is hidden. The
@@ -109,10 +99,9 @@ impl Fields {
         self.map(Field::recording)
     }
 
-    /// Returns the evaluated fields with the same weights, without gradients.
+    /// Returns the fields with the same weights, without gradients.
     pub fn frozen(&self) -> Result<Fields> {
-        let fine = self.fine.as_ref().map(Field::frozen).transpose()?;
-        Ok(Fields { coarse: self.coarse.frozen()?, fine, one: self.one, adversarial: None })
+        self.map(Field::frozen)
     }
 
     /// Returns the same weights in the layout of the fused core if it applies (see [`Field::prepared`]).
@@ -121,13 +110,8 @@ impl Fields {
     }
 
     fn map(&self, change: impl Fn(&Field) -> Result<Field>) -> Result<Fields> {
-        let optional = |field: &Option<Field>| field.as_ref().map(&change).transpose();
-        Ok(Fields {
-            coarse: change(&self.coarse)?,
-            fine: optional(&self.fine)?,
-            one: self.one,
-            adversarial: optional(&self.adversarial)?,
-        })
+        let fields = self.by_role().map(|(role, field)| Ok((role, change(field)?)));
+        Ok(Fields { fields: fields.collect::<Result<_>>()?, ..*self })
     }
 
     /// Returns what the fields recorded, in the order of all parameters. An entry is `None` if its field does not
@@ -142,17 +126,17 @@ impl Fields {
 
     /// Returns what the gradients of hash grids are made of, field by field in the fixed order.
     pub fn table_records(&self) -> Vec<Vec<TableRecord>> {
-        self.by_role().into_iter().map(|(_, field)| field.table_records()).collect()
+        self.by_role().map(|(_, field)| field.table_records()).collect()
     }
 
     /// Returns the number of records that each field has so far, in the fixed order.
     pub fn record_counts(&self) -> Vec<usize> {
-        self.by_role().into_iter().map(|(_, field)| field.record_count()).collect()
+        self.by_role().map(|(_, field)| field.record_count()).collect()
     }
 
     /// Marks what the fields recorded since these counts as the second pass's.
     pub fn mark_second_pass(&self, since: &[usize]) {
-        self.by_role().into_iter().zip(since).for_each(|((_, field), count)| field.mark_second_pass(*count));
+        self.by_role().zip(since).for_each(|((_, field), count)| field.mark_second_pass(*count));
     }
 
     /// Returns the gradients of hash grids from those of the records that `counts` accepts, field by field, in the order of
@@ -163,7 +147,7 @@ impl Fields {
         counts: impl Fn(&TableRecord) -> bool,
     ) -> Result<Vec<Option<Tensor>>> {
         let mut gradients = Vec::new();
-        for ((_, field), records) in self.by_role().into_iter().zip(records) {
+        for ((_, field), records) in self.by_role().zip(records) {
             let mut of_field = vec![None; field.variables().len()];
             if let Some(gradient) = field.table_gradient(records.iter().filter(|record| counts(record)))? {
                 of_field[0] = Some(gradient);
@@ -178,6 +162,6 @@ impl Fields {
         let named = |(role, field): (&str, &Field)| -> Vec<(String, Var)> {
             field.variables().iter().map(|(name, var)| (format!("{role}.{name}"), var.clone())).collect()
         };
-        self.by_role().into_iter().flat_map(named).collect()
+        self.by_role().flat_map(named).collect()
     }
 }

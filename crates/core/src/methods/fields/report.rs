@@ -65,7 +65,7 @@ impl StepLosses<'_> {
             weight,
         }));
         let mse = self.fine.or(self.coarse).expect("every step has a pass that is evaluated");
-        StepReport { terms, loss, mse, extremes, sites: sites(clean), of_weights: Vec::new() }
+        StepReport { sites: sites(clean), ..StepReport::new(terms, loss, mse, extremes) }
     }
 }
 

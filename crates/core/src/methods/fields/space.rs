@@ -54,9 +54,8 @@ fn regularized<'a>(
     learner: &'a FieldLearner,
     config: &'a RegularizerConfig,
 ) -> impl Iterator<Item = (&'a Field, bool)> {
-    let by_role = learner.fields.by_role();
-    let roles: Vec<&str> = by_role.iter().map(|(role, _)| *role).collect();
-    by_role.into_iter().map(move |(role, field)| (field, is_regularized(config, &roles, role)))
+    let roles: Vec<&str> = learner.fields.by_role().map(|(role, _)| role).collect();
+    learner.fields.by_role().map(move |(role, field)| (field, is_regularized(config, &roles, role)))
 }
 
 /// Returns unweighted values (f64 `[terms]`) and gradients of the weighted terms in space after `step` finished steps.

@@ -30,7 +30,7 @@ impl FieldLearner {
         let fields = Fields::init(config, &redraws, dtype, device)?.at_step(config, 0)?;
         let mut learner = FieldLearner::new(config, scene, fields, dtype, device)?;
         let first = Draws::batch(&mut learner, 0)?;
-        let positions = positions_at(&learner.fields.coarse, &first.rays, &first.t_coarse)?.flatten(0, 1)?;
+        let positions = positions_at(learner.fields.coarse(), &first.rays, &first.t_coarse)?.flatten(0, 1)?;
         loop {
             let dead = learner.dead_fields(&positions)?;
             if dead.is_empty() {
@@ -77,7 +77,7 @@ impl FieldLearner {
             DensityActivation::Softplus | DensityActivation::Exp => return Ok(Vec::new()),
         }
         let mut dead = Vec::new();
-        for (index, (_, field)) in self.fields.by_role().into_iter().enumerate() {
+        for (index, (_, field)) in self.fields.by_role().enumerate() {
             let sum = |tensor: &Tensor| tensor.to_dtype(DType::F64)?.sum_all()?.to_scalar::<f64>();
             let positive = sum(&field.frozen()?.raw_density(positions)?.gt(0f64)?)?;
             let looked_at = match field.inside(positions)? {

@@ -41,8 +41,8 @@ pub fn parts(chunks: usize) -> usize {
     chunks.div_ceil(chunks.div_ceil(PARTS).max(1))
 }
 
-/// Computes the loss of the step after `step` finished ones, and its gradients. A [`Stepper`](crate::methods::Stepper) then
-/// updates the parameters (line 24).
+/// Computes the loss of the step after `step` finished ones, and its gradients. Adam then updates the
+/// parameters (line 24).
 pub(super) fn step(learner: &mut FieldLearner, step: u64, log: bool, stop_check: &StopCheck) -> Result<StepResult> {
     learner.fields = learner.fields.at_step(&learner.config, step)?;
     // Line 3: rays with their colours, and all random numbers of their clean passes.
@@ -195,13 +195,17 @@ impl<'a> Passes<'a> {
             SampleSource::Stratified => Ok(draws.t_coarse.clone()),
             SampleSource::Resampled => {
                 let Rendered { t_vals, weights } = coarse.expect("the coarse pass comes first");
-                resample(&fields.coarse, sampling, t_vals, weights, draws.u())
+                resample(fields.coarse(), sampling, t_vals, weights, draws.u())
             }
             SampleSource::PlacedByDensity => {
-                place(&fields.coarse.frozen()?, &draws.rays, &draws.t_coarse, sampling, draws.u())
+                place(&fields.coarse().frozen()?, &draws.rays, &draws.t_coarse, sampling, draws.u())
             }
             SampleSource::OfCleanPass => Ok(clean.expect("clean passes come first").t_vals.clone()),
         }
+    }
+
+    fn field<'b>(&self, fields: &'b Fields, plan: &PassPlan) -> &'b Field {
+        fields.get(plan.field).expect("the plan names fields that there are")
     }
 
     fn terms_of(&self, plan: &PassPlan) -> RayTerms<'a> {
@@ -219,7 +223,7 @@ impl<'a> Passes<'a> {
         weight: f64,
         sums: &mut Sums,
     ) -> Result<Rendered> {
-        let (learner, field, terms) = (self.learner, fields.of(plan.field), self.terms_of(plan));
+        let (learner, field, terms) = (self.learner, self.field(fields, plan), self.terms_of(plan));
         let pass = draws.pass(learner, plan, &t_vals);
         let weight = weight * draws.share * plan.weight;
         let Some(target) = &draws.target else {
@@ -257,7 +261,7 @@ impl<'a> Passes<'a> {
         t_vals: &Tensor,
         sums: &mut Sums,
     ) -> Result<Rendered> {
-        let (learner, field) = (self.learner, fields.of(plan.field));
+        let (learner, field) = (self.learner, self.field(fields, plan));
         let pass = draws.pass(learner, plan, t_vals);
         let norm = &pass.rays.direction_norm;
         let geometry = learner.geometry.pass(t_vals, samples_of(field, t_vals)?, norm, plan.is_coarse)?;

@@ -1,20 +1,14 @@
-//! Steps of a learner with Adam, on a device of candle.
-
-use std::sync::Arc;
+//! A learner's steps with Adam, on a device of candle: gradients, perhaps at weights that moved, and the update.
 
 use candle_core::{DType, Tensor, Var};
 
-use crate::base::Result;
-use crate::losses::LossTerm;
-use crate::optimizer::{Adam, AdamSettings, Moments};
-use crate::perturb::Site;
-use crate::settings::{Config, TrainConfig};
-
-use super::diagnostics::colour_shift;
-use super::gradients::Gradients;
-use super::learner::{Learner, LogColumns, StepResult, StopCheck};
 use super::sharpness::{Draw, Sharpness, at_moved, clipped};
-use super::stepper::{StepAt, StepReport, Stepper, not_finite};
+use super::{Adam, AdamSettings, Moments};
+use crate::base::Result;
+use crate::methods::{
+    Gradients, Learner, LogColumns, StepAt, StepReport, StepResult, StopCheck, colour_shift, not_finite,
+};
+use crate::settings::{Config, TrainConfig};
 
 /// The loss at moved weights minus that where they are, and minus that of weights that moved as far at random.
 const GAIN: &str = "gain.weights";
@@ -22,38 +16,48 @@ const GAIN_OVER_RANDOM: &str = "gain_over_random.weights";
 /// The mean absolute change of the rays' colours, in 8-bit steps.
 const SHIFT: &str = "shift.weights";
 
-/// A learner and Adam, whose parameters are the model's variables.
-pub struct HostStepper {
-    learner: Box<dyn Learner>,
-    adam: Adam,
+/// A learner and Adam.
+pub(super) struct Descent {
+    pub(super) learner: Box<dyn Learner>,
+    pub(super) adam: Adam,
     train: TrainConfig,
     sharpness: Option<Sharpness>,
-    /// That of the last step.
-    report: Option<StepReport>,
 }
 
-impl HostStepper {
-    /// Creates a stepper of the learner's `variables`. Without saved `moments`, which are in the order of the
-    /// variables, they are 0.
-    ///
-    /// # Errors
-    /// Errors of candle.
-    pub fn new(
+impl Descent {
+    pub(super) fn new(
         config: &Config,
         learner: Box<dyn Learner>,
         variables: Vec<(String, Var)>,
         moments: Option<Vec<Moments>>,
-    ) -> Result<HostStepper> {
+    ) -> Result<Descent> {
         let settings = AdamSettings::of(&config.train);
         let adam = match moments {
             Some(moments) => Adam::restore(settings, variables, moments),
             None => Adam::new(settings, variables)?,
         };
-        Ok(HostStepper { learner, adam, train: config.train.clone(), sharpness: Sharpness::of(config), report: None })
+        Ok(Descent { learner, adam, train: config.train.clone(), sharpness: Sharpness::of(config) })
+    }
+
+    pub(super) fn columns(&self) -> LogColumns {
+        let mut columns = self.learner.columns();
+        if self.sharpness.is_some() {
+            columns.further.extend([GAIN, GAIN_OVER_RANDOM].map(String::from));
+            columns.further.extend(self.learner.has_colours().then(|| SHIFT.into()));
+        }
+        columns
+    }
+
+    /// Takes a step, and returns its report.
+    pub(super) fn step(&mut self, at: StepAt, stop_check: &StopCheck) -> Result<StepReport> {
+        let StepResult { gradients, report } = self.compute(at.step, at.log, stop_check)?;
+        self.adam.update(&gradients.0, at.learning_rate, at.updates)?;
+        self.check_parameters(at.step + 1)?;
+        Ok(report)
     }
 
     /// Computes all of a step but its update.
-    fn compute(&mut self, step: u64, log: bool, stop_check: &StopCheck) -> Result<StepResult> {
+    pub(super) fn compute(&mut self, step: u64, log: bool, stop_check: &StopCheck) -> Result<StepResult> {
         let mut result = self.learner.step(step, log, stop_check)?;
         self.check_step(step + 1, &result.report, &result.gradients)?;
         if let Some(sharpness) = &self.sharpness {
@@ -118,47 +122,4 @@ fn at_moved_weights(
     // A comparison that is not a number ends no training.
     report.of_weights.retain(|(_, found)| found.is_finite());
     Ok(StepResult { gradients: result.gradients, report })
-}
-
-impl Stepper for HostStepper {
-    fn columns(&self) -> LogColumns {
-        let mut columns = self.learner.columns();
-        if self.sharpness.is_some() {
-            columns.further.extend([GAIN, GAIN_OVER_RANDOM].map(String::from));
-            columns.further.extend(self.learner.has_colours().then(|| SHIFT.into()));
-        }
-        columns
-    }
-
-    fn add_term(&mut self, term: LossTerm, weight: f64) -> Result<()> {
-        self.learner.add_term(term, weight)
-    }
-
-    fn add_site(&mut self, site: Arc<dyn Site>) -> Result<()> {
-        self.learner.add_site(site)
-    }
-
-    fn step(&mut self, at: StepAt, stop_check: &StopCheck) -> Result<()> {
-        let StepResult { gradients, report } = self.compute(at.step, at.log, stop_check)?;
-        self.adam.update(&gradients.0, at.learning_rate, at.updates)?;
-        self.check_parameters(at.step + 1)?;
-        self.report = Some(report);
-        Ok(())
-    }
-
-    fn reports(&mut self) -> Result<Vec<StepReport>> {
-        Ok(self.report.take().into_iter().collect())
-    }
-
-    fn try_step(&mut self, step: u64, stop_check: &StopCheck) -> Result<()> {
-        self.compute(step, false, stop_check).map(drop)
-    }
-
-    fn fetch(&mut self) -> Result<()> {
-        Ok(())
-    }
-
-    fn moments(&self) -> &[Moments] {
-        self.adam.moments()
-    }
 }

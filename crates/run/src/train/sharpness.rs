@@ -4,9 +4,8 @@ use candle_core::{Tensor, Var};
 
 use crate::base::Result;
 use crate::base::rng::{Random, Stream};
+use crate::methods::Gradients;
 use crate::settings::{Config, SamDirection};
-
-use super::gradients::Gradients;
 
 /// Moves weights up the gradient of a step, or as far at random:
 ///
