@@ -15,7 +15,6 @@ use crate::settings::{Capability, Config, Representation, Resolved};
 
 /// The parameters of one experiment.
 #[derive(Clone)]
-#[expect(clippy::large_enum_variant, reason = "a run has one, and never moves it often")]
 pub enum Model {
     /// NeRF and MipNeRF, augmented or not.
     Fields(Fields),
