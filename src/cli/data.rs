@@ -46,7 +46,7 @@ pub struct CheckArguments {
     /// Decode all photos, not only their headers, and print the hash of their pixels
     #[arg(long)]
     pixels: bool,
-    /// Print errors and results only
+    /// Print errors and the paths of results only
     #[arg(long, short)]
     quiet: bool,
     #[command(flatten)]
@@ -85,7 +85,7 @@ pub struct CorruptArguments {
     dir: PathBuf,
     #[command(flatten)]
     experiment: Experiment,
-    /// Print errors and results only
+    /// Print errors and the paths of results only
     #[arg(long, short, help_heading = "Output")]
     quiet: bool,
     #[command(flatten)]

@@ -193,13 +193,12 @@ struct Compute {
     /// CPU threads [default: RAYON_NUM_THREADS, or all cores]
     #[arg(long, value_name = "N", value_parser = whole::<u16>(1..=MOST_THREADS.into()))]
     threads: Option<u16>,
-    /// Print errors and results only
+    /// Print errors and the paths of results only
     #[arg(long, short, help_heading = "Output")]
     quiet: bool,
 }
 
-const DEVICES: &str =
-    "cpu, gpu, gpu:N, cuda, cuda:N, cuda-tf32 (products rounded to 10 bits) or metal [default: cpu; resume: the run's]";
+const DEVICES: &str = "cpu, gpu, gpu:N, cuda, cuda:N, cuda-tf32 (products rounded to 10 bits) or metal [default: cpu; a run that goes on keeps its own]";
 
 /// Flags for a run's scene and LPIPS weights, if they have moved.
 #[derive(Args)]
@@ -324,7 +323,11 @@ pub fn main() -> ExitCode {
 
 /// Prints an error and returns its exit code.
 fn fail(error: &Error) -> ExitCode {
-    let word = if matches!(error, Error::Interrupted { .. }) { "stopped" } else { "error" };
+    let word = match error {
+        Error::Interrupted { .. } => "stopped",
+        Error::PointsWaiting(_) => "not done",
+        _ => "error",
+    };
     progress::report(&format!("{word}: {error}"));
     ExitCode::from(error.exit_code())
 }

@@ -24,6 +24,23 @@ const LEFT: [(&str, &str); 13] = [
     ("man", "'augnerf --help' of each command"),
 ];
 
+/// Flags that left, and what does their work now.
+const LEFT_FLAGS: [(&str, &str); 13] = [
+    ("--then", "use the shell: 'augnerf sweep run FILE && COMMAND'"),
+    ("--keep-going", "a sweep always goes on after a failed point"),
+    ("--max-deaths", "'--retry-failed' runs failed points again"),
+    ("--results", "use '--out DIR'"),
+    ("--into", "use a few lines of pandas (docs/scripting.md)"),
+    ("--yes", "no question is asked"),
+    ("--watch", "use 'watch -n 10 augnerf sweep status runs/NAME'"),
+    ("--gif", "use a notebook over the images in renders/"),
+    ("--spread", "use a notebook over the images in renders/"),
+    ("--row", "use '--rows'"),
+    ("--time", "use 'sbatch --time ... runs/NAME/slurm/points.sbatch'"),
+    ("--mem", "use 'sbatch --mem ... runs/NAME/slurm/points.sbatch'"),
+    ("--cpus", "use 'sbatch --cpus-per-task ... runs/NAME/slurm/points.sbatch'"),
+];
+
 /// Adds tips to an error: a setting that an unknown flag names, or a flag for a stray word.
 /// `words` is the command line without the program.
 pub fn with_tips(mut error: clap::Error, words: &[OsString]) -> clap::Error {
@@ -41,11 +58,8 @@ pub fn with_tips(mut error: clap::Error, words: &[OsString]) -> clap::Error {
     if let Some(ContextValue::String(name)) = error.get(ContextKind::InvalidSubcommand).cloned()
         && let Some((_, now)) = LEFT.iter().find(|(left, _)| *left == name)
     {
-        error.insert(
-            ContextKind::Suggested,
-            ContextValue::StyledStrs(vec![format!("it was removed; use {now}").into()]),
-        );
-        return error;
+        error.remove(ContextKind::SuggestedSubcommand);
+        return with_suggestions(error, [format!("it was removed; use {now}")]);
     }
     if error.kind() != ErrorKind::UnknownArgument {
         return error;
@@ -55,18 +69,25 @@ pub fn with_tips(mut error: clap::Error, words: &[OsString]) -> clap::Error {
     let Some(ContextValue::String(unknown)) = error.get(ContextKind::InvalidArg).cloned() else { return error };
     let command = meant_command(words);
     let has = |flag: &str| command.get_arguments().any(|argument| argument.get_long() == Some(flag));
+    let left = LEFT_FLAGS.iter().find(|(left, _)| *left == unknown).map(|(_, now)| format!("it was removed; {now}"));
     let tips = match unknown.strip_prefix("--") {
+        Some(_) if left.is_some() => left.into_iter().collect(),
         Some(name) if command.get_name() == super::command().get_name() => after_subcommand(name, words),
         Some(name) if has("set") => setting_tips(name, &value_of(&unknown, words)),
         None if has("data") && !unknown.starts_with('-') => vec![format!("'--data {unknown}' names a scene")],
         _ => Vec::new(),
     };
-    if !tips.is_empty() {
-        // A similar flag that clap found, such as '--set' for '--steps', is a worse guess.
-        error.remove(ContextKind::SuggestedArg);
-        let tips = tips.into_iter().map(Into::into).collect();
-        error.insert(ContextKind::Suggested, ContextValue::StyledStrs(tips));
+    if tips.is_empty() {
+        return error;
     }
+    // A similar flag that clap found, such as '--set' for '--steps', is a worse guess.
+    error.remove(ContextKind::SuggestedArg);
+    with_suggestions(error, tips)
+}
+
+fn with_suggestions(mut error: clap::Error, tips: impl IntoIterator<Item = String>) -> clap::Error {
+    let tips = tips.into_iter().map(Into::into).collect();
+    error.insert(ContextKind::Suggested, ContextValue::StyledStrs(tips));
     error
 }
 

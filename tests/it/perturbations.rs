@@ -113,6 +113,33 @@ fn loss_gradients_in_every_delta_equal_finite_differences() {
 }
 
 #[test]
+fn loss_gradients_in_weights_equal_finite_differences() {
+    [Method::AugNerf, Method::AugMipNerf].into_iter().for_each(weights_equal_finite_differences);
+}
+
+fn weights_equal_finite_differences(method: Method) {
+    let setting = setting(method, 1, (4, 6), |_| {});
+    let deltas = setting.search(setting.draw(0));
+    let gradients = setting.loss(&deltas).0.backward().unwrap();
+    for (name, var) in setting.field.variables() {
+        let gradient = gradients.get(var).unwrap().flatten_all().unwrap().to_vec1::<f64>().unwrap();
+        let original = var.as_tensor().copy().unwrap();
+        let at = |i: usize, by: f64| {
+            var.set(&nudged(&original, i, by)).unwrap();
+            let loss = setting.loss_value(&deltas);
+            var.set(&original).unwrap();
+            loss
+        };
+        let step = (gradient.len() / 12).max(1);
+        let pairs = (0..gradient.len()).step_by(step).map(|i| (gradient[i], (at(i, H) - at(i, -H)) / (2.0 * H)));
+        let pairs: Vec<(f64, f64)> = pairs.collect();
+        if pairs.iter().any(|(g, d)| *g != 0.0 || *d != 0.0) {
+            compare(name, pairs);
+        }
+    }
+}
+
+#[test]
 fn epsilon_zero_is_the_clean_pass_exactly() {
     [Method::AugNerf, Method::AugMipNerf].into_iter().for_each(epsilon_zero_is_clean);
 }
@@ -331,6 +358,28 @@ fn a_coarse_level_gains_as_much_as_its_pass_weighs() {
     };
     let (whole, tenth) = (gain(1.0), gain(0.1));
     assert!(whole != 0.0 && (tenth / whole - 0.1).abs() < 1e-6, "{whole} {tenth}");
+}
+
+#[test]
+fn density_noise_cannot_make_an_empty_white_scene_opaque() {
+    // All densities 0, the density delta at +epsilon everywhere: what it adds to each ray is at
+    // most epsilon * (far - near) * |d|, because the last sample's is kept at 0.
+    let mut setting = setting(Method::AugNerf, 5, (6, 9), |config| {
+        config.sites[PaperSite::Density].epsilon = Some(0.01.into());
+        for site in [PaperSite::T, PaperSite::Xyz, PaperSite::View, PaperSite::Feature, PaperSite::Rgb] {
+            config.sites[site].passes = Passes::Off;
+        }
+    });
+    setting.noise = Some(Tensor::full(-1e3f64, (6, 9), &CPU).unwrap());
+    let mut deltas = Deltas::default();
+    deltas.set(PaperSite::Density, Tensor::full(0.01f64, (6, 9), &CPU).unwrap());
+    let out = perturbed_pass(&setting.field, setting.pass(), setting.perturbation(&deltas)).unwrap();
+    let norms = setting.rays.direction_norm.flatten_all().unwrap().to_vec1::<f64>().unwrap();
+    for (rgb, norm) in out.pass.composite.rgb.to_vec2::<f64>().unwrap().iter().zip(norms) {
+        let limit = 0.01 * 4.0 * norm;
+        assert!(rgb.iter().all(|c| (1.0 - c) <= limit && *c <= 1.0 + 1e-12), "{rgb:?} beyond {limit}");
+    }
+    assert!(out.pass.composite.acc.max(0).unwrap().to_scalar::<f64>().unwrap() > 0.0);
 }
 
 #[test]

@@ -336,8 +336,8 @@ fn what_is_said_of_a_row_holds_for_most_of_its_seeds() {
         (
             3,
             4,
-            "NeRF †=",
-            ["- \\= no better than one colour: NeRF (with 3 of 4 seeds)", "average: NeRF (t)"],
+            "NeRF †‖",
+            ["- ‖ no better than one colour: NeRF (with 3 of 4 seeds)", "average: NeRF (t)"],
             "NOTHING LEARNED: NeRF: no better than one colour with 3 of 4 seeds",
             "t",
         ),

@@ -81,7 +81,7 @@ fn chosen_rows_have_the_statistics_of_what_is_shown() {
     let whole = rows(&place.text("results/one/table.csv"));
     assert_eq!(whole.len(), 4);
     let notes = place.text("results/one/table.md");
-    assert_says(&notes, &["lpips_squeeze: empty, no LPIPS weights were at hand", "--remeasure"]);
+    assert_says(&notes, &["lpips_squeeze: empty, no LPIPS weights were given", "--remeasure"]);
 
     let collect = |further: &str, code: i32| place.run(&format!("sweep collect runs/one {further}"), code);
     // The row's name has a comma of its own.

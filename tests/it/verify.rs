@@ -160,7 +160,7 @@ fn what_is_not_kept_is_said() {
     let said = place.run("verify", 0);
     assert_eq!(lines(&said), 1, "{said}");
     let kept = "figures, table.tex, which `--update --all` makes; scalars.csv.gz, which commit 980e3058 has";
-    assert_says(&said, &[kept, "attack.csv: it has its hash under [pinned]"]);
+    assert_says(&said, &[kept, "attack.csv: its hash is that under [pinned]"]);
     let attack = text(&folder.join("attack.csv"));
     place.run("verify --update", 0);
     assert_eq!(text(&folder.join("attack.csv")), attack, "its logs are not here");
@@ -374,7 +374,7 @@ row = [{ name = "NeRF" }, { name = "equal", set = { "field.depth" = 3 }, budget 
     std::fs::write(&points, kept).unwrap();
     place.says("verify --update", 0, &["written anew"]);
     // A page with images of the runs cannot be made again: it is held to its hash.
-    assert_says(&said, &["report.html: it has its hash under [pinned]"]);
+    assert_says(&said, &["report.html: its hash is that under [pinned]"]);
     let points = points_of(&folder);
     assert!(points.iter().all(|row| row["mesh"].ends_with("not compared") && row["chamfer"].is_empty()), "{points:?}");
     assert_found(&place, &folder.join("report.html"), "NeRF", "NerF", &["SHA-256"]);

@@ -8,7 +8,7 @@ use crate::base::input::{TEXT_BYTES, read_named};
 use crate::base::{Error, Result};
 
 use super::definition::is_named;
-use super::shipped::{place, shipped};
+use super::shipped::{nearest, shipped};
 
 /// Most points, and so rows, of a sweep.
 pub(super) const MOST_POINTS: usize = 10_000;
@@ -37,8 +37,9 @@ fn read_shipped((name, text): (&str, &str), depth: usize) -> Result<Table> {
 fn read_file(path: &Path, depth: usize) -> Result<Table> {
     let unreadable = |e: std::io::Error| {
         let stem = path.file_stem().and_then(|stem| stem.to_str());
-        let tip = match (depth, stem.and_then(place)) {
-            (0, Some(place)) => format!("; the shipped sweep of this name is {place}"),
+        let tip = match (depth, stem.and_then(nearest)) {
+            (0, Some((name, place))) if Some(name) == stem => format!("; the shipped sweep of this name is {place}"),
+            (0, Some((name, place))) => format!("; similar: the shipped sweep {name}, {place}"),
             // Probably the name of a scene.
             (0, None) if path.extension().is_none() => format!(
                 "; a sweep is a TOML file, which `augnerf sweep new` writes, or the name of a shipped one; `augnerf train \

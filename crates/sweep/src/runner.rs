@@ -244,7 +244,7 @@ impl Runner<'_> {
             signal => Err(Error::Interrupted {
                 signal: signal as i32,
                 message: format!(
-                    "stopped by signal {signal}; nothing is lost: the same command goes on with {}",
+                    "stopped by signal {signal}; nothing is lost: the same command continues {}",
                     self.folder.path().display()
                 ),
             }),

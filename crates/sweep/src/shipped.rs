@@ -115,9 +115,11 @@ pub(super) fn shipped(name: &str) -> Option<(&'static str, &'static str)> {
     SHIPPED.iter().find(|(known, _)| *known == name).copied()
 }
 
-/// Where the shipped sweep of this name lies in the repository.
-pub(super) fn place(name: &str) -> Option<&'static str> {
-    SHIPPED.iter().zip(PLACES).find(|((known, _), _)| *known == name).map(|(_, place)| *place)
+/// Returns name and place in the repository of the shipped sweep of this name, or of a name that differs by at most two letters.
+pub(super) fn nearest(name: &str) -> Option<(&'static str, &'static str)> {
+    let distance = |known: &str| strsim::osa_distance(known, name);
+    let named = SHIPPED.iter().zip(PLACES).map(|((known, _), place)| (*known, *place));
+    named.min_by_key(|(known, _)| distance(known)).filter(|(known, _)| distance(known) <= 2)
 }
 
 /// The text of the shipped sweep that `--from` names, by its name or its file.

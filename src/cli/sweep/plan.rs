@@ -165,7 +165,12 @@ fn group_label(points: &[&Point]) -> String {
     match points {
         [only] => only.label(),
         _ if points.iter().all(|point| point.cell() == first.cell()) => first.cell(),
-        _ => format!("{} and others", first.cell()),
+        _ => {
+            let mut others: Vec<String> =
+                points.iter().map(|point| point.cell()).filter(|cell| *cell != first.cell()).collect();
+            others.dedup();
+            format!("{} and {} more", first.cell(), others.len())
+        }
     }
 }
 

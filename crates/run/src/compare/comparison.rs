@@ -211,7 +211,7 @@ pub(super) fn metrics_text(metrics: &ViewMetrics) -> String {
     // A PSNR is infinite, and so has no number, where nothing differs.
     let psnr = match (metrics.get(&PSNR), metrics.get(&MSE)) {
         (Some(psnr), _) => format!("PSNR {psnr:.2} dB"),
-        (None, Some(_)) => "equal to the truth".into(),
+        (None, Some(_)) => "equal to the ground truth".into(),
         (None, None) => "masked: not measured".into(),
     };
     metrics.get(&SSIM).map_or(psnr.clone(), |ssim| format!("{psnr}, SSIM {ssim:.3}"))
@@ -229,7 +229,7 @@ mod tests {
             metrics_text(&measure_unmasked("view", &grey(rendered), &grey(0.5), Some(&mask), &[]).unwrap())
         };
         assert_eq!(said(0.6, true), "PSNR 20.17 dB");
-        assert_eq!(said(0.5, true), "equal to the truth");
+        assert_eq!(said(0.5, true), "equal to the ground truth");
         assert_eq!(said(0.6, false), "masked: not measured");
     }
 }

@@ -132,8 +132,8 @@ impl ComparisonFigure<'_> {
         };
         let mut text = format!(
             "Box: {width} x {height} pixels from ({x}, {y}), {by}. Error: root of the mean squared difference of a \
-             pixel's three 8-bit colours to the truth. Scales are the same for all runs; the last colours stand for \
-             everything beyond, such as the outermost 2 % of the runs' values. Grey depth: little that stops light in a rendering; in the truth, nothing hit or depth not known."
+             pixel's three 8-bit colours to the ground truth. Scales are the same for all runs; the last colours stand for \
+             everything beyond, such as the outermost 2 % of the runs' values. Grey depth: little that stops light in a rendering; in the ground truth, nothing hit or depth not known."
         );
         if !self.comparison.differences.is_empty() {
             text += " Below names: the first settings that these runs differ in; compare.json has all.";

@@ -108,7 +108,9 @@ pub(super) fn difference_text(differences: &[Difference], run: usize) -> String 
     let first: Vec<&Difference> =
         FIRST.iter().filter_map(|name| differences.iter().find(|difference| difference.name == *name)).collect();
     if !first.is_empty() {
-        let values = first.into_iter().filter(told).map(|difference| rounded(&difference.values[run]));
+        let seed = differences.iter().filter(|difference| difference.name == "seed" && told(difference));
+        let seed = seed.map(|difference| format!("seed {}", difference.values[run]));
+        let values = first.into_iter().filter(told).map(|difference| rounded(&difference.values[run])).chain(seed);
         return values.collect::<Vec<String>>().join("; ");
     }
     let named = differences.iter().filter(told).take(TOLD).map(|Difference { name, values }| {

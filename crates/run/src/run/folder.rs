@@ -95,6 +95,12 @@ impl RunDir {
             let found = if path.exists() { "not a folder" } else { "missing" };
             return Err(Error::Checkpoint(format!("cannot open run {}: it is {found}", path.display())));
         }
+        if path.join("sweep.toml").is_file() {
+            return Err(Error::Checkpoint(format!(
+                "{} is the folder of a sweep; `augnerf sweep run FILE` continues it, and `augnerf sweep status` lists its runs",
+                path.display()
+            )));
+        }
         if !RunDir::holds_run(path) {
             return Err(Error::Checkpoint(format!(
                 "{} is not a run folder: it has no {CONFIG}; give the folder of `augnerf train --out`",

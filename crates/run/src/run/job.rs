@@ -346,7 +346,7 @@ impl Experiment<'_> {
                 let percent = (1e5 * config.train.dead_start_share).round() / 1e3;
                 let often = if *redraws == 1 { "once".into() } else { format!("{redraws} times") };
                 events.on(Event::Note(&format!(
-                    "{role} network initialized again {often} (dead start: below {percent} % of its densities were positive)"
+                    "{role} network initialized again {often}: below {percent} % of its densities were positive, so that it could not learn"
                 )));
             }
         }
@@ -425,7 +425,7 @@ impl Watcher<'_> {
         preview.spent += seconds;
         match drawn {
             Ok(true) if is_first => self.events.on(Event::Note(&format!(
-                "step {step}: a first picture is in {}; newer ones replace it, and the evaluation's {} in the end",
+                "step {step}: the first preview is {}; at the end, the evaluation writes {} in its place",
                 pictures.preview_path().display(),
                 renders.join(format!("{}_beside.png", scene.test[0].name)).display()
             ))),

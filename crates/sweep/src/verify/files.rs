@@ -274,7 +274,9 @@ fn pins(sweep: &Collected, findings: &mut Findings) -> Result<()> {
 fn pin(name: &str, list: &str, hash: &str, bytes: &[u8], findings: &mut Findings) {
     match sha256(bytes) {
         found if found == hash => {
-            findings.not_checked(format!("{name}: it has its hash under {list}; it cannot be made of what is here"));
+            findings.not_checked(format!(
+                "{name}: its hash is that under {list}; it cannot be made again from the files here"
+            ));
         }
         found => findings.wrong(format!("{name}: its SHA-256 is {found}, {PROVENANCE} has {hash} under {list}")),
     }

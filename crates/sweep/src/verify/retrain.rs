@@ -42,7 +42,7 @@ pub fn check(verifier: &Verifier, archive: &Archive, findings: &mut Findings) ->
     let at_hand: Vec<&Point> = archive.done().filter(|point| point.no_data.is_none()).collect();
     let count = verifier.retrain.min(at_hand.len());
     if count == 0 {
-        findings.not_checked("training again: no scene of the points is at hand");
+        findings.not_checked("training again: no scene of the points is here");
         return Ok(());
     }
     let points: Vec<Point> = drawn(count, at_hand.len(), *retrain_seed).map(|index| at_hand[index].clone()).collect();

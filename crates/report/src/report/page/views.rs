@@ -14,11 +14,11 @@ const MOST_BYTES: usize = 3 << 20;
 const SIZES: [(usize, u8); 4] = [(640, 88), (480, 82), (320, 78), (200, 74)];
 
 /// The note of the section on its images.
-pub const NOTE: &str = "Error: root of the mean squared difference of a pixel's three 8-bit colours to the truth. Error and depth \
+pub const NOTE: &str = "Error: root of the mean squared difference of a pixel's three 8-bit colours to the ground truth. Error and depth \
      have one scale for all rows of a scene, whose ends are the outermost 2 % of values; near is bright. Grey: nothing there. \
      The pictures are JPEG, made smaller where all of them would take more than 3 MiB.";
 /// The note of a masked view.
-const MASKED: &str = "stripes of the truth: masked pixels, which have no error";
+const MASKED: &str = "stripes of the ground truth: masked pixels, which have no error";
 
 /// One row's rendering of the view.
 #[derive(Clone, Debug)]

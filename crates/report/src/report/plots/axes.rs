@@ -218,7 +218,7 @@ impl<'f, 'a> Axes<'f, 'a> {
             text += " The best mean of each panel is marked with its value, in blue where it differs from another one.";
         }
         text += " A difference is shown by paired t tests over seeds, with Holm's p below 0.05 over all pairs of values in the \
-                 figure; a panel without one names the least that would have been.";
+                 figure; a panel without one names the smallest that would have been detected.";
         let places = || self.all.iter().map(|s| places(self.all, s.axis, s.panel));
         if places().any(|places| places.has_zero_apart()) {
             text += " On logarithmic axes 0 stands apart.";

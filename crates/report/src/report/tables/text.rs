@@ -12,8 +12,8 @@ use crate::report::statistics::p_text;
 use crate::settings::columns::{COLUMNS, CaptionRule, InactiveBy};
 
 const HOW_TO_READ: &str = "difference to the baseline, paired by seed, with its 95 % Student t interval and the p value \
-     after Holm's correction over the rows of the scene's table; \"higher\" and \"lower\" where that is below 0.05, \"not \
-     distinguishable\" where the interval holds 0, which proves no equality, and no word between the two";
+     after Holm's correction over the rows of the scene's table. \"higher\", \"lower\": that p is below 0.05. \"not \
+     distinguishable\": the interval holds 0, which proves no equality. No word: neither";
 const EQUIVALENCE: &str = "\"equivalent within\" a margin that the definition states: two one-sided paired t tests, with \
      Holm's p below 0.05";
 
@@ -30,7 +30,7 @@ const MARKS: [Mark; 9] = [
     ("†", InactiveBy::Colour.meaning(), |line| line.inactive_sites(InactiveBy::Colour)),
     ("‡", "NOT COMPARABLE, built by force: differs from the scene's first row in", |line| joined(&line.mixed)),
     ("§", "points without numbers", |line| line.unfinished().then(|| status_and_reason(line))),
-    ("=", "no better than one colour", most_of_one_colour),
+    ("‖", "no better than one colour", most_of_one_colour),
     ("", "sites that are inactive with at most half of the seeds", |line| line.inactive(false)),
     ("¶", "settings that differ between seeds", |line| joined(&line.differs)),
 ];
@@ -325,11 +325,9 @@ pub(super) fn unmeasured_notes(lines: &[&Line]) -> Vec<String> {
 fn why_empty(needs: Needs, with_weights: bool) -> &'static str {
     match (needs, with_weights) {
         (Needs::Lpips(_), false) => {
-            "no LPIPS weights were at hand; `sweep run --remeasure` with --lpips-weights measures it from the checkpoints"
+            "no LPIPS weights were given; `sweep run --remeasure` with --lpips-weights measures it from the checkpoints"
         }
-        (Needs::Lpips(_), true) => {
-            "the weights at hand were of another backbone, or the views are too small for this one"
-        }
+        (Needs::Lpips(_), true) => "the weights are of another backbone, or the views are too small for this one",
         (Needs::Depth, _) => "the scene's held-out views have no depth to measure it by",
         (Needs::ExactDepth, _) => "the scene's held-out views have no exact depth to measure it by",
         (Needs::DerivativesAtPoints, _) => "the rows' fields have no derivatives at points",
