@@ -63,7 +63,7 @@
 //! | `acc` | `[rays]` | 0..1 | sum of weights |
 //! | `depth` | `[rays]` | as `t_vals` | sum of weights * t |
 //! | `delta` | see [`perturb::Site`] and what implements it | the site's own | perturbation added at a site of the perturbed pass |
-//! | `epsilon` | scalar | see [`perturb::SiteSpec`] | size of a delta's constraint set |
+//! | `epsilon` | scalar | see [`settings::PerturbConfig`] | size of a delta's constraint set |
 //! | `step_size` | scalar | the delta's unit, or radii | length of one PGD step |
 //! | `lambda` | scalar | 1 | weight of the perturbed loss |
 //! | `laplacian` | `[n]` | 1 / scene unit^3 | divergence of density's gradient |

@@ -305,11 +305,10 @@ fn check_options(options: &MeshOptions) -> Result<()> {
     let (least, most) = (*MESH_SIDES.start() as u64, *MESH_SIDES.end() as u64);
     let (sides, memory) =
         (numbers().whole(least, most, "8 to 1024 cells per side"), numbers().real(|mib| mib > 0.0, "positive (MiB)"));
-    sides.check(|| "--resolution".into(), &resolution)?;
-    memory.check(|| "--memory".into(), &most_mib)?;
-    check_flag("--threshold", "eval.mesh.threshold", &threshold)?;
-    check_flag("--bbox", "eval.mesh.box", &domain)?;
-    Ok(())
+    sides.check("--resolution", resolution)?;
+    memory.check("--memory", most_mib)?;
+    threshold.map_or(Ok(()), |threshold| check_flag("--threshold", "eval.mesh.threshold", threshold))?;
+    Ok(domain.map_or(Ok(()), |domain| check_flag("--bbox", "eval.mesh.box", domain))?)
 }
 
 /// Describes a mesh in one line.

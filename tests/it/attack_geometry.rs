@@ -141,7 +141,7 @@ fn the_paper_s_set_never_reaches_beyond_half_a_gap() {
     // A smaller epsilon is the paper's length again.
     let small = |config: &mut PerturbConfig| {
         paper(config);
-        config.sites[PaperSite::T].epsilon = Some(0.1.into());
+        config[PaperSite::T].epsilon = Some(0.1.into());
     };
     let [_, of_paper] = sets(&numbers(small, 128, 256), &even(128), coarse(128), 256, fern(504.0));
     assert!((values(of_paper.get(PaperSite::T).unwrap())[0] * 63.0 / 0.1 - 1.0).abs() < 1e-12);
@@ -164,7 +164,7 @@ fn boxes_over_features_keep_the_norm_of_their_corners_and_balls_theirs() {
             (corner(size(narrow)) - 1e-3 * 16.0).abs() < 1e-15
                 && (narrow.pgd.step_size / size(narrow) - 1.0).abs() < 1e-12
         );
-        let ball = feature(|config| config.sites[PaperSite::Feature].norm = Some(Norm::L2), width);
+        let ball = feature(|config| config[PaperSite::Feature].norm = Some(Norm::L2), width);
         assert_eq!((size(ball), ball.pgd.step_size), (1e-3, 1e-3));
         // Steps in radii are scaled with them.
         let calibrated = feature(|config| config.sizes = Sizes::Calibrated, width);
@@ -242,7 +242,7 @@ fn a_set_as_far_as_the_ascent_reaches_follows_steps_and_step_size() {
     for steps in [1, 3, 10] {
         let reach = |config: &mut PerturbConfig| {
             for site in PaperSite::ALL {
-                let site = &mut config.sites[site];
+                let site = &mut config[site];
                 (site.steps, site.step_size, site.epsilon) = (Some(steps), Some(4e-4), Some(Epsilon::Reach));
             }
         };
@@ -259,7 +259,7 @@ fn a_set_as_far_as_the_ascent_reaches_follows_steps_and_step_size() {
     // t keeps the order of samples; no step reaches nowhere.
     let far = |steps: usize| {
         move |config: &mut PerturbConfig| {
-            let t = &mut config.sites[PaperSite::T];
+            let t = &mut config[PaperSite::T];
             (t.steps, t.step_size, t.epsilon) = (Some(steps), Some(0.1), Some(Epsilon::Reach));
         }
     };
@@ -272,7 +272,7 @@ fn a_set_as_far_as_the_ascent_reaches_follows_steps_and_step_size() {
 #[test]
 fn reach_is_a_word_of_files_and_needs_steps_of_a_length() {
     let reach = config(&["method=aug-nerf", "perturb.feature.epsilon=reach"]).unwrap();
-    assert_eq!(reach.perturb.sites[PaperSite::Feature].epsilon, Some(Epsilon::Reach));
+    assert_eq!(reach.perturb[PaperSite::Feature].epsilon, Some(Epsilon::Reach));
     assert_eq!(Config::from_toml(&reach.to_toml(), "file").unwrap(), reach);
     let json = serde_json::to_string(&reach).unwrap();
     assert_eq!(serde_json::from_str::<Config>(&json).unwrap(), reach);

@@ -63,7 +63,7 @@ fn a_masked_second_pass_changes_the_entries_of_the_clean_pass() {
         before.chunks(2).zip(after.chunks(2)).map(|(a, b)| a != b).collect()
     };
     let plain = tiny_config(Method::Nerf, |config| put_on_grid(config, 11));
-    let far = |config: &mut Config| config.perturb.sites[PaperSite::Xyz].epsilon = Some(Epsilon::Units(8.0));
+    let far = |config: &mut Config| config.perturb[PaperSite::Xyz].epsilon = Some(Epsilon::Units(8.0));
     let masked = config(true, worst, |config| {
         far(config);
         config.perturb.entries = ChangedEntries::Clean;

@@ -83,8 +83,8 @@ fn each_site_is_attacked_alone_on_a_grid() {
         .flat_map(|site| [OutputPlace::After, OutputPlace::Before].map(|output| (site, output)))
     {
         let config = on_a_grid(Method::AugNerf, |config| {
-            for (each, section) in config.perturb.sites.iter_mut() {
-                section.passes = if each == site { Passes::Fine } else { Passes::Off };
+            for each in PaperSite::ALL {
+                config.perturb[each].passes = if each == site { Passes::Fine } else { Passes::Off };
             }
             config.perturb.output = output;
         });

@@ -14,9 +14,9 @@ const CPU: Device = Device::Cpu;
 /// A pass of a small f32 field, with density noise and a background, or with neither.
 fn small(method: Method, rich: bool, norm: Norm) -> Setting {
     let setting = Setting::new(method, 5, (5, 7), DType::F32, |config| {
-        config.sites[PaperSite::Rgb].epsilon = Some(0.1.into());
-        config.sites[PaperSite::Rgb].norm = Some(norm);
-        config.sites[PaperSite::Density].epsilon = Some(0.3.into());
+        config[PaperSite::Rgb].epsilon = Some(0.1.into());
+        config[PaperSite::Rgb].norm = Some(norm);
+        config[PaperSite::Density].epsilon = Some(0.3.into());
     });
     let noise = setting.noise.clone().filter(|_| rich);
     Setting { noise, background: rich.then_some([0.9, 0.2, 0.4]), ..setting }

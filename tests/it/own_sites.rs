@@ -55,8 +55,8 @@ impl Site for OfRays {
 /// A configuration whose own sites are off, but for `view`, which gives rays their tangents.
 fn alone(change: impl FnOnce(&mut Config)) -> Resolved {
     tiny_config(Method::AugNerf, |config| {
-        for (site, numbers) in config.perturb.sites.iter_mut() {
-            numbers.passes = if site == PaperSite::View { Passes::Fine } else { Passes::Off };
+        for site in PaperSite::ALL {
+            config.perturb[site].passes = if site == PaperSite::View { Passes::Fine } else { Passes::Off };
         }
         change(config);
     })
@@ -164,7 +164,7 @@ fn sites_that_cannot_be_are_refused_in_words() {
         (refused(&augmented, vec![named("a,b")]), "lower-case letters"),
         (
             refused(
-                &tiny_config(Method::AugNerf, |config| config.perturb.sites[PaperSite::View].passes = Passes::Off),
+                &tiny_config(Method::AugNerf, |config| config.perturb[PaperSite::View].passes = Passes::Off),
                 vec![of_rays(PaperSite::View, 0.1, 1)],
             ),
             "perturb.view.passes",

@@ -41,9 +41,9 @@ fn geometry<'a>(
 fn setting(method: Method, seed: u64, size: (usize, usize), change: impl FnOnce(&mut PerturbConfig)) -> Setting {
     Setting::new(method, seed, size, DType::F64, |config| {
         // Large enough that f64 differences see them.
-        config.sites[PaperSite::Feature].epsilon = Some(0.05.into());
-        config.sites[PaperSite::Rgb].epsilon = Some(0.03.into());
-        config.sites[PaperSite::Density].epsilon = Some(0.1.into());
+        config[PaperSite::Feature].epsilon = Some(0.05.into());
+        config[PaperSite::Rgb].epsilon = Some(0.03.into());
+        config[PaperSite::Density].epsilon = Some(0.1.into());
         change(config);
     })
 }
@@ -147,7 +147,7 @@ fn epsilon_zero_is_the_clean_pass_exactly() {
 fn epsilon_zero_is_clean(method: Method) {
     let setting = setting(method, 2, (5, 7), |config| {
         for site in PaperSite::ALL {
-            config.sites[site].epsilon = Some(0.0.into());
+            config[site].epsilon = Some(0.0.into());
         }
     });
     let deltas = setting.search(setting.draw(0));
@@ -200,13 +200,13 @@ proptest! {
         let method = if mip { Method::AugMipNerf } else { Method::AugNerf };
         let setting = setting(method, seed, (3, 5), |config| {
             for site in PaperSite::ALL {
-                let delta = &mut config.sites[site];
+                let delta = &mut config[site];
                 (delta.epsilon, delta.step_size, delta.steps) = (Some(epsilon.into()), Some(step_size), Some(steps));
                 if !matches!(site, PaperSite::T | PaperSite::Density) {
                     delta.norm = Some(if l2 { Norm::L2 } else { Norm::Linf });
                 }
             }
-            config.sites[PaperSite::T].epsilon = Some(epsilon_t.max(1e-9).into());
+            config[PaperSite::T].epsilon = Some(epsilon_t.max(1e-9).into());
         });
         let start = setting.draw(seed);
         assert_legal(&setting, &start)?;
@@ -226,7 +226,7 @@ proptest! {
         let t_vals = Tensor::from_vec(t, (1, samples), &CPU).unwrap();
         let norm = Tensor::ones((1, 1), DType::F32, &CPU).unwrap();
         let mut config = PerturbConfig::default();
-        config.sites[PaperSite::T].epsilon = Some(0.5.into());
+        config[PaperSite::T].epsilon = Some(0.5.into());
         let config = config.resolve(1.0, 1, 16);
         let pixel = PixelScale { width: 16.0, height: 16.0, focal: 20.0, ndc: true };
         let geometry = geometry(&t_vals, &norm, (0.0, 1.0), 4, pixel);
@@ -257,7 +257,7 @@ fn the_search_raises_the_loss_and_beats_random_deltas_on_a_trained_field() {
                 *config = PerturbConfig { sizes: Sizes::Calibrated, injection_layer: 2, ..PerturbConfig::default() };
                 for site in PaperSite::ALL {
                     let alone = only.is_none_or(|only| only == site);
-                    config.sites[site].passes = if alone { Passes::Both } else { Passes::Off };
+                    config[site].passes = if alone { Passes::Both } else { Passes::Off };
                 }
             });
             setting.field = Field::from_parameters(&config.field, weights.clone()).unwrap();
@@ -328,8 +328,8 @@ fn every_kind_and_place_trains() {
 fn a_level_too_small_to_matter_is_inactive_and_a_large_one_is_not() {
     let levels = |epsilon: f64| {
         let config = tiny_config(Method::AugNerf, |config| {
-            config.perturb.sites[PaperSite::Rgb].epsilon = Some(epsilon.into());
-            config.perturb.sites[PaperSite::Rgb].step_size = Some(epsilon);
+            config.perturb[PaperSite::Rgb].epsilon = Some(epsilon.into());
+            config.perturb[PaperSite::Rgb].step_size = Some(epsilon);
         });
         let stats = trained(&config, 20).step(true).unwrap();
         stats.sites.iter().find(|measured| measured.site == "rgb").unwrap().clone()
@@ -349,10 +349,10 @@ fn a_coarse_level_gains_as_much_as_its_pass_weighs() {
             config.train.coarse_weight = coarse_weight;
             config.perturb.sizes = Sizes::Calibrated;
             for site in PaperSite::ALL {
-                config.perturb.sites[site].passes = Passes::Off;
+                config.perturb[site].passes = Passes::Off;
             }
-            config.perturb.sites[PaperSite::Xyz].passes = Passes::Coarse;
-            config.perturb.sites[PaperSite::Xyz].epsilon = Some(20.0.into());
+            config.perturb[PaperSite::Xyz].passes = Passes::Coarse;
+            config.perturb[PaperSite::Xyz].epsilon = Some(20.0.into());
         });
         trained(&config, 0).step(true).unwrap().sites[0].gain
     };
@@ -384,7 +384,7 @@ fn density_noise_cannot_make_an_empty_white_scene_opaque() {
 
 #[test]
 fn a_level_of_size_zero_is_reported_inactive() {
-    let config = tiny_config(Method::AugNerf, |config| config.perturb.sites[PaperSite::Rgb].epsilon = Some(0.0.into()));
+    let config = tiny_config(Method::AugNerf, |config| config.perturb[PaperSite::Rgb].epsilon = Some(0.0.into()));
     let stats = trained(&config, 1).step(true).unwrap();
     let rgb = stats.sites.iter().find(|measured| measured.site == "rgb").unwrap();
     assert!(rgb.inactive && (rgb.gain, rgb.shift) == (0.0, 0.0) && rgb.share_at_bound.is_none(), "{rgb:?}");
@@ -396,10 +396,10 @@ fn a_search_that_leaves_the_points_alone_pays_for_the_trunk_once() {
     let work_of = |steps: usize| {
         let config = tiny_config(Method::AugNerf, |config| {
             config.perturb.injection_layer = 4;
-            for (site, section) in config.perturb.sites.iter_mut() {
-                section.passes = if site == PaperSite::Feature { Passes::Both } else { Passes::Off };
+            for site in PaperSite::ALL {
+                config.perturb[site].passes = if site == PaperSite::Feature { Passes::Both } else { Passes::Off };
             }
-            config.perturb.sites[PaperSite::Feature].steps = Some(steps);
+            config.perturb[PaperSite::Feature].steps = Some(steps);
         });
         let runtime = Runtime::new("cpu", Some(1)).unwrap();
         let mut trainer = Trainer::new(&config, &tiny_scene(), DType::F32, &runtime).unwrap();

@@ -142,7 +142,7 @@ impl Attack {
         let mut config = PerturbConfig::default();
         let numbers = [(0.5, 0.03), (1.0, 0.015), (1.0, 0.008), (0.05, 0.04), (0.03, 0.025), (0.4, 0.3)];
         for (site, (epsilon, step_size)) in SITES.into_iter().zip(numbers) {
-            let delta = &mut config.sites[site];
+            let delta = &mut config[site];
             (delta.steps, delta.step_size, delta.epsilon) = (Some(2), Some(step_size), Some(epsilon.into()));
         }
         let config = config.resolve(1.0, 1, 16);

@@ -128,7 +128,7 @@ fn columns_hold_the_values_of_settings() {
     let mip = of(Method::AugMipNerf, |config| {
         config.train.schedule = Schedule::LogLinear;
         config.field.core = Core::Plain;
-        config.perturb.sites[PaperSite::Xyz].norm = Some(Norm::Linf);
+        config.perturb[PaperSite::Xyz].norm = Some(Norm::Linf);
         config.data.train_views = Some(TrainViews::Named(vec!["r_2".into(), "r_26".into()]));
     });
     for (column, text) in [
@@ -155,8 +155,8 @@ fn columns_of_a_hash_field_tell_what_it_reads() {
             config.field.encoding = Encoding::Hash;
             config.field.hash.log2_table = 8;
             config.field.hash.levels = levels;
-            config.perturb.sites[PaperSite::Xyz].passes = Passes::Fine;
-            config.perturb.sites[PaperSite::View].passes = Passes::Off;
+            config.perturb[PaperSite::Xyz].passes = Passes::Fine;
+            config.perturb[PaperSite::View].passes = Passes::Off;
         });
         Protocol::new(&config, &tiny_scene(), &trained(&config, 0).state())
     };

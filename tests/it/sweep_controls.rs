@@ -68,7 +68,7 @@ fn every_shipped_sweep_with_an_augmented_row_has_its_controls() {
                 continue;
             }
             // Levels and variants of the method by themselves have the whole method's controls.
-            let whole = PaperSite::ALL.into_iter().all(|site| config.perturb.sites[site].on());
+            let whole = PaperSite::ALL.into_iter().all(|site| config.perturb[site].on());
             let is_whole = whole && !name.starts_with("variants");
             if *second != SecondPass::Perturbed(DeltaSource::WorstCase) || !is_whole {
                 continue;
@@ -258,8 +258,8 @@ fn an_axis_sets_what_all_its_points_share() {
     assert_eq!(augmented.len(), 4);
     for point in augmented {
         let perturb = &point.config.perturb;
-        assert_eq!((perturb.sites[PaperSite::Feature].epsilon, perturb.lambda), (Some(Epsilon::Reach), 0.5));
-        assert!(perturb.sites[PaperSite::Feature].step_size.is_some());
+        assert_eq!((perturb[PaperSite::Feature].epsilon, perturb.lambda), (Some(Epsilon::Reach), 0.5));
+        assert!(perturb[PaperSite::Feature].step_size.is_some());
     }
     let unknown = points_of(&format!("{BASE}{}", axis.replace("lambda", "lamda"))).unwrap_err().to_string();
     assert!(unknown.contains("lamda"), "{unknown}");

@@ -164,7 +164,7 @@ values = [1, 2, 3]
     assert_eq!(product[0].places.len(), 6);
     assert!(labels(&product).contains(&"Aug-NeRF, steps = 1, features layer = 3 · builtin · seed 0".to_string()));
     let config = &product[1].config.perturb;
-    let steps = [PaperSite::T, PaperSite::Xyz].map(|site| config.sites[site].steps);
+    let steps = [PaperSite::T, PaperSite::Xyz].map(|site| config[site].steps);
     assert_eq!((steps, config.injection_layer), ([Some(1); 2], 1));
     let single = points_of(&format!("combine = \"one-at-a-time\"\n{BASE}{axes}")).unwrap();
     assert_eq!(single.len(), 2 * (1 + 5));
@@ -763,7 +763,7 @@ fn the_figure_has_the_paper_s_axes_around_one_best_point() {
     let with_it = |point: &&Point| point.places[0].axes.iter().any(|value| value.axis == "step size, epsilon with it");
     for point in points.iter().filter(with_it) {
         let reaching =
-            point.config.perturb.sites.iter().filter(|(_, site)| site.epsilon == Some(Epsilon::Reach)).count();
+            point.config.perturb.sites().filter(|(_, site)| site.epsilon == Some(Epsilon::Reach)).count();
         let sites = [("input coordinates", 3), ("features", 1), ("output", 2)];
         let of_panel = sites.iter().find(|(panel, _)| *panel == point.places[0].axes[0].panel).unwrap().1;
         assert_eq!(reaching, of_panel, "{}", point.label());

@@ -468,7 +468,7 @@ fn loss_scale(config: &Resolved) -> f64 {
 
 /// Whether view directions are tilted.
 fn has_tangents(config: &Resolved) -> bool {
-    config.method.is_augmented() && config.perturb.sites[PaperSite::View].on()
+    config.method.is_augmented() && config.perturb[PaperSite::View].on()
 }
 
 /// Copies the parameters of fields, with their moments, to the device.

@@ -24,7 +24,6 @@ use serde::{Deserialize, Deserializer, Serialize};
 use crate::base::files::{check_own, clean_temporaries, read_large_json, write_atomic};
 use crate::base::input::{TEXT_BYTES, read_text};
 use crate::base::{Error, Result};
-use crate::settings::registry::Section;
 
 use super::definition::{Definition, scene_name};
 use super::extends::MOST_POINTS;
@@ -286,7 +285,7 @@ fn check_points(points: &[Point]) -> std::result::Result<(), String> {
         if point.scene != scene_name(&point.source) {
             return Err(format!("the scene of point {id} is {:?}, its source {:?}", point.scene, point.source));
         }
-        Section::check(&point.config, "").map_err(|error| format!("point {id}: {error}"))?;
+        point.config.check_ranges().map_err(|error| format!("point {id}: {error}"))?;
     }
     Ok(())
 }

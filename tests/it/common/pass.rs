@@ -3,7 +3,7 @@
 use augnerf::base::rng::{Random, Stream};
 use augnerf::data::{RayBuffer, RayParts, Rays};
 use augnerf::field::Field;
-use augnerf::perturb::{Deltas, Draw, PassGeometry, Passes, PixelScale, SampleDensity, Sets, worst_case};
+use augnerf::perturb::{Deltas, Draw, PaperSite, PassGeometry, Passes, PixelScale, SampleDensity, Sets, worst_case};
 use augnerf::render::{Pass, Perturbation, perturbed_pass, photometric_loss, sampling};
 use augnerf::settings::{Method, PerturbConfig, Resolved, Spacing};
 use candle_core::{DType, Device, Tensor};
@@ -32,7 +32,7 @@ impl Setting {
         change: impl FnOnce(&mut PerturbConfig),
     ) -> Setting {
         let config = tiny_config(method, |config| {
-            config.perturb.sites.iter_mut().for_each(|(_, site)| site.passes = Passes::Both);
+            PaperSite::ALL.into_iter().for_each(|site| config.perturb[site].passes = Passes::Both);
             change(&mut config.perturb);
         });
         let scene = tiny_scene();

@@ -79,13 +79,6 @@ pub struct SettingError {
     pub allowed: String,
 }
 
-impl SettingError {
-    /// Returns the same error for a flag that stands for the setting.
-    pub fn renamed(self, flag: &str) -> SettingError {
-        SettingError { path: flag.into(), ..self }
-    }
-}
-
 /// The result of everything in this crate that can fail.
 pub type Result<T> = std::result::Result<T, Error>;
 

@@ -26,6 +26,7 @@ pub mod resample;
 mod rescale;
 mod rig;
 mod scene_space;
+pub mod settings;
 mod unseen;
 pub mod vector;
 mod views;
@@ -52,7 +53,7 @@ use sha2::{Digest, Sha256};
 use crate::base::{Error, Event, Image, Listener, Result};
 use load_notes::LoadNotes;
 
-use crate::settings::{Background, DataConfig, DataKind, Extent, scene_name, short_hash};
+use crate::settings::{Background, DataConfig, Extent, scene_name, short_hash};
 
 /// One photo with its pose.
 #[derive(Clone, Debug)]
@@ -185,11 +186,8 @@ fn brief(number: f64) -> String {
 
 /// Returns whether [`load`] may find a box that most cameras look at, which a hash grid then fills.
 pub fn may_have_box(config: &DataConfig) -> bool {
-    match config.kind {
-        DataKind::Transforms | DataKind::Colmap => true,
-        DataKind::Llff => !config.ndc,
-        DataKind::Auto | DataKind::Blender | DataKind::BuiltinBlender | DataKind::BuiltinForward => false,
-    }
+    let is_in_ndc = config.kind.forward_facing() && config.ndc;
+    !is_in_ndc && config.kind.format().is_some_and(|format| format.reads.contains(&"rescale"))
 }
 
 /// Loads the scene that `config` names. Its kind must be settled ([`detect`]) and `downscale` filled. `seed` is for the

@@ -32,6 +32,7 @@ mod nerf;
 mod open;
 mod peak;
 mod rgb_limit;
+pub mod settings;
 mod slopes;
 mod spatial;
 

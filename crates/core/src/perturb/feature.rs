@@ -16,8 +16,6 @@ impl Feature {
         name: "feature",
         level: Level::Feature,
         moves_samples: false,
-        what: "added to the output of a trunk layer",
-        unit: "feature units",
         sizes: DefaultSizes {
             steps: 1,
             norm: Norm::Linf,

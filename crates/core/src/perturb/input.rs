@@ -23,8 +23,6 @@ impl T {
         name: "t",
         level: Level::Input,
         moves_samples: true,
-        what: "shift along the ray",
-        unit: "gap to the nearer sample",
         sizes: DefaultSizes {
             steps: 3,
             norm: Norm::Linf,
@@ -113,8 +111,6 @@ impl Xyz {
         name: "xyz",
         level: Level::Input,
         moves_samples: true,
-        what: "shift of a sample's point",
-        unit: "pixels",
         sizes: DefaultSizes {
             steps: 3,
             norm: Norm::L2,
@@ -178,8 +174,6 @@ impl View {
         name: "view",
         level: Level::Input,
         moves_samples: false,
-        what: "tilt of the viewing direction",
-        unit: "half a pixel's angle, 1/(2f)",
         sizes: DefaultSizes {
             steps: 3,
             norm: Norm::Linf,

@@ -13,6 +13,7 @@ mod output;
 mod pgd;
 mod set;
 mod sets;
+pub mod settings;
 mod site;
 
 pub use epsilon::{Epsilon, REACH};

@@ -19,8 +19,6 @@ impl Rgb {
         name: "rgb",
         level: Level::Output,
         moves_samples: false,
-        what: "added to the colour of a sample",
-        unit: "colour, 0 to 1",
         sizes: DefaultSizes {
             steps: 1,
             norm: Norm::Linf,
@@ -63,8 +61,6 @@ impl Density {
         name: "density",
         level: Level::Output,
         moves_samples: false,
-        what: "added to the density of a sample",
-        unit: "1 / length",
         sizes: DefaultSizes {
             steps: 1,
             norm: Norm::Linf,

@@ -165,10 +165,6 @@ pub struct SiteSpec {
     /// Whether its delta moves the samples at which the field is queried. A search computes what depends on them alone
     /// once, as soon as no such site moves any more.
     pub moves_samples: bool,
-    /// Its delta in words, for the documentation of settings.
-    pub what: &'static str,
-    /// The unit of its epsilon.
-    pub unit: &'static str,
     /// Its default sizes.
     pub sizes: DefaultSizes,
     /// Largest epsilon, and the allowed range in words.

@@ -12,6 +12,7 @@ mod pass;
 mod perturbed;
 pub mod sampling;
 mod scan;
+pub mod settings;
 pub mod volume;
 
 pub use cast::{gaussians_at, points_at, positions_at, ray_parts, samples_of};

@@ -119,7 +119,7 @@ pub fn perturbed(config: &Config) -> bool {
 }
 
 fn perturbed_at(config: &Config, site: PaperSite) -> bool {
-    perturbed(config) && config.perturb.sites[site].on()
+    perturbed(config) && config.perturb[site].on()
 }
 
 /// Returns whether the loss has a term next to the colour loss.

@@ -3,11 +3,10 @@
 use sha2::{Digest, Sha256};
 use toml::{Table, Value};
 
-use super::registry::{Effect, Section};
-use super::{
-    Config, DataConfig, Encoding, EvalConfig, Method, NO_REFERENCE, PerturbConfig, PixelOrigin, Split, TrainConfig,
-};
-use crate::perturb::Passes;
+use super::idle::IdleKind;
+use super::registry::{Effect, REGISTRY, Setting};
+use super::{Config, DataConfig, NO_REFERENCE, PixelOrigin, Split};
+use crate::perturb::{PaperSite, Passes};
 
 /// The scheme of hashes. Raise it when a default changes, and nothing is taken for what it was.
 const SCHEME: &str = "augnerf 0.2.0";
@@ -20,23 +19,25 @@ impl Config {
 
     /// Returns everything that can change a weight or a rendered held-out view, with the rest at its defaults. The scene
     /// counts by its name, not by its folder. How often a run logs, evaluates or saves does not count, nor do surfaces and the
-    /// number of training views that it measures. Neither do section `perturb` without a perturbed pass, regularizers of weight 0, and settings that the field does not read.
+    /// number of training views that it measures. Neither do regularizers of weight 0, and settings that the method does not read.
     pub fn portable(&self) -> Config {
-        let mut portable = self.named();
-        portable.reset(&Config::default(), |rule| rule.effect != Effect::Numbers);
-        if !self.method.is_augmented() {
-            portable.perturb = PerturbConfig::default();
+        let mut named = self.named();
+        named.regularizer.settle();
+        let idle = named.idle();
+        let mut portable = named.at_defaults(|setting| {
+            setting.rule.effect != Effect::Numbers || idle.at(&setting.path).any(|idle| idle.kind != IdleKind::Noted)
+        });
+        // The coarse pass of a hash grid is never perturbed, so that `fine` and `both` are the same.
+        for site in PaperSite::ALL.into_iter().filter(|_| self.on_hash_grid()) {
+            let passes = &mut portable.perturb[site].passes;
+            *passes = if *passes == Passes::Fine { Passes::Both } else { *passes };
         }
-        portable.forget_unread();
-        portable.regularizer.resolve();
-        portable.data.corruption.resolve();
         portable
     }
 
     /// Returns the same experiment without paths. Its scene keeps its name.
     pub fn without_paths(&self) -> Config {
-        let mut anywhere = self.named();
-        anywhere.reset(&Config::default(), |rule| rule.effect == Effect::Path);
+        let mut anywhere = self.named().at_defaults(|setting| setting.rule.effect == Effect::Path);
         // The name of a built-in scene is no path.
         if self.data.numbered_scene().is_some() {
             anywhere.data.dir.clone_from(&self.data.dir);
@@ -51,15 +52,13 @@ impl Config {
     /// Returns a name for all configurations whose steps take equally long. It omits what does not change the time of a
     /// step.
     pub fn step_shape(&self) -> String {
-        let mut shape = self.named();
-        if self.method.is_augmented() {
-            shape.perturb = shape.perturb.resolve(1.0, 1, shape.field.width).into_draft();
-        } else {
-            shape.perturb = PerturbConfig::default();
-        }
-        shape.reset(&Config::default(), |rule| rule.same_time || rule.effect == Effect::Path);
-        shape.forget_unread();
-        shape.eval = EvalConfig::default();
+        let mut named = self.named();
+        named.perturb = named.perturb.resolve(1.0, 1, named.field.width).into_draft();
+        let idle = named.idle();
+        let mut shape = named.at_defaults(|Setting { path, rule, .. }| {
+            let is_of_steps = !rule.same_time && rule.effect != Effect::Path && !path.starts_with("eval.");
+            !is_of_steps || idle.at(path).any(|idle| idle.kind != IdleKind::Noted)
+        });
         shape.regularizer.weight = vec![1.0; shape.regularizer.kind.len()];
         for number in [&mut shape.train.sam_radius, &mut shape.train.clip_value, &mut shape.train.clip_norm] {
             *number = if *number > 0.0 { 1.0 } else { 0.0 };
@@ -78,52 +77,13 @@ impl Config {
         short_hash(Sha256::new_with_prefix(format!("{SCHEME}\n{table}")))
     }
 
-    /// Resets the sections that the method does not read: those of other methods, and those of fields if it has none.
-    pub(super) fn forget_other_methods(&mut self) {
-        let default = Config::default();
-        if self.method != Method::Srn {
-            self.srn = default.srn;
+    /// Returns the configuration with the chosen settings at their defaults.
+    pub(super) fn at_defaults(&self, chosen: impl Fn(&Setting) -> bool) -> Config {
+        let (mut table, defaults) = (self.to_table(), Config::default().to_table());
+        for Setting { path, .. } in REGISTRY.settings.iter().filter(|setting| chosen(setting)) {
+            set_or_remove(&mut table, path, value_at(&defaults, path).cloned());
         }
-        if self.method != Method::Nv {
-            self.nv = default.nv;
-        }
-        if self.method != Method::Llff {
-            self.llff = default.llff;
-        }
-        if !self.method.has_fields() {
-            (self.field, self.sampling) = (default.field, default.sampling);
-            (self.perturb, self.regularizer) = (default.perturb, default.regularizer);
-        }
-    }
-
-    /// Also resets single settings that the method does not read, or its field, with or without a hash grid.
-    fn forget_unread(&mut self) {
-        self.forget_other_methods();
-        let default = Config::default();
-        if self.train.sam_radius == 0.0 {
-            self.train.sam_direction = default.train.sam_direction;
-        }
-        if !self.method.has_fields() {
-            self.train.coarse_weight = default.train.coarse_weight;
-            self.train.dead_start_share = default.train.dead_start_share;
-        }
-        if !self.method.learns_from_rays() {
-            let TrainConfig { rays, chunk, batching, precrop_steps, precrop_fraction, .. } = default.train;
-            self.train = TrainConfig { rays, chunk, batching, precrop_steps, precrop_fraction, ..self.train.clone() };
-        }
-        self.nv.forget_unread();
-        if self.field.encoding != Encoding::Hash {
-            self.field.hash = default.field.hash;
-            return;
-        }
-        self.field.position_octaves = default.field.position_octaves;
-        self.train.coarse_weight = default.train.coarse_weight;
-        if self.field.hash.levels == 1 {
-            self.field.hash.finest = default.field.hash.finest;
-        }
-        // The coarse pass is never perturbed, so that `fine` and `both` are the same.
-        let fine = self.perturb.sites.iter_mut().filter(|(_, site)| site.passes == Passes::Fine);
-        fine.for_each(|(_, site)| site.passes = Passes::Both);
+        table.try_into().expect("defaults are values of settings")
     }
 
     /// Returns the configuration with its scene named after the folder, unless it has a name.
@@ -144,15 +104,17 @@ pub fn value_at<'a>(table: &'a Table, path: &str) -> Option<&'a Value> {
     }
 }
 
-/// Removes the value at a dotted path, if there is one.
-pub(super) fn remove(table: &mut Table, path: &str) {
-    match path.split_once('.') {
-        Some((section, rest)) => {
-            if let Some(inner) = table.get_mut(section).and_then(Value::as_table_mut) {
-                remove(inner, rest);
-            }
-        }
-        None => _ = table.remove(path),
+/// Sets the value at a dotted path, or removes it. Without its section there is nothing to do.
+pub(super) fn set_or_remove(table: &mut Table, path: &str, value: Option<Value>) {
+    let Some((section, rest)) = path.split_once('.') else {
+        match value {
+            Some(value) => table.insert(path.into(), value),
+            None => table.remove(path),
+        };
+        return;
+    };
+    if let Some(inner) = table.get_mut(section).and_then(Value::as_table_mut) {
+        set_or_remove(inner, rest, value);
     }
 }
 

@@ -6,11 +6,11 @@ use toml::{Table, Value};
 
 use super::identity::value_at;
 use super::registry::{REGISTRY, Setting, meant};
-use super::site::forget_passes;
 use super::types::{number_text, word};
 use super::{Config, DataConfig, Encoding, Method, REGULARIZERS, over_run};
 use crate::base::input::{TEXT_BYTES, read_named};
 use crate::base::{Error, Result};
+use crate::perturb::settings::forget_passes;
 
 /// A named set of settings.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -61,19 +61,6 @@ impl Preset {
         })
     }
 
-    /// Returns the sizes of methods without fields that suit the preset, the general one first. They name tables of
-    /// `presets/srn.toml` and the like.
-    pub(super) fn sizes(self) -> &'static [&'static str] {
-        match self {
-            Preset::Fast => &["small"],
-            Preset::FewViews => &["small", "few-views"],
-            Preset::FewViewsLlff | Preset::FewViewsBlender => &["small", "few-views-of-papers"],
-            Preset::Cpu => &["small", "cpu"],
-            Preset::Smoke => &["small", "smoke"],
-            Preset::PaperLlff | Preset::PaperBlender | Preset::ReleasedLlff | Preset::ReleasedBlender => &["paper"],
-        }
-    }
-
     /// Returns the preset's encoding if the method has no field of it.
     fn unsuited(self, method: Method) -> Option<Encoding> {
         let encoding = value_at(&self.table(), "field.encoding")?.clone().try_into().ok()?;
@@ -101,21 +88,25 @@ impl Preset {
 
     /// Returns the settings of the preset.
     pub(super) fn table(self) -> Table {
-        toml::from_str(self.text()).expect("presets are valid TOML")
+        toml::from_str(self.file().0).expect("presets are valid TOML")
     }
 
-    fn text(self) -> &'static str {
+    /// Returns the preset's file, and the sizes of methods without fields that suit it, the general one first. Sizes name
+    /// tables of `presets/srn.toml` and the like.
+    fn file(self) -> (&'static str, &'static [&'static str]) {
         match self {
-            Preset::Fast => include_str!("presets/fast.toml"),
-            Preset::Smoke => include_str!("presets/smoke.toml"),
-            Preset::Cpu => include_str!("presets/cpu.toml"),
-            Preset::PaperLlff => include_str!("presets/paper-llff.toml"),
-            Preset::PaperBlender => include_str!("presets/paper-blender.toml"),
-            Preset::ReleasedLlff => include_str!("presets/released-llff.toml"),
-            Preset::ReleasedBlender => include_str!("presets/released-blender.toml"),
-            Preset::FewViews => include_str!("presets/few-views.toml"),
-            Preset::FewViewsLlff => include_str!("presets/few-views-llff.toml"),
-            Preset::FewViewsBlender => include_str!("presets/few-views-blender.toml"),
+            Preset::Fast => (include_str!("presets/fast.toml"), &["small"]),
+            Preset::Smoke => (include_str!("presets/smoke.toml"), &["small", "smoke"]),
+            Preset::Cpu => (include_str!("presets/cpu.toml"), &["small", "cpu"]),
+            Preset::PaperLlff => (include_str!("presets/paper-llff.toml"), &["paper"]),
+            Preset::PaperBlender => (include_str!("presets/paper-blender.toml"), &["paper"]),
+            Preset::ReleasedLlff => (include_str!("presets/released-llff.toml"), &["paper"]),
+            Preset::ReleasedBlender => (include_str!("presets/released-blender.toml"), &["paper"]),
+            Preset::FewViews => (include_str!("presets/few-views.toml"), &["small", "few-views"]),
+            Preset::FewViewsLlff => (include_str!("presets/few-views-llff.toml"), &["small", "few-views-of-papers"]),
+            Preset::FewViewsBlender => {
+                (include_str!("presets/few-views-blender.toml"), &["small", "few-views-of-papers"])
+            }
         }
     }
 }
@@ -133,7 +124,7 @@ fn representation_layer(layers: [&Table; 2], preset: Option<Preset>) -> Option<T
 fn sized(layer: &str, preset: Option<Preset>) -> Table {
     let mut layer: Table = toml::from_str(layer).expect("presets are valid TOML");
     let own = SIZES.map(|size| (size, layer.remove(size)));
-    let suit = preset.map_or(&["paper"][..], Preset::sizes);
+    let suit = preset.map_or(&["paper"][..], |preset| preset.file().1);
     for (_, own) in own.into_iter().filter(|(size, _)| suit.contains(size)) {
         if let Some(Value::Table(own)) = own {
             merge(&mut layer, own);
@@ -324,10 +315,13 @@ fn refusal(path: &str, value: &str, message: &str) -> String {
     let starts = ["invalid type", "unknown variant", "invalid value", "expected "];
     // "expected a ..." is a setting's own sentence.
     let of_type = starts.iter().any(|start| message.starts_with(start)) && !message.starts_with("expected a ");
-    let Some(setting) = REGISTRY.get(path).filter(|_| of_type) else { return message.into() };
+    let Some(setting) = REGISTRY.get(path).filter(|setting| of_type && !setting.kind.is_empty()) else {
+        return message.into();
+    };
     let kind = match setting.kind.as_str() {
         "whole number" => "a whole number from 0".into(),
-        kind @ ("number" | "number, or reach") => format!("a {kind}"),
+        "number" => "a number".into(),
+        kind if kind.ends_with("text") && !setting.rule.allowed.is_empty() => setting.rule.allowed.into(),
         kind @ ("text" | "true or false") => kind.into(),
         kind if kind.starts_with('[') => kind.into(),
         kind if kind.starts_with("list of: ") => {
@@ -376,7 +370,7 @@ mod tests {
     fn assignments_reach_nested_fields_and_later_ones_win() {
         let config = set(&["train.steps=7", "perturb.t.epsilon=0.25", "data.dir=a b", "train.steps=9"]).unwrap();
         assert_eq!(config.train.steps, 9);
-        assert_eq!(config.perturb.sites[PaperSite::T].epsilon, Some(0.25.into()));
+        assert_eq!(config.perturb[PaperSite::T].epsilon, Some(0.25.into()));
         assert_eq!(config.data.dir, "a b");
     }
 

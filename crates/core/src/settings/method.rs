@@ -4,7 +4,7 @@
 use serde::{Deserialize, Serialize};
 
 use super::Encoding;
-use super::registry::choice;
+use super::types::name_of;
 
 /// What is trained.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
@@ -26,8 +26,6 @@ pub enum Method {
     /// Local Light Field Fusion (Mildenhall et al. 2019), trained on the scene.
     Llff,
 }
-
-choice!(Method);
 
 /// The representation of the scene.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -65,15 +63,7 @@ impl Method {
 
     /// Returns the name in files and tables.
     pub fn name(self) -> &'static str {
-        match self {
-            Method::Nerf => "nerf",
-            Method::AugNerf => "aug-nerf",
-            Method::MipNerf => "mip-nerf",
-            Method::AugMipNerf => "aug-mip-nerf",
-            Method::Srn => "srn",
-            Method::Nv => "nv",
-            Method::Llff => "llff",
-        }
+        name_of::<Method>(self as usize)
     }
 
     /// Returns the representation with positions in this encoding, or `None` if the method has no such field. A method

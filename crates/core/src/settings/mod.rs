@@ -5,63 +5,57 @@
 //! `--data`/`--method`/`--seed`, `--set`. Every run's `config.toml` holds the result.
 
 pub mod columns;
-mod corruption;
-mod data;
 mod document;
 mod eval;
-mod field;
-mod hash;
 mod identity;
 mod idle;
 mod layers;
 mod method;
 mod over_run;
-mod perturb;
 mod planes;
 pub mod registry;
-mod regularizer;
 mod resolved;
 mod rules;
-mod sampling;
-mod schedule;
-mod second_pass;
-mod site;
 mod srn;
 mod train;
 mod types;
 mod validate;
 mod volume;
-mod without_fields;
 
-pub use corruption::{CorruptionConfig, CorruptionKind};
-pub use data::{
-    Axes, Background, BuiltinScene, DataConfig, DataKind, EvalSplit, PixelOrigin, RuledViews, Split, TrainViews,
-    ViewsRule,
-};
 pub use document::{SettingRow, settings_page, settings_rows, settings_text};
 pub use eval::{EvalConfig, MESH_SIDES, MeshConfig, NO_REFERENCE};
-pub use field::{Core, DensityActivation, Encoding, FieldConfig, Init, Precision};
-pub use hash::{Contraction, HashConfig, Interpolation};
 pub use identity::{scene_name, short_hash, value_at};
+pub(crate) use idle::{IdleKind, IdleSettings};
 pub use layers::{Preset, build, check_assignment, data_section, parse_assignment, regularizer_hint};
 pub use method::{Capability, Method, Representation};
-pub use perturb::{ChangedEntries, Objective, OutputPlace, PerturbConfig, PerturbField, Resample, ResolvedPerturb};
 pub use planes::{PlanesConfig, PlanesLoss};
-pub use regularizer::{
-    LatticePoints, REGULARIZERS, RegularizedFields, Regularizer, RegularizerConfig, TermNeeds, TermRays, UnseenPoses,
-};
 pub use resolved::{Extent, Located, Resolved};
-pub use sampling::{SamplingConfig, Spacing};
-pub use schedule::WeightSchedule;
-pub use second_pass::{DeltaSource, SecondPass};
-pub use site::{SiteConfig, Sizes};
 pub use srn::SrnConfig;
 pub use train::{Batching, SamDirection, Schedule, TrainConfig};
-pub use types::word;
+pub(crate) use types::one_or_many;
+pub use types::{name_of, word};
+pub(crate) use validate::{refuse, require};
 pub use volume::{VolumeCode, VolumeConfig};
 
+// Sections stand beside what they set.
+pub use crate::data::settings::{
+    Axes, Background, BuiltinScene, CorruptionConfig, CorruptionKind, DataConfig, DataKind, EvalSplit, PixelOrigin,
+    RuledViews, Split, TrainViews, ViewsRule,
+};
+pub use crate::field::hash::settings::{Contraction, HashConfig, Interpolation};
+pub use crate::field::settings::{Core, DensityActivation, Encoding, FieldConfig, Init, Precision};
+pub use crate::losses::{
+    LatticePoints, REGULARIZERS, RegularizedFields, Regularizer, RegularizerConfig, TermNeeds, TermRays, UnseenPoses,
+    WeightSchedule,
+};
+pub use crate::perturb::settings::{
+    ChangedEntries, DeltaSource, Objective, OutputPlace, PerturbConfig, PerturbField, Resample, ResolvedPerturb,
+    SecondPass, SiteConfig, Sizes,
+};
+pub use crate::render::settings::{SamplingConfig, Spacing};
+
 use crate::base::{Error, Result};
-use registry::{numbers, section};
+use registry::{REGISTRY, Setting, numbers, section};
 
 section! {
     /// One experiment: everything that can change a number. What cannot (device, threads, output folder) is not part of
@@ -104,6 +98,20 @@ impl Config {
         let config: Config = toml::from_str(text).map_err(|e| Error::Config(format!("{origin}: {e}")))?;
         config.validate()?;
         Ok(config)
+    }
+
+    /// Checks each setting by itself.
+    ///
+    /// # Errors
+    /// [`Error::Setting`] for the first setting out of its range.
+    pub fn check_ranges(&self) -> Result<()> {
+        let most =
+            |_| Error::Config("a whole number of the configuration is above 2^63 - 1, the most of a file".into());
+        let table = toml::Table::try_from(self).map_err(most)?;
+        for Setting { path, rule, .. } in &REGISTRY.settings {
+            value_at(&table, path).map_or(Ok(()), |value| rule.check(path, value))?;
+        }
+        Ok(())
     }
 
     /// Returns the configuration as a table of values, without the open settings.

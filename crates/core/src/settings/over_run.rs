@@ -4,22 +4,31 @@
 use toml::{Table, Value};
 
 use super::Config;
-use super::identity::{remove, value_at};
+use super::identity::{set_or_remove, value_at};
 use crate::perturb::PaperSite;
 
-/// A setting, and numbers that belong to its value.
-struct Numbers {
-    of: String,
-    paths: Vec<String>,
-}
+/// A setting, and the settings whose numbers belong to its value. `*` is each site.
+type Numbers = (&'static str, &'static [&'static str]);
 
-impl Numbers {
-    /// Removes the numbers from a layer if `given` has another value than `before`.
-    fn forget(&self, layer: &mut Table, before: &Table, given: &Table) {
-        let Some(now) = value_at(given, &self.of) else { return };
-        if value_at(before, &self.of).map(as_list) != Some(as_list(now)) {
-            self.paths.iter().for_each(|path| remove(layer, path));
-        }
+const OF_ATTACK: &[&str] = &["perturb.step_unit", "perturb.*.step_size", "perturb.*.epsilon"];
+const OF_TERMS: Numbers = (
+    "regularizer.kind",
+    &["regularizer.weight", "regularizer.schedule", "regularizer.unseen_rays", "regularizer.unseen_poses"],
+);
+const NUMBERS: [Numbers; 5] = [
+    ("perturb.attack", OF_ATTACK),
+    ("perturb.geometry", OF_ATTACK),
+    ("perturb.step_unit", &["perturb.*.step_size"]),
+    OF_TERMS,
+    ("train.batching", &["train.precrop_steps"]),
+];
+
+/// Removes from a layer the numbers of each setting to which `given` gives another value than `before`.
+fn forget(numbers: &[Numbers], layer: &mut Table, before: &Table, given: &Table) {
+    let differs =
+        |of: &str| value_at(given, of).is_some_and(|now| value_at(before, of).map(as_list) != Some(as_list(now)));
+    for path in numbers.iter().filter(|(of, _)| differs(of)).flat_map(|(_, paths)| *paths) {
+        PaperSite::ALL.into_iter().for_each(|site| set_or_remove(layer, &path.replace('*', site.name()), None));
     }
 }
 
@@ -28,37 +37,20 @@ fn as_list(value: &Value) -> Vec<Value> {
     value.as_array().cloned().unwrap_or_else(|| vec![value.clone()])
 }
 
-fn numbers() -> [Numbers; 5] {
-    let of_sites = |keys: &[&str]| -> Vec<String> {
-        let of_site = |site: PaperSite| keys.iter().map(move |key| format!("perturb.{}.{key}", site.name()));
-        PaperSite::ALL.into_iter().flat_map(of_site).collect()
-    };
-    let attack = [vec!["perturb.step_unit".into()], of_sites(&["step_size", "epsilon"])].concat();
-    let terms = ["weight", "schedule", "unseen_rays", "unseen_poses"].map(|key| format!("regularizer.{key}"));
-    let of = |of: &str, paths: &[String]| Numbers { of: of.into(), paths: paths.to_vec() };
-    [
-        of("perturb.attack", &attack),
-        of("perturb.geometry", &attack),
-        of("perturb.step_unit", &of_sites(&["step_size"])),
-        of("regularizer.kind", &terms),
-        of("train.batching", &["train.precrop_steps".into()]),
-    ]
-}
-
 /// Removes from a run's `file` the numbers of each setting to which this call gives another value. They are then filled in as
 /// in a run from scratch. Any other file stays as it is, because a person chose what it says.
 pub(super) fn reopen(file: &mut Table, given: &Table) {
     let run: Option<Config> = file.clone().try_into().ok().filter(|run: &Config| run.perturb.is_filled_in());
     // With the settings that are newer than the run, at their defaults.
-    let Some(run) = run.map(|run| run.to_table()) else { return };
-    numbers().iter().for_each(|numbers| numbers.forget(file, &run, given));
+    if let Some(run) = run {
+        forget(&NUMBERS, file, &run.to_table(), given);
+    }
 }
 
 /// Removes from a `preset` the numbers of its term of the loss, such as the weight, if later layers name another term.
 pub(super) fn forget_term(preset: &mut Table, given: &Table) {
     let before = preset.clone();
-    let of_term = numbers().into_iter().filter(|numbers| numbers.of == "regularizer.kind");
-    of_term.for_each(|numbers| numbers.forget(preset, &before, given));
+    forget(&[OF_TERMS], preset, &before, given);
 }
 
 #[cfg(test)]
@@ -125,6 +117,6 @@ mod tests {
         let file = file_of("[regularizer]\nkind = \"tv\"\nweight = 3.8e-6\n\n[perturb.t]\nepsilon = 0.5\n");
         let found = built(None, Some(&file), &["regularizer.kind=l1", "perturb.attack=calibrated"]);
         assert_eq!(found.regularizer.weight, [3.8e-6]);
-        assert_eq!(found.perturb.sites[crate::perturb::PaperSite::T].epsilon, Some(0.5.into()));
+        assert_eq!(found.perturb[crate::perturb::PaperSite::T].epsilon, Some(0.5.into()));
     }
 }

@@ -3,7 +3,9 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::registry::{choice, numbers, section};
+use super::registry::{numbers, section};
+use super::require;
+use crate::base::Result;
 
 /// The loss between a rendered view and the view that was left out.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
@@ -15,8 +17,6 @@ pub enum PlanesLoss {
     /// Mean absolute error.
     L1,
 }
-
-choice!(PlanesLoss);
 
 /// The protocol's column for all settings of the section.
 const COLUMN: &[&str] = &["llff"];
@@ -61,23 +61,16 @@ impl PlanesConfig {
         self.far.get_or_insert(if bounded { far } else { 2.0 * far });
     }
 
-    /// Returns the first setting that does not fit the others: its name in the section, its value, and what is allowed.
-    pub(super) fn wrong(&self) -> Option<(&'static str, String, String)> {
+    /// Checks the settings against one another.
+    pub(super) fn validate(&self) -> Result<()> {
         let PlanesConfig { planes, window, crop, near, far, .. } = *self;
-        let even =
-            [("planes", planes), ("window", window)].into_iter().find(|(_, side)| !side.is_multiple_of(HALVINGS));
-        if let Some((name, side)) = even {
-            return Some((
-                name,
-                side.to_string(),
-                format!("a multiple of {HALVINGS}: the network halves it three times"),
-            ));
+        for (path, side) in [("llff.planes", planes), ("llff.window", window)] {
+            let allowed = format!("a multiple of {HALVINGS}: the network halves it three times");
+            require(side.is_multiple_of(HALVINGS), path, side, &allowed)?;
         }
-        if crop > window {
-            return Some(("crop", crop.to_string(), format!("8 to {window} (llff.window)")));
-        }
-        let (near, far) = near.zip(far)?;
-        (near >= far).then(|| ("far", far.to_string(), format!("beyond llff.near = {near}")))
+        require(crop <= window, "llff.crop", crop, &format!("8 to {window} (llff.window)"))?;
+        let Some((near, far)) = near.zip(far) else { return Ok(()) };
+        require(near < far, "llff.far", far, &format!("beyond llff.near = {near}"))
     }
 
     /// Returns all settings in one line, for tables.

@@ -5,11 +5,12 @@
 
 use std::sync::LazyLock;
 
+use serde::Serialize;
+use serde::de::DeserializeOwned;
 use strsim::levenshtein;
 
 pub use super::rules::{Effect, Rule, numbers, output, path, work};
-pub(super) use super::types::choice;
-pub use super::types::{Range, Settable};
+use super::types::kind_of;
 use crate::base::SettingError;
 
 /// A setting in the registry.
@@ -46,12 +47,18 @@ pub struct Registry {
 }
 
 impl Registry {
-    pub(super) fn add<T: Settable>(&mut self, path: String, doc: &[&str], rule: Rule) {
-        self.settings.push(Setting { path, doc: one_line(doc), kind: T::kind(), optional: T::OPTIONAL, rule });
+    /// Adds the setting of a section's field. `prefix` is empty, or the section with a dot.
+    pub(crate) fn add<T: DeserializeOwned>(&mut self, prefix: &str, field: &str, doc: &[&str], rule: Rule) {
+        let (path, kind) = (format!("{prefix}{}", rule.key.unwrap_or(field)), kind_of::<T>());
+        let (kind, optional) = (kind.words, kind.is_optional);
+        self.settings.push(Setting { path, doc: one_line(doc), kind, optional, rule });
     }
 
-    pub(super) fn add_section(&mut self, path: String, doc: &[&str]) {
-        self.sections.push(SectionRow { path, doc: one_line(doc) });
+    /// Adds a section with its settings.
+    pub(crate) fn add_section<T: Section>(&mut self, prefix: &str, field: &str, doc: &[&str]) {
+        let path = format!("{prefix}{field}");
+        self.sections.push(SectionRow { path: path.clone(), doc: one_line(doc) });
+        T::list(&format!("{path}."), self);
     }
 
     /// Returns the setting of that name.
@@ -70,66 +77,10 @@ fn one_line(doc: &[&str]) -> String {
     doc.iter().map(|line| line.trim()).collect::<Vec<&str>>().join(" ")
 }
 
-/// A part of a configuration that can list and check its settings.
+/// A part of a configuration that lists its settings.
 pub trait Section {
     /// Adds the settings to `registry`, with their paths under `prefix` (empty, or ending with a dot).
     fn list(prefix: &str, registry: &mut Registry);
-
-    /// Checks each setting by itself.
-    fn check(&self, prefix: &str) -> Result<(), SettingError>;
-
-    /// Resets the settings that `chosen` picks to those of `default`.
-    fn reset(&mut self, default: &Self, chosen: fn(&Rule) -> bool);
-}
-
-/// Lists the settings of a struct: `describe! { Struct { /// Doc. field: Type, rule; ... } sections { ... } }`. A
-/// `flat` part lists its own settings among those of the struct.
-macro_rules! describe {
-    (
-        $Section:ident { $($(#[doc = $doc:literal])+ $field:ident: $Type:ty, $rule:expr;)* }
-        sections { $($(#[doc = $about:literal])+ $inner:ident: $Inner:ty;)* }
-        $(flat { $flat:ident: $Flat:ty })?
-    ) => {
-        impl $crate::settings::registry::Section for $Section {
-            fn list(prefix: &str, registry: &mut $crate::settings::registry::Registry) {
-                $({
-                    const RULE: $crate::settings::registry::Rule = $rule;
-                    let path = format!("{prefix}{}", RULE.key.unwrap_or(stringify!($field)));
-                    registry.add::<$Type>(path, &[$($doc),+], RULE);
-                })*
-                $({
-                    let path = format!("{prefix}{}", stringify!($inner));
-                    registry.add_section(path.clone(), &[$($about),+]);
-                    <$Inner as $crate::settings::registry::Section>::list(&format!("{path}."), registry);
-                })*
-                $(<$Flat as $crate::settings::registry::Section>::list(prefix, registry);)?
-                let _ = (prefix, registry);
-            }
-
-            fn check(&self, prefix: &str) -> ::std::result::Result<(), $crate::base::SettingError> {
-                $({
-                    const RULE: $crate::settings::registry::Rule = $rule;
-                    RULE.check(|| format!("{prefix}{}", RULE.key.unwrap_or(stringify!($field))), &self.$field)?;
-                })*
-                $($crate::settings::registry::Section::check(&self.$inner, &format!("{prefix}{}.", stringify!($inner)))?;)*
-                $($crate::settings::registry::Section::check(&self.$flat, prefix)?;)?
-                let _ = prefix;
-                Ok(())
-            }
-
-            fn reset(&mut self, default: &Self, chosen: fn(&$crate::settings::registry::Rule) -> bool) {
-                $({
-                    const RULE: $crate::settings::registry::Rule = $rule;
-                    if chosen(&RULE) {
-                        self.$field.clone_from(&default.$field);
-                    }
-                })*
-                $($crate::settings::registry::Section::reset(&mut self.$inner, &default.$inner, chosen);)*
-                $($crate::settings::registry::Section::reset(&mut self.$flat, &default.$flat, chosen);)?
-                let _ = (default, chosen);
-            }
-        }
-    };
 }
 
 /// Declares a section: a struct whose fields have documentation, type, default and [`Rule`], then its inner sections.
@@ -144,11 +95,6 @@ macro_rules! section {
             )*
         }
         sections { $($(#[doc = $about:literal])+ pub $inner:ident: $Inner:ty;)* }
-        $(flat {
-            $(#[doc = $note:literal])+
-            $(#[serde($($flatten:tt)*)])?
-            pub $flat:ident: $Flat:ty = $value:expr;
-        })?
     ) => {
         #[derive(Clone, Debug, PartialEq, ::serde::Serialize, ::serde::Deserialize)]
         #[serde(default, deny_unknown_fields, expecting = "a section of settings, such as [train] in a file")]
@@ -156,24 +102,24 @@ macro_rules! section {
         pub struct $Section {
             $($(#[doc = $doc])+ $(#[serde($($serde)*)])? pub $field: $Type,)*
             $($(#[doc = $about])+ pub $inner: $Inner,)*
-            $($(#[doc = $note])+ $(#[serde($($flatten)*)])? pub $flat: $Flat,)?
         }
 
         impl Default for $Section {
             fn default() -> Self {
-                $Section { $($field: $default,)* $($inner: <$Inner>::default(),)* $($flat: $value,)? }
+                $Section { $($field: $default,)* $($inner: <$Inner>::default(),)* }
             }
         }
 
-        $crate::settings::registry::describe! {
-            $Section { $($(#[doc = $doc])+ $field: $Type, $rule;)* }
-            sections { $($(#[doc = $about])+ $inner: $Inner;)* }
-            $(flat { $flat: $Flat })?
+        impl $crate::settings::registry::Section for $Section {
+            fn list(prefix: &str, registry: &mut $crate::settings::registry::Registry) {
+                $(registry.add::<$Type>(prefix, stringify!($field), &[$($doc),+], $rule);)*
+                $(registry.add_section::<$Inner>(prefix, stringify!($inner), &[$($about),+]);)*
+            }
         }
     };
 }
 
-pub(super) use {describe, section};
+pub(crate) use section;
 
 /// The table of all settings.
 pub static REGISTRY: LazyLock<Registry> = LazyLock::new(|| {
@@ -186,9 +132,8 @@ pub static REGISTRY: LazyLock<Registry> = LazyLock::new(|| {
 ///
 /// # Panics
 /// If there is no such setting.
-pub fn check_flag(flag: &str, path: &str, value: &impl Settable) -> Result<(), SettingError> {
-    let setting = REGISTRY.get(path).expect("the path of a setting");
-    setting.rule.check(|| path.to_string(), value).map_err(|error| error.renamed(flag))
+pub fn check_flag(flag: &str, path: &str, value: impl Serialize) -> Result<(), SettingError> {
+    REGISTRY.get(path).expect("the path of a setting").rule.check(flag, value)
 }
 
 /// Largest number of settings that are suggested for a mistaken name.
@@ -283,41 +228,20 @@ fn shallowest(paths: impl Iterator<Item = &'static str>) -> Vec<&'static str> {
 mod tests {
     use super::*;
     use crate::settings::layers::leaves;
-    use crate::settings::types::choices;
-    use crate::settings::{
-        Config, CorruptionConfig, DataConfig, EvalConfig, FieldConfig, HashConfig, MeshConfig, PerturbConfig,
-        PlanesConfig, RegularizerConfig, SamplingConfig, SrnConfig, TrainConfig, VolumeConfig,
-    };
+    use crate::settings::{Config, DataKind, Extent};
 
     /// What a configuration file may hold is what the table lists, each once and with words.
     #[test]
     fn every_key_of_a_file_is_one_entry() {
-        let mut keys: Vec<String> = Vec::new();
-        let mut add = |prefix: &str, names: &[&str]| keys.extend(names.iter().map(|name| format!("{prefix}{name}")));
-        add("", choices::<Config>());
-        add("data.", choices::<DataConfig>());
-        add("data.corruption.", choices::<CorruptionConfig>());
-        add("field.", choices::<FieldConfig>());
-        add("field.hash.", choices::<HashConfig>());
-        add("sampling.", choices::<SamplingConfig>());
-        add("train.", choices::<TrainConfig>());
-        add("regularizer.", choices::<RegularizerConfig>());
-        add("eval.", choices::<EvalConfig>());
-        add("eval.mesh.", choices::<MeshConfig>());
-        add("srn.", choices::<SrnConfig>());
-        add("nv.", choices::<VolumeConfig>());
-        add("llff.", choices::<PlanesConfig>());
-        // Section perturb is read and written by hand: what it writes, and a key that it only reads.
-        let perturb = toml::Table::try_from(PerturbConfig::default().resolve(1.0, 1, 256).into_draft()).unwrap();
-        let sites = perturb.iter().filter(|(_, value)| value.is_table()).map(|(site, _)| format!("perturb.{site}"));
-        keys.extend(sites.chain(leaves(&perturb, "perturb.")).chain(["perturb.levels".into()]));
-        let settings = REGISTRY.settings.iter().map(|setting| (&setting.path, &setting.doc));
-        let rows = settings.chain(REGISTRY.sections.iter().map(|row| (&row.path, &row.doc)));
-        let (mut listed, docs): (Vec<String>, Vec<&String>) = rows.map(|(path, doc)| (path.clone(), doc)).unzip();
-        keys.sort();
-        listed.sort();
-        assert_eq!(keys, listed);
-        assert!(docs.iter().all(|doc| !doc.is_empty()));
+        let extent = Extent { near: 2.0, far: 6.0, domain: None, pixels: 16 };
+        let run = Config::default().resolve(DataKind::BuiltinBlender, extent).unwrap().into_draft().to_table();
+        assert!(leaves(&run, "").iter().all(|key| REGISTRY.get(key).is_some()));
+        for Setting { path, doc, .. } in &REGISTRY.settings {
+            assert!(!doc.is_empty(), "{path}");
+            assert_eq!(REGISTRY.settings.iter().filter(|setting| setting.path == *path).count(), 1, "{path}");
+            let refusal = toml::from_str::<Config>(&format!("{path} = {{ }}")).unwrap_err().to_string();
+            assert!(!refusal.contains("unknown field"), "{refusal}");
+        }
     }
 
     #[test]
@@ -351,23 +275,22 @@ mod tests {
     fn a_value_out_of_range_is_named_with_its_range_as_data() {
         let mut config = Config::default();
         config.eval.mesh.points = 3;
-        let error = config.check("").unwrap_err();
-        assert_eq!((error.path.as_str(), error.value.as_str()), ("eval.mesh.points", "3"));
-        let words = "--points = 3 is out of range: it must be 100 to 20000000";
-        assert_eq!(error.renamed("--points").to_string(), words);
+        let words = "eval.mesh.points = 3 is out of range: it must be 100 to 20000000";
+        assert_eq!(config.check_ranges().unwrap_err().to_string(), words);
+        let words = words.replace("eval.mesh.points", "--points");
         assert_eq!(check_flag("--points", "eval.mesh.points", &3usize).unwrap_err().to_string(), words);
         check_flag("--points", "eval.mesh.points", &100usize).unwrap();
     }
 
     #[test]
     fn defaults_are_in_their_ranges_and_the_ends_of_ranges_count() {
-        Config::default().check("").unwrap();
+        Config::default().check_ranges().unwrap();
         for (path, inside, outside) in [("train.warmup_share", 1.0, 1.1), ("train.dead_start_share", 0.99, 1.0)] {
             check_flag(path, path, &inside).unwrap();
             check_flag(path, path, &outside).unwrap_err();
         }
         check_flag("seed", "seed", &(i64::MAX as u64)).unwrap();
         check_flag("seed", "seed", &(i64::MAX as u64 + 1)).unwrap_err();
-        check_flag("near", "data.near", &Some(f64::INFINITY)).unwrap_err();
+        check_flag("near", "data.near", f64::INFINITY).unwrap_err();
     }
 }

@@ -3,6 +3,7 @@
 
 use std::ops::Deref;
 
+use super::idle::IdleKind;
 use super::{Batching, Config, DataKind, Representation, ResolvedPerturb, UnseenPoses};
 use crate::base::Result;
 
@@ -69,40 +70,33 @@ impl Config {
     /// # Errors
     /// If a setting is out of range, or contradicts another setting or the kind of scene.
     pub fn locate(mut self, kind: DataKind) -> Result<Located> {
-        let forward = kind.forward_facing();
         self.data.kind = kind;
-        self.data.downscale.get_or_insert(kind.downscale());
+        self.regularizer.settle();
+        let idle = self.idle();
+        self = self.at_defaults(|setting| idle.at(&setting.path).any(|idle| idle.kind == IdleKind::Dropped));
+        let forward = kind.forward_facing();
+        self.data.downscale.get_or_insert(kind.format().map_or(1, |format| format.downscale));
         self.data.pixel_origin = Some(self.data.origin_of_pixels());
-        let density_noise = *self.sampling.density_noise.get_or_insert(if forward { 1.0 } else { 0.0 });
+        let density_noise = self.sampling.density_noise.unwrap_or(if forward { 1.0 } else { 0.0 });
+        self.sampling.density_noise = self.method.has_fields().then_some(density_noise);
         let batching =
             *self.train.batching.get_or_insert(if forward { Batching::AllImages } else { Batching::OneImage });
         let decay_steps = *self.train.decay_steps.get_or_insert(if forward { 250_000 } else { 500_000 });
         let precrop = if batching == Batching::OneImage { 500 } else { 0 };
         let precrop_steps = *self.train.precrop_steps.get_or_insert(precrop);
-        self.regularizer.resolve();
-        self.sampling.resolve();
-        let around = if kind == DataKind::Blender || kind == DataKind::BuiltinBlender {
-            UnseenPoses::Sphere
-        } else {
-            UnseenPoses::Between
+        let around = match kind.object_half() {
+            _ if forward && !self.data.spherify => UnseenPoses::Box,
+            Some(_) => UnseenPoses::Sphere,
+            None => UnseenPoses::Between,
         };
-        let unseen_poses = self.regularizer.unseen_poses.unwrap_or(if forward && !self.data.spherify {
-            UnseenPoses::Box
-        } else {
-            around
-        });
+        let unseen_poses = self.regularizer.unseen_poses.unwrap_or(around);
         // Whole patches and pairs, of as many rays as a step's.
-        let together = self.regularizer.unseen_groups().last().map_or(1, |group| group.rays());
+        let groups = self.regularizer.unseen_groups();
+        let together = groups.last().map_or(1, |group| group.rays());
         let unseen_rays = self.regularizer.unseen_rays.unwrap_or((self.train.rays / together).max(1) * together);
-        if !self.regularizer.unseen_groups().is_empty() {
-            self.regularizer.unseen_rays = Some(unseen_rays);
-        }
-        if self.regularizer.reads_unseen_cameras() {
-            self.regularizer.unseen_poses = Some(unseen_poses);
-        }
-        self.data.corruption.resolve();
+        self.regularizer.unseen_rays = (!groups.is_empty()).then_some(unseen_rays);
+        self.regularizer.unseen_poses = self.regularizer.reads_unseen_cameras().then_some(unseen_poses);
         self.validate()?;
-        self.forget_other_methods();
         Ok(Located { config: self, density_noise, batching, decay_steps, precrop_steps, unseen_rays, unseen_poses })
     }
 
@@ -126,11 +120,11 @@ impl Located {
         match self.config.representation() {
             Representation::Nerf | Representation::MipNerf => {}
             Representation::HashNerf => {
-                self.config.field.hash.resolve(ndc, kind.has_known_extent(), (near, far), domain, pixels);
+                self.config.field.hash.resolve(ndc, kind.object_half().is_some(), (near, far), domain, pixels);
             }
             Representation::Srn => {}
             Representation::Volume => self.config.nv.resolve(kind, domain),
-            Representation::Planes => self.config.llff.resolve(kind.has_known_extent(), (near, far)),
+            Representation::Planes => self.config.llff.resolve(kind.object_half().is_some(), (near, far)),
         }
         Resolved { located: self, perturb }
     }

@@ -1,6 +1,9 @@
 //! Everything about a setting besides its documentation, type and default.
 
-use super::types::{Range, Settable};
+use serde::Serialize;
+use toml::Value;
+
+use super::types::{Range, is_box};
 use crate::base::SettingError;
 
 /// What a setting can change.
@@ -87,15 +90,14 @@ impl Rule {
         Rule { range: Range::Text(holds), allowed, ..self }
     }
 
-    /// States in words what the type alone decides.
-    pub const fn allowing(self, allowed: &'static str) -> Rule {
-        Rule { allowed, ..self }
+    /// Allows values, also lists, for which `holds` is true.
+    pub const fn values(self, holds: fn(&Value) -> bool, allowed: &'static str) -> Rule {
+        Rule { range: Range::Values(holds), allowed, ..self }
     }
 
     /// Allows two corners of a box.
     pub const fn corners(self) -> Rule {
-        let allowed = "two corners [[x, y, z], [x, y, z]], each number of the first under that of the second";
-        Rule { range: Range::Box, allowed, ..self }
+        self.values(is_box, "two corners [[x, y, z], [x, y, z]], each number of the first under that of the second")
     }
 
     /// Names the column of the protocol that holds the value. [`super::columns::COLUMNS`] says when it does.
@@ -124,13 +126,11 @@ impl Rule {
     }
 
     /// Returns an error for a value that is not allowed. `path` names the setting.
-    pub fn check(&self, path: impl FnOnce() -> String, value: &impl Settable) -> Result<(), SettingError> {
-        match value.outside(&self.range) {
-            None => Ok(()),
-            Some(value) => {
-                let allowed = if self.allowed.is_empty() { "at most 2^63 - 1" } else { self.allowed };
-                Err(SettingError { path: path(), value, allowed: allowed.into() })
-            }
-        }
+    pub fn check(&self, path: &str, value: impl Serialize) -> Result<(), SettingError> {
+        let outside = match Value::try_from(value) {
+            Ok(value) => self.range.outside(&value),
+            Err(_) => Some("a number above 2^63 - 1".into()),
+        };
+        outside.map_or(Ok(()), |value| Err(SettingError { path: path.into(), value, allowed: self.allowed.into() }))
     }
 }

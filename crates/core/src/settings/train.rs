@@ -2,7 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::registry::{choice, numbers, section, work};
+use super::registry::{numbers, section, work};
 
 /// How the learning rate falls.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
@@ -25,8 +25,6 @@ pub enum Batching {
     /// Distinct pixels of one random image.
     OneImage,
 }
-
-choice!(Schedule, Batching);
 
 const RATE: &[&str] = &["learning_rate"];
 
@@ -52,8 +50,6 @@ pub enum SamDirection {
     /// As far at random: a control.
     Random,
 }
-
-choice!(SamDirection);
 
 const CLIP: &[&str] = &["clip"];
 const SAM: &[&str] = &["sam"];

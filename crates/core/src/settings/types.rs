@@ -1,12 +1,10 @@
-//! The types of settings, and their ranges.
+//! The types of settings in words, and the values that settings may have.
 
-use crate::perturb::{Epsilon, REACH};
-use serde::de::{DeserializeOwned, Deserializer, Visitor, value::Error as Unread};
+use serde::de::{DeserializeOwned, DeserializeSeed, Deserializer, SeqAccess, Visitor, value::Error as Unread};
+use serde::{Deserialize, Serialize};
+use toml::Value;
 
-/// The largest whole number that TOML can hold.
-const MOST: u64 = i64::MAX as u64;
-
-/// The values that a setting may have by itself.
+/// The values that a setting may have by itself. In a list each value counts.
 #[derive(Clone, Copy, Debug)]
 pub enum Range {
     /// All values of the type.
@@ -17,8 +15,29 @@ pub enum Range {
     Real(fn(f64) -> bool),
     /// Text for which the function is true.
     Text(fn(&str) -> bool),
-    /// Two corners, with each number of the first below that of the second.
-    Box,
+    /// Values, also lists, for which the function is true.
+    Values(fn(&Value) -> bool),
+}
+
+impl Range {
+    /// Returns the text of the value, or of the first one of a list, that is not in the range.
+    pub(super) fn outside(&self, value: &Value) -> Option<String> {
+        let is_inside = match (self, value) {
+            (Range::Values(holds), value) => holds(value),
+            (_, Value::Array(values)) => return values.iter().find_map(|value| self.outside(value)),
+            (Range::Whole(least, most), Value::Integer(number)) => {
+                u64::try_from(*number).is_ok_and(|number| (*least..=*most).contains(&number))
+            }
+            (Range::Real(holds), Value::Float(number)) => number.is_finite() && holds(*number),
+            (Range::Text(holds), Value::String(text)) => holds(text),
+            _ => true,
+        };
+        (!is_inside).then(|| match value {
+            Value::Float(number) => number_text(*number),
+            Value::String(text) => format!("\"{text}\""),
+            other => other.to_string(),
+        })
+    }
 }
 
 /// Returns a number as people write it: a very large or small one with an exponent, such as 1e30.
@@ -27,174 +46,133 @@ pub(super) fn number_text(number: f64) -> String {
     if plain { number.to_string() } else { format!("{number:e}") }
 }
 
-/// A type of a setting.
-pub trait Settable {
-    /// Whether the setting may be left open.
-    const OPTIONAL: bool = false;
-    /// Returns the type in words, with its choices.
-    fn kind() -> String;
-    /// Returns the value's text if it is not in the range.
-    fn outside(&self, range: &Range) -> Option<String>;
+/// Returns whether a value is a box: two corners, with each number of the first below that of the second.
+pub(super) fn is_box(value: &Value) -> bool {
+    let corners: Option<[[f64; 3]; 2]> = value.clone().try_into().ok();
+    corners.is_some_and(|[lower, upper]| {
+        lower.iter().zip(&upper).all(|(lower, upper)| lower.is_finite() && upper.is_finite() && lower < upper)
+    })
 }
 
-macro_rules! whole {
-    ($($Type:ty),*) => {$(
-        impl Settable for $Type {
-            fn kind() -> String {
-                "whole number".into()
-            }
-
-            fn outside(&self, range: &Range) -> Option<String> {
-                let (least, most) = if let Range::Whole(least, most) = *range { (least, most) } else { (0, MOST) };
-                (!(least..=most.min(MOST)).contains(&(*self as u64))).then(|| self.to_string())
-            }
-        }
-    )*};
-}
-whole!(u32, u64, usize);
-
-impl Settable for f64 {
-    fn kind() -> String {
-        "number".into()
-    }
-
-    fn outside(&self, range: &Range) -> Option<String> {
-        let Range::Real(holds) = range else { return None };
-        (!(self.is_finite() && holds(*self))).then(|| number_text(*self))
-    }
+/// Reads a list, or one value of it.
+pub(crate) fn one_or_many<'de, T: DeserializeOwned, D: Deserializer<'de>>(deserializer: D) -> Result<Vec<T>, D::Error> {
+    let value = Value::deserialize(deserializer)?;
+    let values = if value.is_array() { value } else { Value::Array(vec![value]) };
+    values.try_into().map_err(|error: toml::de::Error| serde::de::Error::custom(error.message()))
 }
 
-impl Settable for Epsilon {
-    fn kind() -> String {
-        format!("number, or {REACH}")
-    }
-
-    fn outside(&self, range: &Range) -> Option<String> {
-        match self {
-            Epsilon::Units(units) => units.outside(range),
-            Epsilon::Reach => None,
-        }
-    }
+/// A type as serde reads it.
+#[derive(Default)]
+pub(super) struct Kind {
+    /// The type in words. A choice is its names. Empty for a type that reads several forms.
+    pub words: String,
+    /// Whether a value may be left open.
+    pub is_optional: bool,
+    /// The names of an enum's variants, or of a struct's fields.
+    pub names: &'static [&'static str],
 }
 
-impl Settable for bool {
-    fn kind() -> String {
-        "true or false".into()
-    }
-
-    fn outside(&self, _: &Range) -> Option<String> {
-        None
-    }
-}
-
-impl Settable for String {
-    fn kind() -> String {
-        "text".into()
-    }
-
-    fn outside(&self, range: &Range) -> Option<String> {
-        let Range::Text(holds) = range else { return None };
-        (!holds(self)).then(|| format!("\"{self}\""))
-    }
-}
-
-impl Settable for [[f64; 3]; 2] {
-    fn kind() -> String {
-        "[[x, y, z], [x, y, z]]".into()
-    }
-
-    fn outside(&self, _: &Range) -> Option<String> {
-        let [lower, upper] = self;
-        let is_box = lower.iter().zip(upper).all(|(a, b)| a.is_finite() && b.is_finite() && a < b);
-        (!is_box).then(|| format!("{self:?}"))
-    }
-}
-
-impl<T: Settable> Settable for Option<T> {
-    const OPTIONAL: bool = true;
-
-    fn kind() -> String {
-        T::kind()
-    }
-
-    fn outside(&self, range: &Range) -> Option<String> {
-        self.as_ref().and_then(|value| value.outside(range))
-    }
-}
-
-impl<T: Settable> Settable for Vec<T> {
-    fn kind() -> String {
-        format!("list of: {}", T::kind())
-    }
-
-    fn outside(&self, range: &Range) -> Option<String> {
-        self.iter().find_map(|value| value.outside(range))
-    }
-}
-
-/// Returns the names of an enum's variants, or of a struct's fields, that serde knows.
-pub(super) fn choices<T: DeserializeOwned>() -> &'static [&'static str] {
-    let mut names: &'static [&'static str] = &[];
+/// Returns what serde asks for when it reads the type.
+pub(super) fn kind_of<T: DeserializeOwned>() -> Kind {
+    let mut kind = Kind::default();
     // It always ends with an error, because there is nothing to read.
-    let _ = T::deserialize(Names(&mut names));
-    names
+    let _ = T::deserialize(Probe(&mut kind));
+    kind
 }
 
-/// Reads nothing but records what was expected: the variants of an enum, or the fields of a struct.
-struct Names<'a>(&'a mut &'static [&'static str]);
+/// Returns the name of a choice in files: variant number `index` of the enum.
+pub fn name_of<T: DeserializeOwned>(index: usize) -> &'static str {
+    kind_of::<T>().names[index]
+}
 
-impl<'de> Deserializer<'de> for Names<'_> {
+/// Reads nothing, and records what was asked for.
+struct Probe<'a>(&'a mut Kind);
+
+impl Probe<'_> {
+    fn found<T>(self, words: &str) -> Result<T, Unread> {
+        self.0.words += words;
+        Err(serde::de::Error::custom("nothing to read"))
+    }
+}
+
+impl<'de> Deserializer<'de> for Probe<'_> {
     type Error = Unread;
 
     fn deserialize_any<V: Visitor<'de>>(self, _: V) -> Result<V::Value, Unread> {
-        Err(serde::de::Error::custom("nothing to read"))
+        self.found("")
+    }
+
+    fn deserialize_bool<V: Visitor<'de>>(self, _: V) -> Result<V::Value, Unread> {
+        self.found("true or false")
+    }
+
+    fn deserialize_u32<V: Visitor<'de>>(self, _: V) -> Result<V::Value, Unread> {
+        self.found("whole number")
+    }
+
+    fn deserialize_u64<V: Visitor<'de>>(self, _: V) -> Result<V::Value, Unread> {
+        self.found("whole number")
+    }
+
+    fn deserialize_f64<V: Visitor<'de>>(self, _: V) -> Result<V::Value, Unread> {
+        self.found("number")
+    }
+
+    fn deserialize_string<V: Visitor<'de>>(self, _: V) -> Result<V::Value, Unread> {
+        self.found("text")
+    }
+
+    fn deserialize_option<V: Visitor<'de>>(self, visitor: V) -> Result<V::Value, Unread> {
+        self.0.is_optional = true;
+        visitor.visit_some(self)
+    }
+
+    fn deserialize_seq<V: Visitor<'de>>(self, visitor: V) -> Result<V::Value, Unread> {
+        self.0.words += "list of: ";
+        visitor.visit_seq(self)
+    }
+
+    /// The only arrays are corners of boxes.
+    fn deserialize_tuple<V: Visitor<'de>>(self, _: usize, _: V) -> Result<V::Value, Unread> {
+        self.found("[[x, y, z], [x, y, z]]")
     }
 
     fn deserialize_enum<V: Visitor<'de>>(
         self,
         _: &'static str,
         variants: &'static [&'static str],
-        visitor: V,
+        _: V,
     ) -> Result<V::Value, Unread> {
-        *self.0 = variants;
-        self.deserialize_any(visitor)
+        self.0.names = variants;
+        self.found(&variants.join(", "))
     }
 
     fn deserialize_struct<V: Visitor<'de>>(
         self,
         _: &'static str,
         fields: &'static [&'static str],
-        visitor: V,
+        _: V,
     ) -> Result<V::Value, Unread> {
-        *self.0 = fields;
-        self.deserialize_any(visitor)
+        self.0.names = fields;
+        self.found("")
     }
 
     serde::forward_to_deserialize_any! {
-        bool i8 i16 i32 i64 i128 u8 u16 u32 u64 u128 f32 f64 char str string bytes byte_buf option unit unit_struct
-        newtype_struct seq tuple tuple_struct map identifier ignored_any
+        i8 i16 i32 i64 i128 u8 u16 u128 f32 char str bytes byte_buf unit unit_struct newtype_struct tuple_struct map
+        identifier ignored_any
     }
 }
 
-/// Makes enums types of settings: one of their names.
-macro_rules! choice {
-    ($($Type:ty),* $(,)?) => {$(
-        impl $crate::settings::types::Settable for $Type {
-            fn kind() -> String {
-                $crate::settings::types::choices::<$Type>().join(", ")
-            }
+impl<'de> SeqAccess<'de> for Probe<'_> {
+    type Error = Unread;
 
-            fn outside(&self, _: &$crate::settings::types::Range) -> Option<String> {
-                None
-            }
-        }
-    )*};
+    fn next_element_seed<T: DeserializeSeed<'de>>(&mut self, seed: T) -> Result<Option<T::Value>, Unread> {
+        seed.deserialize(Probe(self.0)).map(Some)
+    }
 }
 
-pub(super) use choice;
-
 /// Returns a choice as files have it.
-pub fn word(choice: impl serde::Serialize) -> String {
-    let value = toml::Value::try_from(choice).expect("a choice is plain data");
+pub fn word(choice: impl Serialize) -> String {
+    let value = Value::try_from(choice).expect("a choice is plain data");
     value.as_str().expect("a choice is a word").to_string()
 }

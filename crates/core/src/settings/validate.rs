@@ -1,20 +1,14 @@
-//! Checks of settings against one another. Each section checks its own settings.
+//! Checks of sections against one another. Each section checks its own settings.
 
-use super::registry::Section;
 use super::{
-    ChangedEntries, Config, Core, CorruptionKind, DataKind, DeltaSource, Encoding, EvalSplit, LatticePoints,
-    MESH_SIDES, Objective, PerturbField, Precision, Regularizer, Resample, SecondPass, Sizes, Spacing, Split,
-    TermNeeds, UnseenPoses, word,
+    Capability, ChangedEntries, Config, Core, CorruptionKind, DataKind, DeltaSource, Encoding, MESH_SIDES, Objective,
+    PerturbField, Regularizer, Representation, Resample, SecondPass, Spacing, TermNeeds, UnseenPoses, word,
 };
 use crate::base::{Error, Result, SettingError};
-use crate::data::RayGroup;
-use crate::perturb::{Epsilon, Geometry, Level, Norm, Passes, REACH, StepUnit};
-
-/// Largest number of points of a step. They are drawn at once, and this many take a few hundred megabytes.
-const MOST_POINTS_PER_STEP: usize = 1 << 22;
+use crate::perturb::{Geometry, Passes};
 
 /// Returns an error for `path = value` unless `ok`.
-pub(super) fn require(ok: bool, path: &str, value: impl std::fmt::Display, allowed: &str) -> Result<()> {
+pub(crate) fn require(ok: bool, path: &str, value: impl std::fmt::Display, allowed: &str) -> Result<()> {
     if ok {
         return Ok(());
     }
@@ -22,13 +16,13 @@ pub(super) fn require(ok: bool, path: &str, value: impl std::fmt::Display, allow
 }
 
 /// Returns an error with a sentence if `wrong`.
-pub(super) fn refuse(wrong: bool, message: impl FnOnce() -> String) -> Result<()> {
-    if wrong { Err(Error::Config(message())) } else { Ok(()) }
+pub(crate) fn refuse(wrong: bool, message: impl Into<String>) -> Result<()> {
+    if wrong { Err(Error::Config(message.into())) } else { Ok(()) }
 }
 
-/// Returns a number of things in words: `1 term`, `2 terms`.
-fn counted(number: usize, thing: &str) -> String {
-    format!("{number} {thing}{}", if number == 1 { "" } else { "s" })
+/// Returns an error with the first sentence whose condition holds.
+fn refuse_first<const N: usize>(refusals: [(bool, String); N]) -> Result<()> {
+    refusals.into_iter().try_for_each(|(wrong, message)| refuse(wrong, message))
 }
 
 impl Config {
@@ -38,361 +32,248 @@ impl Config {
     /// [`Error::Setting`] for the first setting out of its range, [`Error::Config`] for settings that contradict each
     /// other.
     pub fn validate(&self) -> Result<()> {
-        self.check("")?;
-        self.validate_data()?;
-        self.validate_representation()?;
-        if self.method.has_fields() {
-            self.validate_field()?;
-            self.validate_sampling()?;
-            self.validate_perturb()?;
-        }
-        self.validate_sites()?;
-        self.validate_openings()?;
-        self.validate_regularizer()?;
+        self.check_ranges()?;
+        self.data.validate()?;
+        self.nv.validate()?;
+        self.llff.validate()?;
         let side = self.eval.mesh.resolution;
         let allowed = format!("0 (no surface), or {} to {} cells a side", MESH_SIDES.start(), MESH_SIDES.end());
-        require(side == 0 || MESH_SIDES.contains(&side), "eval.mesh.resolution", side, &allowed)
-    }
-
-    fn validate_data(&self) -> Result<()> {
-        let data = &self.data;
-        let kind = data.kind;
-        refuse(data.spherify && !matches!(kind, DataKind::Auto | DataKind::Llff), || {
-            format!("data.spherify = true is for LLFF scenes; this one is {}", kind.name())
-        })?;
-        let may_have = matches!(kind, DataKind::Auto | DataKind::Transforms) && data.split != Some(Split::Every);
-        let without_val = !may_have && !data.has_splits() && data.validation == 0;
-        refuse(data.eval_split == EvalSplit::Val && without_val, || {
-            format!(
-                "data.eval_split = \"val\" is for scenes with a validation split, and this one is {}: keep every N-th view for \
-                 that with data.validation",
-                kind.name()
-            )
-        })?;
-        require(
-            data.validation != 1,
-            "data.validation",
-            1,
-            "0 (none) or at least 2, so that views are left to train on",
-        )?;
-        let (offset, holdout) = (data.holdout_offset, data.holdout);
-        require(
-            offset < holdout,
-            "data.holdout_offset",
-            offset,
-            &format!("0 to {} (below data.holdout)", holdout - 1),
-        )?;
-        let own = data.split == Some(Split::Own);
-        refuse(own && !matches!(kind, DataKind::Auto | DataKind::Transforms | DataKind::Blender), || {
-            format!("data.split = \"own\" is for captures whose files name a split; this one is {}", kind.name())
-        })?;
-        refuse(data.split == Some(Split::Every) && kind.has_splits(), || {
-            format!(
-                "data.split = \"every\" is for captures of which views are held out; this one is {}, whose splits are given",
-                kind.name()
-            )
-        })?;
-        refuse(offset > 0 && data.has_splits(), || {
-            format!(
-                "data.holdout_offset = {offset} is for scenes of which every N-th view is held out; this one is {}, whose splits \
-                 are given",
-                kind.name()
-            )
-        })?;
-        refuse(data.spherify && data.ndc && kind == DataKind::Llff, || {
-            "data.spherify and data.ndc exclude each other: NDC is for cameras that face forward; set data.ndc=false"
-                .into()
-        })?;
-        if let (Some(near), Some(far)) = (data.near, data.far) {
-            require(near < far, "data.far", far, &format!("beyond data.near = {near}"))?;
+        require(side == 0 || MESH_SIDES.contains(&side), "eval.mesh.resolution", side, &allowed)?;
+        if self.method.has_fields() {
+            self.field.validate()?;
+            self.validate_representation()?;
+            self.validate_sampling()?;
+            self.validate_second_pass()?;
+        } else {
+            self.validate_without_fields()?;
         }
-        Ok(())
+        if side > 0 {
+            self.require_capability(Capability::Density, &format!("eval.mesh.resolution = {side}"), "set it to 0")?;
+        }
+        self.perturb.validate()?;
+        self.regularizer.validate()?;
+        self.validate_terms()
     }
 
-    fn validate_field(&self) -> Result<()> {
-        let (field, method) = (&self.field, self.method.name());
-        let halves = field.view_width.is_some() || field.width.is_multiple_of(2);
-        require(
-            halves,
-            "field.width",
-            field.width,
-            "even (the view layer has half of it, unless field.view_width says otherwise)",
-        )?;
-        let octaves = field.position_octaves;
-        let integrated = field.encoding == Encoding::Integrated;
-        require(!integrated || octaves >= 1, "field.position_octaves", octaves, "1 to 20")?;
-        let Some(representation) = self.method.representation(field.encoding) else {
+    fn validate_representation(&self) -> Result<()> {
+        let method = self.method.name();
+        let Some(representation) = self.method.representation(self.field.encoding) else {
             return Err(Error::Config(format!(
                 "field.encoding = \"{}\" is not that of method {method}: integrated is for mip-nerf and aug-mip-nerf, \
                  positional and hash are for nerf and aug-nerf",
-                word(field.encoding),
+                word(self.field.encoding),
             )));
         };
-        refuse(!representation.has_derivatives_at_points() && self.regularizer.reads_points(), || {
-            format!(
-                "regularizer.kind with method {method}: terms in space and orientation read density at points, and this \
-                 field is queried at Gaussians; use nerf or aug-nerf, or other terms on rays, such as distortion"
-            )
-        })?;
-        if let Some((name, value, allowed)) = field.hash.wrong() {
-            require(false, &format!("field.hash.{name}"), value, &allowed)?;
-        }
-        refuse(field.precision == Precision::Bf16 && field.core == Core::Plain, || {
-            "field.precision = \"bf16\" is for field.core = \"fused\": the plain one is the reference and computes in f32".into()
-        })?;
-        for (i, &skip) in field.skips.iter().enumerate() {
-            let allowed = format!("a layer from 1 to {} (field.depth - 1)", field.depth - 1);
-            require(skip >= 1 && skip < field.depth, "field.skips", skip, &allowed)?;
-            refuse(field.skips[..i].contains(&skip), || {
-                format!("field.skips names layer {skip} twice; name each layer once")
-            })?;
-        }
-        Ok(())
+        let message = format!(
+            "regularizer.kind with method {method}: terms in space and orientation read density at points, and this \
+             field is queried at Gaussians; use nerf or aug-nerf, or other terms on rays, such as distortion"
+        );
+        refuse(!representation.has_derivatives_at_points() && self.regularizer.reads_points(), message)
     }
 
-    fn validate_spacing(&self) -> Result<()> {
-        let (data, in_disparity) = (&self.data, self.sampling.spacing == Spacing::Disparity);
-        refuse(in_disparity && data.in_ndc(), || {
-            "sampling.spacing = \"disparity\" with data.ndc: normalized device coordinates are even in disparity already; \
-             set data.ndc=false, or leave sampling.spacing at \"depth\""
-                .into()
-        })?;
-        let of_paper = self.method.is_augmented() && self.perturb.geometry == Geometry::Paper;
-        refuse(in_disparity && of_paper, || {
-            "sampling.spacing = \"disparity\" with perturb.geometry = \"paper\": the paper's gaps are those of samples that are even \
-             in depth; leave perturb.geometry at \"sampling\""
-                .into()
-        })
+    /// Rejects terms and spaces for which a method without fields has no answer.
+    fn validate_without_fields(&self) -> Result<()> {
+        for term in &self.regularizer.kind {
+            let capability = match term.needs() {
+                TermNeeds::Density(_) | TermNeeds::Slopes => Capability::Derivatives,
+                TermNeeds::Samples(_) => Capability::Samples,
+                // Refused with the encoding.
+                TermNeeds::Tables => continue,
+            };
+            let what = format!("regularizer.kind = \"{}\"", term.name());
+            self.require_capability(capability, &what, "leave it empty, or use nerf or aug-nerf")?;
+        }
+        let (data, method, kind) = (&self.data, self.method.name(), self.data.kind.name());
+        let forward = data.kind.forward_facing() && !data.spherify;
+        let around = match data.kind {
+            DataKind::Llff => ", or data.spherify=true if the cameras go around an object",
+            _ => "",
+        };
+        refuse_first([
+            (
+                forward && self.representation() == Representation::Volume,
+                format!(
+                    "data.kind = \"{kind}\" with method {method}: a forward-facing scene has no bounded box and no known \
+                     background, which Neural Volumes need (the paper has no such row, either); use srn, llff, nerf or \
+                     aug-nerf{around}"
+                ),
+            ),
+            (
+                data.in_ndc(),
+                format!(
+                    "data.ndc = true with method {method}: it works with distances in the world, which normalized device \
+                     coordinates bend; set data.ndc=false"
+                ),
+            ),
+            (
+                self.train.gradient_scaling,
+                format!(
+                    "train.gradient_scaling = true with method {method}: it has no samples along rays; set it to false"
+                ),
+            ),
+        ])
+    }
+
+    /// Returns the error for an operation that the method does not support. `what` begins the sentence, and `instead`
+    /// ends it.
+    ///
+    /// # Errors
+    /// [`Error::Config`] if the method's representation lacks the capability.
+    pub fn require_capability(&self, capability: Capability, what: &str, instead: &str) -> Result<()> {
+        match self.representation().lacks(capability) {
+            None => Ok(()),
+            Some(why) => Err(Error::Config(format!("{what} with method {}: {why}; {instead}", self.method.name()))),
+        }
     }
 
     fn validate_sampling(&self) -> Result<()> {
-        self.validate_spacing()?;
-        let fine = self.sampling.fine;
-        if !self.representation().has_coarse_loss() {
-            let allowed =
-                "at least 2 with field.encoding = \"hash\", whose coarse pass only places the samples of the fine one";
-            return require(fine >= 2, "sampling.fine", fine, allowed);
-        }
-        let allowed = "0 (coarse only) or at least 2 intervals";
-        require(!(self.field.encoding.at_intervals() && fine == 1), "sampling.fine", fine, allowed)
-    }
-
-    fn validate_perturb(&self) -> Result<()> {
-        let perturb = &self.perturb;
-        let lambda = perturb.lambda;
-        let allowed = "0 or positive, and at most 1 with perturb.objective = \"released\"";
-        let first = perturb.lambda_schedule.at(lambda, 0);
-        require(
-            perturb.objective == Objective::Paper || lambda.max(first) <= 1.0,
-            "perturb.lambda",
-            lambda.max(first),
-            allowed,
-        )?;
-        let separable = self.field.encoding == Encoding::Hash
-            && self.field.core == Core::Fused
-            && perturb.field == PerturbField::Shared;
-        refuse(self.method.is_augmented() && perturb.entries == ChangedEntries::Clean && !separable, || {
-            "perturb.entries = \"clean\" needs the entries of a hash grid that both passes share; use field.encoding = \"hash\", \
-             field.core = \"fused\" and perturb.field = \"shared\""
-                .into()
-        })?;
-        let permutes = perturb.second == SecondPass::Perturbed(DeltaSource::Permuted);
-        refuse(
-            self.method.is_augmented()
-                && permutes
-                && (self.train.chunk == 1 || self.train.rays % self.train.chunk == 1),
-            || {
-                format!(
-                    "perturb.kind = \"permuted\" with train.chunk = {} and train.rays = {}: a chunk has one ray, whose deltas no other ray \
-                 can take; choose a train.chunk that leaves no chunk of one ray",
-                    self.train.chunk, self.train.rays
-                )
-            },
-        )?;
-        let layer = perturb.injection_layer;
-        let fresh = perturb.second == SecondPass::Clean;
-        let perturbs = self.method.is_augmented() && !fresh;
-        if self.method.is_augmented() && !self.representation().has_coarse_loss() {
-            self.validate_fine_alone(perturbs)?;
-        }
-        if perturbs && perturb.sites_on().any(|(site, _)| site.about().level == Level::Feature) {
-            let allowed = format!("1 to {} (field.depth)", self.field.depth);
-            require((1..=self.field.depth).contains(&layer), "perturb.injection_layer", layer, &allowed)?;
-        }
-        refuse(perturbs && perturb.sites_on().next().is_none(), || {
-            "a perturbed method with every perturb.*.passes = \"off\" perturbs nothing; \
-             use method = \"nerf\" or \"mip-nerf\", or perturb.kind = \"fresh-jitter\" for the control"
-                .into()
-        })?;
-        let still = !self.sampling.jitter && self.sampling.density_noise == Some(0.0);
-        refuse(self.method.is_augmented() && fresh && still, || {
-            "perturb.kind = \"fresh-jitter\" needs sampling.jitter = true or sampling.density_noise above 0: \
-             otherwise the second pass equals the first"
-                .into()
-        })?;
-        refuse(fresh && perturb.field == PerturbField::Separate, || {
-            "perturb.kind = \"fresh-jitter\" is a second pass of the same fields; perturb.field must be \"shared\""
-                .into()
-        })
-    }
-
-    /// Rejects settings of a perturbed coarse pass if there is none.
-    fn validate_fine_alone(&self, perturbs: bool) -> Result<()> {
-        refuse(self.perturb.resample == Resample::Perturbed, || {
-            "perturb.resample = \"perturbed\" with field.encoding = \"hash\": there is no perturbed coarse pass to resample \
-             from; use \"clean\""
-                .into()
-        })?;
-        let mut sites = self.perturb.sites_on();
-        match sites.find(|(_, site)| perturbs && site.passes == Passes::Coarse) {
-            Some((site, _)) => Err(Error::Config(format!(
-                "perturb.{}.passes = \"coarse\" with field.encoding = \"hash\": the coarse pass of a hash field only places \
-                 samples and is never perturbed; use \"fine\", \"both\" (the same here) or \"off\"",
-                site.name()
-            ))),
-            None => Ok(()),
-        }
-    }
-
-    fn validate_sites(&self) -> Result<()> {
-        let perturb = &self.perturb;
-        for (site, config) in perturb.sites.iter() {
-            let (about, name) = (site.about(), site.name());
-            let (largest, allowed) = about.largest_epsilon;
-            if let Some(Epsilon::Units(epsilon)) = config.epsilon {
-                require(epsilon <= largest, &format!("perturb.{name}.epsilon"), epsilon, allowed)?;
-            }
-            // For one number per sample both norms give the same set, which has one name.
-            refuse(about.scalar && config.norm == Some(Norm::L2), || {
-                format!(
-                    "perturb.{name}.norm = \"l2\": this delta is one number a sample, for which l2 and linf are the same; \
-                     use \"linf\""
-                )
-            })?;
-        }
-        let relative = perturb.step_unit == Some(StepUnit::Relative);
-        let in_radii = relative || perturb.sizes == Sizes::Calibrated;
-        let reaching = perturb.sites.iter().find(|(_, config)| config.epsilon == Some(Epsilon::Reach));
-        if let Some((site, _)) = reaching.filter(|_| in_radii) {
-            return Err(Error::Config(format!(
-                "perturb.{}.epsilon = \"{REACH}\" is as far as steps of a length of their own reach, and here steps are \
-                 measured in radii; set perturb.attack = \"paper\" and perturb.step_unit = \"absolute\", or give epsilon a \
-                 number",
-                site.name()
-            )));
-        }
-        refuse(perturb.sizes == Sizes::Calibrated && perturb.step_unit == Some(StepUnit::Absolute), || {
-            "perturb.attack = \"calibrated\" measures steps in radii; omit perturb.step_unit or set it to \"relative\", and \
-             omit the sites' numbers that are the paper's"
-                .into()
-        })?;
-        match perturb.sites.iter().find(|(_, config)| config.step_size.is_none()) {
-            Some((unset, _)) if perturb.sizes == Sizes::Paper && relative => Err(Error::Config(format!(
-                "perturb.step_unit = \"relative\" measures steps in radii, which the paper's step sizes are not; \
-                 set perturb.{}.step_size, too",
-                unset.name()
-            ))),
-            _ => Ok(()),
-        }
-    }
-
-    /// Rejects encodings and samples that open after the training.
-    fn validate_openings(&self) -> Result<()> {
+        let in_disparity = self.sampling.spacing == Spacing::Disparity;
+        let of_paper = self.method.is_augmented() && self.perturb.geometry == Geometry::Paper;
+        refuse_first([
+            (
+                in_disparity && self.data.in_ndc(),
+                "sampling.spacing = \"disparity\" with data.ndc: normalized device coordinates are even in disparity already; \
+                 set data.ndc=false, or leave sampling.spacing at \"depth\""
+                    .into(),
+            ),
+            (
+                in_disparity && of_paper,
+                "sampling.spacing = \"disparity\" with perturb.geometry = \"paper\": the paper's gaps are those of samples that \
+                 are even in depth; leave perturb.geometry at \"sampling\""
+                    .into(),
+            ),
+        ])?;
         let openings = [
             ("field.frequency_steps", self.field.frequency_steps, "or the encodings never open"),
             ("sampling.anneal_steps", self.sampling.anneal_steps, "or training never sees whole rays"),
         ];
         for (name, steps, why) in openings {
             let allowed = format!("at most train.steps ({}), {why}", self.train.steps);
-            require(steps <= self.train.steps || !self.method.has_fields(), name, steps, &allowed)?;
+            require(steps <= self.train.steps, name, steps, &allowed)?;
         }
-        Ok(())
+        let fine = self.sampling.fine;
+        let (is_possible, allowed) = match self.field.encoding {
+            Encoding::Positional => return Ok(()),
+            Encoding::Integrated => (fine != 1, "0 (coarse only) or at least 2 intervals"),
+            Encoding::Hash => (
+                fine >= 2,
+                "at least 2 with field.encoding = \"hash\", whose coarse pass only places the samples of the fine one",
+            ),
+        };
+        require(is_possible, "sampling.fine", fine, allowed)
     }
 
-    fn validate_regularizer(&self) -> Result<()> {
-        let regularizer = &self.regularizer;
-        let (kinds, weights) = (&regularizer.kind, regularizer.weight.len());
-        for (i, kind) in kinds.iter().enumerate() {
-            refuse(kinds[..i].contains(kind), || {
-                format!("regularizer.kind names {} twice; name each term once", kind.name())
-            })?;
+    fn validate_second_pass(&self) -> Result<()> {
+        let (perturb, chunk, rays) = (&self.perturb, self.train.chunk, self.train.rays);
+        let lambda = perturb.lambda.max(perturb.lambda_schedule.at(perturb.lambda, 0));
+        let allowed = "0 or positive, and at most 1 with perturb.objective = \"released\"";
+        require(perturb.objective == Objective::Paper || lambda <= 1.0, "perturb.lambda", lambda, allowed)?;
+        let fresh = perturb.second == SecondPass::Clean;
+        refuse(
+            fresh && perturb.field == PerturbField::Separate,
+            "perturb.kind = \"fresh-jitter\" is a second pass of the same fields; perturb.field must be \"shared\"",
+        )?;
+        if !self.method.is_augmented() {
+            return Ok(());
         }
-        refuse(weights != 0 && weights != kinds.len(), || {
-            format!(
-                "regularizer.weight has {} and regularizer.kind names {}; give one weight for each term, or none for the \
-                 defaults",
-                counted(weights, "number"),
-                counted(kinds.len(), "term")
-            )
-        })?;
-        refuse(self.train.gradient_scaling && !self.method.has_fields(), || {
-            format!(
-                "train.gradient_scaling = true with method {}: it has no samples along rays; set it to false",
-                self.method.name()
-            )
-        })?;
-        refuse(self.train.gradient_scaling && kinds.contains(&Regularizer::Orientation), || {
-            "train.gradient_scaling = true with regularizer.kind = \"orientation\": gradients of normals are not scaled; choose one of them".into()
-        })?;
-        refuse(self.train.gradient_scaling && self.data.in_ndc(), || {
-            "train.gradient_scaling = true with data.ndc = true: t is no distance in normalized device coordinates; set \
-             data.ndc=false, or train.gradient_scaling=false"
-                .into()
-        })?;
-        refuse(regularizer.unseen_poses == Some(UnseenPoses::Sphere) && self.data.in_ndc(), || {
-            "regularizer.unseen_poses = \"sphere\" with data.ndc = true: cameras on all sides see nothing of a forward-facing scene; \
-             choose box or between"
-                .into()
-        })?;
-        refuse(kinds.contains(&Regularizer::SparseDepth) && self.data.in_ndc(), || {
-            "regularizer.kind = \"sparse-depth\" with data.ndc = true: t is no depth in normalized device coordinates; set data.ndc=false"
-                .into()
-        })?;
-        let is_moved = self.data.corruption.kind == CorruptionKind::Poses;
-        refuse(kinds.contains(&Regularizer::SparseDepth) && is_moved, || {
-            "regularizer.kind = \"sparse-depth\" with data.corruption.kind = \"poses\": COLMAP's points are those of the cameras before \
-             they were moved; choose one of them"
-                .into()
-        })?;
-        if let (Some(rays), Some(group)) = (regularizer.unseen_rays, regularizer.unseen_groups().last()) {
-            let allowed = format!(
-                "a multiple of {}, the rays of a {}",
-                group.rays(),
-                if *group == RayGroup::Patch { "patch" } else { "pair" }
-            );
-            require(rays.is_multiple_of(group.rays()), "regularizer.unseen_rays", rays, &allowed)?;
-        }
-        let schedules = regularizer.schedule.len();
-        refuse(schedules != 0 && schedules != kinds.len(), || {
-            format!(
-                "regularizer.schedule has {} and regularizer.kind names {}; give one schedule for each term, or none for \
-                 constant weights",
-                counted(schedules, "schedule"),
-                counted(kinds.len(), "term")
-            )
-        })?;
-        refuse(kinds.contains(&Regularizer::Laplacian) && !self.field.has_laplacian(), || {
-            "regularizer.kind = \"laplacian\" with field.hash.interpolation = \"linear\": a trilinear grid has no second derivative \
-             along an axis; set field.hash.interpolation = \"smoothstep\""
-                .into()
-        })?;
-        let has_tables = self.method.has_fields() && self.field.encoding == Encoding::Hash;
-        if let Some(kind) = kinds.iter().find(|kind| kind.needs() == TermNeeds::Tables && !has_tables) {
-            let kind = kind.name();
+        let on_grid = self.field.encoding == Encoding::Hash;
+        let separable = on_grid && self.field.core == Core::Fused && perturb.field == PerturbField::Shared;
+        let permutes = perturb.second == SecondPass::Perturbed(DeltaSource::Permuted);
+        let still = !self.sampling.jitter && self.sampling.density_noise == Some(0.0);
+        refuse_first([
+            (
+                perturb.entries == ChangedEntries::Clean && !separable,
+                "perturb.entries = \"clean\" needs the entries of a hash grid that both passes share; use field.encoding = \
+                 \"hash\", field.core = \"fused\" and perturb.field = \"shared\""
+                    .into(),
+            ),
+            (
+                permutes && (chunk == 1 || rays % chunk == 1),
+                format!(
+                    "perturb.kind = \"permuted\" with train.chunk = {chunk} and train.rays = {rays}: a chunk has one ray, whose \
+                     deltas no other ray can take; choose a train.chunk that leaves no chunk of one ray"
+                ),
+            ),
+            (
+                on_grid && perturb.resample == Resample::Perturbed,
+                "perturb.resample = \"perturbed\" with field.encoding = \"hash\": there is no perturbed coarse pass to \
+                 resample from; use \"clean\""
+                    .into(),
+            ),
+            (
+                fresh && still,
+                "perturb.kind = \"fresh-jitter\" needs sampling.jitter = true or sampling.density_noise above 0: otherwise the \
+                 second pass equals the first"
+                    .into(),
+            ),
+            (
+                !fresh && perturb.sites_on().next().is_none(),
+                "a perturbed method with every perturb.*.passes = \"off\" perturbs nothing; use method = \"nerf\" or \
+                 \"mip-nerf\", or perturb.kind = \"fresh-jitter\" for the control"
+                    .into(),
+            ),
+        ])?;
+        for (site, _) in perturb.sites_on().filter(|(_, site)| on_grid && !fresh && site.passes == Passes::Coarse) {
             return Err(Error::Config(format!(
-                "regularizer.kind = \"{kind}\" needs the tables of a hash grid; use nerf or aug-nerf with field.encoding = \"hash\""
+                "perturb.{}.passes = \"coarse\" with field.encoding = \"hash\": the coarse pass of a hash field only places \
+                 samples and is never perturbed; use \"fine\", \"both\" (the same here) or \"off\"",
+                site.name()
             )));
         }
-        let (points, lattice) = (regularizer.points_per_step, regularizer.lattice);
-        if regularizer.points == LatticePoints::Sampled {
-            let cells = lattice.pow(3);
-            let most = cells.min(MOST_POINTS_PER_STEP);
-            let allowed = format!(
-                "1 to {most} on a lattice of {lattice} a side (regularizer.points = \"full\" takes all {cells} cells)"
-            );
-            require((1..=most).contains(&points), "regularizer.points_per_step", points, &allowed)?;
-        }
-        Ok(())
+        let (layer, depth) = (perturb.injection_layer, self.field.depth);
+        let is_there = fresh || !perturb.feature.on() || (1..=depth).contains(&layer);
+        require(is_there, "perturb.injection_layer", layer, &format!("1 to {depth} (field.depth)"))
+    }
+
+    /// Rejects terms and scaled gradients in scenes and fields where they mean nothing.
+    fn validate_terms(&self) -> Result<()> {
+        let has = |term| self.regularizer.kind.contains(&term);
+        let (in_ndc, scales) = (self.data.in_ndc(), self.train.gradient_scaling);
+        let has_tables = self.method.has_fields() && self.field.encoding == Encoding::Hash;
+        refuse_first([
+            (
+                scales && has(Regularizer::Orientation),
+                "train.gradient_scaling = true with regularizer.kind = \"orientation\": gradients of normals are not scaled; \
+                 choose one of them"
+                    .into(),
+            ),
+            (
+                scales && in_ndc,
+                "train.gradient_scaling = true with data.ndc = true: t is no distance in normalized device coordinates; set \
+                 data.ndc=false, or train.gradient_scaling=false"
+                    .into(),
+            ),
+            (
+                in_ndc && self.regularizer.unseen_poses == Some(UnseenPoses::Sphere),
+                "regularizer.unseen_poses = \"sphere\" with data.ndc = true: cameras on all sides see nothing of a \
+                 forward-facing scene; choose box or between"
+                    .into(),
+            ),
+            (
+                in_ndc && has(Regularizer::SparseDepth),
+                "regularizer.kind = \"sparse-depth\" with data.ndc = true: t is no depth in normalized device coordinates; set \
+                 data.ndc=false"
+                    .into(),
+            ),
+            (
+                has(Regularizer::SparseDepth) && self.data.corruption.kind == CorruptionKind::Poses,
+                "regularizer.kind = \"sparse-depth\" with data.corruption.kind = \"poses\": COLMAP's points are those of the \
+                 cameras before they were moved; choose one of them"
+                    .into(),
+            ),
+            (
+                has(Regularizer::Laplacian) && !self.field.has_laplacian(),
+                "regularizer.kind = \"laplacian\" with field.hash.interpolation = \"linear\": a trilinear grid has no second \
+                 derivative along an axis; set field.hash.interpolation = \"smoothstep\""
+                    .into(),
+            ),
+            (
+                has(Regularizer::HashDecay) && !has_tables,
+                "regularizer.kind = \"hash-decay\" needs the tables of a hash grid; use nerf or aug-nerf with field.encoding = \
+                 \"hash\""
+                    .into(),
+            ),
+        ])
     }
 }
 

@@ -2,8 +2,9 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::DataKind;
-use super::registry::{choice, numbers, section};
+use super::registry::{numbers, section};
+use super::{DataKind, require};
+use crate::base::Result;
 
 /// The input of the decoder.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
@@ -16,8 +17,6 @@ pub enum VolumeCode {
     /// rendered with its mean.
     Variational,
 }
-
-choice!(VolumeCode);
 
 /// The protocol's column for all settings of the section.
 const COLUMN: &[&str] = &["nv"];
@@ -75,17 +74,6 @@ impl VolumeConfig {
         self.bounds = self.bounds.or(domain).or(objects);
     }
 
-    /// Resets the settings that are not read.
-    pub(super) fn forget_unread(&mut self) {
-        let default = VolumeConfig::default();
-        if !self.warp {
-            self.warp_resolution = default.warp_resolution;
-        }
-        if self.code == VolumeCode::Fixed {
-            self.kl = default.kl;
-        }
-    }
-
     /// Returns the cube of the volume: its middle, and half its side, in scene units. `None` while the box is open.
     pub fn cube(&self) -> Option<([f64; 3], f64)> {
         let [low, high] = self.bounds?;
@@ -98,13 +86,11 @@ impl VolumeConfig {
         self.step.unwrap_or(2.0 / self.resolution as f64)
     }
 
-    /// Returns the first setting that is not allowed: its name in the section, its value, and what is allowed.
-    pub(super) fn wrong(&self) -> Option<(&'static str, String, String)> {
-        let narrow = |value: usize, name, allowed: &str| {
-            (!value.is_power_of_two()).then(|| (name, value.to_string(), allowed.to_string()))
-        };
-        narrow(self.resolution, "resolution", "a power of two from 4 to 256")
-            .or_else(|| narrow(self.divide, "divide", "a power of two from 1 to 64"))
+    /// Checks the sizes.
+    pub(super) fn validate(&self) -> Result<()> {
+        let VolumeConfig { resolution, divide, .. } = *self;
+        require(resolution.is_power_of_two(), "nv.resolution", resolution, "a power of two from 4 to 256")?;
+        require(divide.is_power_of_two(), "nv.divide", divide, "a power of two from 1 to 64")
     }
 
     /// Returns all settings in one line, for tables.

@@ -12,9 +12,9 @@ pub mod transforms;
 
 use std::path::Path;
 
-use crate::base::{Listener, Result};
+use crate::base::{Error, Listener, Result};
 use crate::data::{Photos, Scene};
-use crate::settings::{DataConfig, DataKind, Preset};
+use crate::settings::{DataConfig, DataKind, PixelOrigin, Preset};
 
 pub use capture::Capture;
 
@@ -29,7 +29,7 @@ pub enum ReferenceDepth {
     Exact,
 }
 
-/// A format of scenes.
+/// A format of scenes: all that is known of its scenes before one is read.
 pub struct Format {
     /// Its name in settings.
     pub kind: DataKind,
@@ -39,13 +39,43 @@ pub struct Format {
     pub detect: fn(&Path) -> bool,
     /// Reads the scene, and as much of its photos as is asked for. `downscale` is filled.
     pub read: fn(&DataConfig, Photos, &dyn Listener) -> Result<Scene>,
+    /// Names of the settings in section `data` that it reads, of those that not all formats do.
+    pub reads: &'static [&'static str],
     /// The default preset.
     pub preset: Preset,
+    /// The paper's `data.downscale`.
+    pub downscale: u32,
+    /// The default pixel origin: `centre` for the poses of COLMAP, `corner` for those of published numbers.
+    pub pixel_origin: PixelOrigin,
+    /// Whether the cameras are forward-facing. LLFF's defaults (noise, batches, decay) apply to such scenes.
+    pub forward_facing: bool,
+    /// Half the side of the cube around the origin that holds the objects, in scene units. `None` if only the training
+    /// rays tell the extent.
+    pub object_half: Option<f64>,
+    /// Whether scenes come with training, validation and test views. Otherwise every N-th view is held out.
+    pub has_splits: bool,
     /// The reference depth that views may have.
     pub depth: ReferenceDepth,
     /// Whether the scene's own surface is known.
     pub has_mesh: bool,
 }
+
+/// A capture of photos of unknown extent, without anything special. Entries of [`FORMATS`] say what differs.
+const CAPTURE: Format = Format {
+    kind: DataKind::Auto,
+    marker: None,
+    detect: |_| false,
+    read: |_, _, _| Err(Error::Config("data.kind = \"auto\" has to be settled before the scene is loaded".into())),
+    reads: &[],
+    preset: Preset::PaperBlender,
+    downscale: 1,
+    pixel_origin: PixelOrigin::Corner,
+    forward_facing: false,
+    object_half: None,
+    has_splits: false,
+    depth: ReferenceDepth::None,
+    has_mesh: false,
+};
 
 /// All formats. A folder has the first format that detects it.
 pub static FORMATS: [Format; 6] = [
@@ -54,54 +84,61 @@ pub static FORMATS: [Format; 6] = [
         marker: Some("poses_bounds.npy (LLFF)"),
         detect: |dir| dir.join(llff::POSES_FILE).is_file(),
         read: llff::load,
+        reads: &["ndc", "recentre", "rescale", "bound_factor", "spherify", "recognise_orbits", "masks", "background"],
         preset: Preset::PaperLlff,
-        depth: ReferenceDepth::None,
-        has_mesh: false,
+        downscale: 8,
+        forward_facing: true,
+        ..CAPTURE
     },
     Format {
         kind: DataKind::Blender,
         marker: Some("transforms_train.json (Blender)"),
         detect: |dir| dir.join(transforms::transforms_file("train")).is_file(),
         read: blender::load,
-        preset: Preset::PaperBlender,
+        reads: &["masks", "background"],
+        downscale: 2,
+        object_half: Some(1.5),
+        has_splits: true,
         depth: ReferenceDepth::EightBit,
-        has_mesh: false,
+        ..CAPTURE
     },
     Format {
         kind: DataKind::Transforms,
         marker: Some("transforms.json (instant-ngp, nerfstudio)"),
         detect: |dir| dir.join(transforms::TRANSFORMS_FILE).is_file(),
         read: transforms::load,
-        preset: Preset::PaperBlender,
-        depth: ReferenceDepth::None,
-        has_mesh: false,
+        reads: &["split", "recentre", "rescale", "masks", "background"],
+        pixel_origin: PixelOrigin::Centre,
+        ..CAPTURE
     },
     Format {
         kind: DataKind::Colmap,
         marker: Some("sparse/0/cameras.bin or .txt (COLMAP)"),
         detect: colmap::is_scene,
         read: colmap::load,
-        preset: Preset::PaperBlender,
-        depth: ReferenceDepth::None,
-        has_mesh: false,
+        reads: &["colmap_model", "recentre", "rescale", "masks", "background"],
+        pixel_origin: PixelOrigin::Centre,
+        ..CAPTURE
     },
     Format {
         kind: DataKind::BuiltinBlender,
-        marker: None,
-        detect: |_| false,
         read: |config, _, _| builtin::load_blender(config),
+        reads: &["background"],
         preset: Preset::Fast,
+        object_half: Some(1.2),
+        has_splits: true,
         depth: ReferenceDepth::Exact,
         has_mesh: true,
+        ..CAPTURE
     },
     Format {
         kind: DataKind::BuiltinForward,
-        marker: None,
-        detect: |_| false,
         read: |config, _, _| builtin::load_forward(config),
+        reads: &["ndc"],
         preset: Preset::Fast,
+        forward_facing: true,
         depth: ReferenceDepth::Exact,
-        has_mesh: false,
+        ..CAPTURE
     },
 ];
 

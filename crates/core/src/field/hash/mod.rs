@@ -23,6 +23,7 @@ mod gradient;
 mod operator;
 mod reference;
 mod scatter;
+pub mod settings;
 #[cfg(test)]
 mod tests;
 

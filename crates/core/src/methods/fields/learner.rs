@@ -57,7 +57,7 @@ impl FieldLearner {
         device: &Device,
     ) -> Result<FieldLearner> {
         check_device(config, dtype, device)?;
-        let tangents = config.method.is_augmented() && config.perturb.sites[PaperSite::View].on();
+        let tangents = config.method.is_augmented() && config.perturb[PaperSite::View].on();
         let terms = WeightedTerm::all(&config.regularizer);
         let mut learner = FieldLearner {
             config: config.clone(),
@@ -156,7 +156,7 @@ impl Learner for FieldLearner {
         if PaperSite::of_name(name).is_some() || self.plan.own_sites().any(|known| known.name() == name) {
             return refuse("there is a site of that name; rename it");
         }
-        if at == PaperSite::View && !perturb.sites[PaperSite::View].on() {
+        if at == PaperSite::View && !perturb[PaperSite::View].on() {
             return refuse("rays have tangents at view only if the site view is on; set perturb.view.passes");
         }
         self.plan.add_site(&site);

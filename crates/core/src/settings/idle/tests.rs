@@ -6,7 +6,7 @@ fn built(set: &[&str]) -> Config {
 }
 
 #[test]
-fn a_setting_without_effect_is_told_why() {
+fn a_setting_of_another_method_is_told_why() {
     let why = |set: &[&str], path: &str| built(set).without_effect(path).unwrap_or_default();
     for (set, path, words) in [
         (&[][..], "perturb.t.epsilon", "method nerf has no perturbed pass"),
@@ -31,108 +31,43 @@ fn a_setting_without_effect_is_told_why() {
     }
 }
 
-/// Settings, a setting without effect there, words of the reason, and a further setting with which it has one.
-type Case<'a> = (&'a [&'a str], &'a str, &'a str, &'a str);
-
-/// Checks each case on a located scene, with and without its further setting.
-fn check(kind: DataKind, cases: &[Case]) {
-    for (set, path, words, further) in cases {
-        let located = |set: &[&str]| built(set).locate(kind).unwrap();
-        let why = located(set).without_effect(path).unwrap_or_default();
-        assert!(why.contains(words) && !words.is_empty(), "{set:?} {path}: {why}");
-        let all = [*set, &[*further]].concat();
-        assert_eq!(located(&all).without_effect(path), None, "{all:?} {path}");
-    }
-}
-
+/// Each line has settings, a setting without effect there, words of the reason, and a further setting with which it has one.
 #[test]
-fn settings_of_training_and_samples_count_where_they_are_read() {
-    let all_images = "train.batching=all-images";
-    check(
-        DataKind::BuiltinBlender,
-        &[
-            (&[all_images], "train.precrop_steps", "\"all-images\"", "train.batching=one-image"),
-            (&[all_images], "train.precrop_fraction", "\"all-images\"", "train.batching=one-image"),
-            (&["train.precrop_steps=0"], "train.precrop_fraction", "precrop_steps is 0", "train.precrop_steps=1"),
-            (&["method=llff"], "train.rays", "windows of views", "method=srn"),
-            (&[], "train.final_learning_rate", "\"exponential\"", "train.schedule=log-linear"),
-            (&[], "train.warmup_share", "\"exponential\"", "train.schedule=log-linear"),
-            (&["train.schedule=log-linear"], "train.decay_steps", "\"log-linear\"", "train.schedule=exponential"),
-            (&["train.schedule=log-linear"], "train.decay_rate", "\"log-linear\"", "train.schedule=exponential"),
-            (&["train.decay_rate=1"], "train.decay_steps", "decay_rate is 1", "train.decay_rate=0.5"),
-            (
-                &["train.schedule=log-linear", "train.warmup_share=0"],
-                "train.warmup_from",
-                "warmup_share is 0",
-                "train.warmup_share=0.5",
-            ),
-            (&["sampling.fine=0"], "train.coarse_weight", "sampling.fine is 0", "sampling.fine=8"),
-            (&["field.encoding=hash"], "train.coarse_weight", "\"hash\"", "field.encoding=positional"),
-            (&["method=srn"], "train.coarse_weight", "method srn has no field", "method=nerf"),
-            (&["field.density_activation=exp"], "train.dead_start_share", "\"exp\"", "field.density_activation=relu"),
-            (&[], "train.eval_stride", "train.eval_every is 0", "train.eval_every=5"),
-            (&[], "sampling.resample_padding", "\"positional\"", "field.encoding=hash"),
-            (&["method=mip-nerf", "sampling.fine=0"], "sampling.resample_padding", "fine is 0", "sampling.fine=8"),
-            (&["field.encoding=hash"], "field.position_octaves", "\"hash\"", "field.encoding=positional"),
-            (
-                &["field.encoding=hash", "field.hash.levels=1"],
-                "field.hash.finest",
-                "field.hash.levels is 1",
-                "field.hash.levels=2",
-            ),
-            (
-                &["regularizer.kind=tv", "regularizer.points=full"],
-                "regularizer.points_per_step",
-                "\"full\"",
-                "regularizer.points=sampled",
-            ),
-            (&[], "eval.mesh.threshold", "eval.mesh.resolution is 0", "eval.mesh.resolution=16"),
-            (&[], "eval.mesh.box", "eval.mesh.resolution is 0", "eval.mesh.resolution=16"),
-            (
-                &["eval.mesh.resolution=16", "eval.mesh.reference=none"],
-                "eval.mesh.at",
-                "\"none\"",
-                "eval.mesh.reference=",
-            ),
-            (&["method=nv"], "nv.kl", "\"fixed\"", "nv.code=variational"),
-            (&["method=nv", "nv.warp=false"], "nv.warp_resolution", "nv.warp is false", "nv.warp=true"),
-        ],
-    );
-}
-
-#[test]
-fn settings_of_a_perturbed_pass_count_where_it_has_such_deltas() {
+fn settings_count_where_they_are_read() {
     let (aug, uniform, clean) = ("method=aug-nerf", "perturb.kind=uniform", "perturb.kind=fresh-jitter");
-    let searched = "perturb.kind=worst-case";
     let off = |site: &str| format!("perturb.{site}.passes=off");
     let [xyz, feature, rgb, density] = ["xyz", "feature", "rgb", "density"].map(off);
-    check(
-        DataKind::BuiltinBlender,
-        &[
-            (&[aug, uniform], "perturb.t.steps", "\"uniform\", which searches nothing", "perturb.kind=permuted"),
-            (&[aug, uniform], "perturb.xyz.step_size", "searches nothing", "perturb.xyz.epsilon=reach"),
-            (&[aug, uniform], "perturb.step_unit", "searches nothing", "perturb.kind=best-case"),
-            (&[aug, clean], "perturb.t.epsilon", "\"fresh-jitter\", a second pass without deltas", uniform),
-            (&[aug, clean], "perturb.rgb.passes", "without deltas", uniform),
-            (&[aug, clean], "perturb.attack", "without deltas", uniform),
-            (&[aug, clean], "perturb.levels", "without deltas", searched),
-            (&[aug, clean], "perturb.geometry", "without deltas", searched),
-            (
-                &[aug, &feature],
-                "perturb.injection_layer",
-                "perturb.feature.passes is \"off\"",
-                "perturb.feature.passes=fine",
-            ),
-            (&[aug, &feature], "perturb.feature.epsilon", "passes is \"off\"", "perturb.feature.passes=fine"),
-            (&[aug, &rgb, &density], "perturb.output", "perturb.rgb.passes and", "perturb.rgb.passes=coarse"),
-            (&[aug, &density], "perturb.perturb_last", "perturb.density.passes is", "perturb.density.passes=both"),
-            (&[aug, "field.encoding=hash"], "perturb.perturb_last", "\"hash\"", "field.encoding=positional"),
-            (&[aug, &xyz], "perturb.xyz_radius", "perturb.xyz.passes is \"off\"", "perturb.xyz.passes=both"),
-            (&[aug, "sampling.fine=0"], "perturb.resample", "sampling.fine is 0", "sampling.fine=8"),
-            (&[aug, "perturb.t.steps=0"], "perturb.t.step_size", "perturb.t.steps is 0", "perturb.t.steps=1"),
-            (&[aug, "perturb.rgb.epsilon=0"], "perturb.rgb.norm", "perturb.rgb.epsilon is 0", "perturb.rgb.epsilon=1"),
-        ],
-    );
+    let noise = "data.corruption.kind=shot-noise";
+    for (set, path, words, further) in [
+        (&["train.batching=all-images"][..], "train.precrop_steps", "\"all-images\"", "train.batching=one-image"),
+        (&["method=llff"], "train.rays", "windows of views", "method=srn"),
+        (&[], "train.final_learning_rate", "\"exponential\"", "train.schedule=log-linear"),
+        (&["train.schedule=log-linear"], "train.decay_steps", "\"log-linear\"", "train.schedule=exponential"),
+        (&["field.encoding=hash"], "train.coarse_weight", "\"hash\"", "field.encoding=positional"),
+        (&["method=srn"], "train.coarse_weight", "method srn has no field", "method=nerf"),
+        (&[], "train.eval_stride", "train.eval_every is 0", "train.eval_every=5"),
+        (&[], "sampling.resample_padding", "\"positional\"", "field.encoding=hash"),
+        (&["field.encoding=hash"], "field.position_octaves", "\"hash\"", "field.encoding=positional"),
+        (&[], "eval.mesh.threshold", "eval.mesh.resolution is 0", "eval.mesh.resolution=16"),
+        (&["method=nv"], "nv.kl", "\"fixed\"", "nv.code=variational"),
+        (&[aug, uniform], "perturb.t.steps", "\"uniform\", which searches nothing", "perturb.kind=permuted"),
+        (&[aug, uniform], "perturb.xyz.step_size", "searches nothing", "perturb.xyz.epsilon=reach"),
+        (&[aug, clean], "perturb.t.epsilon", "\"fresh-jitter\", a second pass without deltas", uniform),
+        (&[aug, clean], "perturb.attack", "without deltas", uniform),
+        (&[aug, &feature], "perturb.injection_layer", "perturb.feature.passes is", "perturb.feature.passes=fine"),
+        (&[aug, &feature], "perturb.feature.epsilon", "passes is \"off\"", "perturb.feature.passes=fine"),
+        (&[aug, &rgb, &density], "perturb.output", "perturb.rgb.passes and", "perturb.rgb.passes=coarse"),
+        (&[aug, &xyz], "perturb.xyz_radius", "perturb.xyz.passes is \"off\"", "perturb.xyz.passes=both"),
+        (&[], "data.corruption.severity", "data.corruption.kind is \"none\"", noise),
+        (&[noise], "data.corruption.share", "\"shot-noise\"; pepper", "data.corruption.kind=pepper"),
+        (&["data.width=16"], "data.downscale", "data.width is 16", "data.width=0"),
+    ] {
+        let located = |set: &[&str]| built(set).locate(DataKind::BuiltinBlender).unwrap();
+        let why = located(set).without_effect(path).unwrap_or_default();
+        assert!(why.contains(words), "{set:?} {path}: {why}");
+        let all = [set, &[further]].concat();
+        assert_eq!(located(&all).without_effect(path), None, "{all:?} {path}");
+    }
     let control = built(&[aug, clean]);
     for path in ["perturb.kind", "perturb.lambda", "perturb.objective", "perturb.entries"] {
         assert_eq!(control.without_effect(path), None, "{path}");
@@ -141,48 +76,22 @@ fn settings_of_a_perturbed_pass_count_where_it_has_such_deltas() {
 
 #[test]
 fn settings_of_a_scene_count_where_its_kind_reads_them() {
-    let noise = "data.corruption.kind=shot-noise";
-    check(
-        DataKind::Llff,
-        &[
-            (&[], "data.corruption.severity", "data.corruption.kind is \"none\"", noise),
-            (&[noise], "data.corruption.share", "\"shot-noise\"; pepper", "data.corruption.kind=pepper"),
-            (&[noise], "data.corruption.degrees", "\"shot-noise\"; poses", "data.corruption.kind=poses"),
-            (&["data.width=16"], "data.downscale", "data.width is 16", "data.width=0"),
-            (&[], "data.rescale", "outside normalized device coordinates", "data.ndc=false"),
-        ],
-    );
-    check(DataKind::Transforms, &[(&["data.split=own"], "data.holdout", "splits of its own", "data.split=every")]);
-    let idle = |kind: DataKind, path: &str| built(&[]).locate(kind).unwrap().without_effect(&format!("data.{path}"));
-    let kinds = [
-        DataKind::Llff,
-        DataKind::Blender,
-        DataKind::Transforms,
-        DataKind::Colmap,
-        DataKind::BuiltinBlender,
-        DataKind::BuiltinForward,
-    ];
-    for (path, read_by) in [
-        ("ndc", &[DataKind::Llff, DataKind::BuiltinForward][..]),
-        ("bound_factor", &[DataKind::Llff]),
-        ("spherify", &[DataKind::Llff]),
-        ("recognise_orbits", &[DataKind::Llff]),
-        ("recentre", &[DataKind::Llff, DataKind::Transforms, DataKind::Colmap]),
-        ("rescale", &[DataKind::Transforms, DataKind::Colmap]),
-        ("colmap_model", &[DataKind::Colmap]),
-        ("masks", &[DataKind::Llff, DataKind::Blender, DataKind::Transforms, DataKind::Colmap]),
-        ("split", &[DataKind::Transforms]),
-        ("validation", &[DataKind::Llff, DataKind::Transforms, DataKind::Colmap, DataKind::BuiltinForward]),
-        ("holdout_offset", &[DataKind::Llff, DataKind::Transforms, DataKind::Colmap, DataKind::BuiltinForward]),
-        // If none of its split's photos is there, every N-th view of a Blender scene is held out.
-        ("holdout", &kinds.map(|kind| if kind == DataKind::BuiltinBlender { DataKind::Blender } else { kind })),
-        // `render --cameras` reads them for runs of all kinds.
-        ("axes", &kinds),
-        ("near", &kinds),
+    let idle = |set: &[&str], kind, path| built(set).locate(kind).unwrap().without_effect(path);
+    for (kind, path, words) in [
+        (DataKind::Blender, "data.ndc", Some("\"blender\"; scenes of llff, builtin-forward read it")),
+        (DataKind::Llff, "data.colmap_model", Some("scenes of colmap read it")),
+        (DataKind::Llff, "data.rescale", Some("outside normalized device coordinates")),
+        (DataKind::BuiltinBlender, "data.validation", Some("splits of its own")),
+        (DataKind::BuiltinForward, "data.validation", None),
+        (DataKind::Blender, "data.holdout", None),
+        (DataKind::Colmap, "data.rescale", None),
+        (DataKind::Llff, "data.axes", None),
     ] {
-        for kind in kinds {
-            assert_eq!(idle(kind, path).is_none(), read_by.contains(&kind), "data.{path} of {}", kind.name());
-        }
-        assert_eq!(built(&[]).without_effect(&format!("data.{path}")), None, "a scene that is not known yet");
+        let why = idle(&[], kind, path);
+        assert_eq!(why.is_some(), words.is_some(), "{path}: {why:?}");
+        assert!(why.unwrap_or_default().contains(words.unwrap_or_default()), "{path}");
+        assert_eq!(built(&[]).without_effect(path), None, "{path} of a scene that is not known yet");
     }
+    assert_eq!(idle(&["data.ndc=false"], DataKind::Llff, "data.rescale"), None);
+    assert!(idle(&["data.split=own"], DataKind::Transforms, "data.holdout").is_some());
 }

@@ -3,21 +3,29 @@
 //! The section has one table for each of the paper's sites. `perturb.levels` is a short way to switch sites off. It
 //! is read but never written: files and hashes hold only the sites' `passes`.
 
-use std::ops::Deref;
+use std::ops::{Deref, Index, IndexMut};
 use std::sync::Arc;
 
-use serde::de::value::MapAccessDeserializer;
-use serde::de::{DeserializeSeed, Error, IntoDeserializer, MapAccess, Visitor};
+use serde::de::Error;
 use serde::{Deserialize, Deserializer, Serialize, Serializer};
 
-use super::registry::{choice, numbers, section};
-use super::schedule::WeightSchedule;
-use super::second_pass::{DeltaSource, SecondPass};
-use super::site::{Levels, SiteConfig, SiteSection, Sizes, switched_off, write_sites};
+use crate::base;
+use crate::losses::{SCHEDULES, WeightSchedule};
 use crate::perturb::{
-    Density, Epsilon, Feature, Geometry, Level, Norm, PaperPass, PaperSite, Passes, PerSite, Pgd, Radius, Rgb, Site,
-    SiteNumbers, StepUnit, T, View, Xyz,
+    Density, Epsilon, Feature, Geometry, Level, Norm, PaperPass, PaperSite, Passes, PerSite, Pgd, REACH, Radius, Rgb,
+    Site, SiteNumbers, StepUnit, T, View, Xyz,
 };
+use crate::settings::IdleKind::Noted;
+use crate::settings::registry::{numbers, section};
+use crate::settings::{IdleSettings, one_or_many, refuse, require, word};
+
+mod second_pass;
+mod site;
+
+pub use second_pass::{DeltaSource, SecondPass};
+pub(crate) use site::forget_passes;
+use site::switched_off;
+pub use site::{SiteConfig, Sizes};
 
 /// How `lambda` combines clean and perturbed loss.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
@@ -74,8 +82,6 @@ pub enum ChangedEntries {
     Clean,
 }
 
-choice!(ChangedEntries, SecondPass, Objective, PerturbField, OutputPlace, Resample, StepUnit, Radius, Geometry);
-
 section! {
     /// The second pass of a step.
     #[serde(remote = "Self")]
@@ -98,8 +104,7 @@ section! {
                 .same_time();
         /// How `lambda` moves: `constant`, `from 0 in 5000 steps` (from there to it) or `halved every 5000 steps`.
         pub lambda_schedule: WeightSchedule = WeightSchedule::Constant,
-            numbers().allowing("constant, from WEIGHT (at least 0) in N steps, or halved every N steps (N at least 1)")
-                .column("lambda_schedule").same_time();
+            numbers().text(WeightSchedule::is_possible, SCHEDULES).column("lambda_schedule").same_time();
         /// Combination of the losses: `paper` (clean + lambda * perturbed) or `released`
         /// ((1 - lambda) * clean + lambda * perturbed).
         pub objective: Objective = Objective::Paper, numbers().column("objective");
@@ -127,19 +132,63 @@ section! {
         /// of the paper's runs, so that any run searches sets of the paper's absolute size).
         pub geometry: Geometry = Geometry::Sampling,
             numbers().column("attack_geometry").columns(&["step_over_radius"]).same_time();
+        /// A short way to switch sites off: those of the levels that are not named. It is read but never written.
+        #[serde(skip_serializing, deserialize_with = "some_levels")]
+        pub levels: Option<Vec<Level>> = None, numbers().columns(&["levels"]);
     }
-    sections {}
-    flat {
-        /// One table per site.
-        #[serde(flatten, skip_deserializing, serialize_with = "write_sites")]
-        pub sites: PerSite<SiteConfig> = PerSite::from_fn(|_| SiteConfig::default());
+    sections {
+        /// Site: shift along the ray; epsilon in gap to the nearer sample.
+        pub t: SiteConfig;
+        /// Site: shift of a sample's point; epsilon in pixels.
+        pub xyz: SiteConfig;
+        /// Site: tilt of the viewing direction; epsilon in half a pixel's angle, 1/(2f).
+        pub view: SiteConfig;
+        /// Site: added to the output of a trunk layer; epsilon in feature units.
+        pub feature: SiteConfig;
+        /// Site: added to the colour of a sample; epsilon in colour, 0 to 1.
+        pub rgb: SiteConfig;
+        /// Site: added to the density of a sample; epsilon in 1 / length.
+        pub density: SiteConfig;
+    }
+}
+
+impl Index<PaperSite> for PerturbConfig {
+    type Output = SiteConfig;
+
+    fn index(&self, site: PaperSite) -> &SiteConfig {
+        match site {
+            PaperSite::T => &self.t,
+            PaperSite::Xyz => &self.xyz,
+            PaperSite::View => &self.view,
+            PaperSite::Feature => &self.feature,
+            PaperSite::Rgb => &self.rgb,
+            PaperSite::Density => &self.density,
+        }
+    }
+}
+
+impl IndexMut<PaperSite> for PerturbConfig {
+    fn index_mut(&mut self, site: PaperSite) -> &mut SiteConfig {
+        match site {
+            PaperSite::T => &mut self.t,
+            PaperSite::Xyz => &mut self.xyz,
+            PaperSite::View => &mut self.view,
+            PaperSite::Feature => &mut self.feature,
+            PaperSite::Rgb => &mut self.rgb,
+            PaperSite::Density => &mut self.density,
+        }
     }
 }
 
 impl PerturbConfig {
+    /// Iterates over the sites, in order.
+    pub fn sites(&self) -> impl Iterator<Item = (PaperSite, &SiteConfig)> {
+        PaperSite::ALL.into_iter().map(|site| (site, &self[site]))
+    }
+
     /// Iterates over the sites that are on, in order.
     pub fn sites_on(&self) -> impl Iterator<Item = (PaperSite, &SiteConfig)> {
-        self.sites.iter().filter(|(_, site)| site.on())
+        self.sites().filter(|(_, site)| site.on())
     }
 
     /// Returns the source of the deltas, or `None` if the second pass is a clean one.
@@ -151,11 +200,11 @@ impl PerturbConfig {
     }
 
     /// Returns whether no number is empty, as in a run's file.
-    pub(super) fn is_filled_in(&self) -> bool {
+    pub(crate) fn is_filled_in(&self) -> bool {
         let is_filled = |site: &SiteConfig| {
             site.steps.is_some() && site.step_size.is_some() && site.epsilon.is_some() && site.norm.is_some()
         };
-        self.step_unit.is_some() && self.sites.iter().all(|(_, site)| is_filled(site))
+        self.step_unit.is_some() && self.sites().all(|(_, site)| is_filled(site))
     }
 
     /// Fills every empty number from `attack`. `span` is far - near in the units of `t_vals`, `coarse` the samples of
@@ -169,11 +218,96 @@ impl PerturbConfig {
             Sizes::Calibrated => StepUnit::Relative,
         });
         let numbers = PerSite::from_fn(|site| {
-            let numbers = self.sites[site].resolve(site, sizes, step_unit, interval);
+            let numbers = self[site].resolve(site, sizes, step_unit, interval);
             let scales = geometry == Geometry::Paper && site.about().over_units && numbers.norm == Norm::Linf;
             if scales { scaled(numbers, PaperPass::box_scale(width)) } else { numbers }
         });
         ResolvedPerturb { config: self, numbers }
+    }
+}
+
+impl PerturbConfig {
+    /// Checks the sites' numbers.
+    pub(crate) fn validate(&self) -> base::Result<()> {
+        for (site, config) in self.sites() {
+            let (about, name) = (site.about(), site.name());
+            let (largest, allowed) = about.largest_epsilon;
+            if let Some(Epsilon::Units(epsilon)) = config.epsilon {
+                require(epsilon <= largest, &format!("perturb.{name}.epsilon"), epsilon, allowed)?;
+            }
+            // For one number per sample both norms give the same set, which has one name.
+            refuse(
+                about.scalar && config.norm == Some(Norm::L2),
+                format!(
+                    "perturb.{name}.norm = \"l2\": this delta is one number a sample, for which l2 and linf are the same; \
+                     use \"linf\""
+                ),
+            )?;
+        }
+        let relative = self.step_unit == Some(StepUnit::Relative);
+        let in_radii = relative || self.sizes == Sizes::Calibrated;
+        let reaching = self.sites().find(|(_, config)| config.epsilon == Some(Epsilon::Reach));
+        if let Some((site, _)) = reaching.filter(|_| in_radii) {
+            return Err(base::Error::Config(format!(
+                "perturb.{}.epsilon = \"{REACH}\" is as far as steps of a length of their own reach, and here steps are \
+                 measured in radii; set perturb.attack = \"paper\" and perturb.step_unit = \"absolute\", or give epsilon a \
+                 number",
+                site.name()
+            )));
+        }
+        refuse(
+            self.sizes == Sizes::Calibrated && self.step_unit == Some(StepUnit::Absolute),
+            "perturb.attack = \"calibrated\" measures steps in radii; omit perturb.step_unit or set it to \"relative\", and \
+             omit the sites' numbers that are the paper's",
+        )?;
+        match self.sites().find(|(_, config)| config.step_size.is_none()) {
+            Some((unset, _)) if self.sizes == Sizes::Paper && relative => Err(base::Error::Config(format!(
+                "perturb.step_unit = \"relative\" measures steps in radii, which the paper's step sizes are not; \
+                 set perturb.{}.step_size, too",
+                unset.name()
+            ))),
+            _ => Ok(()),
+        }
+    }
+
+    /// Adds the settings without effect in a method with a second pass.
+    pub(crate) fn idle(&self, idle: &mut IdleSettings) {
+        let kind = word(self.second);
+        let of_deltas = [
+            "attack",
+            "levels",
+            "output",
+            "resample",
+            "perturb_last",
+            "step_unit",
+            "xyz_radius",
+            "injection_layer",
+            "geometry",
+        ];
+        let of_deltas = [&of_deltas[..], &PaperSite::ALL.map(PaperSite::name)].concat();
+        let why = format!("perturb.kind is \"{kind}\", a second pass without deltas");
+        idle.add(Noted, "perturb.", &of_deltas, self.second == SecondPass::Clean, why);
+        let is_searched = self.source().is_some_and(|source| source.searches());
+        let no_search = format!("perturb.kind is \"{kind}\", which searches nothing");
+        idle.add(Noted, "perturb.", &["step_unit"], !is_searched, &*no_search);
+        for (site, config) in self.sites() {
+            let section = format!("perturb.{}.", site.name());
+            let is_off = format!("{section}passes is \"off\"");
+            idle.add(Noted, &section, &["steps", "step_size", "epsilon", "norm"], !config.on(), &*is_off);
+            // The reach of steps is a size for random deltas, too.
+            let is_idle = !is_searched && config.epsilon != Some(Epsilon::Reach);
+            idle.add(Noted, &section, &["steps", "step_size"], is_idle, &*no_search);
+            let own: &[&str] = match site {
+                PaperSite::Xyz => &["xyz_radius"],
+                PaperSite::Feature => &["injection_layer"],
+                PaperSite::Density => &["perturb_last"],
+                PaperSite::T | PaperSite::View | PaperSite::Rgb => &[],
+            };
+            idle.add(Noted, "perturb.", own, !config.on(), is_off);
+        }
+        let no_output = !self.rgb.on() && !self.density.on();
+        let why = "perturb.rgb.passes and perturb.density.passes are \"off\"";
+        idle.add(Noted, "perturb.", &["output"], no_output, why);
     }
 }
 
@@ -244,70 +378,25 @@ impl Serialize for PerturbConfig {
 
 impl<'de> Deserialize<'de> for PerturbConfig {
     fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<PerturbConfig, D::Error> {
-        deserializer.deserialize_map(Table)
-    }
-}
-
-/// Reads the section: the sites' tables and `levels` through the list of sites, and the rest through its fields.
-struct Table;
-
-impl<'de> Visitor<'de> for Table {
-    type Value = PerturbConfig;
-
-    fn expecting(&self, formatter: &mut std::fmt::Formatter) -> std::fmt::Result {
-        formatter.write_str("a table")
-    }
-
-    fn visit_map<A: MapAccess<'de>>(self, map: A) -> Result<PerturbConfig, A::Error> {
-        let mut sites = PerSite::from_fn(|_| SiteConfig::default());
-        let (mut said, mut levels) = (PerSite::from_fn(|_| None), None);
-        let fields = Fields { map, sites: &mut sites, said: &mut said, levels: &mut levels };
-        let config = PerturbConfig::deserialize(MapAccessDeserializer::new(fields))?;
+        let mut config = PerturbConfig::deserialize(deserializer)?;
+        let levels = config.levels.take();
         for site in switched_off(levels.as_deref()) {
-            if said[site].is_some_and(|passes| passes != Passes::Off) {
-                return Err(A::Error::custom(format!(
+            if matches!(config[site].passes, Passes::Coarse | Passes::Fine) {
+                return Err(D::Error::custom(format!(
                     "perturb.{}.passes contradicts perturb.levels, which switches that site off; add its level there \
                      (\"{}\"), or remove one of the two",
                     site.name(),
-                    format!("{:?}", site.about().level).to_lowercase()
+                    word(site.about().level)
                 )));
             }
-            sites[site].passes = Passes::Off;
+            config[site].passes = Passes::Off;
         }
-        Ok(PerturbConfig { sites, ..config })
+        Ok(config)
     }
 }
 
-/// The fields of the section, without those that it keeps itself.
-struct Fields<'a, A> {
-    map: A,
-    sites: &'a mut PerSite<SiteConfig>,
-    /// The passes that were given, without defaults.
-    said: &'a mut PerSite<Option<Passes>>,
-    levels: &'a mut Option<Vec<Level>>,
-}
-
-impl<'de, A: MapAccess<'de>> MapAccess<'de> for Fields<'_, A> {
-    type Error = A::Error;
-
-    fn next_key_seed<K: DeserializeSeed<'de>>(&mut self, seed: K) -> Result<Option<K::Value>, A::Error> {
-        while let Some(key) = self.map.next_key::<String>()? {
-            match PaperSite::of_name(&key) {
-                Some(site) => {
-                    let section: SiteSection = self.map.next_value()?;
-                    self.said[site] = section.passes;
-                    self.sites[site] = section.into();
-                }
-                None if key == "levels" => *self.levels = Some(self.map.next_value::<Levels>()?.0),
-                None => return seed.deserialize(key.into_deserializer()).map(Some),
-            }
-        }
-        Ok(None)
-    }
-
-    fn next_value_seed<V: DeserializeSeed<'de>>(&mut self, seed: V) -> Result<V::Value, A::Error> {
-        self.map.next_value_seed(seed)
-    }
+fn some_levels<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Option<Vec<Level>>, D::Error> {
+    one_or_many(deserializer).map(Some)
 }
 
 #[cfg(test)]
@@ -315,8 +404,8 @@ mod tests {
     use super::*;
     use crate::settings::{Config, build, parse_assignment};
 
-    fn set(texts: &[&str]) -> crate::base::Result<Config> {
-        let assignments: crate::base::Result<Vec<_>> = texts.iter().map(|text| parse_assignment(text)).collect();
+    fn set(texts: &[&str]) -> base::Result<Config> {
+        let assignments: base::Result<Vec<_>> = texts.iter().map(|text| parse_assignment(text)).collect();
         build(None, None, &assignments?)
     }
 
@@ -340,7 +429,7 @@ mod tests {
         }
         // A site of a level that is on keeps what is said of it.
         let both = set(&["perturb.t.passes=fine", "perturb.rgb.passes=fine", "perturb.levels=[\"input\"]"]).unwrap();
-        let passes = |site| both.perturb.sites[site].passes;
+        let passes = |site| both.perturb[site].passes;
         assert_eq!(
             (passes(PaperSite::T), passes(PaperSite::Xyz), passes(PaperSite::Rgb)),
             (Passes::Fine, Passes::Both, Passes::Off)
@@ -356,7 +445,7 @@ mod tests {
         let refused = set(&["perturb.levels=[\"input\"]", "perturb.rgb.passes=fine"]).unwrap_err().to_string();
         assert!(refused.contains("perturb.rgb.passes") && refused.contains("\"output\""), "{refused}");
         let off = set(&["perturb.levels=[\"input\"]", "perturb.rgb.passes=off"]).unwrap();
-        assert_eq!(off.perturb.sites[PaperSite::Rgb].passes, Passes::Off);
+        assert_eq!(off.perturb[PaperSite::Rgb].passes, Passes::Off);
         // A run's own file names the passes of all sites: what is asked for later goes over it.
         let file = tempfile::NamedTempFile::new().unwrap();
         std::fs::write(file.path(), Config::default().to_toml()).unwrap();
@@ -364,9 +453,9 @@ mod tests {
         let narrowed = build(None, Some(file.path()), &[levels]).unwrap();
         assert_eq!(narrowed.perturb.sites_on().map(|(site, _)| site).collect::<Vec<_>>(), [PaperSite::Feature]);
         let wrong = set(&["perturb.rgb=3"]).unwrap_err().to_string();
-        assert!(wrong.contains("perturb.rgb is a section") && !wrong.contains("SiteSection"), "{wrong}");
+        assert!(wrong.contains("perturb.rgb is a section"), "{wrong}");
         let file = toml::from_str::<Config>("[perturb]\nrgb = 3\n").unwrap_err().to_string();
-        assert!(file.contains("a site's table") && !file.contains("SiteSection"), "{file}");
+        assert!(file.contains("a section of settings") && !file.contains("SiteConfig"), "{file}");
     }
 
     #[test]

@@ -1,12 +1,13 @@
 //! Section `regularizer`: terms of the loss next to the photometric one, on density in space or on rays.
 
-use serde::{Deserialize, Deserializer, Serialize};
+use serde::{Deserialize, Serialize};
 
+use super::{LossTerm, SCHEDULES, TermNeeds, WeightSchedule};
+use crate::base::Result;
 use crate::data::RayGroup;
-use crate::field::Order;
-
-use super::registry::{choice, numbers, section};
-use super::schedule::WeightSchedule;
+use crate::settings::IdleKind::Dropped;
+use crate::settings::registry::{numbers, section};
+use crate::settings::{IdleSettings, name_of, one_or_many, refuse, require};
 
 /// An explicit regularizer: an integral over a box (the paper's, appendix "Implementation of explicit
 /// regularization"), a mean over rays, or a sum over tables.
@@ -61,71 +62,15 @@ pub const REGULARIZERS: [Regularizer; 14] = [
     Regularizer::SparseDepth,
 ];
 
-/// What a term is computed from.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum TermNeeds {
-    /// The samples of rays, which come in such groups. Pairs and patches are unseen.
-    Samples(RayGroup),
-    /// The samples of single rays with density's gradient there.
-    Slopes,
-    /// Density at points of the box of section `regularizer`, up to this derivative.
-    Density(Order),
-    /// The tables of hash grids.
-    Tables,
-}
-
-/// What settings know of a term.
-struct Known {
-    name: &'static str,
-    needs: TermNeeds,
-    default_weight: f64,
-    is_of_evaluated_pass: bool,
-}
-
-const fn known(name: &'static str, needs: TermNeeds, default_weight: f64) -> Known {
-    Known { name, needs, default_weight, is_of_evaluated_pass: false }
-}
-
-/// The same of a term that counts in the evaluated pass alone.
-const fn known_alone(name: &'static str, needs: TermNeeds, default_weight: f64) -> Known {
-    Known { is_of_evaluated_pass: true, ..known(name, needs, default_weight) }
-}
-
 impl Regularizer {
-    /// Name, what it is computed from, and default weight of each term. With that weight a term of the paper has a tenth of
-    /// the photometric loss's gradient norm on fern, preset `paper-llff`, after 100 steps. Another scene can need hundreds
-    /// of times as much; `augnerf train --balance` measures it. The others have their authors' weights: mip-NeRF 360's,
-    /// FreeNeRF's, InfoNeRF's on Blender's scenes with 4 views, SNeRG's, Neural Volumes', PlenOctrees', Zip-NeRF's on the
-    /// scenes of mip-NeRF 360, RegNeRF's after its first 512 steps, InfoNeRF's on DTU, FlipNeRF's on
-    /// Blender's scenes, and DS-NeRF's.
-    fn known(self) -> Known {
-        const RAYS: TermNeeds = TermNeeds::Samples(RayGroup::One);
-        match self {
-            Regularizer::L1 => known("l1", TermNeeds::Density(Order::Density), 1.4e-4),
-            Regularizer::Tv => known("tv", TermNeeds::Density(Order::Gradient), 3.8e-6),
-            Regularizer::Laplacian => known("laplacian", TermNeeds::Density(Order::Laplacian), 7.4e-9),
-            Regularizer::Distortion => known("distortion", RAYS, 0.01),
-            Regularizer::Occlusion => known_alone("occlusion", RAYS, 0.01),
-            Regularizer::Entropy => known_alone("entropy", RAYS, 1e-3),
-            Regularizer::Cauchy => known("cauchy", RAYS, 1e-4),
-            Regularizer::OpacityPrior => known("opacity-prior", RAYS, 0.01),
-            Regularizer::OpacitySparsity => known("opacity-sparsity", TermNeeds::Density(Order::Density), 1e-3),
-            Regularizer::HashDecay => known("hash-decay", TermNeeds::Tables, 0.1),
-            Regularizer::DepthSmoothness => known_alone("depth-smoothness", TermNeeds::Samples(RayGroup::Patch), 0.1),
-            Regularizer::InformationGain => known_alone("information-gain", TermNeeds::Samples(RayGroup::Pair), 2e-5),
-            Regularizer::Orientation => known_alone("orientation", TermNeeds::Slopes, 0.01),
-            Regularizer::SparseDepth => known_alone("sparse-depth", TermNeeds::Samples(RayGroup::Point), 0.1),
-        }
-    }
-
     /// Returns the name in files and tables.
     pub fn name(self) -> &'static str {
-        self.known().name
+        name_of::<Regularizer>(self as usize)
     }
 
     /// Returns what the term is computed from.
     pub fn needs(self) -> TermNeeds {
-        self.known().needs
+        LossTerm::of(self, &RegularizerConfig::default()).needs()
     }
 
     /// Returns the groups in which rays come whose samples the term reads. `None` for other terms.
@@ -139,7 +84,7 @@ impl Regularizer {
 
     /// Returns whether the term counts in the evaluated pass alone, whatever [`RegularizerConfig::fields`] says.
     pub fn is_of_evaluated_pass(self) -> bool {
-        self.known().is_of_evaluated_pass
+        LossTerm::of(self, &RegularizerConfig::default()).is_of_evaluated_pass()
     }
 
     /// Returns whether the term is an integral over the box of section `regularizer`, of density or its derivatives at
@@ -180,11 +125,7 @@ pub enum UnseenPoses {
 impl UnseenPoses {
     /// Returns the name in files and tables.
     pub fn name(self) -> &'static str {
-        match self {
-            UnseenPoses::Box => "box",
-            UnseenPoses::Sphere => "sphere",
-            UnseenPoses::Between => "between",
-        }
+        name_of::<UnseenPoses>(self as usize)
     }
 }
 
@@ -210,7 +151,8 @@ pub enum RegularizedFields {
     Fine,
 }
 
-choice!(Regularizer, LatticePoints, RegularizedFields, TermRays, UnseenPoses);
+/// Largest number of points of a step. They are drawn at once, and this many take a few hundred megabytes.
+const MOST_POINTS_PER_STEP: usize = 1 << 22;
 
 const POINTS: &[&str] = &["regularizer_points"];
 
@@ -219,21 +161,20 @@ section! {
     pub struct RegularizerConfig {
         /// `l1`, `tv`, `laplacian`, `distortion`, `occlusion`, `entropy`, `cauchy`, `opacity-prior`,
         /// `opacity-sparsity`, `hash-decay`, `depth-smoothness`, `information-gain`, `orientation`, `sparse-depth`, or a list of several; empty = none.
-        #[serde(deserialize_with = "kinds")]
+        #[serde(deserialize_with = "one_or_many")]
         pub kind: Vec<Regularizer> = Vec::new(), numbers().columns(&["regularizers"]);
         /// Weight of each term in `kind`: a number, or a list in the same order. Empty = the default of each term (l1
         /// 1.4e-4, tv 3.8e-6, laplacian 7.4e-9, distortion 0.01, occlusion 0.01, entropy 1e-3, cauchy 1e-4,
         /// opacity-prior 0.01, opacity-sparsity 1e-3, hash-decay 0.1, depth-smoothness 0.1, information-gain 2e-5, orientation 0.01, sparse-depth 0.1), which
         /// is for one scene; `augnerf train --balance` measures others. A weight of 0 disables the term, unless its schedule begins elsewhere.
-        #[serde(deserialize_with = "weights")]
+        #[serde(deserialize_with = "one_or_many")]
         pub weight: Vec<f64> = Vec::new(),
             numbers().real(|weight| weight >= 0.0, "0 (off) or positive").columns(&["regularizers"]).same_time();
         /// How each weight moves: `constant`, `from 400 in 512 steps` (from there to the weight) or `halved every 5000
         /// steps` (from the weight on), or a list in the order of `kind`. Empty = constant.
-        #[serde(deserialize_with = "schedules")]
+        #[serde(deserialize_with = "one_or_many")]
         pub schedule: Vec<WeightSchedule> = Vec::new(),
-            numbers().allowing("constant, from WEIGHT (at least 0) in N steps, or halved every N steps (N at least 1)")
-                .columns(&["regularizers"]).same_time();
+            numbers().text(WeightSchedule::is_possible, SCHEDULES).columns(&["regularizers"]).same_time();
         /// Lower and upper corner of the box, in the units of the points (NDC if the scene uses it).
         pub domain: [[f64; 3]; 2] = [[-1.0; 3], [1.0; 3]], numbers().corners().columns(&["regularizer_domain"]);
         /// Cells along each side of the box (N).
@@ -315,12 +256,10 @@ impl RegularizerConfig {
         low.iter().zip(high).map(|(low, high)| high - low).product()
     }
 
-    /// Fills empty weights and removes settings without effect. Those are terms of weight 0, the box if no term is an
-    /// integral over it, and the sampling of a grid that is not sampled. Afterwards the configuration equals that of a
-    /// run without them.
-    pub(super) fn resolve(&mut self) {
+    /// Fills empty weights, and removes terms of weight 0.
+    pub(crate) fn settle(&mut self) {
         if self.weight.is_empty() {
-            self.weight = self.kind.iter().map(|kind| kind.known().default_weight).collect();
+            self.weight = self.kind.iter().map(|kind| LossTerm::default_weight(*kind)).collect();
         }
         let counts = |(_, weight): &(Regularizer, f64), schedule: &WeightSchedule| {
             *weight != 0.0 || matches!(schedule, WeightSchedule::Linear { from, .. } if *from != 0.0)
@@ -330,80 +269,73 @@ impl RegularizerConfig {
         if self.schedule.iter().all(|schedule| *schedule == WeightSchedule::Constant) {
             self.schedule.clear();
         }
-        if self.kind.is_empty() {
-            *self = RegularizerConfig::default();
+    }
+
+    /// Checks the settings against one another.
+    pub(crate) fn validate(&self) -> Result<()> {
+        let kinds = &self.kind;
+        for (i, kind) in kinds.iter().enumerate() {
+            let twice = format!("regularizer.kind names {} twice; name each term once", kind.name());
+            refuse(kinds[..i].contains(kind), twice)?;
         }
-        if !self.has_space_terms() {
-            let RegularizerConfig { domain, lattice, points, .. } = RegularizerConfig::default();
-            (self.domain, self.lattice, self.points) = (domain, lattice, points);
+        let lists = [
+            ("weight", self.weight.len(), "number", "the defaults"),
+            ("schedule", self.schedule.len(), "schedule", "constant weights"),
+        ];
+        for (name, count, thing, otherwise) in lists {
+            let (found, terms) = (counted(count, thing), counted(kinds.len(), "term"));
+            let unequal = format!(
+                "regularizer.{name} has {found} and regularizer.kind names {terms}; give one {name} for each term, or none for \
+                 {otherwise}"
+            );
+            refuse(count != 0 && count != kinds.len(), unequal)?;
         }
-        if !self.kind.iter().any(|term| term.group() == Some(RayGroup::One)) {
-            self.rays = TermRays::Training;
+        if let (Some(rays), Some(group)) = (self.unseen_rays, self.unseen_groups().last()) {
+            let (together, of) = (group.rays(), if *group == RayGroup::Patch { "patch" } else { "pair" });
+            let allowed = format!("a multiple of {together}, the rays of a {of}");
+            require(rays.is_multiple_of(together), "regularizer.unseen_rays", rays, &allowed)?;
         }
-        if self.unseen_groups().is_empty() {
-            self.unseen_rays = None;
+        if self.points == LatticePoints::Full {
+            return Ok(());
         }
-        if !self.reads_unseen_cameras() {
-            self.unseen_poses = None;
-        }
-        if !self.kind.contains(&Regularizer::Occlusion) {
-            self.occlusion_share = RegularizerConfig::default().occlusion_share;
-        }
-        if self.points == LatticePoints::Full || !self.has_space_terms() {
-            let RegularizerConfig { points_per_step, jitter, .. } = RegularizerConfig::default();
-            (self.points_per_step, self.jitter) = (points_per_step, jitter);
-        }
+        let (points, lattice) = (self.points_per_step, self.lattice);
+        let cells = lattice.pow(3);
+        let most = cells.min(MOST_POINTS_PER_STEP);
+        let allowed = format!(
+            "1 to {most} on a lattice of {lattice} a side (regularizer.points = \"full\" takes all {cells} cells)"
+        );
+        require((1..=most).contains(&points), "regularizer.points_per_step", points, &allowed)
+    }
+
+    /// Adds the settings without effect.
+    pub(crate) fn idle(&self, idle: &mut IdleSettings) {
+        let terms = REGULARIZERS.map(|term| term.name()).join(", ");
+        let in_space = ["domain", "lattice", "points", "points_per_step", "jitter"];
+        let on_rays = ["weight", "schedule", "fields", "occlusion_share", "rays", "unseen_rays", "unseen_poses"];
+        let why = format!("regularizer.kind names no term; choose from {terms}");
+        let all = [&in_space[..], &on_rays].concat();
+        idle.add(Dropped, "regularizer.", &all, self.kind.is_empty(), why);
+        let why = "no term of regularizer.kind is an integral over the box";
+        idle.add(Dropped, "regularizer.", &in_space, !self.has_space_terms(), why);
+        let is_full = self.points == LatticePoints::Full;
+        let why = "regularizer.points is \"full\"";
+        idle.add(Dropped, "regularizer.", &["points_per_step", "jitter"], is_full, why);
+        let occludes = self.kind.contains(&Regularizer::Occlusion);
+        let why = "regularizer.kind does not name occlusion";
+        idle.add(Dropped, "regularizer.", &["occlusion_share"], !occludes, why);
+        let on_single_rays = self.kind.iter().any(|term| term.group() == Some(RayGroup::One));
+        let why = "no term of regularizer.kind is computed on single rays; distortion and occlusion are, among others";
+        idle.add(Dropped, "regularizer.", &["rays"], !on_single_rays, why);
+        let why = "no term of regularizer.kind reads unseen rays; depth-smoothness and information-gain do, and others with \
+                   regularizer.rays = \"unseen\"";
+        idle.add(Dropped, "regularizer.", &["unseen_rays"], self.unseen_groups().is_empty(), why);
+        idle.add(Dropped, "regularizer.", &["unseen_poses"], !self.reads_unseen_cameras(), why);
     }
 }
 
-#[derive(Deserialize)]
-#[serde(
-    untagged,
-    expecting = "expected l1, tv, laplacian, distortion, occlusion, entropy, cauchy, opacity-prior, opacity-sparsity, \
-                hash-decay, depth-smoothness, information-gain, orientation or sparse-depth, or a list such as [\"l1\", \"tv\"]"
-)]
-enum Kinds {
-    One(Regularizer),
-    Many(Vec<Regularizer>),
-}
-
-fn kinds<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Vec<Regularizer>, D::Error> {
-    Ok(match Kinds::deserialize(deserializer)? {
-        Kinds::One(kind) => vec![kind],
-        Kinds::Many(kinds) => kinds,
-    })
-}
-
-#[derive(Deserialize)]
-#[serde(untagged, expecting = "expected a number, or a list of numbers, one for each of regularizer.kind")]
-enum Weights {
-    One(f64),
-    Many(Vec<f64>),
-}
-
-fn weights<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Vec<f64>, D::Error> {
-    Ok(match Weights::deserialize(deserializer)? {
-        Weights::One(weight) => vec![weight],
-        Weights::Many(weights) => weights,
-    })
-}
-
-#[derive(Deserialize)]
-#[serde(
-    untagged,
-    expecting = "expected constant, from WEIGHT in N steps, or halved every N steps, or a list of these, one for each of \
-                 regularizer.kind"
-)]
-enum Schedules {
-    One(WeightSchedule),
-    Many(Vec<WeightSchedule>),
-}
-
-fn schedules<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Vec<WeightSchedule>, D::Error> {
-    Ok(match Schedules::deserialize(deserializer)? {
-        Schedules::One(schedule) => vec![schedule],
-        Schedules::Many(schedules) => schedules,
-    })
+/// Returns a number of things in words: `1 term`, `2 terms`.
+fn counted(number: usize, thing: &str) -> String {
+    format!("{number} {thing}{}", if number == 1 { "" } else { "s" })
 }
 
 #[cfg(test)]
@@ -430,6 +362,6 @@ mod tests {
             .map(|pair| pair.split_once(' ').unwrap())
             .map(|(name, w)| (name, w.parse().unwrap()))
             .collect();
-        assert_eq!(named, REGULARIZERS.map(|term| (term.name(), term.known().default_weight)));
+        assert_eq!(named, REGULARIZERS.map(|term| (term.name(), super::LossTerm::default_weight(term))));
     }
 }

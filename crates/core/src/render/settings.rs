@@ -2,7 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::registry::{choice, numbers, section};
+use crate::settings::registry::{numbers, section};
 
 /// The quantity in which the coarse samples of a ray are evenly spaced.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
@@ -24,8 +24,6 @@ impl Spacing {
         }
     }
 }
-
-choice!(Spacing);
 
 const ANNEAL: &[&str] = &["anneal"];
 
@@ -81,13 +79,5 @@ impl SamplingConfig {
         let share = self.anneal_start + (1.0 - self.anneal_start) * (step as f64 / self.anneal_steps as f64);
         let middle = near + self.anneal_middle * (far - near);
         (middle + share * (near - middle), middle + share * (far - middle))
-    }
-
-    /// Resets what has no effect.
-    pub(super) fn resolve(&mut self) {
-        if self.anneal_steps == 0 {
-            let SamplingConfig { anneal_start, anneal_middle, .. } = SamplingConfig::default();
-            (self.anneal_start, self.anneal_middle) = (anneal_start, anneal_middle);
-        }
     }
 }

@@ -2,8 +2,10 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::hash::{HashConfig, Interpolation};
-use super::registry::{choice, numbers, section};
+use super::hash::settings::{HashConfig, Interpolation};
+use crate::base::Result;
+use crate::settings::registry::{numbers, section};
+use crate::settings::{refuse, require};
 
 /// The implementation that computes the networks.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
@@ -68,8 +70,6 @@ pub enum Encoding {
     Hash,
 }
 
-choice!(Core, Precision, Init, DensityActivation, Encoding);
-
 section! {
     /// The coarse and the fine network, which have the same shape.
     pub struct FieldConfig {
@@ -132,5 +132,25 @@ impl FieldConfig {
     /// an axis within its cells, and its bends are on cell faces, where no point is.
     pub fn has_laplacian(&self) -> bool {
         self.encoding != Encoding::Hash || self.hash.interpolation == Interpolation::Smoothstep
+    }
+
+    /// Checks the settings against one another.
+    pub(crate) fn validate(&self) -> Result<()> {
+        let FieldConfig { width, depth, position_octaves, .. } = *self;
+        let halves = self.view_width.is_some() || width.is_multiple_of(2);
+        let allowed = "even (the view layer has half of it, unless field.view_width says otherwise)";
+        require(halves, "field.width", width, allowed)?;
+        let is_encoded = self.encoding != Encoding::Integrated || position_octaves >= 1;
+        require(is_encoded, "field.position_octaves", position_octaves, "1 to 20")?;
+        self.hash.validate()?;
+        let why = "field.precision = \"bf16\" is for field.core = \"fused\": the plain one is the reference and computes in f32";
+        refuse(self.precision == Precision::Bf16 && self.core == Core::Plain, why)?;
+        for (i, &skip) in self.skips.iter().enumerate() {
+            let allowed = format!("a layer from 1 to {} (field.depth - 1)", depth - 1);
+            require(skip >= 1 && skip < depth, "field.skips", skip, &allowed)?;
+            let twice = format!("field.skips names layer {skip} twice; name each layer once");
+            refuse(self.skips[..i].contains(&skip), twice)?;
+        }
+        Ok(())
     }
 }

@@ -2,7 +2,8 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::registry::{choice, numbers, section};
+use crate::settings::name_of;
+use crate::settings::registry::{numbers, section};
 
 /// A kind of corruption.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
@@ -24,13 +25,7 @@ pub enum CorruptionKind {
 impl CorruptionKind {
     /// Returns the name in files and tables.
     pub fn name(self) -> &'static str {
-        match self {
-            CorruptionKind::None => "none",
-            CorruptionKind::GaussianNoise => "gaussian-noise",
-            CorruptionKind::ShotNoise => "shot-noise",
-            CorruptionKind::Pepper => "pepper",
-            CorruptionKind::Poses => "poses",
-        }
+        name_of::<CorruptionKind>(self as usize)
     }
 }
 
@@ -38,8 +33,6 @@ impl CorruptionKind {
 const GAUSSIAN_STD: [f64; 5] = [0.08, 0.12, 0.18, 0.26, 0.38];
 /// Photons for a value of 1 at severities 1 to 5 (the same source).
 const SHOT_PHOTONS: [f64; 5] = [60.0, 25.0, 12.0, 5.0, 3.0];
-
-choice!(CorruptionKind);
 
 const CORRUPTION: &[&str] = &["corruption"];
 
@@ -71,20 +64,6 @@ impl CorruptionConfig {
     /// Returns whether the training views are corrupted.
     pub fn is_on(&self) -> bool {
         self.kind != CorruptionKind::None
-    }
-
-    /// Resets numbers that the kind does not use to their defaults, so that equal corruptions compare equal.
-    pub fn resolve(&mut self) {
-        let kind = self.kind;
-        let noise = matches!(kind, CorruptionKind::GaussianNoise | CorruptionKind::ShotNoise);
-        let default = CorruptionConfig::default();
-        *self = CorruptionConfig {
-            kind,
-            severity: if noise { self.severity } else { default.severity },
-            share: if kind == CorruptionKind::Pepper { self.share } else { default.share },
-            degrees: if kind == CorruptionKind::Poses { self.degrees } else { default.degrees },
-            offset: if kind == CorruptionKind::Poses { self.offset } else { default.offset },
-        };
     }
 
     /// Returns the standard deviation of Gaussian noise.

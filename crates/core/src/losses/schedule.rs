@@ -2,8 +2,6 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::types::{Range, Settable};
-
 /// A weight as a function of the step. Its setting's weight is that of `constant`, the end of `from`, and the start of
 /// `halved`.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
@@ -27,6 +25,10 @@ pub enum WeightSchedule {
 }
 
 const FORMS: &str = "constant, from WEIGHT in N steps, halved every N steps";
+
+/// The schedules that a weight may have, in words.
+pub(crate) const SCHEDULES: &str =
+    "constant, from WEIGHT (at least 0) in N steps, or halved every N steps (N at least 1)";
 
 impl TryFrom<String> for WeightSchedule {
     type Error = String;
@@ -56,7 +58,7 @@ impl WeightSchedule {
     /// Returns the weight of the step after `step` finished ones, where the setting's is `weight`.
     ///
     /// ```
-    /// # use augnerf_core::settings::WeightSchedule;
+    /// # use augnerf_core::losses::WeightSchedule;
     /// let falls = WeightSchedule::Linear { from: 400.0, steps: 512 };
     /// assert_eq!([0, 256, 512, 9000].map(|step| falls.at(0.0, step)), [400.0, 200.0, 0.0, 0.0]);
     /// let halves = WeightSchedule::Halved { every: 5000 };
@@ -70,6 +72,15 @@ impl WeightSchedule {
         }
     }
 
+    /// Returns whether a text is a schedule with numbers that it may have.
+    pub(crate) fn is_possible(text: &str) -> bool {
+        WeightSchedule::try_from(text.to_string()).is_ok_and(|schedule| match schedule {
+            WeightSchedule::Constant => true,
+            WeightSchedule::Linear { from, steps } => from.is_finite() && from >= 0.0 && steps > 0,
+            WeightSchedule::Halved { every } => every > 0,
+        })
+    }
+
     /// Returns it in words, as files and tables have it.
     pub fn described(self) -> String {
         match self {
@@ -77,21 +88,6 @@ impl WeightSchedule {
             WeightSchedule::Linear { from, steps } => format!("from {from} in {steps} steps"),
             WeightSchedule::Halved { every } => format!("halved every {every} steps"),
         }
-    }
-}
-
-impl Settable for WeightSchedule {
-    fn kind() -> String {
-        FORMS.into()
-    }
-
-    fn outside(&self, _: &Range) -> Option<String> {
-        let is_possible = match *self {
-            WeightSchedule::Constant => true,
-            WeightSchedule::Linear { from, steps } => from.is_finite() && from >= 0.0 && steps > 0,
-            WeightSchedule::Halved { every } => every > 0,
-        };
-        (!is_possible).then(|| self.described())
     }
 }
 

@@ -2,7 +2,9 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::registry::{choice, numbers, section};
+use crate::base::Result;
+use crate::settings::registry::{numbers, section};
+use crate::settings::require;
 
 /// Largest number of cells along a side of the box.
 const FINEST: usize = 1 << 16;
@@ -35,8 +37,6 @@ pub enum Contraction {
     /// size.
     Ball,
 }
-
-choice!(Interpolation, Contraction);
 
 /// The protocol's column for all settings of the grid.
 const COLUMN: &[&str] = &["hash_grid"];
@@ -73,7 +73,7 @@ section! {
 
 impl HashConfig {
     /// Fills the settings that depend on the scene: whether it is in NDC, and whether its extent is known.
-    pub(super) fn resolve(
+    pub(crate) fn resolve(
         &mut self,
         ndc: bool,
         bounded: bool,
@@ -97,15 +97,16 @@ impl HashConfig {
         self.bounds.get_or_insert([[-reach, -reach, -depth], [reach, reach, depth]]);
     }
 
-    /// Returns the first setting that does not fit the others: its name in the section, its value, and what is allowed.
-    pub(super) fn wrong(&self) -> Option<(&'static str, String, String)> {
+    /// Checks the settings against one another.
+    pub(crate) fn validate(&self) -> Result<()> {
         let HashConfig { coarsest, finest, bounds, .. } = *self;
-        if let Some(finest) = finest.filter(|finest| *finest < coarsest) {
-            return Some(("finest", finest.to_string(), format!("{coarsest} (field.hash.coarsest) to {FINEST}")));
+        if let Some(finest) = finest {
+            let allowed = format!("{coarsest} (field.hash.coarsest) to {FINEST}");
+            require(finest >= coarsest, "field.hash.finest", finest, &allowed)?;
         }
-        let bounds = bounds?;
         let allowed = format!("two corners from -{FARTHEST:e} to {FARTHEST:e}, each side at least {SHORTEST:e} long");
-        (!is_sound(bounds)).then(|| ("bounds", format!("{bounds:?}"), allowed))
+        let bounds = bounds.filter(|bounds| !is_sound(*bounds));
+        bounds.map_or(Ok(()), |bounds| require(false, "field.hash.bounds", format!("{bounds:?}"), &allowed))
     }
 }
 
@@ -121,7 +122,7 @@ mod tests {
     fn bounds(contraction: Contraction, ndc: bool, interval: (f64, f64)) -> [[f64; 3]; 2] {
         let mut hash = HashConfig { contraction: Some(contraction), ..HashConfig::default() };
         hash.resolve(ndc, false, interval, None, 100);
-        assert!(hash.wrong().is_none(), "{hash:?}");
+        hash.validate().unwrap();
         hash.bounds.unwrap()
     }
 

@@ -2,8 +2,17 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::CorruptionConfig;
-use super::registry::{Range, Settable, choice, numbers, path, section};
+use super::formats::{FORMATS, Format};
+use super::may_have_box;
+use crate::base;
+use crate::settings::IdleKind::{Dropped, Noted};
+use crate::settings::name_of;
+use crate::settings::registry::{numbers, path, section};
+use crate::settings::{IdleSettings, refuse, require};
+
+mod corruption;
+
+pub use corruption::{CorruptionConfig, CorruptionKind};
 
 /// The reader of a scene folder.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
@@ -38,79 +47,29 @@ impl DataKind {
         DataKind::BuiltinForward,
     ];
 
-    /// Returns whether the cameras are forward-facing. LLFF's defaults (noise, batches, decay) apply to such scenes.
+    /// Returns the format, which knows all else of its scenes. `None` for `auto`.
+    pub fn format(self) -> Option<&'static Format> {
+        Format::of(self)
+    }
+
+    /// Returns whether the cameras are forward-facing, as far as the kind is known.
     pub fn forward_facing(self) -> bool {
-        match self {
-            DataKind::Llff | DataKind::BuiltinForward => true,
-            DataKind::Auto | DataKind::Blender | DataKind::Transforms | DataKind::Colmap | DataKind::BuiltinBlender => {
-                false
-            }
-        }
+        self.format().is_some_and(|format| format.forward_facing)
     }
 
-    /// Returns the default pixel origin: `centre` for the poses of COLMAP, `corner` for those of published numbers.
-    fn pixel_origin(self) -> PixelOrigin {
-        match self {
-            DataKind::Transforms | DataKind::Colmap => PixelOrigin::Centre,
-            DataKind::Auto
-            | DataKind::Llff
-            | DataKind::Blender
-            | DataKind::BuiltinBlender
-            | DataKind::BuiltinForward => PixelOrigin::Corner,
-        }
-    }
-
-    /// Returns whether all objects are within 1.5 of the origin, as in NeRF-Synthetic.
-    pub fn has_known_extent(self) -> bool {
-        self.object_half().is_some()
-    }
-
-    /// Returns half the side of the cube around the origin that holds the objects, in scene units. `None` if only the
-    /// training rays tell the extent.
+    /// Returns half the side of the cube around the origin that holds the objects ([`Format::object_half`]).
     pub fn object_half(self) -> Option<f64> {
-        match self {
-            DataKind::Blender => Some(1.5),
-            DataKind::BuiltinBlender => Some(1.2),
-            DataKind::Auto | DataKind::Llff | DataKind::Transforms | DataKind::Colmap | DataKind::BuiltinForward => {
-                None
-            }
-        }
+        self.format()?.object_half
     }
 
     /// Returns whether the scene comes with training, validation and test views. Otherwise every N-th view is held out.
     pub fn has_splits(self) -> bool {
-        match self {
-            DataKind::Blender | DataKind::BuiltinBlender => true,
-            DataKind::Auto | DataKind::Llff | DataKind::Transforms | DataKind::Colmap | DataKind::BuiltinForward => {
-                false
-            }
-        }
-    }
-
-    /// Returns the paper's `data.downscale`.
-    pub(super) fn downscale(self) -> u32 {
-        match self {
-            DataKind::Llff => 8,
-            DataKind::Blender => 2,
-            DataKind::Auto
-            | DataKind::Transforms
-            | DataKind::Colmap
-            | DataKind::BuiltinBlender
-            | DataKind::BuiltinForward => 1,
-        }
+        self.format().is_some_and(|format| format.has_splits)
     }
 
     /// Returns the name in files and tables.
     pub fn name(self) -> &'static str {
-        match self {
-            DataKind::Auto => "auto",
-            DataKind::Llff => "llff",
-            DataKind::Blender => "blender",
-            DataKind::Transforms => "transforms",
-            DataKind::Colmap => "colmap",
-            DataKind::BuiltinBlender => "builtin-blender",
-            DataKind::BuiltinForward => "builtin-forward",
-        }
+        name_of::<DataKind>(self as usize)
     }
 }
 
@@ -177,8 +136,6 @@ impl PixelOrigin {
         }
     }
 }
-
-choice!(Axes, DataKind, Background, EvalSplit, Split, PixelOrigin);
 
 /// The name of a built-in scene: `builtin`, `builtin-forward`, or either with a number, such as `builtin:17`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -302,27 +259,16 @@ impl From<RuledViews> for String {
 
 impl ViewsRule {
     fn name(self) -> &'static str {
-        match self {
-            ViewsRule::Even => "even",
-            ViewsRule::Disjoint => "disjoint",
-        }
+        name_of::<ViewsRule>(self as usize)
     }
 }
 
-impl Settable for TrainViews {
-    fn kind() -> String {
-        "whole number, number and rule, or list of: text".into()
-    }
-
-    fn outside(&self, _: &Range) -> Option<String> {
-        match self {
-            TrainViews::Number(number) => (*number == 0).then(|| "0".into()),
-            TrainViews::Ruled(ruled) => (ruled.count == 0).then(|| String::from(*ruled)),
-            TrainViews::Named(names) => {
-                let twice = (1..names.len()).any(|i| names[..i].contains(&names[i]));
-                (names.is_empty() || twice).then(|| format!("{names:?}"))
-            }
-        }
+/// Returns whether training views that a file names are some views, each once.
+fn are_possible(views: &toml::Value) -> bool {
+    match views.clone().try_into() {
+        Ok(TrainViews::Number(count) | TrainViews::Ruled(RuledViews { count, .. })) => count > 0,
+        Ok(TrainViews::Named(names)) => !names.is_empty() && (1..names.len()).all(|i| !names[..i].contains(&names[i])),
+        Err(_) => false,
     }
 }
 
@@ -383,7 +329,7 @@ section! {
         /// `8 disjoint` (part number `views_seed` of a fixed order, so that two seeds share no view); or a list of
         /// names. Empty = all.
         pub train_views: Option<TrainViews> = None,
-            numbers().allowing("at least 1, such a number with even or disjoint, or a list of names, each once").columns(TRAINED).same_time();
+            numbers().values(are_possible, "at least 1, such a number with even or disjoint, or a list of names, each once").columns(TRAINED).same_time();
         /// Seed of the choices among views: those of `train_views`, and those that `eval.train_views` measures. It is
         /// not the run's seed, so that runs of all seeds use the same views.
         pub views_seed: u64 = 0,
@@ -456,6 +402,80 @@ impl DataConfig {
 
     /// Returns `pixel_origin`, or the default of the kind.
     pub fn origin_of_pixels(&self) -> PixelOrigin {
-        self.pixel_origin.unwrap_or(self.kind.pixel_origin())
+        self.pixel_origin.unwrap_or(self.kind.format().map_or(PixelOrigin::Corner, |format| format.pixel_origin))
+    }
+
+    /// Checks the settings against one another.
+    pub(crate) fn validate(&self) -> base::Result<()> {
+        let (format, kind, has_splits) = (self.kind.format(), self.kind.name(), self.has_splits());
+        let is_read = |name: &str| format.is_none_or(|format| format.reads.contains(&name));
+        refuse(
+            self.spherify && !is_read("spherify"),
+            format!("data.spherify = true is for LLFF scenes; this one is {kind}"),
+        )?;
+        let may_have_val = is_read("split") && self.split != Some(Split::Every) || has_splits || self.validation > 0;
+        refuse(
+            self.eval_split == EvalSplit::Val && !may_have_val,
+            format!(
+                "data.eval_split = \"val\" is for scenes with a validation split, and this one is {kind}: keep every N-th view for \
+                 that with data.validation"
+            ),
+        )?;
+        let allowed = "0 (none) or at least 2, so that views are left to train on";
+        require(self.validation != 1, "data.validation", 1, allowed)?;
+        let (offset, holdout) = (self.holdout_offset, self.holdout);
+        let allowed = format!("0 to {} (below data.holdout)", holdout - 1);
+        require(offset < holdout, "data.holdout_offset", offset, &allowed)?;
+        refuse(
+            self.split == Some(Split::Own) && !is_read("split") && self.kind != DataKind::Blender,
+            format!("data.split = \"own\" is for captures whose files name a split; this one is {kind}"),
+        )?;
+        refuse(
+            self.split == Some(Split::Every) && self.kind.has_splits(),
+            format!(
+                "data.split = \"every\" is for captures of which views are held out; this one is {kind}, whose splits are given"
+            ),
+        )?;
+        refuse(
+            offset > 0 && has_splits,
+            format!(
+                "data.holdout_offset = {offset} is for scenes of which every N-th view is held out; this one is {kind}, whose \
+                 splits are given"
+            ),
+        )?;
+        refuse(
+            self.spherify && self.ndc && self.kind == DataKind::Llff,
+            "data.spherify and data.ndc exclude each other: NDC is for cameras that face forward; set data.ndc=false",
+        )?;
+        let Some((near, far)) = self.near.zip(self.far) else { return Ok(()) };
+        require(near < far, "data.far", far, &format!("beyond data.near = {near}"))
+    }
+
+    /// Adds the settings without effect. A scene whose kind is not known may read all.
+    pub(crate) fn idle(&self, idle: &mut IdleSettings) {
+        let corruption = self.corruption.kind;
+        let is_noise = matches!(corruption, CorruptionKind::GaussianNoise | CorruptionKind::ShotNoise);
+        for (names, holds, who) in [
+            (&["severity"][..], !is_noise, "gaussian-noise and shot-noise have a severity"),
+            (&["share"], corruption != CorruptionKind::Pepper, "pepper has a share"),
+            (&["degrees", "offset"], corruption != CorruptionKind::Poses, "poses moves cameras"),
+        ] {
+            let why = format!("data.corruption.kind is \"{}\"; {who}", corruption.name());
+            idle.add(Dropped, "data.corruption.", names, holds, why);
+        }
+        idle.add(Noted, "data.", &["downscale"], self.width > 0, format!("data.width is {}", self.width));
+        let why = "the scene has splits of its own";
+        idle.add(Noted, "data.", &["validation", "holdout_offset"], self.has_splits(), why);
+        // A Blender scene whose split has no photos reads it.
+        idle.add(Noted, "data.", &["holdout"], self.has_splits() && self.kind != DataKind::Blender, why);
+        let Some(format) = Format::of(self.kind) else { return };
+        for name in FORMATS.iter().flat_map(|format| format.reads) {
+            let readers: Vec<&str> =
+                FORMATS.iter().filter(|format| format.reads.contains(name)).map(|format| format.kind.name()).collect();
+            let why = format!("data.kind is \"{}\"; scenes of {} read it", self.kind.name(), readers.join(", "));
+            idle.add(Noted, "data.", &[name], !format.reads.contains(name), why);
+        }
+        let why = "only captures outside normalized device coordinates are rescaled";
+        idle.add(Noted, "data.", &["rescale"], !may_have_box(self), why);
     }
 }
