@@ -16,4 +16,4 @@ pub use error::tensor_sentence;
 pub use error::{Class, Error, Result, SettingError};
 pub use events::{Event, Listener};
 pub use image::Image;
-pub use text::{first_names, line, quoted, shown};
+pub use text::{first_names, line, quoted, short_hash, shown};

@@ -2,6 +2,8 @@
 
 use std::borrow::Cow;
 
+use sha2::{Digest, Sha256};
+
 /// Longest line that is shown completely.
 const MOST_LINE: usize = 1000;
 /// Most characters of the lines after the first.
@@ -62,6 +64,11 @@ fn is_command(character: char) -> bool {
         || ('\u{202a}'..='\u{202e}').contains(&character)
         || ('\u{2066}'..='\u{2069}').contains(&character);
     turns || (character.is_control() && !['\t', '\n'].contains(&character))
+}
+
+/// Returns the first 12 hexadecimal digits of a hash: enough to tell experiments apart, and short enough to read.
+pub fn short_hash(hash: Sha256) -> String {
+    hash.finalize().iter().take(6).map(|byte| format!("{byte:02x}")).collect()
 }
 
 #[cfg(test)]

@@ -11,7 +11,7 @@ use super::pose::{Pose, Vec3, column, compose, from_columns};
 use super::{Camera, LARGEST, Scene, View, brief, camera_is_sound};
 use crate::base::rng::{Random, Stream};
 use crate::base::{Error, Image, Result};
-use crate::settings::{CorruptionConfig, CorruptionKind};
+use crate::data::settings::{CorruptionConfig, CorruptionKind};
 
 /// The corruption of a scene's training views.
 #[derive(Clone, Debug, PartialEq)]
@@ -168,7 +168,7 @@ fn check_facing(views: &[View], config: &CorruptionConfig) -> Result<()> {
 mod tests {
     use super::*;
     use crate::data::pose::{check_rotation, dot};
-    use crate::settings::{DataConfig, DataKind};
+    use crate::data::settings::{DataConfig, DataKind};
 
     const SIDE: usize = 300;
 

@@ -109,7 +109,7 @@ fn names(views: &[View]) -> String {
 
 #[cfg(test)]
 mod tests {
-    use crate::settings::{DataConfig, DataKind};
+    use crate::data::settings::{DataConfig, DataKind};
 
     #[test]
     fn depth_in_steps_of_8_bits_is_not_called_exact() {

@@ -5,7 +5,7 @@ use std::path::Path;
 use super::formats::Format;
 use super::lookalikes::{check_folder, unknown};
 use crate::base::{Error, Result};
-use crate::settings::{DataConfig, DataKind};
+use crate::data::settings::{DataConfig, DataKind};
 
 /// Returns the kind of scene that `config` names: `config.kind` if it is set, and the kind of the folder's files
 /// otherwise. It looks for `poses_bounds.npy`, `transforms_train.json`, `transforms.json` and COLMAP's `sparse/0`, in

@@ -12,8 +12,8 @@ use super::found::slashes;
 use super::{foreign, resample};
 use crate::base::input::{open_regular, read_bytes};
 use crate::base::{Error, Event, Image, Listener, Result};
+use crate::data::settings::DataConfig;
 use crate::runtime::free_memory_mib;
-use crate::settings::DataConfig;
 
 /// Largest size of an image file in bytes.
 const MOST_BYTES: u64 = 1 << 30;

@@ -12,7 +12,7 @@ use super::pose::{self, Pose};
 use super::{LARGEST, SMALLEST, brief, foreign};
 use crate::base::input::read_text;
 use crate::base::{Error, Result};
-use crate::settings::Axes;
+use crate::data::settings::Axes;
 
 /// Largest size of a scene's poses in bytes: those of some ten thousand views.
 const MOST_BYTES: u64 = 32 << 20;

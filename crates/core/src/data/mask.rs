@@ -7,8 +7,8 @@ use std::path::{Path, PathBuf};
 use crate::base::{Error, Event, Image, Listener, Result};
 use crate::data::found;
 use crate::data::json::Object;
+use crate::data::settings::DataConfig;
 use crate::data::{images, resample};
-use crate::settings::DataConfig;
 
 /// Part of the names of folders in which masks lie, in lower case.
 const IN_FOLDERS: &str = "mask";

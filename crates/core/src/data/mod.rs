@@ -42,7 +42,7 @@ pub use points::PointRays;
 pub use rays::{Footprint, RayBuffer, RayParts, Rays, tangents};
 pub use rig::{Rig, Subject};
 pub use scene_space::SceneSpace;
-pub use unseen::{PATCH_SIDE, RayGroup, UnseenCameras, UnseenRay};
+pub use unseen::{PATCH_SIDE, RayGroup, UnseenCameras, UnseenPoses, UnseenRay};
 pub use views::seen_views;
 pub use world::WorldToScene;
 
@@ -50,10 +50,10 @@ use std::sync::Arc;
 
 use sha2::{Digest, Sha256};
 
-use crate::base::{Error, Event, Image, Listener, Result};
+use crate::base::{Error, Event, Image, Listener, Result, short_hash};
 use load_notes::LoadNotes;
 
-use crate::settings::{Background, DataConfig, Extent, scene_name, short_hash};
+use settings::{Background, DataConfig, scene_name};
 
 /// One photo with its pose.
 #[derive(Clone, Debug)]
@@ -100,6 +100,19 @@ pub struct Scene {
     pub lacks_split: bool,
     /// The scene's space: units, box, points.
     pub space: SceneSpace,
+}
+
+/// The extent of a loaded scene, which fills open numbers.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Extent {
+    /// Start of a ray's interval, in the units of `t_vals`.
+    pub near: f64,
+    /// End of a ray's interval.
+    pub far: f64,
+    /// The box that most cameras look at, in scene units, if the scene's own geometry tells it.
+    pub domain: Option<[[f64; 3]; 2]>,
+    /// Pixels along the longer side of an image.
+    pub pixels: usize,
 }
 
 impl Scene {

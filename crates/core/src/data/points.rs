@@ -1,7 +1,7 @@
 //! Rays of photographs through points of a scene that were triangulated in them.
 
 use crate::base::rng::Random;
-use crate::settings::PixelOrigin;
+use crate::data::settings::PixelOrigin;
 
 use super::pose::{self, Vec3};
 use super::{Camera, Scene, UnseenRay, View};

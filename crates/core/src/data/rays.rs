@@ -4,9 +4,9 @@ use candle_core::{DType, Device, Tensor};
 use rayon::prelude::*;
 
 use crate::base::Result;
+use crate::data::settings::PixelOrigin;
 use crate::data::vector::{length, sub};
 use crate::data::{Camera, Ndc};
-use crate::settings::PixelOrigin;
 
 /// A batch of rays as tensors.
 #[derive(Clone)]

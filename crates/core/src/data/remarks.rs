@@ -2,8 +2,8 @@
 
 use super::pose::{self, Pose, Vec3};
 use super::{Camera, Rig, Scene, View};
+use crate::data::settings::DataKind;
 use crate::metrics::are_one_colour;
-use crate::settings::DataKind;
 
 /// Fewest training views of which nothing is said.
 const FEW_VIEWS: usize = 3;

@@ -5,13 +5,34 @@
 
 use std::f64::consts::TAU;
 
+use serde::{Deserialize, Serialize};
+
 use crate::base::rng::Random;
 use crate::base::{Error, Result};
-use crate::settings::UnseenPoses;
+use crate::settings::name_of;
 
 use super::path;
 use super::pose::{self, Pose, Vec3};
 use super::{Camera, tangents};
+
+/// Where cameras without photographs are. All placements are made from the training cameras alone.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum UnseenPoses {
+    /// In the box around the training cameras, looking at what they look at (RegNeRF on forward-facing scenes).
+    Box,
+    /// Around what the training cameras look at, as far away and at least as high as they are (RegNeRF on objects).
+    Sphere,
+    /// Between two training cameras.
+    Between,
+}
+
+impl UnseenPoses {
+    /// Returns the name in files and tables.
+    pub fn name(self) -> &'static str {
+        name_of::<UnseenPoses>(self as usize)
+    }
+}
 
 /// Largest angle about each axis by which a ray's twin is turned, in degrees (InfoNeRF).
 const MOST_DEGREES: f64 = 5.0;

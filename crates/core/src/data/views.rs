@@ -4,7 +4,8 @@
 use super::{Scene, View};
 use crate::base::rng::{Random, Stream};
 use crate::base::{Error, Result};
-use crate::settings::{Config, DataConfig, EvalSplit, RuledViews, TrainViews, ViewsRule};
+use crate::data::settings::{DataConfig, EvalSplit, RuledViews, TrainViews, ViewsRule};
+use crate::settings::Config;
 
 /// Indices of the stream of choices.
 const TRAINED: u64 = 0;
@@ -110,7 +111,7 @@ fn draw(number: usize, all: usize, seed: u64, index: u64) -> Vec<usize> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::settings::DataKind;
+    use crate::data::settings::DataKind;
 
     fn forward() -> DataConfig {
         DataConfig { kind: DataKind::BuiltinForward, width: 8, ..DataConfig::default() }

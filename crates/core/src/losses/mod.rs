@@ -62,9 +62,7 @@ pub use opacity::{OpacityPrior, OpacitySparsity};
 pub use orientation::Orientation;
 pub(crate) use schedule::SCHEDULES;
 pub use schedule::WeightSchedule;
-pub use settings::{
-    LatticePoints, REGULARIZERS, RegularizedFields, Regularizer, RegularizerConfig, TermRays, UnseenPoses,
-};
+pub use settings::{LatticePoints, REGULARIZERS, RegularizedFields, Regularizer, RegularizerConfig, TermRays};
 pub use smoothness::{Smoothness, measure, measure_density};
 pub use sparse_depth::SparseDepth;
 pub use spatial::{Regularized, WeightedSpaceTerm, estimate_seconds, regularize, regularize_at, regularize_unless};

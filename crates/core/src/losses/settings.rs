@@ -4,7 +4,7 @@ use serde::{Deserialize, Serialize};
 
 use super::{LossTerm, SCHEDULES, TermNeeds, WeightSchedule};
 use crate::base::Result;
-use crate::data::RayGroup;
+use crate::data::{RayGroup, UnseenPoses};
 use crate::settings::IdleKind::Dropped;
 use crate::settings::registry::{numbers, section};
 use crate::settings::{IdleSettings, name_of, one_or_many, refuse, require};
@@ -110,25 +110,6 @@ pub enum TermRays {
     Unseen,
 }
 
-/// Where cameras without photographs are. All placements are made from the training cameras alone.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "kebab-case")]
-pub enum UnseenPoses {
-    /// In the box around the training cameras, looking at what they look at (RegNeRF on forward-facing scenes).
-    Box,
-    /// Around what the training cameras look at, as far away and at least as high as they are (RegNeRF on objects).
-    Sphere,
-    /// Between two training cameras.
-    Between,
-}
-
-impl UnseenPoses {
-    /// Returns the name in files and tables.
-    pub fn name(self) -> &'static str {
-        name_of::<UnseenPoses>(self as usize)
-    }
-}
-
 /// The points of the box at which a step queries density.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
@@ -169,7 +150,7 @@ section! {
         /// is for one scene; `augnerf train --balance` measures others. A weight of 0 disables the term, unless its schedule begins elsewhere.
         #[serde(deserialize_with = "one_or_many")]
         pub weight: Vec<f64> = Vec::new(),
-            numbers().real(|weight| weight >= 0.0, "0 (off) or positive").columns(&["regularizers"]).same_time();
+            numbers().off_or_positive().columns(&["regularizers"]).same_time();
         /// How each weight moves: `constant`, `from 400 in 512 steps` (from there to the weight) or `halved every 5000
         /// steps` (from the weight on), or a list in the order of `kind`. Empty = constant.
         #[serde(deserialize_with = "one_or_many")]

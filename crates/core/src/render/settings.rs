@@ -27,10 +27,6 @@ impl Spacing {
 
 const ANNEAL: &[&str] = &["anneal"];
 
-fn is_share_above_0(share: f64) -> bool {
-    share > 0.0 && share <= 1.0
-}
-
 section! {
     /// Samples along a ray.
     pub struct SamplingConfig {
@@ -51,7 +47,7 @@ section! {
         pub anneal_steps: u64 = 0, numbers().columns(ANNEAL).same_time();
         /// The part's share of the ray in the first step.
         pub anneal_start: f64 = 0.5,
-            numbers().real(is_share_above_0, "above 0, at most 1").columns(ANNEAL).same_time();
+            numbers().share_above_0().columns(ANNEAL).same_time();
         /// Where the part is: the place from near (0) to far (1) that it grows from.
         pub anneal_middle: f64 = 0.5,
             numbers().real(|place| (0.0..=1.0).contains(&place), "0 (near) to 1 (far)").columns(ANNEAL).same_time();
@@ -59,7 +55,7 @@ section! {
         pub jitter: bool = true, numbers().column("jitter");
         /// Standard deviation of the noise on raw density in training. Empty = 1 for forward-facing scenes, 0
         /// otherwise.
-        pub density_noise: Option<f64> = None, numbers().real(|noise| noise >= 0.0, "0 or positive").column("density_noise");
+        pub density_noise: Option<f64> = None, numbers().zero_or_positive().column("density_noise");
     }
     sections {}
 }

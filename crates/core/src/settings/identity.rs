@@ -5,7 +5,8 @@ use toml::{Table, Value};
 
 use super::idle::IdleKind;
 use super::registry::{Effect, REGISTRY, Setting};
-use super::{Config, DataConfig, NO_REFERENCE, PixelOrigin, Split};
+use super::{Config, NO_REFERENCE, PixelOrigin, Split, scene_name};
+use crate::base::short_hash;
 use crate::perturb::{PaperSite, Passes};
 
 /// The scheme of hashes. Raise it when a default changes, and nothing is taken for what it was.
@@ -130,25 +131,11 @@ fn remove_equal(table: &mut Table, defaults: &Table) {
     });
 }
 
-/// Returns the first 12 hexadecimal digits of a hash: enough to tell experiments apart, and short enough to read.
-pub fn short_hash(hash: Sha256) -> String {
-    hash.finalize().iter().take(6).map(|byte| format!("{byte:02x}")).collect()
-}
-
-/// Returns the last component of a scene's folder, or the built-in scene's name if there is none.
-pub fn scene_name(data: &DataConfig) -> String {
-    if let Some(scene) = data.numbered_scene() {
-        return scene.label();
-    }
-    let name = std::path::Path::new(&data.dir).file_name().map(|n| n.to_string_lossy().into_owned());
-    name.unwrap_or_else(|| "builtin".into())
-}
-
 #[cfg(test)]
 mod tests {
     use sha2::{Digest, Sha256};
 
-    use super::short_hash;
+    use crate::base::short_hash;
     use crate::settings::{Config, Preset, build, parse_assignment};
 
     fn set(preset: Option<&str>, texts: &[&str]) -> Config {

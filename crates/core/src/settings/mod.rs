@@ -24,12 +24,12 @@ mod volume;
 
 pub use document::{SettingRow, settings_page, settings_rows, settings_text};
 pub use eval::{EvalConfig, MESH_SIDES, MeshConfig, NO_REFERENCE};
-pub use identity::{scene_name, short_hash, value_at};
+pub use identity::value_at;
 pub(crate) use idle::{IdleKind, IdleSettings};
 pub use layers::{Preset, build, check_assignment, data_section, parse_assignment, regularizer_hint};
 pub use method::{Capability, Method, Representation};
 pub use planes::{PlanesConfig, PlanesLoss};
-pub use resolved::{Extent, Located, Resolved};
+pub use resolved::{Located, Resolved};
 pub use srn::SrnConfig;
 pub use train::{Batching, SamDirection, Schedule, TrainConfig};
 pub(crate) use types::one_or_many;
@@ -38,15 +38,16 @@ pub(crate) use validate::{refuse, require};
 pub use volume::{VolumeCode, VolumeConfig};
 
 // Sections stand beside what they set.
+pub use crate::base::short_hash;
 pub use crate::data::settings::{
     Axes, Background, BuiltinScene, CorruptionConfig, CorruptionKind, DataConfig, DataKind, EvalSplit, PixelOrigin,
-    RuledViews, Split, TrainViews, ViewsRule,
+    RuledViews, Split, TrainViews, ViewsRule, scene_name,
 };
+pub use crate::data::{Extent, UnseenPoses};
 pub use crate::field::hash::settings::{Contraction, HashConfig, Interpolation};
 pub use crate::field::settings::{Core, DensityActivation, Encoding, FieldConfig, Init, Precision};
 pub use crate::losses::{
-    LatticePoints, REGULARIZERS, RegularizedFields, Regularizer, RegularizerConfig, TermNeeds, TermRays, UnseenPoses,
-    WeightSchedule,
+    LatticePoints, REGULARIZERS, RegularizedFields, Regularizer, RegularizerConfig, TermNeeds, TermRays, WeightSchedule,
 };
 pub use crate::perturb::settings::{
     ChangedEntries, DeltaSource, Objective, OutputPlace, PerturbConfig, PerturbField, Resample, ResolvedPerturb,

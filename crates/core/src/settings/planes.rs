@@ -23,10 +23,6 @@ const COLUMN: &[&str] = &["llff"];
 /// The network halves sides and planes three times.
 const HALVINGS: usize = 8;
 
-fn is_distance(value: f64) -> bool {
-    value > 0.0
-}
-
 section! {
     /// Local Light Field Fusion. A network turns a view and its neighbours into a stack of planes of colour and opacity
     /// (a multiplane image). The multiplane images of the nearest views are blended.
@@ -44,10 +40,10 @@ section! {
         /// Views of a step whose planes are blended into the left-out view.
         pub references: usize = 2, numbers().whole(1, 8, "1 to 8 views").columns(COLUMN);
         /// Depth of the nearest plane in scene units. Empty = the start of the scene's rays.
-        pub near: Option<f64> = None, numbers().real(is_distance, "positive").columns(COLUMN).same_time();
+        pub near: Option<f64> = None, numbers().positive().columns(COLUMN).same_time();
         /// Depth of the farthest plane. Empty = the end of the scene's rays for scenes of known extent, and twice that
         /// otherwise.
-        pub far: Option<f64> = None, numbers().real(is_distance, "positive").columns(COLUMN).same_time();
+        pub far: Option<f64> = None, numbers().positive().columns(COLUMN).same_time();
         /// Loss between a rendered view and the view that was left out: `mse` or `l1`.
         pub loss: PlanesLoss = PlanesLoss::Mse, numbers().columns(COLUMN).same_time();
     }

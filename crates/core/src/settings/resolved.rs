@@ -6,6 +6,7 @@ use std::ops::Deref;
 use super::idle::IdleKind;
 use super::{Batching, Config, DataKind, Representation, ResolvedPerturb, UnseenPoses};
 use crate::base::Result;
+use crate::data::Extent;
 
 /// A configuration whose scene is known. It derefs to the draft that it fills in. Settings that depend on the scene's
 /// kind are here as plain values.
@@ -32,19 +33,6 @@ pub struct Resolved {
     located: Located,
     /// Section `perturb` with every number filled in.
     pub perturb: ResolvedPerturb,
-}
-
-/// The extent of a loaded scene, which fills open numbers.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Extent {
-    /// Start of a ray's interval, in the units of `t_vals`.
-    pub near: f64,
-    /// End of a ray's interval.
-    pub far: f64,
-    /// The box that most cameras look at, in scene units, if the scene's own geometry tells it.
-    pub domain: Option<[[f64; 3]; 2]>,
-    /// Pixels along the longer side of an image.
-    pub pixels: usize,
 }
 
 impl Deref for Located {

@@ -85,6 +85,26 @@ impl Rule {
         Rule { range: Range::Real(holds), allowed, ..self }
     }
 
+    /// Allows positive numbers.
+    pub const fn positive(self) -> Rule {
+        self.real(|number| number > 0.0, "positive")
+    }
+
+    /// Allows 0 and positive numbers.
+    pub const fn zero_or_positive(self) -> Rule {
+        self.real(|number| number >= 0.0, "0 or positive")
+    }
+
+    /// Allows 0, which switches something off, and positive numbers.
+    pub const fn off_or_positive(self) -> Rule {
+        self.real(|number| number >= 0.0, "0 (off) or positive")
+    }
+
+    /// Allows shares that are not 0.
+    pub const fn share_above_0(self) -> Rule {
+        self.real(|share| share > 0.0 && share <= 1.0, "above 0, at most 1")
+    }
+
     /// Allows text for which `holds` is true.
     pub const fn text(self, holds: fn(&str) -> bool, allowed: &'static str) -> Rule {
         Rule { range: Range::Text(holds), allowed, ..self }

@@ -5,14 +5,6 @@ use super::registry::{numbers, section};
 /// The protocol's column for all settings of the section.
 const COLUMN: &[&str] = &["srn"];
 
-fn is_positive(value: f64) -> bool {
-    value > 0.0
-}
-
-fn is_weight(value: f64) -> bool {
-    value >= 0.0
-}
-
 section! {
     /// Scene Representation Networks: a network of features in space, an LSTM that steps along each ray to its end, and
     /// a network that turns the feature there into a colour. Defaults are those of the original code.
@@ -27,15 +19,15 @@ section! {
         pub steps: usize = 10, numbers().whole(1, 1000, "1 to 1000 steps").columns(COLUMN);
         /// Initial depth of rays along the camera's axis, in scene units times `scale`.
         pub start_depth: f64 = 0.05,
-            numbers().real(|depth| depth >= 0.0, "0 or positive").columns(COLUMN).same_time();
+            numbers().zero_or_positive().columns(COLUMN).same_time();
         /// Standard deviation of the initial depth between rays in training; views are rendered without it.
-        pub start_noise: f64 = 5e-4, numbers().real(is_weight, "0 (none) or positive").columns(COLUMN).same_time();
+        pub start_noise: f64 = 5e-4, numbers().real(|noise| noise >= 0.0, "0 (none) or positive").columns(COLUMN).same_time();
         /// Factor on positions before the network reads them.
-        pub scale: f64 = 1.0, numbers().real(is_positive, "positive").columns(COLUMN).same_time();
+        pub scale: f64 = 1.0, numbers().positive().columns(COLUMN).same_time();
         /// Weight of the mean squared error of colours, which are from -1 to 1.
-        pub image_weight: f64 = 200.0, numbers().real(is_positive, "positive").columns(COLUMN).same_time();
+        pub image_weight: f64 = 200.0, numbers().positive().columns(COLUMN).same_time();
         /// Weight of the mean of min(depth, 0)^2, which keeps rays from ending behind their camera.
-        pub depth_weight: f64 = 10.0, numbers().real(is_weight, "0 (off) or positive").columns(COLUMN).same_time();
+        pub depth_weight: f64 = 10.0, numbers().off_or_positive().columns(COLUMN).same_time();
     }
     sections {}
 }

@@ -28,16 +28,8 @@ pub enum Batching {
 
 const RATE: &[&str] = &["learning_rate"];
 
-fn is_positive(value: f64) -> bool {
-    value > 0.0
-}
-
 fn is_memory(beta: f64) -> bool {
     (0.0..1.0).contains(&beta)
-}
-
-fn is_share_above_0(share: f64) -> bool {
-    share > 0.0 && share <= 1.0
 }
 
 /// Where parameters move in a sharpness-aware step.
@@ -54,10 +46,6 @@ pub enum SamDirection {
 const CLIP: &[&str] = &["clip"];
 const SAM: &[&str] = &["sam"];
 
-fn is_limit(number: f64) -> bool {
-    number >= 0.0
-}
-
 section! {
     /// Optimization.
     pub struct TrainConfig {
@@ -73,21 +61,21 @@ section! {
         /// around, `all-images` for forward-facing ones.
         pub batching: Option<Batching> = None, numbers().column("batching");
         /// Initial learning rate of Adam.
-        pub learning_rate: f64 = 5e-4, numbers().real(is_positive, "positive").columns(RATE).same_time();
+        pub learning_rate: f64 = 5e-4, numbers().positive().columns(RATE).same_time();
         /// Adam's beta 2, the decay of squared gradients (0.99 for hash grids).
         pub adam_beta2: f64 = 0.999, numbers().real(is_memory, "at least 0, below 1").columns(&["adam"]).same_time();
         /// Adam's epsilon, added to the divisor (1e-15 for hash grids, whose gradients are small).
-        pub adam_epsilon: f64 = 1e-8, numbers().real(is_positive, "positive").columns(&["adam"]).same_time();
+        pub adam_epsilon: f64 = 1e-8, numbers().positive().columns(&["adam"]).same_time();
         /// Decay of layers' weights, apart from Adam's step (AdamW): each update multiplies them by 1 minus this times the
         /// learning rate. Tables of hash grids have `regularizer.kind = "hash-decay"`.
-        pub weight_decay: f64 = 0.0, numbers().real(is_limit, "0 (off) or positive").columns(&["adam"]).same_time();
+        pub weight_decay: f64 = 0.0, numbers().off_or_positive().columns(&["adam"]).same_time();
         /// Largest absolute value of an entry of the gradient (0 = no limit).
-        pub clip_value: f64 = 0.0, numbers().real(is_limit, "0 (off) or positive").columns(CLIP);
+        pub clip_value: f64 = 0.0, numbers().off_or_positive().columns(CLIP);
         /// Largest norm of the gradient over all parameters, after `clip_value` (0 = no limit).
-        pub clip_norm: f64 = 0.0, numbers().real(is_limit, "0 (off) or positive").columns(CLIP);
+        pub clip_norm: f64 = 0.0, numbers().off_or_positive().columns(CLIP);
         /// Sharpness-aware steps: the gradient is taken at parameters that moved this far (0 = off; 0.05 is usual). A step
         /// then takes about twice as long.
-        pub sam_radius: f64 = 0.0, numbers().real(is_limit, "0 (off) or positive").columns(SAM);
+        pub sam_radius: f64 = 0.0, numbers().off_or_positive().columns(SAM);
         /// Where the parameters move: up the step's `gradient`, or as far in a `random` direction.
         pub sam_direction: SamDirection = SamDirection::Gradient, numbers().columns(SAM).same_time();
         /// Gradients of samples closer to the camera than one scene unit are multiplied by their distance squared
@@ -96,12 +84,12 @@ section! {
         /// Weight of the coarse pass's loss; the fine pass's is 1 (1 for NeRF, 0.1 for MipNeRF; hash grids have no
         /// coarse loss).
         pub coarse_weight: f64 = 1.0,
-            numbers().real(is_positive, "positive").column("coarse_weight").same_time();
+            numbers().positive().column("coarse_weight").same_time();
         /// How the learning rate falls: `exponential` or `log-linear`.
         pub schedule: Schedule = Schedule::Exponential, numbers().columns(RATE).same_time();
         /// `log-linear`: the learning rate at the last step.
         pub final_learning_rate: f64 = 5e-6,
-            numbers().real(is_positive, "positive").columns(RATE).same_time();
+            numbers().positive().columns(RATE).same_time();
         /// `log-linear`: share of the steps in which the rate warms up.
         pub warmup_share: f64 = 0.0025,
             numbers()
@@ -110,9 +98,9 @@ section! {
                 .same_time();
         /// `log-linear`: factor on the rate at the first step.
         pub warmup_from: f64 = 0.01,
-            numbers().real(is_share_above_0, "above 0, at most 1").column("warmup_from").same_time();
+            numbers().share_above_0().column("warmup_from").same_time();
         /// `exponential`: factor on the learning rate per `decay_steps`, applied continuously.
-        pub decay_rate: f64 = 0.1, numbers().real(is_positive, "positive").columns(RATE).same_time();
+        pub decay_rate: f64 = 0.1, numbers().positive().columns(RATE).same_time();
         /// Steps per factor of `decay_rate`. Empty = 250,000 for forward-facing scenes, 500,000 otherwise.
         pub decay_steps: Option<u64> = None, numbers().whole(1, u64::MAX, "at least 1").columns(RATE).same_time();
         /// Number of first steps whose one-image batches use the central part only. Empty = 500 if `batching` is
@@ -120,7 +108,7 @@ section! {
         pub precrop_steps: Option<u64> = None, numbers().column("precrop_steps");
         /// Size of the central part as a fraction of each side.
         pub precrop_fraction: f64 = 0.5,
-            numbers().real(is_share_above_0, "above 0, at most 1").column("precrop_fraction");
+            numbers().share_above_0().column("precrop_fraction");
         /// Steps between two rows of `scalars.csv`.
         pub log_every: u64 = 100, work().whole(1, u64::MAX, "at least 1");
         /// Steps between two evaluations during training (0 = only at the end).
@@ -130,7 +118,7 @@ section! {
         /// Steps between two checkpoints (0 = by time only).
         pub checkpoint_every: u64 = 10_000, work();
         /// Minutes between two checkpoints (0 = by steps only).
-        pub checkpoint_minutes: f64 = 10.0, work().real(|minutes| minutes >= 0.0, "0 (off) or positive");
+        pub checkpoint_minutes: f64 = 10.0, work().off_or_positive();
         /// Number of checkpoints to keep.
         pub keep_checkpoints: usize = 2, work().whole(1, 10_000, "1 to 10000");
         /// Weights are drawn again if a smaller share of densities is positive on the first batch.

@@ -24,14 +24,6 @@ const COLUMN: &[&str] = &["nv"];
 /// Channels of the decoder's narrowest layer before division.
 const NARROWEST: usize = 128;
 
-fn is_weight(value: f64) -> bool {
-    value >= 0.0
-}
-
-fn is_positive(value: f64) -> bool {
-    value > 0.0
-}
-
 section! {
     /// Neural Volumes: a decoder of 3D convolutions from a code to a volume of colour and opacity, which is looked up
     /// through a learned warp. Defaults are those of the original code.
@@ -57,11 +49,11 @@ section! {
         pub step_jitter: f64 = 0.01,
             numbers().real(|jitter| (0.0..=1.0).contains(&jitter), "0 (none) to 1").columns(COLUMN).same_time();
         /// Weight of the prior that a ray's accumulation is 0 or 1: log(0.1 + A) + log(1.1 - A) + 2.20727.
-        pub alpha_prior: f64 = 0.01, numbers().real(is_weight, "0 (off) or positive").columns(COLUMN).same_time();
+        pub alpha_prior: f64 = 0.01, numbers().off_or_positive().columns(COLUMN).same_time();
         /// Weight of the total variation of the logarithm of the voxels' opacity.
-        pub tv: f64 = 0.01, numbers().real(is_weight, "0 (off) or positive").columns(COLUMN).same_time();
+        pub tv: f64 = 0.01, numbers().off_or_positive().columns(COLUMN).same_time();
         /// `variational`: weight of the divergence from the standard normal distribution.
-        pub kl: f64 = 0.001, numbers().real(is_positive, "positive").columns(COLUMN).same_time();
+        pub kl: f64 = 0.001, numbers().positive().columns(COLUMN).same_time();
     }
     sections {}
 }

@@ -20,7 +20,7 @@ use super::json::{self, Object};
 use super::pose::{self, Pose};
 use super::{Camera, LARGEST, WorldToScene, npy};
 use crate::base::{Error, Result};
-use crate::settings::Axes;
+use crate::data::settings::Axes;
 
 pub use dataparser::Dataparser;
 pub use lens::MOST_PIXELS;

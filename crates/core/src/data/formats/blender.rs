@@ -11,8 +11,8 @@ use crate::data::found;
 use crate::data::frame::{self, Frame, Reading};
 use crate::data::json::{self, Object};
 use crate::data::pose::{self, Pose};
+use crate::data::settings::{DataConfig, DataKind, EvalSplit};
 use crate::data::{Camera, Photos, Rig, Scene, SceneSpace, Subject, View, background, depth, name_of, path};
-use crate::settings::{DataConfig, DataKind, EvalSplit};
 
 /// Start and end of a ray, as for all of NeRF's synthetic scenes, and range of the values of depth maps.
 pub const BOUNDS: [f64; 2] = [2.0, 6.0];

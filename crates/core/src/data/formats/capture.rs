@@ -1,9 +1,9 @@
 //! What formats without splits have in common: posed views of which every N-th is held out.
 
 use crate::base::Image;
+use crate::data::settings::DataConfig;
 use crate::data::views::split;
 use crate::data::{Camera, Ndc, Scene, SceneSpace, View};
-use crate::settings::DataConfig;
 
 /// Posed photos in their order, before any is held out.
 pub struct Capture {

@@ -13,8 +13,9 @@ pub mod transforms;
 use std::path::Path;
 
 use crate::base::{Error, Listener, Result};
+use crate::data::settings::{DataConfig, DataKind, PixelOrigin};
 use crate::data::{Photos, Scene};
-use crate::settings::{DataConfig, DataKind, PixelOrigin, Preset};
+use crate::settings::Preset;
 
 pub use capture::Capture;
 

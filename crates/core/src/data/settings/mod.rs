@@ -288,6 +288,15 @@ impl DataConfig {
     }
 }
 
+/// Returns the last component of a scene's folder, or the built-in scene's name if there is none.
+pub fn scene_name(data: &DataConfig) -> String {
+    if let Some(scene) = data.numbered_scene() {
+        return scene.label();
+    }
+    let name = std::path::Path::new(&data.dir).file_name().map(|n| n.to_string_lossy().into_owned());
+    name.unwrap_or_else(|| "builtin".into())
+}
+
 section! {
     /// The scene and how it is read.
     pub struct DataConfig {

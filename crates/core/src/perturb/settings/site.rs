@@ -29,11 +29,11 @@ section! {
         pub steps: Option<usize> = None, numbers().whole(0, 1000, "0 to 1000").columns(NUMBERS);
         /// Length of one PGD step, in `perturb.step_unit`. Empty = the length of `perturb.attack`.
         pub step_size: Option<f64> = None,
-            numbers().real(|size| size >= 0.0, "0 or positive").columns(NUMBERS).same_time();
+            numbers().zero_or_positive().columns(NUMBERS).same_time();
         /// Size of the constraint set. 0 = no perturbation. `reach` = `steps` x `step_size` in the delta's own unit
         /// (`perturb.step_unit = "absolute"`). Empty = the size of `perturb.attack`.
         pub epsilon: Option<Epsilon> = None,
-            numbers().real(|size| size >= 0.0, "0 or positive").columns(NUMBERS).same_time();
+            numbers().zero_or_positive().columns(NUMBERS).same_time();
         /// Norm of the constraint set. Empty = the site's own.
         pub norm: Option<Norm> = None, numbers().columns(&["norms"]);
     }

@@ -15,8 +15,8 @@ use super::views::{ANGLE_X, Split, around};
 use super::{MAX_WIDTH, blender_stage};
 use crate::base::files::AtomicDir;
 use crate::base::{Error, Result};
+use crate::data::settings::PixelOrigin;
 use crate::data::{Camera, npy};
-use crate::settings::PixelOrigin;
 
 /// Default width of exported images in pixels.
 pub const DEFAULT_WIDTH: usize = 200;

@@ -443,7 +443,7 @@ mod tests {
                 assert!(back < -1.0, "{seed}: {back}");
             }
             for (_, camera) in super::super::views::before(12) {
-                let picture = stage.render(&camera, crate::settings::PixelOrigin::Centre);
+                let picture = stage.render(&camera, crate::data::settings::PixelOrigin::Centre);
                 assert!(picture.depth.iter().all(|depth| depth.is_finite()), "{seed}");
             }
         }

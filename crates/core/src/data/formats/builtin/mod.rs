@@ -23,8 +23,8 @@ pub use stage::{Frame, Hit, Stage};
 use crate::base::{Error, Result};
 use crate::data::formats::Capture;
 use crate::data::resample::composite;
+use crate::data::settings::{DataConfig, DataKind, EvalSplit, scene_name};
 use crate::data::{Camera, Ndc, Scene, SceneSpace, View, background};
-use crate::settings::{DataConfig, DataKind, EvalSplit, scene_name};
 use views::Split;
 
 /// Default width of the built-in scene's images.

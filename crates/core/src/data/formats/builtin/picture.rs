@@ -6,8 +6,8 @@ use super::shading::{SAMPLES, SIDE, display, shade};
 use super::stage::Stage;
 use crate::base::Image;
 use crate::data::Camera;
+use crate::data::settings::PixelOrigin;
 use crate::data::vector::{Vec3, add, scale};
-use crate::settings::PixelOrigin;
 
 /// Number of mirror reflections that are followed.
 const BOUNCES: u32 = 2;

@@ -151,7 +151,7 @@ fn depth_is_exact_on_a_known_pixel() {
     let (x, y) = (0.25, -0.1);
     let pose = [[1.0, 0.0, 0.0, x], [0.0, 1.0, 0.0, y], [0.0, 0.0, 1.0, 4.0]];
     let camera = Camera { width: 9, height: 9, focal: [400.0; 2], centre: [4.0; 2], pose };
-    let picture = stage.render(&camera, crate::settings::PixelOrigin::Corner);
+    let picture = stage.render(&camera, crate::data::settings::PixelOrigin::Corner);
     assert_eq!(picture.depth[4 * 9 + 4], 4.72);
     // Away from the axis it is still the depth along the axis, not along the ray.
     assert_eq!(picture.depth[2 * 9 + 7], 4.72);
@@ -199,7 +199,7 @@ fn a_forward_scene_fills_every_pixel_beyond_the_near_plane() {
     }
     let stage = forward_stage(None);
     for camera in scene.path.iter().chain(scene.train.iter().map(|view| &view.camera)) {
-        let picture = stage.render(camera, crate::settings::PixelOrigin::Corner);
+        let picture = stage.render(camera, crate::data::settings::PixelOrigin::Corner);
         assert!(picture.image.pixels.iter().skip(3).step_by(4).all(|&alpha| alpha == 1.0));
     }
 }
@@ -207,7 +207,7 @@ fn a_forward_scene_fills_every_pixel_beyond_the_near_plane() {
 #[test]
 fn settings_are_honoured() {
     let base = config(DataKind::BuiltinBlender, 24);
-    let black = load(&DataConfig { background: crate::settings::Background::Black, ..base.clone() }).unwrap();
+    let black = load(&DataConfig { background: crate::data::settings::Background::Black, ..base.clone() }).unwrap();
     assert_eq!(black.background, Some([0.0; 3]));
     assert_eq!(black.test[0].image.pixels[..3], [0.0; 3]);
     let few = DataConfig { test_skip: 3, near: Some(2.5), far: Some(5.5), ..base.clone() };
@@ -216,7 +216,7 @@ fn settings_are_honoured() {
     assert_eq!(few.test[1].name, "r_3");
     let val = load(&DataConfig { eval_split: EvalSplit::Val, ..base.clone() }).unwrap();
     assert_eq!(val.test.len(), 4);
-    let centre = crate::settings::PixelOrigin::Centre;
+    let centre = crate::data::settings::PixelOrigin::Centre;
     let centred = load(&DataConfig { pixel_origin: Some(centre), ..base.clone() }).unwrap();
     assert_ne!(centred.train[0].image, val.train[0].image);
     let small = load(&DataConfig { width: 0, downscale: Some(4), ..base.clone() }).unwrap();
@@ -242,7 +242,7 @@ fn settings_that_make_no_scene_are_refused_in_words() {
 #[test]
 fn alpha_is_coverage() {
     let camera = views::around(Split::Test, 48)[1].1;
-    let picture = blender_stage(None).render(&camera, crate::settings::PixelOrigin::Corner);
+    let picture = blender_stage(None).render(&camera, crate::data::settings::PixelOrigin::Corner);
     let alphas: Vec<f32> = picture.image.pixels.iter().skip(3).step_by(4).copied().collect();
     assert!(alphas.iter().all(|a| (0.0..=1.0).contains(a)));
     assert!(alphas.contains(&0.0) && alphas.contains(&1.0));
@@ -286,7 +286,7 @@ fn the_number_of_threads_changes_nothing() {
     let camera = views::around(Split::Test, 40)[2].1;
     let render = |threads: usize| {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
-        pool.install(|| blender_stage(None).render(&camera, crate::settings::PixelOrigin::Corner))
+        pool.install(|| blender_stage(None).render(&camera, crate::data::settings::PixelOrigin::Corner))
     };
     assert_eq!(render(1), render(2));
 }
@@ -355,7 +355,7 @@ fn exported_pictures_and_poses_reproduce_the_render() {
             let file = json["frames"][frame]["file_path"].as_str().unwrap();
             let stored = image::open(dir.path().join(format!("{file}.png"))).unwrap().into_rgba8();
             let camera = camera_from_json(&json, frame, WIDTH);
-            let fresh = stage.render(&camera, crate::settings::PixelOrigin::Corner);
+            let fresh = stage.render(&camera, crate::data::settings::PixelOrigin::Corner);
             let bytes: Vec<u8> = fresh.image.pixels.iter().map(|v| (255.0 * v).round() as u8).collect();
             assert_eq!(stored.as_raw(), &bytes, "{file}");
             if split == "test" {

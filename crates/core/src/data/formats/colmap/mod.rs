@@ -24,8 +24,8 @@ use crate::data::frame::{self, Frame, Reading};
 use crate::data::images::{self, Header, Size};
 use crate::data::mask::Masks;
 use crate::data::pose::Pose;
+use crate::data::settings::{DataConfig, DataKind};
 use crate::data::{Camera, Photos, Scene, SceneSpace, WorldToScene, background, name_of, path};
-use crate::settings::{DataConfig, DataKind};
 use folder::Source;
 use model::{Lens, Model, Photograph};
 

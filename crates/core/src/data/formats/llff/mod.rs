@@ -21,8 +21,8 @@ use crate::data::frame::{self, Frame, Reading};
 use crate::data::images::{self, Header, Size};
 use crate::data::mask::{MaskFile, Masks};
 use crate::data::pose::Pose;
+use crate::data::settings::{DataConfig, DataKind};
 use crate::data::{Camera, Ndc, Photos, Rig, Scene, SceneSpace, background, name_of, path};
-use crate::settings::{DataConfig, DataKind};
 use folder::{Source, is_of_shape};
 
 /// The file that makes a folder an LLFF scene.

@@ -4,7 +4,7 @@ use std::path::Path;
 
 use super::{POSES_FILE, Poses};
 use crate::data::pose::{self, Pose};
-use crate::settings::{DataConfig, DataKind};
+use crate::data::settings::{DataConfig, DataKind};
 
 /// Largest turn from the mean of a forward-facing capture's cameras, in degrees. Published ones turn by less than 30.
 const MOST_TURN: f64 = 40.0;

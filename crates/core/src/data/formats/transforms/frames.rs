@@ -12,7 +12,7 @@ use crate::data::images::{self, Header, Size};
 use crate::data::json::{Object, Picture, Scaled};
 use crate::data::mask::{self, MaskFile, Masks};
 use crate::data::pose::Pose;
-use crate::settings::DataConfig;
+use crate::data::settings::DataConfig;
 
 /// The key of a frame's pose.
 const POSE: &str = "transform_matrix";

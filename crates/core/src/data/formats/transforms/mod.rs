@@ -24,8 +24,8 @@ use crate::data::formats::Capture;
 use crate::data::found;
 use crate::data::frame::{self, Frame, Reading};
 use crate::data::pose::Pose;
+use crate::data::settings::{DataConfig, DataKind, EvalSplit, Split};
 use crate::data::{Camera, Photos, Scene, SceneSpace, WorldToScene, background, name_of, path};
-use crate::settings::{DataConfig, DataKind, EvalSplit, Split};
 use frames::Listed;
 use split::{Listing, Roles, Uses};
 

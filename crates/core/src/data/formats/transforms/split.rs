@@ -12,7 +12,7 @@ use crate::base::{Error, Event, Listener, Result};
 use crate::data::found;
 use crate::data::json::{self, Object};
 use crate::data::mask;
-use crate::settings::{DataConfig, Split};
+use crate::data::settings::{DataConfig, Split};
 
 /// The role of a view.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
