@@ -224,9 +224,7 @@ impl PerturbConfig {
         });
         ResolvedPerturb { config: self, numbers }
     }
-}
 
-impl PerturbConfig {
     /// Checks the sites' numbers.
     pub(crate) fn validate(&self) -> base::Result<()> {
         for (site, config) in self.sites() {
