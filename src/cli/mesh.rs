@@ -306,7 +306,7 @@ fn check_options(options: &MeshOptions) -> Result<()> {
     let (sides, memory) =
         (numbers().whole(least, most, "8 to 1024 cells per side"), numbers().real(|mib| mib > 0.0, "positive (MiB)"));
     sides.check("--resolution", resolution)?;
-    memory.check("--memory", most_mib)?;
+    most_mib.map_or(Ok(()), |mib| memory.check("--memory", mib))?;
     threshold.map_or(Ok(()), |threshold| check_flag("--threshold", "eval.mesh.threshold", threshold))?;
     Ok(domain.map_or(Ok(()), |domain| check_flag("--bbox", "eval.mesh.box", domain))?)
 }

@@ -762,8 +762,7 @@ fn the_figure_has_the_paper_s_axes_around_one_best_point() {
     assert_eq!(points.len(), 1 + 6 * 4 + 7 + 1 + 3 * 5 + 2);
     let with_it = |point: &&Point| point.places[0].axes.iter().any(|value| value.axis == "step size, epsilon with it");
     for point in points.iter().filter(with_it) {
-        let reaching =
-            point.config.perturb.sites().filter(|(_, site)| site.epsilon == Some(Epsilon::Reach)).count();
+        let reaching = point.config.perturb.sites().filter(|(_, site)| site.epsilon == Some(Epsilon::Reach)).count();
         let sites = [("input coordinates", 3), ("features", 1), ("output", 2)];
         let of_panel = sites.iter().find(|(panel, _)| *panel == point.places[0].axes[0].panel).unwrap().1;
         assert_eq!(reaching, of_panel, "{}", point.label());
