@@ -365,9 +365,9 @@ fn density_noise_cannot_make_an_empty_white_scene_opaque() {
     // All densities 0, the density delta at +epsilon everywhere: what it adds to each ray is at
     // most epsilon * (far - near) * |d|, because the last sample's is kept at 0.
     let mut setting = setting(Method::AugNerf, 5, (6, 9), |config| {
-        config.sites[PaperSite::Density].epsilon = Some(0.01.into());
+        config[PaperSite::Density].epsilon = Some(0.01.into());
         for site in [PaperSite::T, PaperSite::Xyz, PaperSite::View, PaperSite::Feature, PaperSite::Rgb] {
-            config.sites[site].passes = Passes::Off;
+            config[site].passes = Passes::Off;
         }
     });
     setting.noise = Some(Tensor::full(-1e3f64, (6, 9), &CPU).unwrap());
