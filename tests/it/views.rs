@@ -183,7 +183,7 @@ fn a_first_picture_comes_early_and_leaves_a_run_as_it_was() {
         fn on(&self, event: Event<'_>) {
             if let Event::Note(line) = event {
                 assert!(line.starts_with("step 2: ") && line.contains(self.0.to_str().unwrap()), "{line}");
-                assert!(line.ends_with("_beside.png in the end"), "{line}");
+                assert!(line.ends_with("_beside.png in its place"), "{line}");
                 self.1.store(15, Ordering::SeqCst);
             }
         }

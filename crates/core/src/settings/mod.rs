@@ -106,11 +106,20 @@ impl Config {
     /// # Errors
     /// [`Error::Setting`] for the first setting out of its range.
     pub fn check_ranges(&self) -> Result<()> {
-        let most =
-            |_| Error::Config("a whole number of the configuration is above 2^63 - 1, the most of a file".into());
-        let table = toml::Table::try_from(self).map_err(most)?;
+        let Ok(table) = toml::Table::try_from(self) else { return self.check_whole_numbers() };
         for Setting { path, rule, .. } in &REGISTRY.settings {
             value_at(&table, path).map_or(Ok(()), |value| rule.check(path, value))?;
+        }
+        Ok(())
+    }
+
+    /// Returns an error for the first whole number above 2^63 - 1, which TOML does not have, and JSON has.
+    fn check_whole_numbers(&self) -> Result<()> {
+        let values = serde_json::to_value(self).expect("a configuration is plain data");
+        let value =
+            |path: &str| values.pointer(&format!("/{}", path.replace('.', "/"))).filter(|value| !value.is_null());
+        for Setting { path, rule, .. } in &REGISTRY.settings {
+            value(path).map_or(Ok(()), |value| rule.check(path, value))?;
         }
         Ok(())
     }

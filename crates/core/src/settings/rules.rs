@@ -151,6 +151,7 @@ impl Rule {
             Ok(value) => self.range.outside(&value),
             Err(_) => Some("a number above 2^63 - 1".into()),
         };
-        outside.map_or(Ok(()), |value| Err(SettingError { path: path.into(), value, allowed: self.allowed.into() }))
+        let allowed = if self.allowed.is_empty() { "at most 2^63 - 1" } else { self.allowed };
+        outside.map_or(Ok(()), |value| Err(SettingError { path: path.into(), value, allowed: allowed.into() }))
     }
 }

@@ -256,7 +256,7 @@ impl Drawing {
         let within = if *cap { "within the capped box" } else { "in the box" };
         let range = format!("density {within} from {:?} to {:?} runs from {least} to {largest}", domain[0], domain[1]);
         let advice = if least < largest {
-            format!("--threshold {} would give one", 0.5 * (least + largest))
+            format!("a threshold of {} would give one", 0.5 * (least + largest))
         } else {
             "no threshold gives one: choose another box, or train longer".into()
         };
