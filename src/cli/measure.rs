@@ -50,8 +50,8 @@ impl SmoothnessArguments {
     /// Measures a run, and prints a row for each of its networks.
     pub fn measure(&self, path: &Path, data: Option<&Path>, answer: Answer, compute: &Compute) -> Result<()> {
         let domain = self.bbox.as_deref().map(|text| parse_box("bbox", text)).transpose()?;
-        domain.map_or(Ok(()), |domain| check_flag("--bbox", "regularizer.domain", &domain))?;
-        check_flag("--lattice", "regularizer.lattice", &self.lattice)?;
+        domain.map_or(Ok(()), |domain| check_flag("--bbox", "regularizer.domain", domain))?;
+        check_flag("--lattice", "regularizer.lattice", self.lattice)?;
         check_measurable(path, &RunDir::open(path)?.read_config()?)?;
         compute.run(|runtime, console| {
             let trained = Trained::open_at(path, OpenOptions::CAMERAS, data, runtime, console)?;

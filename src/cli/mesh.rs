@@ -371,7 +371,7 @@ struct ChamferArguments {
 impl ChamferArguments {
     /// Measures and prints the distance between two meshes.
     fn measure(&self, name: &str, other: &str, answer: Answer, quiet: bool) -> Result<()> {
-        check_flag("--points", "eval.mesh.points", &self.points)?;
+        check_flag("--points", "eval.mesh.points", self.points)?;
         for distance in &self.within {
             check_flag("--within", "eval.mesh.at", distance)?;
         }

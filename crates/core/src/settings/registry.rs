@@ -278,19 +278,19 @@ mod tests {
         let words = "eval.mesh.points = 3 is out of range: it must be 100 to 20000000";
         assert_eq!(config.check_ranges().unwrap_err().to_string(), words);
         let words = words.replace("eval.mesh.points", "--points");
-        assert_eq!(check_flag("--points", "eval.mesh.points", &3usize).unwrap_err().to_string(), words);
-        check_flag("--points", "eval.mesh.points", &100usize).unwrap();
+        assert_eq!(check_flag("--points", "eval.mesh.points", 3usize).unwrap_err().to_string(), words);
+        check_flag("--points", "eval.mesh.points", 100usize).unwrap();
     }
 
     #[test]
     fn defaults_are_in_their_ranges_and_the_ends_of_ranges_count() {
         Config::default().check_ranges().unwrap();
         for (path, inside, outside) in [("train.warmup_share", 1.0, 1.1), ("train.dead_start_share", 0.99, 1.0)] {
-            check_flag(path, path, &inside).unwrap();
-            check_flag(path, path, &outside).unwrap_err();
+            check_flag(path, path, inside).unwrap();
+            check_flag(path, path, outside).unwrap_err();
         }
-        check_flag("seed", "seed", &(i64::MAX as u64)).unwrap();
-        check_flag("seed", "seed", &(i64::MAX as u64 + 1)).unwrap_err();
+        check_flag("seed", "seed", i64::MAX as u64).unwrap();
+        check_flag("seed", "seed", i64::MAX as u64 + 1).unwrap_err();
         check_flag("near", "data.near", f64::INFINITY).unwrap_err();
     }
 }

@@ -213,7 +213,8 @@ impl Config {
                     .into(),
             ),
         ])?;
-        for (site, _) in perturb.sites_on().filter(|(_, site)| on_grid && !fresh && site.passes == Passes::Coarse) {
+        let coarse_alone = perturb.sites_on().find(|(_, site)| site.passes == Passes::Coarse);
+        if let (Some((site, _)), true, false) = (coarse_alone, on_grid, fresh) {
             return Err(Error::Config(format!(
                 "perturb.{}.passes = \"coarse\" with field.encoding = \"hash\": the coarse pass of a hash field only places \
                  samples and is never perturbed; use \"fine\", \"both\" (the same here) or \"off\"",
