@@ -198,7 +198,7 @@ struct Compute {
     quiet: bool,
 }
 
-const DEVICES: &str = "cpu, gpu, gpu:N, cuda, cuda:N, cuda-tf32 (products rounded to 10 bits) or metal [default: cpu; a run that goes on keeps its own]";
+const DEVICES: &str = "cpu, gpu, gpu:N, cuda, cuda:N, cuda-tf32 (products rounded to 10 bits) or metal [default: cpu; resume: the run's device]";
 
 /// Flags for a run's scene and LPIPS weights, if they have moved.
 #[derive(Args)]

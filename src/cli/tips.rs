@@ -24,21 +24,21 @@ const LEFT: [(&str, &str); 13] = [
     ("man", "'augnerf --help' of each command"),
 ];
 
-/// Flags that left, and what does their work now.
-const LEFT_FLAGS: [(&str, &str); 13] = [
-    ("--then", "use the shell: 'augnerf sweep run FILE && COMMAND'"),
-    ("--keep-going", "a sweep always goes on after a failed point"),
-    ("--max-deaths", "'--retry-failed' runs failed points again"),
-    ("--results", "use '--out DIR'"),
-    ("--into", "use a few lines of pandas (docs/scripting.md)"),
-    ("--yes", "no question is asked"),
-    ("--watch", "use 'watch -n 10 augnerf sweep status runs/NAME'"),
-    ("--gif", "use a notebook over the images in renders/"),
-    ("--spread", "use a notebook over the images in renders/"),
-    ("--row", "use '--rows'"),
-    ("--time", "use 'sbatch --time ... runs/NAME/slurm/points.sbatch'"),
-    ("--mem", "use 'sbatch --mem ... runs/NAME/slurm/points.sbatch'"),
-    ("--cpus", "use 'sbatch --cpus-per-task ... runs/NAME/slurm/points.sbatch'"),
+/// Commands with flags that left, and what does their work now.
+const LEFT_FLAGS: [(&str, &str, &str); 13] = [
+    ("run", "--then", "use the shell: 'augnerf sweep run FILE && COMMAND'"),
+    ("run", "--keep-going", "a sweep always goes on after a failed point"),
+    ("run", "--max-deaths", "'--retry-failed' runs failed points again"),
+    ("collect", "--results", "use '--out DIR'"),
+    ("score", "--into", "use a few lines of pandas (docs/scripting.md)"),
+    ("train", "--yes", "no question is asked"),
+    ("status", "--watch", "use 'watch -n 10 augnerf sweep status runs/NAME'"),
+    ("compare", "--gif", "use a notebook over the images in renders/"),
+    ("compare", "--spread", "use a notebook over the images in renders/"),
+    ("compare", "--row", "use '--rows'"),
+    ("slurm", "--time", "use 'sbatch --time ... runs/NAME/slurm/points.sbatch'"),
+    ("slurm", "--mem", "use 'sbatch --mem ... runs/NAME/slurm/points.sbatch'"),
+    ("slurm", "--cpus", "use 'sbatch --cpus-per-task ... runs/NAME/slurm/points.sbatch'"),
 ];
 
 /// Adds tips to an error: a setting that an unknown flag names, or a flag for a stray word.
@@ -69,9 +69,9 @@ pub fn with_tips(mut error: clap::Error, words: &[OsString]) -> clap::Error {
     let Some(ContextValue::String(unknown)) = error.get(ContextKind::InvalidArg).cloned() else { return error };
     let command = meant_command(words);
     let has = |flag: &str| command.get_arguments().any(|argument| argument.get_long() == Some(flag));
-    let left = LEFT_FLAGS.iter().find(|(left, _)| *left == unknown).map(|(_, now)| format!("it was removed; {now}"));
+    let left = LEFT_FLAGS.iter().find(|(of, left, _)| *of == command.get_name() && *left == unknown);
     let tips = match unknown.strip_prefix("--") {
-        Some(_) if left.is_some() => left.into_iter().collect(),
+        Some(_) if left.is_some() => left.iter().map(|(.., now)| format!("it was removed; {now}")).collect(),
         Some(name) if command.get_name() == super::command().get_name() => after_subcommand(name, words),
         Some(name) if has("set") => setting_tips(name, &value_of(&unknown, words)),
         None if has("data") && !unknown.starts_with('-') => vec![format!("'--data {unknown}' names a scene")],

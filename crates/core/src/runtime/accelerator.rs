@@ -11,8 +11,8 @@ use crate::methods::{DeviceSteps, Fields, Renderer};
 use crate::optimizer::Moments;
 use crate::settings::{Config, Resolved};
 
-/// A device that trains and renders fields with its own program, such as a GPU. candle computes on the CPU beside it. What it
-/// does not implement ends with an error that names it.
+/// A device that trains and renders fields with its own program, such as a GPU. candle computes on the CPU beside it. Methods that
+/// it does not implement return an error that names the device.
 pub trait Accelerator: Debug + Send + Sync {
     /// Returns adapter and driver, for a run's provenance: `NVIDIA H200, Vulkan, driver 580.159`.
     fn description(&self) -> String;

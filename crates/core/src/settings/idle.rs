@@ -10,7 +10,7 @@ pub enum IdleKind {
     Noted,
     /// Hashes hold its default.
     Unhashed,
-    /// So do files of runs.
+    /// Hashes and files of runs hold its default.
     Dropped,
 }
 

@@ -95,13 +95,13 @@ impl RunDir {
             let found = if path.exists() { "not a folder" } else { "missing" };
             return Err(Error::Checkpoint(format!("cannot open run {}: it is {found}", path.display())));
         }
-        if path.join("sweep.toml").is_file() {
-            return Err(Error::Checkpoint(format!(
-                "{} is the folder of a sweep; `augnerf sweep run FILE` continues it, and `augnerf sweep status` lists its runs",
-                path.display()
-            )));
-        }
         if !RunDir::holds_run(path) {
+            if path.join("sweep.toml").is_file() {
+                return Err(Error::Checkpoint(format!(
+                    "{} is the folder of a sweep; `augnerf sweep run FILE` continues it, and `augnerf sweep status` lists its runs",
+                    path.display()
+                )));
+            }
             return Err(Error::Checkpoint(format!(
                 "{} is not a run folder: it has no {CONFIG}; give the folder of `augnerf train --out`",
                 path.display()

@@ -25,10 +25,10 @@ pub(super) struct Stepper {
     collapse_steps: u64,
     dead_steps: u64,
     waiting: VecDeque<StepAt>,
-    /// That of a learner's last step.
-    report: Option<StepReport>,
     /// When the first of them was taken.
     waiting_since: Instant,
+    /// The report of a learner's last step.
+    report: Option<StepReport>,
     /// Steps after which reports are due.
     every: usize,
     /// A step came after the last fetch.

@@ -152,11 +152,6 @@ impl Plan {
         }
     }
 
-    /// Returns the weight of the coarse pass's loss, which is 1 if it is the only pass.
-    pub fn coarse_weight(&self) -> f64 {
-        self.clean[0].weight
-    }
-
     /// Adds a site of the user's own to the perturbed passes.
     pub fn add_site(&mut self, site: &Arc<dyn Site>) {
         let searches = self.second.iter_mut().filter_map(|pass| pass.search.as_mut());
