@@ -72,7 +72,8 @@ impl Steps {
     /// Copies fields and their moments to the device.
     ///
     /// # Errors
-    /// [`Error::Config`]: the device does not do what the configuration asks for, or has too little memory.
+    /// [`Error::Config`](augnerf_core::base::Error::Config): the device does not do what the configuration asks for, or has
+    /// too little memory.
     pub fn new(
         gpu: &Gpu,
         config: &Resolved,
