@@ -5,12 +5,12 @@ use std::fs;
 use std::path::Path;
 use std::sync::Mutex;
 
-use crate::common::{assert_says, parameters, runtime, tiny_config, tiny_scene};
+use crate::common::{assert_says, files, parameters, runtime, tiny_config, tiny_scene};
 use augnerf::base::{Event, Listener, Result};
-use augnerf::data::{self, Scene, View};
-use augnerf::metrics::{PSNR, measure_unmasked};
-use augnerf::run::{Viewer, load_scene};
-use augnerf::settings::{Config, DataConfig, DataKind, EvalSplit, Method, Split};
+use augnerf::data::{Photos, Scene, View};
+use augnerf::metrics::PSNR;
+use augnerf::run::{Viewer, load_scene_with};
+use augnerf::settings::{Config, DataConfig, DataKind, EvalSplit, Method, Resolved, Split};
 use augnerf::train::Trainer;
 use candle_core::DType;
 use image::{DynamicImage, GrayImage, ImageFormat, Luma, Rgb, RgbImage};
@@ -19,13 +19,7 @@ use tempfile::TempDir;
 
 /// What was said.
 #[derive(Default)]
-pub struct Notes(Mutex<Vec<String>>);
-
-impl Notes {
-    pub fn text(&self) -> String {
-        self.0.lock().unwrap().join("\n")
-    }
-}
+struct Notes(Mutex<Vec<String>>);
 
 impl Listener for Notes {
     fn on(&self, event: Event<'_>) {
@@ -46,12 +40,27 @@ pub fn photograph(number: usize, width: u32, height: u32) -> RgbImage {
     RgbImage::from_fn(width, height, |x, y| Rgb([(20 * number) as u8, (x * 10) as u8, (y * 12) as u8]))
 }
 
+pub const KEY: &str = "transform_matrix";
+
 fn frame(number: usize, path: &str) -> Value {
     let (sin, cos) = (TAU * number as f64 / 12.0).sin_cos();
     json!({
         "file_path": path,
-        "transform_matrix": [[cos, 0.0, sin, 4.0 * sin], [0.0, 1.0, 0.0, 0.5], [-sin, 0.0, cos, 4.0 * cos], [0.0, 0.0, 0.0, 1.0]],
+        KEY: [[cos, 0.0, sin, 4.0 * sin], [0.0, 1.0, 0.0, 0.5], [-sin, 0.0, cos, 4.0 * cos], [0.0, 0.0, 0.0, 1.0]],
     })
+}
+
+/// Changes each frame's object.
+pub fn each(mut folder: Folder, change: impl Fn(usize, &mut Value)) -> Folder {
+    folder.frames().iter_mut().enumerate().for_each(|(number, frame)| change(number, frame));
+    folder
+}
+
+/// Gives a frame's camera the axes of OpenCV's.
+pub fn turn(frame: &mut Value) {
+    for row in frame[KEY].as_array_mut().unwrap().iter_mut().take(3) {
+        (1..3).for_each(|column| row[column] = (-row[column].as_f64().unwrap()).into());
+    }
 }
 
 impl Folder {
@@ -96,15 +105,9 @@ impl Folder {
         self.dir
     }
 
-    /// Names the photographs anew.
-    pub fn name_files(&mut self, name: impl Fn(usize) -> String) {
-        let frames = self.document["frames"].as_array_mut().unwrap();
-        frames.iter_mut().enumerate().for_each(|(i, frame)| frame["file_path"] = name(i).into());
-    }
-
     /// Moves all cameras.
     pub fn moved(mut self, shift: [f64; 3]) -> Folder {
-        for frame in self.document["frames"].as_array_mut().unwrap() {
+        for frame in self.frames() {
             for (row, shift) in shift.into_iter().enumerate() {
                 let place = &mut frame["transform_matrix"][row][3];
                 *place = (place.as_f64().unwrap() + shift).into();
@@ -128,20 +131,27 @@ impl Folder {
     }
 
     #[track_caller]
-    fn refuses(&self, words: &[&str]) {
+    pub fn refuses(&self, words: &[&str]) -> String {
         let error = self.read(|_| {}).0.expect_err("must be refused");
         assert_eq!(error.exit_code(), 3, "{error}");
         assert_says(&error.to_string(), words);
+        error.to_string()
     }
 }
 
 pub fn read(dir: &Path, change: impl FnOnce(&mut DataConfig)) -> (Result<Scene>, Vec<String>) {
+    let (loaded, notes) = load(dir, Photos::Read, |config| change(&mut config.data));
+    (loaded.map(|(_, scene)| scene), notes)
+}
+
+/// The same with all settings.
+pub fn load(dir: &Path, photos: Photos, change: impl FnOnce(&mut Config)) -> (Result<(Resolved, Scene)>, Vec<String>) {
     let mut config = Config::default();
     config.data.dir = dir.display().to_string();
-    change(&mut config.data);
+    change(&mut config);
     let notes = Notes::default();
-    let scene = load_scene(config, &notes).map(|(_, scene)| scene);
-    (scene, notes.0.into_inner().unwrap())
+    let loaded = load_scene_with(config, photos, &notes);
+    (loaded, notes.0.into_inner().unwrap())
 }
 
 pub fn names(views: &[View]) -> Vec<&str> {
@@ -156,10 +166,6 @@ pub fn all(scene: &Scene) -> impl Iterator<Item = &View> {
 fn told(scene: &Scene, label: &str) -> String {
     let row = scene.describe().into_iter().find(|(own, _)| own == label);
     row.unwrap_or_else(|| panic!("no line '{label}'")).1
-}
-
-fn noted(scene: &Scene) -> String {
-    told(scene, "noted")
 }
 
 fn view<'a>(scene: &'a Scene, name: &str) -> &'a View {
@@ -178,24 +184,26 @@ fn missing_photographs_are_left_out_and_named() {
     assert_says(&notes[0], &["transforms.json: 5 of 10", "images/1.png", "images/5.png", "images/9.png"]);
     assert!(!notes[0].contains("images/0.png"));
     // It stays with the scene, whoever was quiet, without the folder that the scene lies in.
-    let kept = noted(&scene);
+    let kept = told(&scene, "noted");
     assert_says(&kept, &["transforms.json: 5 of 10", "images/1.png"]);
     assert!(!kept.contains(&folder.path().display().to_string()), "{kept}");
     (0..5).for_each(|i| folder.remove(2 * i));
     folder.refuses(&["none of the 10 photos", "images/0.png", "images/9.png"]);
 }
 
+/// A capture with lists of its author's, their paths spelt in three ways.
+pub fn listed(lists: &str) -> Folder {
+    let name = |i: &str| [format!("images/{i}.png"), format!("./images/{i}.png"), format!("images\\{i}.png")];
+    lists.split(", ").fold(Folder::new(9), |folder, list| {
+        let (role, views) = list.split_once(' ').unwrap();
+        let views: Vec<String> = views.split(' ').enumerate().map(|(k, i)| name(i)[k % 3].clone()).collect();
+        folder.with(&format!("{role}_filenames"), views.into())
+    })
+}
+
 /// A list that is not there has what the others leave.
 #[test]
 fn the_author_s_split_is_kept_and_every_nth_view_is_held_out_on_demand() {
-    let listed = |lists: &str| {
-        let name = |i: &str| [format!("images/{i}.png"), format!("./images/{i}.png"), format!("images\\{i}.png")];
-        lists.split(", ").fold(Folder::new(9), |folder, list| {
-            let (role, views) = list.split_once(' ').unwrap();
-            let views: Vec<String> = views.split(' ').enumerate().map(|(k, i)| name(i)[k % 3].clone()).collect();
-            folder.with(&format!("{role}_filenames"), views.into())
-        })
-    };
     let all = "train 1 3 5 6, val 7, test 0 2";
     let val: fn(&mut DataConfig) = |data| data.eval_split = EvalSplit::Val;
     for (lists, change, train, test) in [
@@ -217,28 +225,18 @@ fn the_author_s_split_is_kept_and_every_nth_view_is_held_out_on_demand() {
     // Missing photographs may be named; a name of nothing may not.
     folder.remove(5);
     assert_eq!(names(&folder.load(|_| {}).train), ["1", "3", "6"]);
+    let named = |folder: &Folder, split: Option<Split>| {
+        let (loaded, _) = load(folder.path(), Photos::Read, |config| config.data.split = split);
+        loaded.map(|(config, _)| config.data.split)
+    };
+    assert_eq!(named(&folder, None).unwrap(), Some(Split::Own));
+    let plain = Folder::new(9);
+    plain.write();
+    let refusal = named(&plain, Some(Split::Own)).unwrap_err().to_string();
+    assert_says(&refusal, &["data.split = \"own\"", "train_filenames"]);
     listed("val 0 12").refuses(&["val_filenames", "images/12.png", "no frame"]);
     listed("val 0").refuses(&["no views for data.eval_split=test", "data.eval_split=val"]);
     Folder::new(6).with("val_filenames", json!([1])).refuses(&["val_filenames", "a list of texts"]);
-}
-
-#[test]
-fn the_split_s_name_stands_in_the_settings() {
-    let folder = Folder::new(9).with("test_filenames", json!(["images/0.png"]));
-    folder.load(|_| {});
-    let draft = || {
-        let mut config = Config::default();
-        config.data.dir = folder.path().display().to_string();
-        config
-    };
-    let (config, _) = load_scene(draft(), &()).unwrap();
-    assert_eq!(config.data.split, Some(Split::Own));
-    let mut own = draft();
-    (own.data.kind, own.data.split) = (DataKind::Transforms, Some(Split::Own));
-    let without = Folder::new(9);
-    without.load(|_| {});
-    own.data.dir = without.path().display().to_string();
-    assert_says(&load_scene(own, &()).unwrap_err().to_string(), &["data.split = \"own\"", "train_filenames"]);
 }
 
 /// Writes `transforms_{split}.json` with four of the folder's photographs from `first` on.
@@ -252,14 +250,8 @@ fn write_split(folder: &Folder, split: &str, first: usize, keys: &[(&str, Value)
 #[test]
 fn split_files_have_their_intrinsics_honoured() {
     let folder = Folder::new(8);
-    let keys = [
-        ("fl_x", json!(40)),
-        ("fl_y", json!(38)),
-        ("cx", json!(15)),
-        ("cy", json!(13)),
-        ("w", json!(32)),
-        ("h", json!(24)),
-    ];
+    let keys = [("fl_x", 40), ("fl_y", 38), ("cx", 15), ("cy", 13), ("w", 32), ("h", 24)];
+    let keys = keys.map(|(key, value)| (key, json!(value)));
     write_split(&folder, "train", 0, &keys);
     write_split(&folder, "test", 4, &[("camera_angle_x", json!(0.7))]);
     let (scene, notes) = read(folder.path(), |data| data.downscale = Some(2));
@@ -274,10 +266,7 @@ fn split_files_have_their_intrinsics_honoured() {
     let bent = read(folder.path(), |data| data.downscale = Some(2)).0.unwrap();
     assert!(bent.train[0].camera.focal[0] > 10.0 && bent.train.len() == 4);
     // As captures: recentred, with bounds of captures, by the same split.
-    let capture = read(folder.path(), |data| {
-        data.kind = DataKind::Transforms;
-        data.downscale = Some(1);
-    });
+    let capture = read(folder.path(), |data| (data.kind, data.downscale) = (DataKind::Transforms, Some(1)));
     let capture = capture.0.unwrap();
     assert_eq!((capture.kind, capture.train.len(), capture.test.len()), ("transforms", 4, 4));
     assert!(all(&capture).all(|view| view.camera.pose.iter().all(|row| row[3].abs() <= 1.0 + 1e-12)));
@@ -291,21 +280,15 @@ fn photographs_that_are_trained_on_and_evaluated_are_named() {
     let (scene, notes) = read(folder.path(), |data| data.downscale = Some(1));
     assert_eq!(scene.unwrap().test.len(), 4);
     assert_says(&notes.concat(), &["2 of 4", "images/2", "images/3", "not of unseen views"]);
-    let every = read(folder.path(), |data| {
-        data.kind = DataKind::Transforms;
-        data.split = Some(Split::Every);
-    });
-    assert_eq!(all(&every.0.unwrap()).count(), 6);
+    let every = |data: &mut DataConfig| (data.kind, data.split) = (DataKind::Transforms, Some(Split::Every));
+    assert_eq!(all(&read(folder.path(), every).0.unwrap()).count(), 6);
     // One of them has another pose there.
     let test = folder.path().join("transforms_test.json");
-    let mut document: Value = serde_json::from_str(&fs::read_to_string(&test).unwrap()).unwrap();
-    document["frames"][1]["transform_matrix"][0][3] = json!(1.5);
+    let mut document: Value = files::json(&test);
+    document["frames"][1][KEY][0][3] = json!(1.5);
     fs::write(&test, document.to_string()).unwrap();
-    let every = read(folder.path(), |data| {
-        data.kind = DataKind::Transforms;
-        data.split = Some(Split::Every);
-    });
-    assert_says(&every.0.unwrap_err().to_string(), &["images/3.png", "twice", "two poses"]);
+    let refusal = read(folder.path(), every).0.unwrap_err().to_string();
+    assert_says(&refusal, &["images/3.png", "twice", "two poses"]);
 }
 
 fn grey(width: u32, height: u32, value: impl Fn(u32, u32) -> u8) -> DynamicImage {
@@ -394,13 +377,9 @@ fn masked_pixels_take_no_part_in_training_or_metrics() {
         let config = tiny_config(Method::AugNerf, |config| config.train.rays = 40);
         let mut trainer = Trainer::new(&config, &scene, DType::F32, runtime()).unwrap();
         (0..5).for_each(|_| drop(trainer.step(false).unwrap()));
-        let View { name, camera, image, mask, .. } = &scene.test[0];
         let viewer = Viewer { model: trainer.model().unwrap(), config: &config, scene: &scene, runtime: runtime() };
-        let rendered = viewer.render(camera).unwrap();
-        let metrics = measure_unmasked(name, &rendered.image, image, mask.as_deref(), &[]).unwrap();
-        let evaluated = viewer.evaluate(&[], &(), || Ok(()), |_, _, _| Ok(())).unwrap();
-        assert_eq!(evaluated[0].get(&PSNR), metrics.get(&PSNR));
-        (parameters(&trainer, &["coarse", "fine"]), metrics)
+        let evaluated = viewer.evaluate(&[], &(), || Ok(()), |_, _, _| Ok(())).unwrap().remove(0);
+        (parameters(&trainer, &["coarse", "fine"]), evaluated)
     };
     let (dark, bright, unmasked) = (of(Some(0.0)), of(Some(0.9)), of(None));
     assert!(dark.0 == bright.0 && dark.1 == bright.1);
@@ -409,14 +388,12 @@ fn masked_pixels_take_no_part_in_training_or_metrics() {
 
 #[test]
 fn webp_is_read_with_and_without_its_ending() {
-    let folder = Folder::new(9);
-    for i in [2, 5] {
+    let mut folder = Folder::new(9);
+    for (i, path) in [(2, "images/2.webp"), (5, "images/5")] {
         folder.remove(i);
         folder.save(&format!("images/{i}.webp"), photograph(i, 16, 12).into());
+        folder.frames()[i]["file_path"] = path.into();
     }
-    let mut folder = folder;
-    folder.document["frames"][2]["file_path"] = "images/2.webp".into();
-    folder.document["frames"][5]["file_path"] = "images/5".into();
     let (scene, notes) = folder.read(|_| {});
     assert!(notes.is_empty(), "{notes:?}");
     // Lossless, so the same as from PNG.
@@ -441,29 +418,6 @@ pub fn turned_jpeg(picture: RgbImage, orientation: u8) -> Vec<u8> {
 }
 
 #[test]
-fn exif_orientation_is_named_and_applied_only_where_the_file_says_so() {
-    let mut folder = Folder::new(9);
-    fs::write(folder.path().join("images/3.jpg"), turned_jpeg(photograph(3, 16, 12), 6)).unwrap();
-    folder.document["frames"][3]["file_path"] = "images/3.jpg".into();
-    let (scene, notes) = folder.read(|_| {});
-    let scene = scene.unwrap();
-    let camera = view(&scene, "3").camera;
-    assert_eq!((camera.width, camera.height), (16, 12));
-    assert_says(&notes.concat(), &["1 photographs", "EXIF", "not applied", "images/3.jpg"]);
-    assert_says(&noted(&scene), &["EXIF", "images/3.jpg"]);
-    // The intrinsics are those of the turned photograph: 90 degrees clockwise, so that the left column is its top row.
-    folder.document["frames"][3]["w"] = 12.into();
-    folder.document["frames"][3]["h"] = 16.into();
-    let (scene, notes) = folder.read(|_| {});
-    let scene = scene.unwrap();
-    let View { camera, image, .. } = view(&scene, "3");
-    assert_eq!((camera.width, camera.height, camera.centre), (12, 16, [6.0, 8.0]));
-    assert_says(&notes.concat(), &["1 photographs", "EXIF", "is applied", "images/3.jpg"]);
-    let green = |x: usize, y: usize| image.pixels[(y * 12 + x) * 3 + 1] * 255.0;
-    assert!(green(6, 1) < 25.0 && green(6, 14) > 125.0, "{} {}", green(6, 1), green(6, 14));
-}
-
-#[test]
 fn portraits_stand_beside_landscapes() {
     let folder = Folder::new(9);
     folder.save("images/4.png", photograph(4, 12, 16).into());
@@ -481,46 +435,6 @@ fn portraits_stand_beside_landscapes() {
     // One scale for all, the widest as wide as asked for.
     assert_eq!(sizes(|data| data.width = 16), [(8, 6), (6, 8), (16, 12)]);
     assert_says(&folder.read(|data| data.width = 33).0.unwrap_err().to_string(), &["data.width = 33", "32"]);
-}
-
-#[test]
-fn small_liberties_of_files_are_no_errors() {
-    let mut folder = Folder::new(9).with("camera_model", "opencv".into()).with("aabb_scale", json!(4));
-    for (i, path) in
-        [(0, "/home/someone/captures/me/images/0.png"), (1, "C:\\Users\\me\\images\\1.png"), (2, "/elsewhere/2.png")]
-    {
-        folder.document["frames"][i]["file_path"] = path.into();
-    }
-    fs::rename(folder.path().join("images/2.png"), folder.path().join("2.png")).unwrap();
-    let text = folder.document.to_string().replace("{\"fl_x\"", "\u{feff}{\"sharpness\": NaN, \"fl_x\"");
-    fs::write(folder.path().join("transforms.json"), &text).unwrap();
-    let (scene, notes) = read(folder.path(), |_| {});
-    assert!(notes.is_empty(), "{notes:?}");
-    let scene = scene.unwrap();
-    let sorted = |scene: &Scene| {
-        let mut names: Vec<String> = all(scene).map(|view| view.name.clone()).collect();
-        names.sort();
-        names
-    };
-    assert_eq!(sorted(&scene), (0..9).map(|i| i.to_string()).collect::<Vec<_>>());
-    assert_eq!(told(&scene, "ignored keys"), "aabb_scale, sharpness");
-    // Where a number is needed, none is no number.
-    fs::write(folder.path().join("transforms.json"), text.replace("\"fl_x\":20.0", "\"fl_x\":-Infinity")).unwrap();
-    let said = read(folder.path(), |_| {}).0.unwrap_err().to_string();
-    assert_says(&said, &["fl_x", "-Infinity", "a finite number"]);
-}
-
-/// The folder as it was published: 50 of the 67 photographs that it lists.
-#[test]
-#[ignore = "needs AUGNERF_DATA"]
-fn fox_loads_with_the_photographs_that_are_there() {
-    let dir = crate::common::needs::scene("fox");
-    let config = DataConfig { dir: dir.display().to_string(), width: 54, ..DataConfig::default() };
-    let kind = data::detect(&config).unwrap();
-    let notes = Notes::default();
-    let scene = data::load(&DataConfig { kind, ..config }, 0, &notes).unwrap();
-    assert_eq!((scene.train.len(), scene.test.len(), scene.train[0].camera.height), (42, 8, 96));
-    assert_says(&notes.0.into_inner().unwrap().concat(), &["17 of 67"]);
 }
 
 /// The box that most cameras look at is as wide as a Blender scene's, and all lengths have its unit.
@@ -551,18 +465,9 @@ fn a_rescaled_capture_has_the_unit_of_a_blender_scene() {
         assert!((0..3).all(|axis| close(placed[axis], after.camera.pose[axis][3])));
     }
     assert!(told(&rescaled, "rescaled").contains("3 wide"));
-}
-
-#[test]
-fn a_capture_without_a_box_cannot_be_rescaled() {
-    // Parallel cameras.
-    let frames: Vec<Value> = (0..12)
-        .map(|i| {
-            let pose = json!([[1, 0, 0, i], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]]);
-            json!({ "file_path": format!("images/{i}.png"), "transform_matrix": pose })
-        })
-        .collect();
-    let folder = Folder::new(12).with("frames", frames.into());
+    // Parallel cameras have no box.
+    let parallel = |i: usize| json!([[1, 0, 0, i], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]]);
+    let folder = each(Folder::new(12), |i, frame| frame[KEY] = parallel(i));
     let error = folder.read(|config| config.rescale = true).0.expect_err("must be refused");
     assert_eq!(error.exit_code(), 3, "{error}");
     assert_says(&error.to_string(), &["data.rescale", "no common point", "set data.rescale=false"]);

@@ -7,34 +7,33 @@ use std::path::Path;
 use augnerf::base::rng::{Random, Stream};
 use augnerf::data::formats::builtin::export;
 use augnerf::data::pose::{self, Pose, Vec3};
-use augnerf::data::{self, Camera, PointRays, Scene, View};
+use augnerf::data::{Camera, Photos, PointRays, Scene, View};
 use augnerf::run::load_scene;
-use augnerf::settings::{Config, DataConfig, DataKind, PixelOrigin};
+use augnerf::settings::{Config, DataConfig, PixelOrigin};
 use augnerf::space::read_mesh;
 use tempfile::TempDir;
 
-use crate::captures::Notes;
+use crate::captures::{all, load, read};
 use crate::common::assert_says;
 use crate::common::files::write_poses;
-use crate::common::program::{self, Place, printed, refuse};
+use crate::common::program::{Place, set};
 
 /// What COLMAP knows of a photograph: number, world to camera, camera, file.
-pub struct Photograph {
+struct Photograph {
     id: u32,
     quaternion: [f64; 4],
     shift: Vec3,
     camera: u32,
-    pub name: String,
+    name: String,
 }
 
 /// Number, model's number and name, columns, rows, parameters.
-pub type Lens = (u32, i32, &'static str, [u64; 2], Vec<f64>);
+type Lens = (u32, i32, &'static str, [u64; 2], Vec<f64>);
 
 /// A model to write.
-#[derive(Default)]
-pub struct Model {
-    pub cameras: Vec<Lens>,
-    pub photographs: Vec<Photograph>,
+struct Model {
+    cameras: Vec<Lens>,
+    photographs: Vec<Photograph>,
     /// Places, and photographs that see them.
     points: Vec<(Vec3, Vec<u32>)>,
 }
@@ -64,7 +63,7 @@ impl Photograph {
 
 impl Model {
     /// Writes the three files.
-    pub fn write(&self, dir: &Path, as_text: bool) {
+    fn write(&self, dir: &Path, as_text: bool) {
         fs::create_dir_all(dir).unwrap();
         let contents = if as_text { self.texts().map(String::into_bytes) } else { self.bytes() };
         let ending = if as_text { "txt" } else { "bin" };
@@ -113,27 +112,6 @@ impl Model {
     }
 }
 
-/// A sound model of four pictures of 16 x 12 that the fuzzer damages.
-pub fn fuzz_model() -> Model {
-    let photograph = |i: u32| {
-        let (sin, cos) = (f64::from(i) * 0.7).sin_cos();
-        let pose = pose::look_along([sin, 0.1, cos], [0.0, 1.0, 0.0], [4.0 * sin, 0.5, 4.0 * cos]).unwrap();
-        Photograph::new(i + 1, &pose, 1 + i % 2, &format!("{i}.png"))
-    };
-    let points = (0..24).map(|i| {
-        let t = f64::from(i);
-        ([0.3 * t.sin(), 0.2 * t.cos(), 0.01 * t], vec![1, 2, 3, 4])
-    });
-    Model {
-        cameras: vec![
-            (1, 0, "SIMPLE_PINHOLE", [16, 12], vec![15.0, 8.0, 6.0]),
-            (2, 6, "FULL_OPENCV", [16, 12], vec![15.0, 15.5, 8.0, 6.0, 0.01, 0.0, 0.001, 0.0, 0.0, 0.01, 0.0, 0.0]),
-        ],
-        photographs: (0..4).map(photograph).collect(),
-        points: points.collect(),
-    }
-}
-
 const WIDTH: usize = 32;
 
 /// The embedded scene's export, its training cameras, and a COLMAP folder with their pictures but without a model.
@@ -147,10 +125,7 @@ impl Export {
         let dir = TempDir::new().unwrap();
         let export = dir.path().join("export");
         export::export(&export, WIDTH, None).unwrap();
-        let kind = DataKind::Blender;
-        let config =
-            DataConfig { dir: export.display().to_string(), kind, downscale: Some(1), ..DataConfig::default() };
-        let scene = data::load(&config, 0, &()).unwrap();
+        let scene = read(&export, |data| data.downscale = Some(1)).0.unwrap();
         fs::create_dir_all(dir.path().join("capture/images")).unwrap();
         for view in &scene.train {
             let file = format!("{}.png", view.name);
@@ -167,13 +142,9 @@ impl Export {
     fn model(&self) -> Model {
         let camera = self.scene.train[0].camera;
         let parameters = vec![camera.focal[0], camera.focal[1], camera.centre[0], camera.centre[1]];
-        let photographs = self
-            .scene
-            .train
-            .iter()
-            .enumerate()
-            .map(|(i, view)| Photograph::new(i as u32 + 7, &view.camera.pose, 3, &format!("{}.png", view.name)));
-        let photographs: Vec<Photograph> = photographs.collect();
+        let views = self.scene.train.iter().zip(7..);
+        let photographs: Vec<Photograph> =
+            views.map(|(view, id)| Photograph::new(id, &view.camera.pose, 3, &format!("{}.png", view.name))).collect();
         let all: Vec<u32> = photographs.iter().map(|photograph| photograph.id).collect();
         let mesh = read_mesh(&self.dir.path().join("export/mesh.ply")).unwrap();
         let points = mesh.vertices.iter().step_by(97).map(|vertex| (vertex.map(f64::from), all.clone()));
@@ -182,11 +153,11 @@ impl Export {
     }
 
     fn load(&self, change: impl FnOnce(&mut DataConfig)) -> augnerf::base::Result<Scene> {
-        let dir = self.capture().display().to_string();
-        let mut config = DataConfig { dir, downscale: Some(1), ..DataConfig::default() };
-        change(&mut config);
-        config.kind = data::detect(&config)?;
-        data::load(&config, 0, &())
+        let change = |data: &mut DataConfig| {
+            data.downscale = Some(1);
+            change(data);
+        };
+        read(&self.capture(), change).0
     }
 }
 
@@ -198,25 +169,21 @@ fn worst(a: &Camera, b: &Camera) -> f64 {
     numbers(a).iter().zip(numbers(b)).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max)
 }
 
-fn views(scene: &Scene) -> impl Iterator<Item = &View> {
-    scene.train.iter().chain(&scene.test)
-}
-
 #[test]
 fn a_model_of_the_embedded_scene_reads_to_its_cameras() {
     let export = Export::new();
     for (folder, as_text) in [("sparse/0", false), ("sparse", true), ("colmap/sparse/0", true)] {
         export.model().write(&export.capture().join(folder), as_text);
         let scene = export.load(|config| config.recentre = false).unwrap();
-        assert_eq!((scene.kind, views(&scene).count()), ("colmap", export.scene.train.len()), "{folder}");
-        for view in views(&scene) {
+        assert_eq!((scene.kind, all(&scene).count()), ("colmap", export.scene.train.len()), "{folder}");
+        for view in all(&scene) {
             let own = export.scene.train.iter().find(|own| own.name == view.name).unwrap();
             assert!(worst(&view.camera, &own.camera) < 1e-9, "{folder} {}", view.name);
             assert_eq!(view.image.pixels, own.image.pixels, "{}", view.name);
         }
         // Recentred, the scene says how its units follow from the file's.
         let placed = export.load(|_| ()).unwrap();
-        for view in views(&placed) {
+        for view in all(&placed) {
             let own = export.scene.train.iter().find(|own| own.name == view.name).unwrap();
             let pose = placed.space.world.camera(&own.camera.pose);
             assert!(worst(&view.camera, &Camera { pose, ..own.camera }) < 1e-9, "{folder} {}", view.name);
@@ -260,27 +227,19 @@ fn points_give_near_far_and_the_box() {
     let model = export.model();
     model.write(&export.capture().join("sparse/0"), false);
     let scene = export.load(|config| config.recentre = false).unwrap();
-    let depths = views(&scene).flat_map(|view| {
+    let depths = all(&scene).flat_map(|view| {
         let Camera { pose, .. } = view.camera;
         let depth = move |place: Vec3| -pose::dot(pose::sub(place, pose::column(&pose, 3)), pose::column(&pose, 2));
         model.points.iter().map(move |(place, _)| depth(*place))
     });
     let depths: Vec<f64> = depths.collect();
-    let inside = depths.iter().filter(|depth| (scene.near..scene.far).contains(depth)).count();
-    assert_eq!(inside, depths.len(), "{} to {}", scene.near, scene.far);
-    let [least, most] =
-        [f64::min, f64::max].map(|pick: fn(f64, f64) -> f64| depths.iter().copied().reduce(pick).unwrap());
-    assert!(
-        scene.near > 0.6 * least && scene.far < 1.5 * most,
-        "{} to {} for {least} to {most}",
-        scene.near,
-        scene.far
-    );
+    let ends: [fn(f64, f64) -> f64; 2] = [f64::min, f64::max];
+    let [least, most] = ends.map(|pick| depths.iter().copied().reduce(pick).unwrap());
+    let (near, far) = scene.bounds();
+    assert!(near > 0.6 * least && near <= least && far > most && far < 1.5 * most, "{near} {far} {least} {most}");
     let [low, high] = scene.space.domain.unwrap();
-    assert!(
-        (0..3).all(|axis| low[axis] > -2.0 && high[axis] < 2.0 && high[axis] - low[axis] > 0.5),
-        "{low:?} {high:?}"
-    );
+    let is_fit = |axis: usize| low[axis] > -2.0 && high[axis] < 2.0 && high[axis] - low[axis] > 0.5;
+    assert!((0..3).all(is_fit), "{low:?} {high:?}");
     // A scene unit of the recentred one is another: bounds and box follow.
     let placed = export.load(|_| ()).unwrap();
     let scale = placed.space.world.scale;
@@ -323,10 +282,8 @@ fn broken_models_are_refused_in_a_sentence() {
             assert_says(&export.load(|_| ()).unwrap_err().to_string(), words);
         }
     };
-    refused(
-        |model| model.cameras[0] = (3, 5, "OPENCV_FISHEYE", [32; 2], vec![40.0; 8]),
-        &["cameras", "OPENCV_FISHEYE", "undistort"],
-    );
+    let fisheye = |model: &mut Model| model.cameras[0] = (3, 5, "OPENCV_FISHEYE", [32; 2], vec![40.0; 8]);
+    refused(fisheye, &["cameras", "OPENCV_FISHEYE", "undistort"]);
     refused(|model| model.cameras.push(model.cameras[0].clone()), &["cameras", "camera 3 is there twice"]);
     refused(|model| model.cameras[0].4[0] = f64::NAN, &["cameras", "finite"]);
     refused(|model| model.photographs[2].camera = 8, &["images", "camera 8"]);
@@ -356,42 +313,17 @@ fn broken_models_are_refused_in_a_sentence() {
     assert_says(&export.load(|_| ()).unwrap_err().to_string(), &["images.bin", "ends within"]);
 }
 
-#[test]
-fn images_that_are_gone_are_left_out_and_named() {
-    let export = Export::new();
-    export.model().write(&export.capture().join("sparse/0"), false);
-    fs::remove_file(export.capture().join("images/r_1.png")).unwrap();
-    let heard = Notes::default();
-    let config =
-        DataConfig { dir: export.capture().display().to_string(), kind: DataKind::Colmap, ..DataConfig::default() };
-    let config = DataConfig { downscale: Some(1), ..config };
-    let scene = data::load(&config, 0, &heard).unwrap();
-    assert_eq!(views(&scene).count(), export.scene.train.len() - 1);
-    assert_says(&heard.text(), &["1 of the", "r_1.png", "left out"]);
-    let most = export.scene.train.len() / 2 + 2;
-    for view in &export.scene.train[..most] {
-        fs::remove_file(export.capture().join(format!("images/{}.png", view.name))).ok();
-    }
-    let scene = data::load(&config, 0, &heard).unwrap();
-    assert!(views(&scene).count() < export.scene.train.len() / 2);
-    assert_says(&heard.text(), &["are not there", "most of them: check that the model is this capture's"]);
-}
-
 /// From a folder to a mesh in the capture's units, as a user goes.
 #[test]
 fn a_colmap_folder_is_checked_drawn_trained_and_meshed() {
     let export = Export::new();
     export.model().write(&export.capture().join("sparse/0"), false);
     let capture = export.capture().display().to_string();
-    let picture = export.dir.path().join("scene.svg").display().to_string();
-    let told = printed(&["data", "check", &capture, "--picture", &picture, "-q"]);
-    for words in ["colmap", "PINHOLE", "bounds from", "depths of", "looking at", "box", "scene units", "distortion"] {
-        assert!(told.contains(words), "{words}: {told}");
-    }
-    assert!(fs::read_to_string(&picture).unwrap().contains("<svg"));
-    refuse(&["data", "check", &capture, "--picture", "scene.gif"], 2, &["--picture", ".svg"]);
-
-    let (place, set) = (Place::new(), program::set);
+    let place = Place::new();
+    let words = ["colmap", "PINHOLE", "bounds from", "depths of", "looking at", "box", "scene units", "distortion"];
+    place.says(&format!("data check {capture} --picture scene.svg -q"), 0, &words);
+    assert!(place.text("scene.svg").contains("<svg"));
+    place.says(&format!("data check {capture} --picture scene.gif"), 2, &["--picture", ".svg"]);
     let small = "field.width=16 field.depth=2 field.skips=[] train.rays=32 train.steps=2 eval.pictures=0";
     place.run(&format!("train --data {capture} --preset smoke --out run -q{}", set(small)), 0);
     let scene = place.json("run/scene.json");
@@ -400,10 +332,7 @@ fn a_colmap_folder_is_checked_drawn_trained_and_meshed() {
     assert_eq!(config["data"]["pixel_origin"].as_str(), Some("centre"));
 
     let vertices = |units: &str| {
-        // Any level set will do: that of the middle of the densities there.
-        let mesh = format!("mesh run --resolution 8 --units {units} --cap --out {units} -q --threshold");
-        let message = place.run(&format!("{mesh} 1e9"), 2);
-        place.run(&format!("{mesh} {}", threshold_of(&message)), 0);
+        draw_mesh(&place, &format!("mesh run --resolution 8 --units {units} --cap --out {units} -q"));
         (read_mesh(&place.at(units).join("mesh.ply")).unwrap().vertices, place.json(&format!("{units}/mesh.json")))
     };
     let ((scene_units, _), (capture_units, report)) = (vertices("scene"), vertices("capture"));
@@ -420,23 +349,14 @@ fn a_colmap_folder_is_checked_drawn_trained_and_meshed() {
     place.run("mesh capture/mesh.ply --chamfer capture/mesh.ply --points 200", 0);
 }
 
-/// A threshold that has a level set: what the refusal of one that has none names.
-pub fn threshold(mesh: &[&str]) -> String {
-    let command: Vec<&str> = mesh.iter().copied().chain(["--threshold", "1e9"]).collect();
-    threshold_of(&String::from_utf8(program::run(&command).stderr).unwrap())
-}
-
-fn threshold_of(message: &str) -> String {
+/// Draws a mesh at a threshold that has a level set, which the refusal of one that has none names, and returns what is said.
+pub fn draw_mesh(place: &Place, mesh: &str) -> String {
+    let message = place.run(&format!("{mesh} --threshold 1e9"), 2);
     let (_, rest) = message.split_once("a threshold of ").unwrap_or_else(|| panic!("{message}"));
-    rest.split_once(' ').unwrap().0.to_string()
+    place.run(&format!("{mesh} --threshold {}", rest.split(' ').next().unwrap()), 0)
 }
 
-/// `poses_bounds.npy` of twelve cameras on an arc of so many degrees around (0, 0, -3).
-pub fn arc(dir: &Path, degrees: f64) {
-    arc_of(dir, degrees, [16.0, 12.0]);
-}
-
-/// The same for photographs of so many columns and rows.
+/// `poses_bounds.npy` of twelve cameras on an arc of so many degrees around (0, 0, -3), for photographs of so many columns and rows.
 pub fn arc_of(dir: &Path, degrees: f64, [columns, rows]: [f64; 2]) {
     let row = |view: usize| {
         let angle = (degrees * (view as f64 / 11.0 - 0.5)).to_radians();
@@ -458,15 +378,13 @@ pub fn arc_of(dir: &Path, degrees: f64, [columns, rows]: [f64; 2]) {
 fn a_capture_in_llff_format_that_goes_around_is_read_without_ndc() {
     let dir = TempDir::new().unwrap();
     let load = |change: fn(&mut Config)| {
-        let mut config = Config::default();
-        config.data.dir = dir.path().display().to_string();
-        config.data.downscale = Some(1);
-        change(&mut config);
-        let heard = Notes::default();
-        let loaded = load_scene(config, &heard);
-        (loaded, heard.text())
+        let (loaded, notes) = load(dir.path(), Photos::Read, |config| {
+            config.data.downscale = Some(1);
+            change(config);
+        });
+        (loaded, notes.concat())
     };
-    arc(dir.path(), 120.0);
+    arc_of(dir.path(), 120.0, [16.0, 12.0]);
     let (loaded, said) = load(|_| ());
     let (config, scene) = loaded.unwrap();
     assert_eq!((config.data.ndc, config.data.spherify, scene.ndc), (false, true, None));
@@ -483,7 +401,7 @@ fn a_capture_in_llff_format_that_goes_around_is_read_without_ndc() {
     let (near, _) = load(|config| config.sampling.spacing = augnerf::settings::Spacing::Disparity);
     near.unwrap();
     // One that faces forward stays in NDC.
-    arc(dir.path(), 20.0);
+    arc_of(dir.path(), 20.0, [16.0, 12.0]);
     let (loaded, said) = load(|_| ());
     assert!(loaded.unwrap().1.ndc.is_some() && said.is_empty(), "{said}");
     let (refused, _) = load(|config| config.sampling.spacing = augnerf::settings::Spacing::Disparity);

@@ -5,12 +5,12 @@ use std::path::Path;
 use std::process::Command;
 use std::time::Duration;
 
-use crate::common::assert_says;
-use crate::common::program::augnerf;
+use crate::common::files::json;
+use crate::common::program::{Place, augnerf, set};
+use crate::common::{assert_says, built};
 use crate::hostile::scene;
 use crate::verify::results;
-use augnerf::settings::{DataKind, Preset, build, parse_assignment};
-use tempfile::TempDir;
+use augnerf::settings::{DataKind, Preset};
 
 /// Runs a command to its end and returns its exit code, what it said and the most MiB that it had.
 fn watched(command: &mut Command) -> (i32, String, f64) {
@@ -51,29 +51,29 @@ fn refused_within_memory(arguments: &[&str], code: i32, words: &[&str]) {
 
 #[test]
 fn poses_of_millions_of_values_are_refused_as_they_are_read() {
-    let dir = scene(r#""camera_angle_x": 0.7"#, "0.5");
-    for (open, value, close) in [("[", r#"{"a":0},"#, "0]"), ("[", "[],", "0]"), (r#"[{"frames":["#, "0,", "0]}]")] {
-        let values = value.repeat((31 << 20) / value.len());
+    let dir = scene();
+    let many = "more than 2097152 commas, colons and opening brackets";
+    for (open, value, close, mib, words) in [
+        ("[", r#"{"a":0},"#, "0]", 31, many),
+        ("[", "[],", "0]", 31, many),
+        (r#"[{"frames":["#, "0,", "0]}]", 31, many),
+        ("[", "[],", "0]", 33, "more than 32 MiB"),
+    ] {
+        let values = value.repeat((mib << 20) / value.len());
         let text = format!(r#"{{"camera_angle_x": 0.7, "frames": {open}{values}{close}}}"#);
         fs::write(dir.path().join("transforms.json"), text).unwrap();
-        let arguments = ["data", "check", dir.path().to_str().unwrap()];
-        refused_within_memory(
-            &arguments,
-            3,
-            &["transforms.json", "more than 2097152 commas, colons and opening brackets"],
-        );
+        refused_within_memory(&["data", "check", dir.path().to_str().unwrap()], 3, &["transforms.json", words]);
     }
 }
 
 #[test]
 fn plans_of_more_points_than_a_sweep_has_are_refused_as_they_are_read() {
-    let committed = Path::new(env!("CARGO_MANIFEST_DIR")).join("results/checks/smoke/points.json");
-    let plan: serde_json::Value = serde_json::from_slice(&fs::read(committed).unwrap()).unwrap();
+    let (_place, folder) = results("smoke");
+    let plan = json(&folder.join("points.json"));
     let point = plan["points"][0].to_string();
     let points = vec![point.as_str(); 10_001].join(",");
     let text = format!(r#"{{"data_root": null, "points": [{points}]}}"#);
     assert!(text.len() < 64 << 20, "{}", text.len());
-    let (_place, folder) = results("smoke");
     fs::write(folder.join("points.json"), text).unwrap();
     let folder = folder.to_str().unwrap();
     let (code, said, most) = watched(&mut augnerf(&["verify", folder]));
@@ -88,30 +88,20 @@ fn plans_of_more_points_than_a_sweep_has_are_refused_as_they_are_read() {
 #[test]
 #[ignore = "slow"]
 fn memory_is_estimated_before_it_is_taken() {
-    let every = [
-        "field.core=plain",
-        "train.steps=2",
-        "train.batching=all-images",
-        "data.width=32",
-        "eval.chunk=64",
-        "eval.train_views=0",
-        "eval.pictures=0",
-        "data.test_skip=8",
-    ];
+    let every = "field.core=plain train.steps=2 train.batching=all-images data.width=32 eval.chunk=64 eval.train_views=0 \
+        eval.pictures=0 data.test_skip=8";
     for (threads, own) in [
-        ("2", ["train.rays=4096", "train.chunk=1024", "field.width=128", "field.depth=8", "sampling.fine=24"]),
-        ("1", ["train.rays=2048", "train.chunk=512", "field.width=128", "field.depth=4", "sampling.fine=64"]),
-        ("2", ["train.rays=1024", "train.chunk=1024", "field.width=256", "field.depth=8", "sampling.fine=0"]),
+        (2, "train.rays=4096 train.chunk=1024 field.width=128 field.depth=8 sampling.fine=24"),
+        (1, "train.rays=2048 train.chunk=512 field.width=128 field.depth=4 sampling.fine=64"),
+        (2, "train.rays=1024 train.chunk=1024 field.width=256 field.depth=8 sampling.fine=0"),
     ] {
-        let dir = TempDir::new().unwrap();
-        let mut train = augnerf(&["train", "-q", "--preset", "smoke", "--threads", threads, "--out", "run"]);
-        train.current_dir(dir.path()).args(every.iter().chain(&own).flat_map(|set| ["--set", set]));
-        let (code, said, most) = watched(&mut train);
+        let (place, settings) = (Place::new(), format!("{every} {own}"));
+        let train = format!("train -q --preset smoke --threads {threads} --out run{}", set(&settings));
+        let (code, said, most) = watched(&mut place.command(&train));
         assert_eq!(code, 0, "{said}");
-        let sets: Vec<_> = every.iter().chain(&own).map(|set| parse_assignment(set).unwrap()).collect();
-        let config = build(Some(Preset::Smoke), None, &sets).unwrap();
+        let config = built(Some(Preset::Smoke), &settings.replace(' ', "; ")).unwrap();
         let config = config.resolve(DataKind::BuiltinBlender, augnerf::bench::EXTENT).unwrap();
-        let said = augnerf::train::graphs_mib(&config, threads.parse().unwrap());
+        let said = augnerf::train::graphs_mib(&config, threads);
         println!("{said:.0} MiB estimated, {most:.0} MiB taken");
         assert!(said < 1.5 * most && most < 1.5 * said, "{said} MiB estimated, {most} MiB taken");
     }

@@ -1,21 +1,12 @@
 //! Results' folders that were made to harm `augnerf verify`, or whoever reads what it says.
 
 use std::fs;
-use std::path::Path;
 
 use crate::common::assert_says;
-use crate::common::files::{rows, text};
+use crate::common::files::{edit, rows, text};
 use crate::fuzz::damage::packed;
 use crate::verify::results;
 use augnerf::run::DepthErrors;
-
-/// Replaces the first of a text in a file.
-#[track_caller]
-fn change(file: &Path, from: &str, to: &str) {
-    let before = text(file);
-    assert!(before.contains(from), "{}: {from}", file.display());
-    fs::write(file, before.replacen(from, to, 1)).unwrap();
-}
 
 /// A hundredth of its size is there: 120 kB that came to six gigabytes.
 #[test]
@@ -40,22 +31,15 @@ fn a_log_whose_steps_fall_is_damaged() {
     place.says("verify", 5, &["scalars.csv.gz", "point a: step 15 follows step 20"]);
 }
 
-#[cfg(unix)]
-#[test]
-fn depth_errors_are_read_of_a_file_alone() {
-    let error = DepthErrors::read(Path::new("/dev/zero")).unwrap_err().to_string();
-    assert_says(&error, &["/dev/zero", "device"]);
-}
-
 #[test]
 fn scenes_and_pinned_files_of_others_are_not_touched() {
     let (place, folder) = results("geometry");
     let points = text(&folder.join("points.csv"));
-    change(&folder.join("points.csv"), ",builtin,", ",../../victim,");
+    edit(&folder.join("points.csv"), ",builtin,", ",../../victim,");
     place.says("verify --update", 10, &["points.csv: line 2", "of scene '../../victim'"]);
     assert!(fs::read_dir(place.path()).unwrap().all(|entry| entry.unwrap().file_name() == "results"));
     fs::write(folder.join("points.csv"), points).unwrap();
-    change(&folder.join("provenance.toml"), "\"curves_builtin_psnr.svg\"", "\"../../victim\"");
+    edit(&folder.join("provenance.toml"), "\"curves_builtin_psnr.svg\"", "\"../../victim\"");
     place.says("verify", 10, &["provenance.toml", "\"../../victim\"", "not the name of a file"]);
 }
 
@@ -83,8 +67,7 @@ fn numbers_that_no_point_has_are_refused() {
         [("points.csv", "psnr", "nan"), ("points.csv", "ssim", "inf"), ("timing.csv", "seconds_training", "1e999")]
     {
         let (place, folder) = results("geometry");
-        let before = text(&folder.join(name));
-        fs::write(folder.join(name), before.replacen(&rows(&before)[0][column], number, 1)).unwrap();
+        edit(&folder.join(name), &rows(&text(&folder.join(name)))[0][column], number);
         place.says("verify", 10, &[name, "not a finite number", number]);
     }
 }

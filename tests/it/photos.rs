@@ -2,19 +2,20 @@
 
 use std::fs;
 use std::path::Path;
+use std::sync::Arc;
 
+use augnerf::base::Image;
 use augnerf::data::Photos;
-use augnerf::run::load_scene_with;
-use augnerf::settings::Config;
 use image::{Rgb, RgbImage, Rgba, RgbaImage};
 use serde_json::Value;
 use tempfile::TempDir;
 
-use crate::captures::{Folder, Notes, photograph, turned_jpeg};
-use crate::colmap::{arc_of, fuzz_model, threshold};
+use crate::captures::{self, Folder, all, each, photograph, turned_jpeg};
+use crate::colmap::{arc_of, draw_mesh};
 use crate::common::assert_says;
-use crate::common::files::{json, text};
-use crate::common::program::{augnerf, demand, printed, refuse, succeed};
+use crate::common::files::copy;
+use crate::common::program::{Place, demand, printed, set};
+use crate::strangers::fixture;
 
 /// Damages a PNG's pixels behind its header.
 fn damage(file: &Path) {
@@ -24,72 +25,62 @@ fn damage(file: &Path) {
     fs::write(file, bytes).unwrap();
 }
 
-/// A folder of nine photographs, of which every 8th is held out, with its transforms.json.
-fn capture() -> (Folder, String) {
-    let folder = Folder::new(9);
-    folder.write();
-    let name = folder.path().display().to_string();
-    (folder, name)
-}
-
-/// Trains a few steps; returns the run's folder.
-fn train(data: &str, out: &Path) -> String {
-    let out = out.display().to_string();
-    let small =
-        ["--preset", "smoke", "--set", "train.steps=2", "--set", "train.rays=16", "--set", "data.downscale=1", "-q"];
-    succeed(&[&["train", "--data", data, "--out", &out], &small[..]].concat());
-    out
+/// Trains a few steps.
+fn train(place: &Place, data: &Path, out: &str) {
+    let small = set("train.steps=2 train.rays=16 data.downscale=1");
+    place.run(&format!("train --data {} --out {out} --preset smoke -q{small}", data.display()), 0);
 }
 
 /// Photographs whose pixels are damaged are named by what decodes them, and by nothing else.
 #[test]
 fn pixels_are_read_only_where_they_count() {
-    let (folder, data) = capture();
-    let dir = TempDir::new().unwrap();
-    let run = train(&data, &dir.path().join("run"));
-    let photo = |i: usize| folder.path().join(format!("images/{i}.png"));
-    (1..9).for_each(|i| damage(&photo(i)));
-    let check = ["data", "check", &data, "--set", "data.downscale=1"];
-    assert_says(&printed(&check), &["7 (1, 2,", "2 (0, 8)", "16 x 12 pixels", "--pixels"]);
-    let hash = |more: &[&str]| -> Value {
-        let all = printed(&[&check[..], &["--json"], more].concat());
-        serde_json::from_str::<Value>(&all).unwrap()["data_hash"].clone()
-    };
-    assert!(hash(&[]).is_null());
-    refuse(&[&check[..], &["--pixels"]].concat(), 3, &["images/1.png", "damaged"]);
-    refuse(&["train", "--data", &data, "--out", "never"], 3, &["images/1.png", "damaged"]);
-
-    let out = |name: &str| dir.path().join(name).display().to_string();
-    let mesh = ["mesh", &run, "--resolution", "8", "--cap", "--out", &out("mesh"), "-q"];
-    succeed(&[&mesh[..], &["--threshold", &threshold(&mesh)]].concat());
-    let protocol = |file: &str| json(Path::new(file))["protocol"]["data_hash"].clone();
-    assert!(protocol(&format!("{}/mesh.json", out("mesh"))).is_string());
-    assert_eq!(protocol(&format!("{}/mesh.json", out("mesh"))), protocol(&format!("{run}/metrics.json")));
-    succeed(&["eval", "--smoothness", &run, "--lattice", "8", "-q"]);
-    succeed(&["render", &run, "--frames", "1", "--resolution", "16x16", "--out", &out("path"), "-q"]);
-    succeed(&["export", &run, &out("run.safetensors"), "-q"]);
-    // One photograph is compared with, which is whole; the other is not.
-    succeed(&["compare", &run, "--view", "0", "--out", &out("compared"), "-q"]);
-    refuse(&["compare", &run, "--view", "8", "--out", &out("damaged"), "-q"], 3, &["images/8.png", "damaged"]);
-    refuse(&["render", &run, "--what", "views", "--out", &out("views"), "-q"], 3, &["images/8.png", "damaged"]);
-    refuse(&["eval", &run], 3, &["damaged"]);
+    let (folder, place) = (Folder::new(9), Place::new());
+    folder.write();
+    let data = folder.path().display();
+    train(&place, folder.path(), "run");
+    (1..9).for_each(|i| damage(&folder.path().join(format!("images/{i}.png"))));
+    let check = format!("data check {data} --set data.downscale=1");
+    place.says(&check, 0, &["7 (1, 2,", "2 (0, 8)", "16 x 12 pixels", "--pixels"]);
+    let checked: Value = serde_json::from_str(&place.printed(&format!("{check} --json"))).unwrap();
+    assert!(checked["data_hash"].is_null());
+    let mesh = "mesh run --resolution 8 --cap --out mesh -q";
+    draw_mesh(&place, mesh);
+    let protocol = |file: &str| place.json(file)["protocol"]["data_hash"].clone();
+    assert!(protocol("mesh/mesh.json").is_string());
+    assert_eq!(protocol("mesh/mesh.json"), protocol("run/metrics.json"));
+    for line in [
+        "eval --smoothness run --lattice 8 -q",
+        "render run --frames 1 --resolution 16x16 --out path -q",
+        "export run run.safetensors -q",
+        // One photograph is compared with, which is whole; the other is not.
+        "compare run --view 0 --out compared -q",
+    ] {
+        place.run(line, 0);
+    }
+    for (line, photo) in [
+        (&format!("{check} --pixels")[..], "images/1.png"),
+        (&format!("train --data {data} --out never"), "images/1.png"),
+        ("compare run --view 8 --out damaged -q", "images/8.png"),
+        ("render run --what views --out views -q", "images/8.png"),
+        ("eval run", ""),
+    ] {
+        place.says(line, 3, &[photo, "damaged"]);
+    }
     // Without an evaluation nothing else knows the hash of all pixels.
-    fs::remove_file(format!("{run}/metrics.json")).unwrap();
-    refuse(&[&mesh[..], &["--threshold", "1"]].concat(), 3, &["images/1.png", "damaged"]);
+    fs::remove_file(place.at("run/metrics.json")).unwrap();
+    place.says(&format!("{mesh} --threshold 1"), 3, &["images/1.png", "damaged"]);
 }
 
-/// Loads a folder; returns the views' sizes, and what is said.
-fn load(dir: &Path, photos: Photos) -> Result<(Vec<(usize, usize)>, String), String> {
-    let mut config = Config::default();
-    (config.data.dir, config.data.downscale) = (dir.display().to_string(), Some(1));
-    let notes = Notes::default();
-    let (_, scene) = load_scene_with(config, photos, &notes).map_err(|error| error.to_string())?;
-    let views: Vec<_> = scene.train.iter().chain(&scene.test).map(|view| view.read().unwrap()).collect();
+/// Loads a folder; returns the views' pictures, and what is said.
+fn load(dir: &Path, photos: Photos) -> Result<(Vec<Arc<Image>>, String), String> {
+    let (loaded, notes) = captures::load(dir, photos, |config| config.data.downscale = Some(1));
+    let (_, scene) = loaded.map_err(|error| error.to_string())?;
+    let views: Vec<_> = all(&scene).map(|view| view.read().unwrap()).collect();
     for view in &views {
         assert_eq!((view.image.width, view.image.height), (view.camera.width, view.camera.height));
         assert_eq!(view.image.pixels.len(), view.image.width * view.image.height * 3);
     }
-    Ok((views.iter().map(|view| (view.camera.width, view.camera.height)).collect(), notes.text()))
+    Ok((views.into_iter().map(|view| view.image).collect(), notes.join("\n")))
 }
 
 /// Photographs that are stored 16 x 12 and meant 12 x 16, as an EXIF orientation says.
@@ -105,12 +96,10 @@ fn turned_photographs_are_turned_if_only_that_fits_their_cameras() {
     };
     let colmap = |size: [u64; 2]| {
         let dir = TempDir::new().unwrap();
-        let [width, height] = write(dir.path(), size, 4, |i| format!("{i}.jpg"));
-        let centre = [width as f64 / 2.0, height as f64 / 2.0];
-        let mut model = fuzz_model();
-        model.photographs.iter_mut().for_each(|photo| photo.name = photo.name.replace("png", "jpg"));
-        model.cameras = [1, 2].map(|id| (id, 0, "SIMPLE_PINHOLE", size, vec![15.0, centre[0], centre[1]])).into();
-        model.write(&dir.path().join("sparse/0"), true);
+        copy(&fixture("colmap_only1"), dir.path());
+        let [width, height] = write(dir.path(), size, 8, |i| format!("000{}.jpg", i + 1));
+        let camera = format!("1 SIMPLE_PINHOLE {width} {height} 15 {} {}", width / 2, height / 2);
+        fs::write(dir.path().join("sparse/1/cameras.txt"), camera).unwrap();
         dir
     };
     let llff = |size: [u64; 2]| {
@@ -120,9 +109,9 @@ fn turned_photographs_are_turned_if_only_that_fits_their_cameras() {
         dir
     };
     let transforms = |[width, height]: [u64; 2]| {
-        let mut folder = Folder::new(9).with("w", width.into()).with("h", height.into());
+        let folder = Folder::new(9).with("w", width.into()).with("h", height.into());
         write(folder.path(), [width, height], 9, |i| format!("{i}.jpg"));
-        folder.name_files(|i| format!("images/{i}.jpg"));
+        let folder = each(folder, |i, frame| frame["file_path"] = format!("images/{i}.jpg").into());
         folder.write();
         folder.into_dir()
     };
@@ -131,8 +120,15 @@ fn turned_photographs_are_turned_if_only_that_fits_their_cameras() {
     {
         for photos in [Photos::Read, Photos::Later] {
             for (size, said) in [([12, 16], "is applied"), ([16, 12], "is not applied")] {
-                let (sizes, notes) = load(make(size).path(), photos).unwrap_or_else(|error| panic!("{what}: {error}"));
-                assert!(sizes.iter().all(|found| *found == (size[0] as usize, size[1] as usize)), "{what}: {sizes:?}");
+                let (views, notes) = load(make(size).path(), photos).unwrap_or_else(|error| panic!("{what}: {error}"));
+                for Image { width, height, pixels, .. } in views.iter().map(|view| &**view) {
+                    assert_eq!([*width as u64, *height as u64], size, "{what}");
+                    // Green grows to the right as it is stored, and downwards after a turn by 90 degrees.
+                    let green = |x: usize, y: usize| pixels[(y * width + x) * 3 + 1] * 255.0;
+                    let turned = size == [12, 16];
+                    let [first, last] = [1, 14].map(|at| if turned { green(6, at) } else { green(at, 6) });
+                    assert!(first < 25.0 && last > 125.0, "{what}: {first} {last}");
+                }
                 assert_says(&notes, &["EXIF orientation", said, "images/"]);
             }
         }
@@ -190,39 +186,30 @@ fn photographs_that_show_nothing_are_told() {
     assert!(!notes.contains("colour"), "{notes}");
 }
 
-/// The numbers of a text after a word at the start of a line.
-fn numbers(text: &str, word: &str) -> Vec<[f64; 3]> {
-    let lines = text.lines().filter_map(|line| line.strip_prefix(word));
-    lines
-        .map(|line| {
-            line.split_whitespace().take(3).map(|v| v.parse().unwrap()).collect::<Vec<f64>>().try_into().unwrap()
-        })
-        .collect()
-}
-
 /// A mesh of poses in a national grid: single precision has steps of 0.5 there, and the cameras are 4 from the middle.
 #[test]
 fn meshes_of_georeferenced_captures_keep_their_precision() {
-    let dir = TempDir::new().unwrap();
+    let place = Place::new();
     let drawn = |name: &str, shift: [f64; 3]| {
         let folder = Folder::new(9).moved(shift);
         folder.write();
-        let run = train(folder.path().to_str().unwrap(), &dir.path().join(name));
-        let out = dir.path().join(format!("{name} mesh"));
-        let mesh = ["mesh", &run, "--resolution", "12", "--cap", "--units", "capture", "--format", "ply,obj", "--out"];
-        let mesh = [&mesh[..], &[out.to_str().unwrap()]].concat();
-        let said = demand(&mut augnerf(&[&mesh[..], &["--threshold", &threshold(&mesh)]].concat()), 0);
-        let report = json(&out.join("mesh.json"));
-        let [x, y, z]: [f64; 3] = serde_json::from_value(report["offset"].clone()).unwrap();
-        let obj = text(&out.join("mesh.obj"));
-        let places: Vec<[f64; 3]> = numbers(&obj, "v ").into_iter().map(|[a, b, c]| [a + x, b + y, c + z]).collect();
-        assert_eq!(places.len() as u64, report["vertices"].as_u64().unwrap());
-        (report, places, said, (out, folder))
+        train(&place, folder.path(), name);
+        let mesh = format!("mesh {name} --resolution 12 --cap --units capture --format ply,obj --out {name}_mesh");
+        let said = draw_mesh(&place, &mesh);
+        let report = place.json(&format!("{name}_mesh/mesh.json"));
+        let offset: [f64; 3] = serde_json::from_value(report["offset"].clone()).unwrap();
+        let vertex = |line: &str| -> Option<[f64; 3]> {
+            let mut numbers = line.strip_prefix("v ")?.split(' ').map(|number| number.parse::<f64>().unwrap());
+            Some(offset.map(|offset| offset + numbers.next().unwrap()))
+        };
+        let vertices: Vec<_> = place.text(&format!("{name}_mesh/mesh.obj")).lines().filter_map(vertex).collect();
+        assert_eq!(vertices.len() as u64, report["vertices"].as_u64().unwrap());
+        (report, vertices, said)
     };
-    let (near, at_0, said, _) = drawn("near", [0.0; 3]);
+    let (near, at_0, said) = drawn("near", [0.0; 3]);
     assert!(near["offset"] == serde_json::json!([0.0, 0.0, 0.0]) && !said.contains("offset"), "{said}");
     let shift = [441_547.0, 5_121_946.0, -30.0];
-    let (far, there, said, (out, _folder)) = drawn("far", shift);
+    let (far, there, said) = drawn("far", shift);
     assert_says(&said, &["less an offset of 441", ", 5121", "mesh.json"]);
     // One field in scene units, and so one mesh, but for the rounding of the poses' mean.
     assert_eq!(at_0.len(), there.len());
@@ -232,18 +219,9 @@ fn meshes_of_georeferenced_captures_keep_their_precision() {
     let area = |report: &Value| report["area"].as_f64().unwrap();
     assert!((area(&near) / area(&far) - 1.0).abs() < 1e-3 && near["closed"] == far["closed"]);
     // Both files are read back to where the mesh is.
-    let files = ["mesh.ply", "mesh.obj"].map(|name| out.join(name).display().to_string());
-    let compared: Value =
-        serde_json::from_str(&printed(&["mesh", &files[0], "--chamfer", &files[1], "--points", "500", "--json"]))
-            .unwrap();
+    let compared = place.printed("mesh far_mesh/mesh.ply --chamfer far_mesh/mesh.obj --points 500 --json");
+    let compared: Value = serde_json::from_str(&compared).unwrap();
     assert!(compared["distance"]["chamfer"].as_f64().unwrap() < 1e-6, "{compared}");
-    // A file's name is no folder's.
-    for name in ["r.ply", "R.OBJ", "film.mp4"] {
-        let run = dir.path().join("far").display().to_string();
-        refuse(&["mesh", &run, "--out", name], 2, &["--out", name, "name a folder"]);
-        refuse(&["render", &run, "--out", name], 2, &["--out", name, "name a folder"]);
-        assert!(!std::env::temp_dir().join(name).exists());
-    }
 }
 
 /// Within a limit of address space too little memory is told, not met.
@@ -253,11 +231,15 @@ fn limits_of_memory_are_told() {
     let dir = TempDir::new().unwrap();
     let folder = Folder::new(9).with("fl_x", 5000.into());
     let photo = |i: usize| folder.path().join(format!("images/{i}.png"));
-    let save = |side: u32| {
-        RgbImage::from_fn(side, side, |x, y| Rgb([x as u8, y as u8, 7])).save(photo(0)).unwrap();
-        (1..9).for_each(|i| assert!(fs::copy(photo(0), photo(i)).is_ok()));
+    // Only the header of a picture is real, which is all that may be looked at before its memory is taken.
+    let header = |side: u32, colour: u8| {
+        let chunk = [&b"IHDR"[..], &side.to_be_bytes(), &side.to_be_bytes(), &[8, colour, 0, 0, 0]].concat();
+        let mut sum = flate2::Crc::new();
+        sum.update(&chunk);
+        let end = b"\0\0\0\0IDAT\x35\xaf\x06\x1e\0\0\0\0IEND\xae\x42\x60\x82";
+        [&b"\x89PNG\r\n\x1a\n\0\0\0\x0d"[..], &chunk, &sum.sum().to_be_bytes(), end].concat()
     };
-    save(4000);
+    (0..9).for_each(|i| fs::write(photo(i), header(4000, 2)).unwrap());
     folder.write();
     let data = folder.path().display().to_string();
     let out = dir.path().join("out").display().to_string();
@@ -274,13 +256,10 @@ fn limits_of_memory_are_told() {
     ] {
         limited(&command, 3, &["9 images of 4000x4000 pixels take 1.6 GiB of memory", "are free", "data.downscale"]);
     }
-    save(500);
+    (0..9).for_each(|i| photograph(i, 500, 500).save(photo(i)).unwrap());
     limited(&format!("data check {data} --pixels --set data.downscale=50"), 0, &["10 x 10 pixels"]);
     // Not even one can be decoded: it takes more than the limit.
-    image::GrayImage::new(18_000, 18_000).save(photo(0)).unwrap();
-    limited(
-        &format!("data check {data} --pixels --set data.width=80"),
-        3,
-        &["images/0.png takes up to", "MiB are free"],
-    );
+    fs::write(photo(0), header(18_000, 0)).unwrap();
+    let words = ["images/0.png takes up to", "MiB are free"];
+    limited(&format!("data check {data} --pixels --set data.width=80"), 3, &words);
 }

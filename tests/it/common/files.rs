@@ -11,6 +11,14 @@ pub fn text(path: &Path) -> String {
     std::fs::read_to_string(path).unwrap_or_else(|e| panic!("{}: {e}", path.display()))
 }
 
+/// Replaces the first of a text in a file.
+#[track_caller]
+pub fn edit(path: &Path, from: &str, to: &str) {
+    let before = text(path);
+    assert!(before.contains(from), "{}: {from}", path.display());
+    std::fs::write(path, before.replacen(from, to, 1)).unwrap();
+}
+
 /// A JSON file.
 #[track_caller]
 pub fn json(path: &Path) -> serde_json::Value {
