@@ -8,7 +8,7 @@ use crate::common::needs::scene;
 use crate::common::reference::Reference;
 use augnerf::data::formats::blender;
 use augnerf::data::formats::llff::Poses;
-use augnerf::data::pose::{self, Pose};
+use augnerf::data::pose::{self, Pose, Vec3};
 use augnerf::data::{self, Camera, Ndc, images};
 use augnerf::settings::{DataConfig, DataKind};
 
@@ -50,36 +50,31 @@ fn nearest_to_average(poses: &[Pose]) -> f64 {
     best.unwrap() as f64
 }
 
-fn compare_llff(part: &str, poses: &Poses, path: &[Pose]) {
+#[test]
+#[ignore = "needs AUGNERF_DATA"]
+fn poses_of_fern_are_nerf_pytorchs() {
     let reference = Reference::load("loaders");
-    let hwf = [poses.height / 8.0, poses.width / 8.0, poses.focal[0] / 8.0];
-    let bounds: Vec<f64> = poses.bounds.iter().flatten().copied().collect();
-    let name = |what: &str| format!("llff.{part}.{what}");
-    assert_close(&name("poses"), &with_hwf(&poses.poses, hwf), &reference.values(&name("poses")), POSES);
-    assert_close(&name("bounds"), &bounds, &reference.values(&name("bounds")), POSES);
-    assert_close(&name("render_poses"), &with_hwf(path, hwf), &reference.values(&name("render_poses")), POSES);
-    assert_eq!([nearest_to_average(&poses.poses)], *reference.values(&name("i_test")));
-}
-
-#[test]
-#[ignore = "needs AUGNERF_DATA"]
-fn fern_facing_forward_is_nerf_pytorchs() {
-    let dir = scene("nerf_llff_data/fern");
-    let mut poses = Poses::read(&dir.join("poses_bounds.npy")).unwrap();
-    poses.scale_bounds(0.75);
-    poses.recentre().unwrap();
-    compare_llff("forward", &poses, &poses.spiral().unwrap());
-}
-
-#[test]
-#[ignore = "needs AUGNERF_DATA"]
-fn fern_spherified_is_nerf_pytorchs() {
-    let dir = scene("nerf_llff_data/fern");
-    let mut poses = Poses::read(&dir.join("poses_bounds.npy")).unwrap();
-    poses.scale_bounds(0.75);
-    poses.recentre().unwrap();
-    poses.spherify().unwrap();
-    compare_llff("spherify", &poses, &poses.circle().unwrap());
+    for part in ["forward", "spherify"] {
+        let mut poses = Poses::read(&scene("nerf_llff_data/fern").join("poses_bounds.npy")).unwrap();
+        poses.scale_bounds(0.75);
+        poses.recentre().unwrap();
+        let path = if part == "spherify" {
+            poses.spherify().unwrap();
+            poses.circle()
+        } else {
+            poses.spiral()
+        };
+        let hwf = [poses.height / 8.0, poses.width / 8.0, poses.focal[0] / 8.0];
+        let bounds: Vec<f64> = poses.bounds.iter().flatten().copied().collect();
+        let check = |what: &str, found: &[f64]| {
+            let name = format!("llff.{part}.{what}");
+            assert_close(&name, found, &reference.values(&name), POSES);
+        };
+        check("poses", &with_hwf(&poses.poses, hwf));
+        check("bounds", &bounds);
+        check("render_poses", &with_hwf(&path.unwrap(), hwf));
+        check("i_test", &[nearest_to_average(&poses.poses)]);
+    }
 }
 
 #[test]
@@ -155,6 +150,16 @@ fn the_orbit_is_nerf_pytorchs() {
     assert_close("orbit", &path, &Reference::load("loaders").values("blender.render_poses"), POSES);
 }
 
+/// Origins and directions are those of `NAME.o` and `NAME.d`.
+fn assert_rays(name: &str, rays: impl Iterator<Item = (Vec3, Vec3)>) {
+    let reference = Reference::load("numeric_core");
+    let (origins, directions): (Vec<Vec3>, Vec<Vec3>) = rays.unzip();
+    for (part, found) in [("o", origins), ("d", directions)] {
+        let name = format!("{name}.{part}");
+        assert_close(&name, &found.concat(), &reference.values(&name), POSES);
+    }
+}
+
 #[test]
 fn pixel_rays_are_nerf_pytorchs() {
     let reference = Reference::load("numeric_core");
@@ -167,11 +172,7 @@ fn pixel_rays_are_nerf_pytorchs() {
         pose: std::array::from_fn(|i| std::array::from_fn(|j| c2w[4 * i + j])),
     };
     let pixels = (0..camera.height).flat_map(|y| (0..camera.width).map(move |x| (x as f64, y as f64)));
-    let rays: Vec<_> = pixels.map(|(x, y)| camera.ray(x, y)).collect();
-    let origins: Vec<f64> = rays.iter().flat_map(|r| r.0).collect();
-    let directions: Vec<f64> = rays.iter().flat_map(|r| r.1).collect();
-    assert_close("rays.o", &origins, &reference.values("rays.o"), POSES);
-    assert_close("rays.d", &directions, &reference.values("rays.d"), POSES);
+    assert_rays("rays", pixels.map(|(x, y)| camera.ray(x, y)));
 }
 
 #[test]
@@ -181,9 +182,5 @@ fn normalised_device_coordinates_are_nerf_pytorchs() {
     let ndc = Ndc { width: hwf[1], height: hwf[0], focal: hwf[2] };
     let (o, d) = (reference.values("ndc.in_o"), reference.values("ndc.in_d"));
     let vector = |v: &[f64]| [v[0], v[1], v[2]];
-    let rays: Vec<_> = o.chunks_exact(3).zip(d.chunks_exact(3)).map(|(o, d)| ndc.map(vector(o), vector(d))).collect();
-    let origins: Vec<f64> = rays.iter().flat_map(|r| r.0).collect();
-    let directions: Vec<f64> = rays.iter().flat_map(|r| r.1).collect();
-    assert_close("ndc.o", &origins, &reference.values("ndc.o"), POSES);
-    assert_close("ndc.d", &directions, &reference.values("ndc.d"), POSES);
+    assert_rays("ndc", o.chunks_exact(3).zip(d.chunks_exact(3)).map(|(o, d)| ndc.map(vector(o), vector(d))));
 }

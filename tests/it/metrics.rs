@@ -8,12 +8,13 @@ use std::path::Path;
 
 use crate::common::files::{json, rows};
 use crate::common::needs;
-use crate::common::program::succeed;
+use crate::common::program::{Place, set};
 use augnerf::base::Image;
+use augnerf::base::rng::{Random, Stream};
 use augnerf::metrics::{self, Backbone, Lpips, MeanMetrics, ViewMetrics};
 use augnerf::metrics::{AVERAGE, LPIPS, MSE, PSNR, PSNR_FLOAT, PSNR_OF_MEAN, SSIM};
 use augnerf::run::columns;
-use candle_core::{DType, Device, Tensor};
+use candle_core::{DType, Device, Result, Tensor};
 
 /// PSNR and SSIM are computed in f64 here and there; images are 8-bit.
 const PSNR_SSIM_TOLERANCE: f64 = 1e-4;
@@ -24,20 +25,8 @@ const NETWORK_TOLERANCE: f64 = 1e-4;
 /// Closed forms in f64 of f32 pixels.
 const CLOSED_FORM_TOLERANCE: f64 = 1e-6;
 
-/// A small generator, so that these tests depend on no other part of the crate.
-struct Lcg(u64);
-
-impl Lcg {
-    /// Uniform in 0..1.
-    fn uniform(&mut self) -> f32 {
-        self.0 = self.0.wrapping_mul(6364136223846793005).wrapping_add(1442695040888963407);
-        (self.0 >> 40) as f32 / (1u64 << 24) as f32
-    }
-}
-
 fn noise(width: usize, height: usize, channels: usize, seed: u64) -> Image {
-    let mut lcg = Lcg(seed);
-    let pixels = (0..width * height * channels).map(|_| lcg.uniform()).collect();
+    let pixels = Random::new(seed, Stream::Search, 0).uniform_values(width * height * channels);
     Image { width, height, channels, pixels }
 }
 
@@ -73,12 +62,8 @@ fn equal_images_have_no_psnr_and_an_ssim_of_one() {
     let view = metrics::measure("view", &image, &image, &[]).unwrap();
     assert_eq!((view.get(&PSNR), view.get(&PSNR_FLOAT), view.get(&MSE)), (None, None, Some(0.0)));
     assert_close("ssim", view.get(&SSIM).unwrap(), 1.0, 1e-12);
-    assert_close(
-        "ssim of black",
-        metrics::ssim(&constant(11, 11, 0.0), &constant(11, 11, 0.0)).unwrap().unwrap(),
-        1.0,
-        0.0,
-    );
+    let black = constant(11, 11, 0.0);
+    assert_eq!(metrics::ssim(&black, &black).unwrap(), Some(1.0));
 }
 
 #[test]
@@ -92,35 +77,32 @@ fn ssim_equals_the_window_by_window_definition() {
 
 /// SSIM with one two-dimensional window per position and centred moments.
 fn slow_ssim(a: &Image, b: &Image) -> f64 {
-    let mut values = Vec::new();
-    for c in 0..a.channels {
-        for (y, x) in (5..a.height - 5).flat_map(|y| (5..a.width - 5).map(move |x| (y, x))) {
-            let mut window = Vec::new();
-            for (dy, dx) in (-5i32..=5).flat_map(|dy| (-5i32..=5).map(move |dx| (dy, dx))) {
-                let i = ((y as i32 + dy) as usize * a.width + (x as i32 + dx) as usize) * a.channels + c;
-                let weight = (-f64::from(dx * dx + dy * dy) / (2.0 * 1.5 * 1.5)).exp();
-                window.push((weight, f64::from(a.pixels[i]), f64::from(b.pixels[i])));
-            }
-            values.push(window_ssim(&window));
-        }
-    }
+    let of_window = |(c, x, y): (usize, usize, usize)| {
+        let offsets = (-5..6i32).flat_map(|dy| (-5..6i32).map(move |dx| (dx, dy)));
+        let window = offsets.map(|(dx, dy)| {
+            let i = ((y as i32 + dy) as usize * a.width + (x as i32 + dx) as usize) * a.channels + c;
+            let weight = (-f64::from(dx * dx + dy * dy) / (2.0 * 1.5 * 1.5)).exp();
+            (weight, f64::from(a.pixels[i]), f64::from(b.pixels[i]))
+        });
+        let window: Vec<(f64, f64, f64)> = window.collect();
+        let total: f64 = window.iter().map(|w| w.0).sum();
+        let mean = |f: &dyn Fn(f64, f64) -> f64| window.iter().map(|(w, p, q)| w * f(*p, *q)).sum::<f64>() / total;
+        let (ma, mb) = (mean(&|p, _| p), mean(&|_, q| q));
+        let (va, vb) = (mean(&|p, _| (p - ma).powi(2)), mean(&|_, q| (q - mb).powi(2)));
+        let cov = mean(&|p, q| (p - ma) * (q - mb));
+        (2.0 * ma * mb + 1e-4) * (2.0 * cov + 9e-4) / ((ma * ma + mb * mb + 1e-4) * (va + vb + 9e-4))
+    };
+    let row = |(c, y): (usize, usize)| (5..a.width - 5).map(move |x| (c, x, y));
+    let rows = (0..a.channels).flat_map(|c| (5..a.height - 5).map(move |y| (c, y)));
+    let values: Vec<f64> = rows.flat_map(row).map(of_window).collect();
     values.iter().sum::<f64>() / values.len() as f64
-}
-
-fn window_ssim(window: &[(f64, f64, f64)]) -> f64 {
-    let total: f64 = window.iter().map(|w| w.0).sum();
-    let mean = |f: &dyn Fn(f64, f64) -> f64| window.iter().map(|(w, p, q)| w * f(*p, *q)).sum::<f64>() / total;
-    let (ma, mb) = (mean(&|p, _| p), mean(&|_, q| q));
-    let (va, vb) = (mean(&|p, _| (p - ma).powi(2)), mean(&|_, q| (q - mb).powi(2)));
-    let cov = mean(&|p, q| (p - ma) * (q - mb));
-    (2.0 * ma * mb + 1e-4) * (2.0 * cov + 9e-4) / ((ma * ma + mb * mb + 1e-4) * (va + vb + 9e-4))
 }
 
 #[test]
 fn images_below_the_window_have_no_ssim() {
     for (width, height) in [(10, 11), (11, 10), (1, 1)] {
-        let view =
-            metrics::measure("small", &constant(width, height, 0.2), &constant(width, height, 0.3), &[]).unwrap();
+        let [a, b] = [0.2, 0.3].map(|value| constant(width, height, value));
+        let view = metrics::measure("small", &a, &b, &[]).unwrap();
         assert_eq!(view.get(&SSIM), None);
         assert!(view.get(&PSNR).is_some());
     }
@@ -155,28 +137,15 @@ fn view(psnr: Option<f64>, mse: f64, lpips_squeeze: Option<f64>) -> ViewMetrics 
 fn means_are_over_all_views_or_missing() {
     let views = [view(Some(20.0), 0.01, Some(0.2)), view(Some(10.0), 0.1, Some(0.4))];
     let means = MeanMetrics::from_views(&views);
-    assert_eq!(
-        (
-            means.get(&PSNR),
-            means.get(&SSIM),
-            means.get(LPIPS.get(Backbone::Alex)),
-            means.get(AVERAGE.get(Backbone::Alex))
-        ),
-        (Some(15.0), Some(0.5), None, None)
-    );
+    let of_lpips = |means: &MeanMetrics, backbone| (means.get(LPIPS.get(backbone)), means.get(AVERAGE.get(backbone)));
+    assert_eq!((means.get(&PSNR), means.get(&SSIM)), (Some(15.0), Some(0.5)));
+    assert_eq!(of_lpips(&means, Backbone::Alex), (None, None));
     assert_close("psnr_of_mean", means.get(&PSNR_OF_MEAN).unwrap(), -10.0 * 0.055f64.log10(), 1e-12);
-    assert_close(
-        "average",
-        means.get(AVERAGE.get(Backbone::Squeeze)).unwrap(),
-        metrics::average(15.0, 0.5, 0.3),
-        1e-12,
-    );
+    let average = means.get(AVERAGE.get(Backbone::Squeeze)).unwrap();
+    assert_close("average", average, metrics::average(15.0, 0.5, 0.3), 1e-12);
 
     let partly = MeanMetrics::from_views(&[views[0].clone(), view(None, 0.0, None)]);
-    assert_eq!(
-        (partly.get(&PSNR), partly.get(LPIPS.get(Backbone::Squeeze)), partly.get(AVERAGE.get(Backbone::Squeeze))),
-        (None, None, None)
-    );
+    assert_eq!((partly.get(&PSNR), of_lpips(&partly, Backbone::Squeeze)), (None, (None, None)));
     assert_close("psnr_of_mean", partly.get(&PSNR_OF_MEAN).unwrap(), -10.0 * 0.005f64.log10(), 1e-12);
     assert_eq!(MeanMetrics::from_views(&[]), MeanMetrics::default());
 }
@@ -258,32 +227,20 @@ fn references() -> Vec<(Reference, Image, Image)> {
 }
 
 #[test]
-#[ignore = "needs AUGNERF_DATA"]
+#[ignore = "needs AUGNERF_DATA and AUGNERF_LPIPS_WEIGHTS"]
 fn photographs_give_the_numbers_of_other_implementations() {
+    let lpips = Lpips::load(&needs::lpips_weights(), Backbone::Squeeze, &Device::Cpu).unwrap();
+    let lpips = [lpips.expect("the weights folder lacks the squeeze backbone")];
     for (reference, a, b) in references() {
-        let view = metrics::measure(&reference.a, &a, &b, &[]).unwrap();
+        let view = metrics::measure(&reference.a, &a, &b, &lpips).unwrap();
         let (psnr, ssim) = (view.get(&PSNR).unwrap(), view.get(&SSIM).unwrap());
         assert_close("psnr", psnr, reference.psnr, PSNR_SSIM_TOLERANCE);
         assert_close("psnr_float", view.get(&PSNR_FLOAT).unwrap(), reference.psnr, PSNR_SSIM_TOLERANCE);
         assert_close("ssim", ssim, reference.ssim_gaussian_11_sigma_1_5_valid_crop, PSNR_SSIM_TOLERANCE);
         let average = metrics::average(psnr, ssim, reference.lpips_squeeze_v0_1);
         assert_close("average", average, reference.average, PSNR_SSIM_TOLERANCE);
-    }
-}
-
-#[test]
-#[ignore = "needs AUGNERF_DATA and AUGNERF_LPIPS_WEIGHTS"]
-fn photographs_are_as_far_apart_as_the_lpips_package_says() {
-    let lpips = Lpips::load(&needs::lpips_weights(), Backbone::Squeeze, &Device::Cpu).unwrap();
-    let lpips = [lpips.expect("the weights folder lacks the squeeze backbone")];
-    for (reference, a, b) in references() {
-        let view = metrics::measure(&reference.a, &a, &b, &lpips).unwrap();
-        assert_close(
-            "lpips_squeeze",
-            view.get(LPIPS.get(Backbone::Squeeze)).unwrap(),
-            reference.lpips_squeeze_v0_1,
-            LPIPS_TOLERANCE,
-        );
+        let squeeze = view.get(LPIPS.get(Backbone::Squeeze)).unwrap();
+        assert_close("lpips_squeeze", squeeze, reference.lpips_squeeze_v0_1, LPIPS_TOLERANCE);
     }
 }
 
@@ -291,135 +248,142 @@ fn photographs_are_as_far_apart_as_the_lpips_package_says() {
 #[test]
 #[ignore = "needs AUGNERF_LPIPS_WEIGHTS"]
 fn the_protocol_names_the_weights_that_lpips_was_measured_with() {
-    let dir = tempfile::tempdir().unwrap();
-    let run = dir.path().join("run");
-    let weights = dir.path().join("weights");
-    std::fs::create_dir(&weights).unwrap();
+    let place = Place::new();
+    std::fs::create_dir(place.at("weights")).unwrap();
     for file in ["squeeze_lin_v0.1.pth", "squeezenet1_1_features.pth"] {
-        std::fs::write(weights.join(file), std::fs::read(needs::lpips_weights().join(file)).unwrap()).unwrap();
+        place.write(&format!("weights/{file}"), std::fs::read(needs::lpips_weights().join(file)).unwrap());
     }
-    let [run, weights_text] = [&run, &weights].map(|path| path.to_str().unwrap());
-    let small = ["data.width=16", "train.steps=1", "train.rays=64", "train.chunk=32"].map(|setting| ["--set", setting]);
-    succeed(&[&["train", "--quiet", "--out", run][..], small.as_flattened()].concat());
-    let protocol = || json(&Path::new(run).join("metrics.json"))["protocol"]["lpips_weights"].clone();
+    let small = set("data.width=16 train.steps=1 train.rays=64 train.chunk=32");
+    place.run(&format!("train --quiet --out run{small}"), 0);
+    let protocol = || place.json("run/metrics.json")["protocol"]["lpips_weights"].clone();
     assert!(protocol().is_null());
-    let measured_with = |weights: &str| {
-        succeed(&["eval", "--quiet", run, "--lpips-weights", weights]);
-        protocol()
+    let measured_with = || {
+        place.run("eval --quiet run --lpips-weights weights", 0);
+        protocol().as_str().unwrap().strip_prefix("squeeze ").unwrap().to_string()
     };
-    let released = measured_with(weights_text);
-    let hash = released.as_str().unwrap().strip_prefix("squeeze ").unwrap();
-    assert!(hash.len() == 12 && hash.chars().all(|digit| digit.is_ascii_hexdigit()), "{released}");
+    let released = measured_with();
+    assert!(released.len() == 12 && released.chars().all(|digit| digit.is_ascii_hexdigit()), "{released}");
     // One bit of one weight.
-    let file = weights.join("squeezenet1_1_features.pth");
+    let file = place.at("weights/squeezenet1_1_features.pth");
     let mut bytes = std::fs::read(&file).unwrap();
     let middle = bytes.len() / 2;
     bytes[middle] ^= 1;
     std::fs::write(&file, bytes).unwrap();
-    let changed = measured_with(weights_text);
-    assert!(changed != released && !changed.is_null(), "{changed}");
+    assert_ne!(measured_with(), released);
 }
 
-#[test]
-#[ignore = "needs AUGNERF_LPIPS_WEIGHTS"]
-fn released_weights_load_and_incomplete_copies_are_refused() {
-    let dir = needs::lpips_weights();
-    assert!(Lpips::available(&dir).unwrap().contains(&Backbone::Squeeze));
-    let copy = tempfile::tempdir().unwrap();
-    let linear = std::fs::read(dir.join("squeeze_lin_v0.1.pth")).unwrap();
-    let features = std::fs::read(dir.join("squeezenet1_1_features.pth")).unwrap();
-    std::fs::write(copy.path().join("squeeze_lin_v0.1.pth"), linear).unwrap();
-    for keep in [features.len() - 1, features.len() / 2, 3000, 40, 15, 3, 0] {
-        let path = copy.path().join("squeezenet1_1_features.pth");
-        std::fs::write(&path, &features[..keep]).unwrap();
-        let error = load_error(copy.path(), Backbone::Squeeze);
-        assert!(error.contains("squeezenet1_1_features.pth") && error.contains("not a readable"), "{keep}: {error}");
-    }
-}
-
-fn load_error(dir: &Path, backbone: Backbone) -> String {
-    match Lpips::load(dir, backbone, &Device::Cpu) {
-        Err(error) => {
-            assert_eq!(error.exit_code(), 3, "{error}");
-            error.to_string()
-        }
-        Ok(_) => panic!("{} loaded", backbone.name()),
-    }
+fn load_error(dir: &Path) -> String {
+    let error = Lpips::load(dir, Backbone::Squeeze, &Device::Cpu).err().expect("must be refused");
+    assert_eq!(error.exit_code(), 3, "{error}");
+    error.to_string()
 }
 
 // Synthetic networks: every backbone with random weights, against candle's operations in f64.
 
 type Tensors = HashMap<String, Tensor>;
 
-/// A network in torchvision's order of modules, as a list of module names: `conv index inputs
-/// outputs kernel stride padding`, `fire index inputs squeeze expand`, `pool kernel`,
-/// `poolceil kernel` and `tap`.
+/// A network in torchvision's order of modules: `conv index outputs kernel stride padding`, `fire index squeeze expand`, `pool
+/// kernel`, `poolceil kernel` and `tap`.
 fn modules(backbone: Backbone) -> &'static str {
     match backbone {
         Backbone::Alex => {
-            "conv 0 3 64 11 4 2|tap|pool 3|conv 3 64 192 5 1 2|tap|pool 3|conv 6 192 384 3 1 1|tap|\
-             conv 8 384 256 3 1 1|tap|conv 10 256 256 3 1 1|tap"
+            "conv 0 64 11 4 2|tap|pool 3|conv 3 192 5 1 2|tap|pool 3|conv 6 384 3 1 1|tap|conv 8 256 3 1 1|tap|\
+             conv 10 256 3 1 1|tap"
         }
         Backbone::Vgg => {
-            "conv 0 3 64 3 1 1|conv 2 64 64 3 1 1|tap|pool 2|conv 5 64 128 3 1 1|conv 7 128 128 3 1 1|tap|pool 2|\
-             conv 10 128 256 3 1 1|conv 12 256 256 3 1 1|conv 14 256 256 3 1 1|tap|pool 2|conv 17 256 512 3 1 1|\
-             conv 19 512 512 3 1 1|conv 21 512 512 3 1 1|tap|pool 2|conv 24 512 512 3 1 1|conv 26 512 512 3 1 1|\
-             conv 28 512 512 3 1 1|tap"
+            "conv 0 64 3 1 1|conv 2 64 3 1 1|tap|pool 2|conv 5 128 3 1 1|conv 7 128 3 1 1|tap|pool 2|\
+             conv 10 256 3 1 1|conv 12 256 3 1 1|conv 14 256 3 1 1|tap|pool 2|conv 17 512 3 1 1|conv 19 512 3 1 1|\
+             conv 21 512 3 1 1|tap|pool 2|conv 24 512 3 1 1|conv 26 512 3 1 1|conv 28 512 3 1 1|tap"
         }
         Backbone::Squeeze => {
-            "conv 0 3 64 3 2 0|tap|poolceil 3|fire 3 64 16 64|fire 4 128 16 64|tap|poolceil 3|fire 6 128 32 128|\
-             fire 7 256 32 128|tap|poolceil 3|fire 9 256 48 192|tap|fire 10 384 48 192|tap|fire 11 384 64 256|tap|\
-             fire 12 512 64 256|tap"
+            "conv 0 64 3 2 0|tap|poolceil 3|fire 3 16 64|fire 4 16 64|tap|poolceil 3|fire 6 32 128|fire 7 32 128|tap|\
+             poolceil 3|fire 9 48 192|tap|fire 10 48 192|tap|fire 11 64 256|tap|fire 12 64 256|tap"
         }
     }
 }
 
-/// A module's kind and numbers.
-type Module = (&'static str, Vec<usize>);
-
-fn parsed(backbone: Backbone) -> Vec<Module> {
-    let parse = |module: &'static str| {
-        let mut words = module.split_whitespace();
-        (words.next().unwrap(), words.map(|word| word.parse().unwrap()).collect())
-    };
-    modules(backbone).split('|').map(parse).collect()
+/// Random weights of a backbone, made as they are first asked for, and its plain operations in f64.
+struct Plain {
+    backbone: Backbone,
+    features: Tensors,
+    linear: Tensors,
+    random: Random,
 }
 
-fn random_conv(tensors: &mut Tensors, lcg: &mut Lcg, name: &str, shape: [usize; 4]) {
-    let fan_in = (shape[1] * shape[2] * shape[3]) as f32;
-    let mut random =
-        |count: usize, bound: f32| -> Vec<f32> { (0..count).map(|_| (2.0 * lcg.uniform() - 1.0) * bound).collect() };
-    let (weight, bias) = (random(shape.iter().product(), (6.0 / fan_in).sqrt()), random(shape[0], 0.1));
-    tensors.insert(format!("{name}.weight"), Tensor::from_vec(weight, &shape, &Device::Cpu).unwrap());
-    tensors.insert(format!("{name}.bias"), Tensor::from_vec(bias, shape[0], &Device::Cpu).unwrap());
-}
-
-/// Random feature and linear weights of a backbone, the feature names led by `prefix`.
-fn synthetic(backbone: Backbone, prefix: &str) -> (Tensors, Tensors) {
-    let (mut features, mut linear, mut lcg) = (Tensors::new(), Tensors::new(), Lcg(5));
-    let mut channels = 0;
-    for (kind, n) in parsed(backbone) {
-        match kind {
-            "conv" => {
-                random_conv(&mut features, &mut lcg, &format!("{prefix}{}", n[0]), [n[2], n[1], n[3], n[3]]);
-                channels = n[2];
-            }
-            "fire" => {
-                let name = format!("{prefix}{}", n[0]);
-                random_conv(&mut features, &mut lcg, &format!("{name}.squeeze"), [n[2], n[1], 1, 1]);
-                random_conv(&mut features, &mut lcg, &format!("{name}.expand1x1"), [n[3], n[2], 1, 1]);
-                random_conv(&mut features, &mut lcg, &format!("{name}.expand3x3"), [n[3], n[2], 3, 3]);
-                channels = 2 * n[3];
-            }
-            "tap" => {
-                let name = format!("lin{}.model.1.weight", linear.len());
-                let values: Vec<f32> = (0..channels).map(|_| lcg.uniform()).collect();
-                linear.insert(name, Tensor::from_vec(values, (1, channels, 1, 1), &Device::Cpu).unwrap());
-            }
-            _ => {}
-        }
+impl Plain {
+    fn new(backbone: Backbone) -> Plain {
+        let (features, linear, random) = (Tensors::new(), Tensors::new(), Random::new(5, Stream::Search, 0));
+        let mut plain = Plain { backbone, features, linear, random };
+        let any = noise(backbone.min_side(), backbone.min_side(), 3, 1);
+        plain.distance(&any, &any).unwrap();
+        plain
     }
-    (features, linear)
+
+    fn weights(random: &mut Random, tensors: &mut Tensors, name: String, shape: &[usize], range: [f32; 2]) -> Tensor {
+        let make = || {
+            let values = random.uniform_map(shape.iter().product(), |share| range[0] + (range[1] - range[0]) * share);
+            Tensor::from_vec(values, shape, &Device::Cpu).unwrap()
+        };
+        tensors.entry(name).or_insert_with(make).to_dtype(DType::F64).unwrap()
+    }
+
+    fn conv(&mut self, x: &Tensor, name: &str, [out, side, stride, padding]: [usize; 4]) -> Result<Tensor> {
+        let channels = x.dim(1)?;
+        let bound = (6.0 / (channels * side * side) as f32).sqrt();
+        let mut of = |part: &str, shape: &[usize], bound: f32| {
+            Plain::weights(&mut self.random, &mut self.features, format!("{name}.{part}"), shape, [-bound, bound])
+        };
+        let (weight, bias) = (of("weight", &[out, channels, side, side], bound), of("bias", &[out], 0.1));
+        x.conv2d(&weight, padding, stride, 1, 1)?.broadcast_add(&bias.reshape((1, (), 1, 1))?)?.relu()
+    }
+
+    /// The compared feature maps.
+    fn taps(&mut self, image: &Image) -> Result<Vec<Tensor>> {
+        let (shift, scale) = ([-0.030, -0.088, -0.188], [0.458, 0.448, 0.450]);
+        let count = image.width * image.height;
+        let pixel = |i: usize| {
+            (2.0 * f64::from(image.pixels[i % count * 3 + i / count]) - 1.0 - shift[i / count]) / scale[i / count]
+        };
+        let pixels: Vec<f64> = (0..3 * count).map(pixel).collect();
+        let mut x = Tensor::from_vec(pixels, (1, 3, image.height, image.width), &Device::Cpu)?;
+        let mut taps = Vec::new();
+        for module in modules(self.backbone).split('|') {
+            let mut words = module.split_whitespace();
+            let (kind, n) = (words.next().unwrap(), words.map(|word| word.parse().unwrap()).collect::<Vec<usize>>());
+            match kind {
+                "conv" => x = self.conv(&x, &n[0].to_string(), [n[1], n[2], n[3], n[4]])?,
+                "fire" => {
+                    let mut part = |x: &Tensor, name: &str, out: usize, side: usize| {
+                        self.conv(x, &format!("{}.{name}", n[0]), [out, side, 1, side / 2])
+                    };
+                    x = part(&x, "squeeze", n[1], 1)?;
+                    x = Tensor::cat(&[part(&x, "expand1x1", n[2], 1)?, part(&x, "expand3x3", n[2], 3)?], 1)?;
+                }
+                "tap" => taps.push(x.clone()),
+                pool => {
+                    // Rounding up, the last window is filled up with zeros, below which no ReLU is.
+                    let is_up = usize::from(pool == "poolceil");
+                    let lacking = |size: usize| is_up * if size < n[0] { n[0] - size } else { (size - n[0]) % 2 };
+                    let (_, _, height, width) = x.dims4()?;
+                    let padded = x.pad_with_zeros(2, 0, lacking(height))?.pad_with_zeros(3, 0, lacking(width))?;
+                    x = padded.max_pool2d_with_stride(n[0], 2)?;
+                }
+            }
+        }
+        Ok(taps)
+    }
+
+    fn distance(&mut self, a: &Image, b: &Image) -> Result<f64> {
+        let unit = |x: &Tensor| x.broadcast_div(&(x.sqr()?.sum_keepdim(1)?.sqrt()? + 1e-10)?);
+        let pairs = self.taps(a)?.into_iter().zip(self.taps(b)?);
+        let of_tap = |(i, (a, b)): (usize, (Tensor, Tensor))| {
+            let (name, shape) = (format!("lin{i}.model.1.weight"), [1, a.dim(1)?, 1, 1]);
+            let weights = Plain::weights(&mut self.random, &mut self.linear, name, &shape, [0.0, 1.0]);
+            let difference = (unit(&a)? - unit(&b)?)?.sqr()?;
+            difference.broadcast_mul(&weights)?.sum(1)?.mean_all()?.to_scalar::<f64>()
+        };
+        pairs.enumerate().map(of_tap).sum()
+    }
 }
 
 fn feature_file(backbone: Backbone) -> &'static str {
@@ -436,69 +400,16 @@ fn write(dir: &Path, backbone: Backbone, features: &Tensors, linear: &Tensors) {
     candle_core::safetensors::save(linear, dir.join(name)).unwrap();
 }
 
-fn conv(x: &Tensor, tensors: &Tensors, name: &str, stride: usize, padding: usize) -> candle_core::Result<Tensor> {
-    let of = |what: &str| tensors[&format!("{name}.{what}")].to_dtype(DType::F64);
-    x.conv2d(&of("weight")?, padding, stride, 1, 1)?.broadcast_add(&of("bias")?.reshape((1, (), 1, 1))?)?.relu()
-}
-
-/// The compared feature maps.
-fn plain_taps(image: &Image, modules: &[Module], tensors: &Tensors) -> candle_core::Result<Vec<Tensor>> {
-    let (shift, scale) = ([-0.030, -0.088, -0.188], [0.458, 0.448, 0.450]);
-    let count = image.width * image.height;
-    let pixel = |i: usize| {
-        (2.0 * f64::from(image.pixels[i % count * 3 + i / count]) - 1.0 - shift[i / count]) / scale[i / count]
-    };
-    let pixels: Vec<f64> = (0..3 * count).map(pixel).collect();
-    let mut x = Tensor::from_vec(pixels, (1, 3, image.height, image.width), &Device::Cpu)?;
-    let mut taps = Vec::new();
-    for (kind, n) in modules {
-        let part = |x: &Tensor, name: &str, padding: usize| conv(x, tensors, &format!("{}.{name}", n[0]), 1, padding);
-        match *kind {
-            "conv" => x = conv(&x, tensors, &n[0].to_string(), n[4], n[5])?,
-            "fire" => {
-                x = part(&x, "squeeze", 0)?;
-                x = Tensor::cat(&[part(&x, "expand1x1", 0)?, part(&x, "expand3x3", 1)?], 1)?;
-            }
-            "tap" => taps.push(x.clone()),
-            pool => {
-                // Rounding up, the last window is filled up with zeros, below which no ReLU is.
-                let is_up = usize::from(pool == "poolceil");
-                let lacking = |size: usize| is_up * if size < n[0] { n[0] - size } else { (size - n[0]) % 2 };
-                let (_, _, height, width) = x.dims4()?;
-                let padded = x.pad_with_zeros(2, 0, lacking(height))?.pad_with_zeros(3, 0, lacking(width))?;
-                x = padded.max_pool2d_with_stride(n[0], 2)?;
-            }
-        }
-    }
-    Ok(taps)
-}
-
-fn plain_distance(
-    [a, b]: [&Image; 2],
-    modules: &[Module],
-    features: &Tensors,
-    linear: &Tensors,
-) -> candle_core::Result<f64> {
-    let unit = |x: &Tensor| x.broadcast_div(&(x.sqr()?.sum_keepdim(1)?.sqrt()? + 1e-10)?);
-    let pairs = plain_taps(a, modules, features)?.into_iter().zip(plain_taps(b, modules, features)?);
-    let of_tap = |(i, (a, b)): (usize, (Tensor, Tensor))| {
-        let weights = linear[&format!("lin{i}.model.1.weight")].to_dtype(DType::F64)?;
-        let difference = (unit(&a)? - unit(&b)?)?.sqr()?;
-        difference.broadcast_mul(&weights)?.sum(1)?.mean_all()?.to_scalar::<f64>()
-    };
-    pairs.enumerate().map(of_tap).sum()
-}
-
 fn check_network(backbone: Backbone, sizes: &[(usize, usize)]) {
     let dir = tempfile::tempdir().unwrap();
-    let (features, linear) = synthetic(backbone, "");
-    write(dir.path(), backbone, &features, &linear);
+    let mut plain = Plain::new(backbone);
+    write(dir.path(), backbone, &plain.features, &plain.linear);
     assert_eq!(Lpips::available(dir.path()).unwrap(), [backbone]);
     let lpips = Lpips::load(dir.path(), backbone, &Device::Cpu).unwrap().unwrap();
     for (width, height) in sizes {
         let (a, b) = (noise(*width, *height, 3, 6), noise(*width, *height, 3, 7));
         let found = lpips.distance(&a, &b).unwrap();
-        let expected = plain_distance([&a, &b], &parsed(backbone), &features, &linear).unwrap();
+        let expected = plain.distance(&a, &b).unwrap();
         eprintln!("{} {width}x{height}: {found} {expected}", backbone.name());
         assert_close(backbone.name(), found, expected, expected * NETWORK_TOLERANCE);
         assert_eq!(lpips.distance(&a, &a).unwrap(), 0.0);
@@ -511,17 +422,9 @@ fn check_network(backbone: Backbone, sizes: &[(usize, usize)]) {
 }
 
 #[test]
-fn alex_equals_plain_operations() {
+fn every_backbone_equals_plain_operations_also_where_pooling_rounds_up() {
     check_network(Backbone::Alex, &[(31, 31), (43, 36)]);
-}
-
-#[test]
-fn vgg_equals_plain_operations() {
     check_network(Backbone::Vgg, &[(19, 16)]);
-}
-
-#[test]
-fn squeeze_equals_plain_operations_also_where_pooling_rounds_up() {
     check_network(Backbone::Squeeze, &[(17, 17), (21, 23), (26, 29), (33, 19)]);
 }
 
@@ -529,14 +432,13 @@ fn squeeze_equals_plain_operations_also_where_pooling_rounds_up() {
 #[ignore = "slow"]
 fn convolutions_in_strips_of_rows_give_the_same_distance() {
     let dir = tempfile::tempdir().unwrap();
-    let (features, linear) = synthetic(Backbone::Vgg, "features.");
-    write(dir.path(), Backbone::Vgg, &features, &linear);
+    let mut plain = Plain::new(Backbone::Vgg);
+    let features = plain.features.iter().map(|(name, weights)| (format!("features.{name}"), weights.clone())).collect();
+    write(dir.path(), Backbone::Vgg, &features, &plain.linear);
     let lpips = Lpips::load(dir.path(), Backbone::Vgg, &Device::Cpu).unwrap().unwrap();
     // The second convolution unfolds 64 * 9 * 700 values a row: two strips.
     let (a, b) = (noise(700, 48, 3, 9), noise(700, 48, 3, 10));
-    let short =
-        features.iter().map(|(name, v)| (name.trim_start_matches("features.").to_string(), v.clone())).collect();
-    let expected = plain_distance([&a, &b], &parsed(Backbone::Vgg), &short, &linear).unwrap();
+    let expected = plain.distance(&a, &b).unwrap();
     assert_close("vgg in strips", lpips.distance(&a, &b).unwrap(), expected, expected * NETWORK_TOLERANCE);
 }
 
@@ -547,21 +449,21 @@ fn weight_folders_that_lack_something_are_told_apart() {
     assert_eq!(Lpips::available(dir.path()).unwrap(), []);
     let missing = dir.path().join("missing");
     assert_eq!(Lpips::available(&missing).unwrap_err().exit_code(), 3);
-    assert!(load_error(&missing, Backbone::Squeeze).contains("missing"));
+    assert!(load_error(&missing).contains("missing"));
 
-    let (features, linear) = synthetic(Backbone::Squeeze, "");
+    let Plain { features, linear, .. } = Plain::new(Backbone::Squeeze);
     let mut wrong = features.clone();
     wrong.insert("3.squeeze.weight".into(), features["4.squeeze.weight"].clone());
     write(dir.path(), Backbone::Squeeze, &wrong, &linear);
-    let error = load_error(dir.path(), Backbone::Squeeze);
+    let error = load_error(dir.path());
     for part in ["squeezenet1_1_features.safetensors", "3.squeeze.weight", "[16, 128, 1, 1]", "[16, 64, 1, 1]"] {
         assert!(error.contains(part), "{error}");
     }
     wrong.remove("3.squeeze.weight");
     write(dir.path(), Backbone::Squeeze, &wrong, &linear);
-    let error = load_error(dir.path(), Backbone::Squeeze);
+    let error = load_error(dir.path());
     assert!(error.contains("lacks the tensor 3.squeeze.weight"), "{error}");
 
     std::fs::write(dir.path().join(feature_file(Backbone::Squeeze)), b"not a weight file").unwrap();
-    assert!(load_error(dir.path(), Backbone::Squeeze).contains("not a readable weight file"));
+    assert!(load_error(dir.path()).contains("not a readable weight file"));
 }
