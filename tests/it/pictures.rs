@@ -2,19 +2,17 @@
 
 use std::sync::Arc;
 
-use crate::common::files::{assert_same_files, files, json, text};
+use crate::common::files::{assert_same_files, files, json, rows, text};
 use crate::common::program::{Place, set};
 use crate::common::{assert_says, runtime, tiny_config, tiny_scene, trained};
 use augnerf::base::Image;
 use augnerf::base::rng::{Random, Stream};
-use augnerf::compare::{
-    Comparison, Profile, Profiles, RunView, Window, crop, differences, labels, most_different, name_steps,
-};
+use augnerf::compare::{Comparison, Profile, Profiles, RunView, Window, crop, differences, most_different};
 use augnerf::data::Scene;
 use augnerf::metrics::{psnr, quantise};
 use augnerf::run::{RenderedView, Viewer};
 use augnerf::settings::{Config, Method, PixelOrigin, Resolved};
-use augnerf::train::checkpoint::State;
+use augnerf::train::checkpoint::load_state;
 use base64::Engine;
 use tempfile::TempDir;
 
@@ -81,18 +79,8 @@ impl Run {
     }
 
     fn run_view(&self, label: &str) -> RunView {
-        let state = State {
-            format: 1,
-            step: 30,
-            adam_since: 0,
-            empty_steps: 0,
-            redraws: vec![0, 0],
-            config_hash: self.config.hash(),
-            revisions: vec!["a".into()],
-            devices: vec!["cpu".into()],
-            instructions: vec!["x86-64-v3".into()],
-            adapters: vec![],
-        };
+        let folder = TempDir::new().unwrap();
+        let state = load_state(&self.trainer.save(folder.path()).unwrap()).unwrap();
         RunView::new(label.into(), &self.viewer(), &state, "0").unwrap()
     }
 
@@ -115,15 +103,15 @@ fn compared(runs: &[Run; 2], window: Option<Window>) -> Comparison {
 #[test]
 fn a_comparison_repeats_byte_for_byte_and_its_numbers_are_those_of_the_box() {
     let runs = pair();
-    let [a, b] = [(); 2].map(|()| TempDir::new().unwrap());
+    let dir = TempDir::new().unwrap();
     let comparison = compared(&runs, None);
-    comparison.write(a.path()).unwrap();
-    compared(&pair(), None).write(b.path()).unwrap();
-    let written = files(a.path(), &[]);
+    comparison.write(dir.path()).unwrap();
+    let written = files(dir.path(), &[]);
     let names: Vec<&str> = written.iter().map(|(name, _)| name.to_str().unwrap()).collect();
     assert_eq!(names, ["compare.json", "compare.svg"]);
-    assert!(written == files(b.path(), &[]), "equal runs give other bytes");
-    let report = json(&a.path().join("compare.json"));
+    compared(&pair(), None).write(dir.path()).unwrap();
+    assert!(written == files(dir.path(), &[]), "equal runs give other bytes");
+    let report = json(&dir.path().join("compare.json"));
     let window = comparison.window();
     assert_eq!(report["box"]["x"], window.x);
     let truth = &runs[0].scene.test[0].image;
@@ -141,20 +129,6 @@ fn a_comparison_repeats_byte_for_byte_and_its_numbers_are_those_of_the_box() {
     assert_eq!(told("seed").unwrap(), serde_json::json!(["0", "1"]));
     assert_eq!(told("method").unwrap(), serde_json::json!(["nerf", "aug-nerf"]));
     assert!(told("lambda").is_some() && told("rays").is_none() && told("config_hash").is_none());
-}
-
-/// The scale of depth holds the ground truth's, so that its colours do not saturate.
-#[test]
-fn the_scale_of_depth_holds_the_ground_truth() {
-    let runs = pair();
-    let far = |depth: Option<f32>| {
-        let [mut a, b] = [runs[0].rendered("first"), runs[1].rendered("second")];
-        a.0.view.depth = depth.map(|depth| vec![depth; a.1.depth.len()]);
-        let comparison = Comparison::new(vec![a, b], None, Some(6)).unwrap();
-        comparison.json()["depth_colours"][1].as_f64().unwrap()
-    };
-    assert!(far(None) < 100.0);
-    assert_eq!(far(Some(100.0)), 100.0);
 }
 
 fn eight_bits(image: &Image) -> Vec<[u8; 3]> {
@@ -210,7 +184,7 @@ fn differences_name_settings_that_the_protocol_leaves_out() {
         Run::new(Method::Nerf, 0, |config| config.train.collapse_steps = 3),
         Run::new(Method::AugNerf, 0, |config| config.perturb.perturb_last = true),
     ];
-    let [a, b, c] = ["a", "b", "c"].map(|label| runs[(label.as_bytes()[0] - b'a') as usize].run_view(label));
+    let [a, b, c] = runs.each_ref().map(|run| run.run_view("run"));
     let names = |runs: &[&RunView]| -> Vec<String> { differences(runs).into_iter().map(|d| d.name).collect() };
     assert_eq!(names(&[&a, &b]), ["train.collapse_steps"]);
     assert!(names(&[&a]).is_empty() && names(&[&a, &a]).is_empty());
@@ -246,32 +220,6 @@ fn runs_that_do_not_show_the_same_are_refused_in_words() {
         &other.check_same_interval(&first).unwrap_err().to_string(),
         &["other run from 1 to", "first from", "data.near"],
     );
-}
-
-#[test]
-fn figures_name_steps_where_runs_differ_in_them_or_stopped() {
-    let [first, second] = pair();
-    let mut runs = [first.run_view("NeRF"), second.run_view("TV")];
-    let captions = |runs: &mut [RunView], steps: [(u64, u64); 2]| -> [String; 2] {
-        runs.iter_mut().zip(steps).for_each(|(run, steps)| run.steps = steps);
-        name_steps(runs.iter_mut());
-        [runs[0].caption(), runs[1].caption()]
-    };
-    assert_eq!(captions(&mut runs, [(30, 30), (30, 30)]), ["NeRF", "TV"]);
-    assert_eq!(captions(&mut runs, [(30, 30), (600, 600)]), ["NeRF (30 steps)", "TV (600 steps)"]);
-    assert_eq!(captions(&mut runs, [(600, 600), (30, 600)]), ["NeRF (600 steps)", "TV (unfinished: step 30 of 600)"]);
-    assert_eq!(captions(&mut runs, [(30, 600), (30, 600)])[0], "NeRF (unfinished: step 30 of 600)");
-    assert_eq!(captions(&mut runs, [(600, 600), (600, 600)]), ["NeRF", "TV"]);
-}
-
-#[test]
-fn labels_are_names_where_these_differ() {
-    let dir = TempDir::new().unwrap();
-    let run = |name: &str| dir.path().join(name);
-    assert_eq!(labels(&[run("a"), run("b")], &[]).unwrap(), ["a", "b"]);
-    let paths = labels(&[run("x/a"), run("y/a")], &[]).unwrap();
-    assert!(paths[0].ends_with("x/a") && paths[1].ends_with("y/a"), "{paths:?}");
-    assert!(labels(&[run("a"), run("b"), run("a")], &[]).unwrap_err().to_string().contains("twice"));
 }
 
 const PIXEL: (usize, usize) = (7, 8);
@@ -324,27 +272,16 @@ fn a_coarse_model_alone_has_no_fine_samples() {
 }
 
 #[test]
-fn a_profile_repeats_byte_for_byte_and_its_variation_is_that_of_its_table() {
-    let write = || {
-        let dir = TempDir::new().unwrap();
-        let runs = pair();
-        let runs = vec![profiled(&runs[0], "first"), profiled(&runs[1], "second")];
-        Profiles { runs, pixel: PIXEL }.write(dir.path()).unwrap();
-        dir
-    };
-    let (dir, again) = (write(), write());
-    let written = files(dir.path(), &[]);
-    let names: Vec<&str> = written.iter().map(|(name, _)| name.to_str().unwrap()).collect();
-    assert_eq!(names, ["ray.csv", "ray.json", "ray.svg"]);
-    assert!(written == files(again.path(), &[]), "equal runs give other bytes");
+fn the_variation_along_a_ray_is_that_of_its_table() {
+    let dir = TempDir::new().unwrap();
+    let [a, b] = pair();
+    let runs = vec![profiled(&a, "first"), profiled(&b, "second")];
+    Profiles { runs, pixel: PIXEL }.write(dir.path()).unwrap();
     let report = json(&dir.path().join("ray.json"));
-    let mut table = csv::Reader::from_path(dir.path().join("ray.csv")).unwrap();
-    let headers = table.headers().unwrap().clone();
-    let column = |name: &str| headers.iter().position(|known| known == name).unwrap();
-    let rows: Vec<csv::StringRecord> = table.records().map(|row| row.unwrap()).collect();
+    let table = rows(&text(&dir.path().join("ray.csv")));
     for (index, run) in ["first", "second"].into_iter().enumerate() {
-        let of_run = rows.iter().filter(|row| &row[column("run")] == run && &row[column("samples")] == "even");
-        let density: Vec<f64> = of_run.map(|row| row[column("density")].parse::<f32>().unwrap().into()).collect();
+        let of_run = table.iter().filter(|row| row["run"] == run && row["samples"] == "even");
+        let density: Vec<f64> = of_run.map(|row| row["density"].parse::<f32>().unwrap().into()).collect();
         assert_eq!(density.len(), 1024);
         let along: f64 = density.windows(2).map(|pair| (pair[1] - pair[0]).abs()).sum();
         let told = report["runs"][index]["density_variation"].as_f64().unwrap();

@@ -11,7 +11,7 @@ use augnerf::settings::Method;
 
 use crate::common::files::{assert_same_files, files};
 use crate::common::learning::FLEETING;
-use crate::common::program::augnerf;
+use crate::common::program::Place;
 use crate::common::{tiny_config, tiny_scene};
 
 /// Trains in `folder` on a runtime of its own; what that did.
@@ -62,38 +62,27 @@ fn what_is_no_device_is_refused() {
     }
 }
 
-/// Work inside a runtime stays there, whichever thread asks for it.
-#[test]
-fn work_is_done_on_the_runtimes_threads() {
-    let [one, other] = [1, 2].map(|threads| Runtime::new("cpu", Some(threads)).unwrap());
-    let seen = one.install(|| (rayon::current_num_threads(), other.install(rayon::current_num_threads)));
-    assert_eq!(seen, (1, 2));
-}
-
 /// Rayon's variable sets the threads unless `--threads` does. What is no number of threads is said.
 #[test]
 fn rayons_variable_sets_the_threads() {
-    let threads = |variable: Option<&str>, flags: &[&str]| {
-        let small = ["bench", "--rays", "8", "--coarse", "8", "--fine", "8", "--width", "16", "--steps", "1"];
-        let mut bench = augnerf(&[&small[..], flags].concat());
-        match variable {
-            Some(value) => bench.env("RAYON_NUM_THREADS", value),
-            None => bench.env_remove("RAYON_NUM_THREADS"),
-        };
+    let place = Place::new();
+    let threads = |variable: Option<&str>, flags: &str| {
+        let mut bench = place.command(&format!("bench --rays 8 --coarse 8 --fine 8 --width 16 --steps 1 {flags}"));
+        bench.env_remove("RAYON_NUM_THREADS").envs(variable.map(|value| ("RAYON_NUM_THREADS", value)));
         let said = bench.output().unwrap();
         let [answer, notes] = [said.stdout, said.stderr].map(|text| String::from_utf8(text).unwrap());
         let answer: serde_json::Value = serde_json::from_str(answer.lines().next().unwrap()).unwrap();
         (answer["threads"].as_u64().unwrap(), notes.contains("warning: RAYON_NUM_THREADS="))
     };
-    let (all, _) = threads(None, &[]);
+    let (all, _) = threads(None, "");
     for (variable, flags, expected) in [
-        ("3", &[][..], (3, false)),
-        ("3", &["--threads", "2"], (2, false)),
-        ("", &[], (all, false)),
-        ("abc", &[], (all, true)),
-        ("abc", &["--quiet"], (all, false)),
-        ("abc", &["--threads", "2"], (2, false)),
+        ("3", "", (3, false)),
+        ("3", "--threads 2", (2, false)),
+        ("", "", (all, false)),
+        ("abc", "", (all, true)),
+        ("abc", "--quiet", (all, false)),
+        ("abc", "--threads 2", (2, false)),
     ] {
-        assert_eq!(threads(Some(variable), flags), expected, "{variable:?} {flags:?}");
+        assert_eq!(threads(Some(variable), flags), expected, "{variable:?} {flags}");
     }
 }
