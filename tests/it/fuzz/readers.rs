@@ -10,20 +10,17 @@ use augnerf::data::cameras::{self, Dataparser};
 use augnerf::data::{self, WorldToScene, images};
 use augnerf::methods::SiteSummary;
 use augnerf::metrics::{Backbone, Lpips};
-use augnerf::report::PointResult;
 use augnerf::report::tables::{Table, points_csv};
 use augnerf::run::{DepthErrors, Foreign, Matching, Networks, RunDir, Scalars, Truth, pictures, score};
 use augnerf::settings::{Axes, Config, DataConfig, Method, build, parse_assignment};
 use augnerf::space::{read_mesh, sample};
 use augnerf::sweep::verify::{Archive, Outcome, Verifier};
-use augnerf::sweep::{
-    Collector, Definition, Point, PointFolder, PublishedCosts, Results, StepCosts, SweepFolder, SweepOutputs,
-    Trainings, expand,
-};
+use augnerf::sweep::{Definition, PublishedCosts, StepCosts, SweepFolder, SweepOutputs, Trainings, expand};
 use augnerf::train::checkpoint;
 use candle_core::{DType, Device};
 
-use crate::common::files::{copy, files, seal};
+use crate::common::files::{copy, entries, files, seal};
+use crate::common::program::{Place, tiny_sweep};
 use crate::common::{runtime, tiny_config, tiny_scene, trained};
 use crate::sweep_run::Costs;
 
@@ -188,56 +185,26 @@ fn read_run(file: &Path, folder: &Path) -> Result<()> {
     checkpoint::load_model(&newest, &config, DType::F32, &Device::Cpu).map(drop)
 }
 
-/// A sweep of two points, begun.
-fn begun_sweep(path: &Path) -> (SweepFolder, Definition, Vec<Point>) {
-    let definition = Definition::read(&fixtures().join("sound/sweep/small.toml")).unwrap();
-    let points = expand(&definition, None, &Costs).unwrap();
-    let folder = SweepFolder::new(path);
-    drop(folder.lock().unwrap());
-    folder.begin(&definition, &points, None).unwrap();
-    points.iter().for_each(|point| folder.point(&point.id).begin(point).unwrap());
-    (folder, definition, points)
-}
-
-/// A sweep whose points are done, each with the files of its run.
-fn done_sweep(path: &Path) -> (SweepFolder, Definition, Vec<Point>) {
-    let (folder, definition, points) = begun_sweep(path);
-    for (point, psnr) in points.iter().zip([21.5, 22.25]) {
-        let of_point: PointFolder = folder.point(&point.id);
-        let protocol = [("protocol", "1"), ("steps", "1200"), ("code_revision", "abc")];
-        let protocol = protocol.map(|(name, text)| (name.to_string(), text.to_string())).to_vec();
-        let metrics = vec![("psnr".into(), Some(psnr)), ("ssim".into(), None)];
-        of_point.finish(&PointResult { metrics, protocol, inactive_levels: Vec::new() }).unwrap();
-        let run = of_point.run();
-        fs::create_dir_all(&run).unwrap();
-        for (sound, file) in [("run/timing.json", "timing.json"), ("point/curves.csv", "scalars.csv")] {
-            fs::copy(fixtures().join("sound").join(sound), run.join(file)).unwrap();
-        }
-    }
-    (folder, definition, points)
-}
-
 /// Files of a sweep that is done, of one that is not, and of results: whatever is made of them.
 fn sweep(folder: &Path) -> Vec<Reader> {
-    let (done, definition, points) = done_sweep(&folder.join("done"));
-    let outputs = SweepOutputs::of_folder(&done, &definition, &points).unwrap();
-    let results = folder.join("results/small");
-    fs::create_dir_all(results.parent().unwrap()).unwrap();
-    let (force, with_timing) = (false, false);
-    let collector =
-        Collector { outputs: &outputs, definition: &definition, points: &points, name: "small", force, with_timing };
-    collector.write(&Results::take(&results).unwrap()).unwrap();
-    let (open, _, _) = begun_sweep(&folder.join("open"));
-    let sound = |name: &str| fixtures().join("sound/point").join(name);
-    fs::copy(sound("claim.json"), open.point(&points[0].id).path().join("claim.json")).unwrap();
-    fs::copy(sound("failed.json"), open.point(&points[1].id).path().join("failed.json")).unwrap();
+    let place = Place::new();
+    let rows = [("Aug-NeRF", "method = \"aug-nerf\"")];
+    place.write("small.toml", tiny_sweep(&[0], &["psnr"], "train.steps=2 eval.pictures=0", &rows));
+    place.run("sweep run small.toml --quiet", 0);
+    let [done, open, results] = ["done", "open", "results/small"].map(|name| folder.join(name));
+    [&done, &open].into_iter().for_each(|sweep| copy(&place.at("runs/small"), sweep));
+    copy(&place.at("results/small"), &results);
+    for (point, name) in entries(&open.join("points")).iter().zip(["claim.json", "failed.json"]) {
+        fs::remove_file(point.join("result.json")).unwrap();
+        fs::copy(fixtures().join("sound/point").join(name), point.join(name)).unwrap();
+    }
     let seconds = folder.join("step_seconds.json");
     let config = tiny_config(Method::Nerf, |_| {});
     let shape = config.step_shape();
     fs::write(&seconds, format!("{{\"seconds\": {{\"{shape}\": 0.25, \"0123456789ab\": 1e-3}}}}\n")).unwrap();
-    let mut readers = each(done.path(), read_sweep);
-    readers.extend(each(open.path(), read_sweep));
-    readers.extend(each(&results, read_results).into_iter().filter(|reader| is_read(&reader.file)));
+    let readers = [each(&done, read_sweep), each(&open, read_sweep), each(&results, read_results)];
+    let mut readers: Vec<Reader> = readers.into_iter().flatten().collect();
+    readers.retain(|reader| is_read(&reader.file));
     readers.push(reader(seconds, move |file| {
         let seconds = PublishedCosts::beside(file.parent().unwrap(), &Costs)?.seconds_per_step(&config)?;
         assert!(seconds.is_finite() && seconds > 0.0, "a step of {seconds} s");
@@ -246,11 +213,11 @@ fn sweep(folder: &Path) -> Vec<Reader> {
     readers
 }
 
-/// Is it one of the results' files that others are made of?
+/// Is it one of the files that others are made of?
 fn is_read(file: &Path) -> bool {
-    ["points.csv", "timing.csv", "scalars.csv.gz", "provenance.toml", "points.json"]
-        .iter()
-        .any(|name| file.ends_with(name))
+    let of_sweep = "sweep.toml points.json config.toml result.json timing.json scalars.csv claim.json failed.json";
+    let of_results = "points.csv timing.csv scalars.csv.gz provenance.toml";
+    of_sweep.split(' ').chain(of_results.split(' ')).any(|name| file.ends_with(name))
 }
 
 fn read_sweep(_: &Path, path: &Path) -> Result<()> {
