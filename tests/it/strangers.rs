@@ -120,7 +120,7 @@ fn masks_that_lie_there_are_named_and_read() {
         let said = says(&format!("{name} data.masks=none{changes}"), &[]);
         assert!(!said.contains("photos have masks"), "{name}: {said}");
     }
-    says("masks_llff; mv masks other; cp other/0001.png masks/x.png", &["masks/ has 1 images that are called like no photo"]);
+    says("masks_llff; mv masks other; cp other/0001.png masks/x.png", &["masks/ has 1 images that are called like no"]);
     refuses("masks_llff data.masks=nowhere", &["data.masks = \"nowhere\"", "has no mask of its 8 photos"]);
 }
 
