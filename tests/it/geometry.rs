@@ -6,6 +6,7 @@ use std::sync::OnceLock;
 use crate::common::files::{newest, points_of, rows, seal};
 use crate::common::needs::scene;
 use crate::common::program::{Place, set, tiny_sweep};
+use augnerf::data::npy::{Array, read_array};
 use augnerf::data::{self, View};
 use augnerf::settings::{DataConfig, DataKind};
 
@@ -46,11 +47,9 @@ fn a_run_is_drawn_compared_and_drawn_again_alike() {
     assert_eq!(report["box"], serde_json::json!([[-1.2, -1.2, -1.2], [1.2, 1.2, 1.2]]));
 
     // The volume is the density that the report speaks of.
-    let volume = std::fs::read(place.at("run/mesh/density.npy")).unwrap();
-    let values: Vec<f32> = volume[128..].as_chunks::<4>().0.iter().map(|bytes| f32::from_le_bytes(*bytes)).collect();
-    assert_eq!(values.len(), 48 * 48 * 48);
-    assert!(String::from_utf8_lossy(&volume[..128]).contains("(48, 48, 48)"));
-    let largest = f64::from(values.iter().copied().fold(0.0, f32::max));
+    let Array { shape, values } = read_array(&place.at("run/mesh/density.npy")).unwrap();
+    assert_eq!(shape, [48, 48, 48]);
+    let largest = values.iter().copied().fold(0.0, f64::max);
     assert!((report["density"]["largest"].as_f64().unwrap() - largest).abs() < 1e-6 * largest);
     let inside = values.iter().filter(|&&value| value >= 1.5).count() as f64 / values.len() as f64;
     assert_eq!(report["density"]["inside"], inside);
@@ -86,7 +85,7 @@ fn a_run_is_drawn_compared_and_drawn_again_alike() {
 }
 
 /// Vertices lie where the densities at 48^3 midpoints of the box, between which they are linear, are the threshold 1.5.
-fn lies_in_the_field(obj: &str, values: &[f32]) {
+fn lies_in_the_field(obj: &str, values: &[f64]) {
     let mut checked = 0;
     for line in obj.lines().filter_map(|line| line.strip_prefix("v ")) {
         let vertex: [f64; 3] = std::array::from_fn(|i| line.split(' ').nth(i).unwrap().parse().unwrap());
@@ -102,7 +101,7 @@ fn lies_in_the_field(obj: &str, values: &[f32]) {
                 index = index * 48 + v.floor() as usize + side;
                 weight *= if side == 1 { v.fract() } else { 1.0 - v.fract() };
             }
-            weight * f64::from(values[index])
+            weight * values[index]
         };
         let density: f64 = (0..8).map(corner).sum();
         assert!((density - 1.5).abs() < 1e-2, "{density} at {vertex:?}");

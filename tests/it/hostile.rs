@@ -93,13 +93,6 @@ fn settings_are_not_nested_without_an_end() {
     place.says("sweep plan sweep.toml", 2, &["60000 parts"]);
 }
 
-#[test]
-fn names_of_a_megabyte_are_refused_at_once() {
-    let name = "x".repeat(1 << 20);
-    let message = refused(|| built(None, &format!("train.{name}=1")));
-    assert_says(&message, &["unknown key", "did you mean"]);
-}
-
 /// A scene of two views.
 pub fn scene() -> TempDir {
     let dir = TempDir::new().unwrap();

@@ -4,6 +4,7 @@ use std::collections::HashMap;
 use std::path::{Path, PathBuf};
 
 use augnerf::base::csv::plain_hash;
+use augnerf::data::npy::header;
 
 /// A file's text.
 #[track_caller]
@@ -126,10 +127,8 @@ pub fn copy(from: &Path, to: &Path) {
 }
 
 /// A file of an array as NumPy stores it.
-pub fn npy(descr: &str, [rows, columns]: [usize; 2], bytes: &[u8]) -> Vec<u8> {
-    let header = format!("{{'descr': '{descr}', 'fortran_order': False, 'shape': ({rows}, {columns}), }}\n");
-    let length = (header.len() as u16).to_le_bytes();
-    [b"\x93NUMPY\x01\x00", &length[..], header.as_bytes(), bytes].concat()
+pub fn npy(kind: &str, shape: [usize; 2], bytes: &[u8]) -> Vec<u8> {
+    [&header(kind, &shape)[..], bytes].concat()
 }
 
 /// Writes `poses_bounds.npy`.
