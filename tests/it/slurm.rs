@@ -5,11 +5,11 @@ use std::os::unix::fs::PermissionsExt;
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
 use std::sync::LazyLock;
+use std::time::SystemTime;
 
 use crate::common::assert_says;
 use crate::common::files::{assert_same_files, entries, json, text};
 use crate::common::program::{Place, demand, tiny_sweep, wait_for};
-use tempfile::TempDir;
 
 /// Three points of a second; the second one fails.
 pub static TINY: LazyLock<String> = LazyLock::new(|| {
@@ -59,14 +59,10 @@ fn points_that_are_run_one_by_one_make_the_tables_of_a_sweep() {
     place.says(&format!("sweep run-point runs/tiny --id {}", &name[..8]), 0, &["done: NeRF · builtin · seed 0"]);
     place.says(&point(1), 7, &["broken · builtin · seed 0 failed", "--retry-failed", "not a number"]);
     // What has ended is not done again.
-    let ends = || {
-        let file = |point: &PathBuf| {
-            entries(point).into_iter().find(|file| file.ends_with("result.json") || file.ends_with("failed.json"))
-        };
-        points(&place)
-            .iter()
-            .map(|point| file(point).unwrap().metadata().unwrap().modified().unwrap())
-            .collect::<Vec<_>>()
+    let is_end = |file: &PathBuf| file.ends_with("result.json") || file.ends_with("failed.json");
+    let ends = || -> Vec<SystemTime> {
+        let files = points(&place).into_iter().map(|point| entries(&point).into_iter().find(is_end).unwrap());
+        files.map(|file| file.metadata().unwrap().modified().unwrap()).collect()
     };
     let ended = ends();
     place.says(&point(0), 0, &["was already done"]);
@@ -130,32 +126,13 @@ fn a_point_that_another_runner_works_on_is_left_to_it() {
 }
 
 /// Slurm's commands that the script calls, in a folder of their own; each call is written down.
-struct Cluster {
-    bin: TempDir,
-}
-
-impl Cluster {
-    fn new() -> Cluster {
-        let cluster = Cluster { bin: TempDir::new().unwrap() };
-        cluster.says("");
-        std::fs::write(cluster.bin.path().join("calls"), "").unwrap();
-        for (name, body) in [("squeue", "cat \"$here/queue\""), ("scontrol", "echo \"scontrol $*\" >> \"$here/calls\"")]
-        {
-            let path = cluster.bin.path().join(name);
-            std::fs::write(&path, format!("#!/bin/sh\nhere={}\n{body}\n", cluster.bin.path().display())).unwrap();
-            std::fs::set_permissions(&path, std::fs::Permissions::from_mode(0o755)).unwrap();
-        }
-        cluster
+fn cluster() -> Place {
+    let bin = Place::with("calls", "");
+    for (name, body) in [("squeue", "cat \"$here/queue\""), ("scontrol", "echo \"scontrol $*\" >> \"$here/calls\"")] {
+        bin.write(name, format!("#!/bin/sh\nhere={}\n{body}\n", bin.path().display()));
+        std::fs::set_permissions(bin.at(name), std::fs::Permissions::from_mode(0o755)).unwrap();
     }
-
-    /// What `squeue` says of a task's state.
-    fn says(&self, state: &str) {
-        std::fs::write(self.bin.path().join("queue"), state).unwrap();
-    }
-
-    fn calls(&self) -> Vec<String> {
-        text(&self.bin.path().join("calls")).lines().map(String::from).collect()
-    }
+    bin
 }
 
 #[test]
@@ -229,9 +206,9 @@ fn what_slurm_cannot_take_is_refused_in_a_sentence() {
 }
 
 /// The script as Slurm starts it: `task` of job 12, of which the queue says `state`.
-fn task(cluster: &Cluster, place: &Place, task: &str, state: &str) -> Command {
-    cluster.says(state);
-    let path = format!("{}:{}", cluster.bin.path().display(), std::env::var("PATH").unwrap());
+fn task(cluster: &Place, place: &Place, task: &str, state: &str) -> Command {
+    cluster.write("queue", state);
+    let path = format!("{}:{}", cluster.path().display(), std::env::var("PATH").unwrap());
     let mut bash = Command::new("bash");
     bash.arg("runs/tiny/slurm/points.sbatch").current_dir(place.path()).env("PATH", path);
     bash.env("SLURM_ARRAY_JOB_ID", "12").env("SLURM_ARRAY_TASK_ID", task);
@@ -241,22 +218,18 @@ fn task(cluster: &Cluster, place: &Place, task: &str, state: &str) -> Command {
 
 #[test]
 fn the_script_puts_back_what_was_stopped_and_nothing_else() {
-    let (place, cluster) = (workplace(&long().replace("2000", "1000")), Cluster::new());
+    let (place, cluster) = (workplace(&long().replace("2000", "1000")), cluster());
     place.run("sweep slurm tiny.toml --quiet", 0);
-    let requeued = || cluster.calls().iter().filter(|call| *call == "scontrol requeue 12_0").count();
+    let requeued = || cluster.text("calls").lines().filter(|call| *call == "scontrol requeue 12_0").count();
     let own = points(&place)[0].clone();
     // Preempted, cancelled by somebody, killed for memory, in turn; then left alone.
-    for (turn, (how, state, code, put_back)) in
+    let logged = || std::fs::read_to_string(own.join("run/scalars.csv")).unwrap_or_default().lines().count();
+    for (how, state, code, put_back) in
         [("-TERM", "RUNNING", 143, 1), ("-USR1", "COMPLETING", 143, 1), ("-KILL", "RUNNING", 137, 2)]
-            .into_iter()
-            .enumerate()
     {
-        let before = std::fs::read_to_string(own.join("run/scalars.csv")).unwrap_or_default().lines().count();
+        let before = logged().max(2);
         let child = task(&cluster, &place, "0", state).stderr(Stdio::piped()).spawn().unwrap();
-        wait_for("steps", || {
-            let text = std::fs::read_to_string(own.join("run/scalars.csv")).unwrap_or_default();
-            own.join("claim.json").exists() && text.lines().count() > before.max(2)
-        });
+        wait_for("steps", || own.join("claim.json").exists() && logged() > before);
         match how {
             "-KILL" => {
                 let pid = json(&own.join("claim.json"))["pid"].to_string();
@@ -266,8 +239,7 @@ fn the_script_puts_back_what_was_stopped_and_nothing_else() {
         }
         let output = child.wait_with_output().unwrap();
         let said = String::from_utf8_lossy(&output.stderr);
-        assert_eq!(output.status.code(), Some(code), "{turn}: {said}");
-        assert_eq!(requeued(), put_back, "{turn}: {said}");
+        assert_eq!((output.status.code(), requeued()), (Some(code), put_back), "{how}: {said}");
     }
     demand(&mut task(&cluster, &place, "0", "RUNNING"), 0);
     assert!(own.join("result.json").exists());

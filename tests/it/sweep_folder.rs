@@ -6,13 +6,12 @@ use std::sync::Mutex;
 use std::sync::atomic::AtomicUsize;
 use std::time::{Duration, SystemTime};
 
-use super::sweep_run::{BASE, Costs, Fake, OPTIONS, parse, run, run_heard, statuses, sweep};
+use super::sweep_run::{BASE, Fake, OPTIONS, begun, parse, run, run_heard, statuses, sweep};
 use crate::common::assert_says;
 use crate::common::files::entries;
 use augnerf::base::{Event, Listener};
 use augnerf::report::Status;
-use augnerf::sweep::{Claim, Sharing, begin};
-use tempfile::TempDir;
+use augnerf::sweep::{Claim, Point, Sharing, SweepFolder};
 
 /// The note of a worker on another machine, which an older program wrote, dated in the future.
 fn note_from_elsewhere(point: &Path) {
@@ -33,8 +32,7 @@ fn lock(point: &Path) -> File {
 /// Only the lock counts, whatever host and date a note has.
 #[test]
 fn a_claim_from_another_machine_holds_as_long_as_its_lock() {
-    let dir = TempDir::new().unwrap();
-    let (folder, _, points) = sweep(dir.path(), BASE);
+    let (_dir, folder, points) = sweep(BASE);
     let point = folder.point(&points[0].id);
     point.begin(&points[0]).unwrap();
     note_from_elsewhere(point.path());
@@ -51,9 +49,8 @@ fn a_claim_from_another_machine_holds_as_long_as_its_lock() {
         &Claim::look(point.path()).unwrap().fate(),
         &["elsewhere", "process 1", "killed at step 50", "cannot see its lock"],
     );
-    let fake = Fake::default();
-    run(&folder, &points, &fake, OPTIONS).unwrap();
-    assert_eq!((fake.count(), statuses(&folder, &points)), (4, vec![Status::Done; 4]));
+    run(&folder, &points, &Fake::default(), OPTIONS).unwrap();
+    assert_eq!(statuses(&folder, &points), [Status::Done; 4]);
     assert!(Claim::look(point.path()).is_none());
 }
 
@@ -72,64 +69,60 @@ impl Listener for Impatient {
     }
 }
 
+/// Runs all points while somebody holds one, and demands one note with words.
+#[track_caller]
+fn assert_waits(folder: &SweepFolder, points: &[Point], held: File, words: &[&str]) {
+    let other = Impatient { notes: Mutex::default(), held: Mutex::new(Some(held)) };
+    let fake = Fake::default();
+    run_heard(folder, points, &fake, OPTIONS, (&other, &AtomicUsize::new(0))).unwrap();
+    let notes = other.notes.into_inner().unwrap();
+    assert_eq!(notes.len(), 1, "said once: {notes:?}");
+    assert_says(&notes[0], words);
+    assert_eq!((fake.count(), statuses(folder, points)), (4, vec![Status::Done; 4]));
+}
+
 #[test]
 fn a_worker_says_for_whom_it_waits_and_goes_on() {
-    let dir = TempDir::new().unwrap();
-    let (folder, _, points) = sweep(dir.path(), BASE);
+    let (_dir, folder, points) = sweep(BASE);
     let point = folder.point(&points[0].id);
     point.begin(&points[0]).unwrap();
     note_from_elsewhere(point.path());
-    let other = Impatient { notes: Mutex::default(), held: Mutex::new(Some(lock(point.path()))) };
-    let fake = Fake::default();
-    run_heard(&folder, &points, &fake, OPTIONS, (&other, &AtomicUsize::new(0))).unwrap();
-    let notes = other.notes.into_inner().unwrap();
-    assert_eq!(notes.len(), 1, "said once: {notes:?}");
-    assert_says(&notes[0], &["waiting", "elsewhere (process 1)"]);
-    assert_eq!((fake.count(), statuses(&folder, &points)), (4, vec![Status::Done; 4]));
+    assert_waits(&folder, &points, lock(point.path()), &["waiting", "elsewhere (process 1)"]);
 }
 
 /// `augnerf eval`, `render` and the like lock a point's run, not the point: the other points come first.
 #[test]
 fn a_run_in_use_is_waited_for_and_holds_up_no_other_point() {
-    let dir = TempDir::new().unwrap();
-    let (folder, _, points) = sweep(dir.path(), BASE);
+    let (_dir, folder, points) = sweep(BASE);
     let run = folder.point(&points[0].id).run();
     std::fs::create_dir_all(&run).unwrap();
     std::fs::write(run.join("run.lock"), "4711").unwrap();
     let held = File::open(run.join("run.lock")).unwrap();
     held.try_lock().unwrap();
-    let other = Impatient { notes: Mutex::default(), held: Mutex::new(Some(held)) };
-    let fake = Fake::default();
-    run_heard(&folder, &points, &fake, OPTIONS, (&other, &AtomicUsize::new(0))).unwrap();
-    let notes = other.notes.into_inner().unwrap();
-    assert_eq!(notes.len(), 1, "said once: {notes:?}");
-    assert_says(&notes[0], &["waiting", "process 4711", &run.display().to_string()]);
-    assert_eq!((fake.count(), statuses(&folder, &points)), (4, vec![Status::Done; 4]));
+    assert_waits(&folder, &points, held, &["waiting", "process 4711", &run.display().to_string()]);
 }
 
 /// What a kill between a point's result and the release of its claim leaves.
 #[test]
 fn claims_and_leftovers_of_finished_points_go() {
-    let dir = TempDir::new().unwrap();
-    let (folder, _, points) = sweep(dir.path(), BASE);
+    let (_dir, folder, points) = sweep(BASE);
     run(&folder, &points, &Fake::default(), OPTIONS).unwrap();
     let point = folder.point(&points[0].id);
     let names = || entries(point.path());
     let undisturbed = names();
     note_from_elsewhere(point.path());
     std::fs::write(point.path().join(".augnerf-tmp-1-0-result.json"), "half").unwrap();
-    std::fs::write(dir.path().join(".augnerf-tmp-1-0-points.json"), "half").unwrap();
-    begin(&folder, &parse(BASE).unwrap(), None, false, &Costs, &|_, _| Ok(())).unwrap();
+    std::fs::write(folder.path().join(".augnerf-tmp-1-0-points.json"), "half").unwrap();
+    begun(&folder, &parse(BASE).unwrap(), false).unwrap();
     run(&folder, &points, &Fake::default(), OPTIONS).unwrap();
     assert_eq!(names(), undisturbed);
-    assert!(!dir.path().join(".augnerf-tmp-1-0-points.json").exists());
+    assert!(!folder.path().join(".augnerf-tmp-1-0-points.json").exists());
 }
 
 /// A folder may come from anyone: names of points become names of folders.
 #[test]
 fn a_damaged_list_of_points_is_refused_and_touches_nothing_outside() {
-    let dir = TempDir::new().unwrap();
-    let (folder, _, points) = sweep(&dir.path().join("sweep"), BASE);
+    let (dir, folder, points) = sweep(BASE);
     let file = folder.path().join("points.json");
     let text = std::fs::read_to_string(&file).unwrap();
     let id = &points[0].id;
@@ -149,7 +142,7 @@ fn a_damaged_list_of_points_is_refused_and_touches_nothing_outside() {
     for (damaged, words) in cases {
         assert_ne!(damaged, text);
         std::fs::write(&file, &damaged).unwrap();
-        let error = begin(&folder, &parse(BASE).unwrap(), None, false, &Costs, &|_, _| Ok(())).unwrap_err();
+        let error = begun(&folder, &parse(BASE).unwrap(), false).unwrap_err();
         assert_eq!(error.exit_code(), 5, "{error}");
         assert_says(&error.to_string(), &[words[0], words[1], "points.json", "delete it"]);
     }

@@ -9,9 +9,9 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 use crate::common::{assert_says, needs};
 use augnerf::base::{Error, Event, Listener, Result};
 use augnerf::perturb::{Epsilon, PaperSite};
-use augnerf::report::{PointResult, Status};
+use augnerf::report::{PointResult, Status, TableSpec};
 use augnerf::runtime::Runtime;
-use augnerf::settings::{Config, DeltaSource, Regularizer, SecondPass};
+use augnerf::settings::{Config, DeltaSource, Regularizer, SecondPass, parse_assignment};
 use augnerf::sweep::{
     Change, Claim, Definition, Failure, Options, Overrides, Point, PointFolder, Progress, Runner, Sharing, StepCosts,
     SweepFolder, Unmeasured, Work, begin, evaluations_per_step, expand,
@@ -65,6 +65,8 @@ pub struct Fake {
     milliseconds: u64,
     /// The step of the checkpoint that it goes on from.
     first: u32,
+    /// What the first training ends with.
+    ends: Option<fn() -> Error>,
 }
 
 impl Fake {
@@ -84,6 +86,9 @@ impl Work for Fake {
     ) -> Result<PointResult> {
         let label = point.label();
         *self.trained.lock().unwrap().entry(label.clone()).or_default() += 1;
+        if let Some(error) = self.ends.filter(|_| self.count() == 1) {
+            return Err(error());
+        }
         progress.begin(self.first.into(), 10);
         std::thread::sleep(std::time::Duration::from_millis(self.milliseconds));
         if self.stop_at == Some(self.count()) {
@@ -102,11 +107,17 @@ impl Work for Fake {
 pub const OPTIONS: Options =
     Options { jobs: 1, fail_fast: false, retry_failed: false, remeasure: Vec::new(), sharing: Sharing::Locks };
 
-pub fn sweep(dir: &Path, text: &str) -> (SweepFolder, Definition, Vec<Point>) {
-    let folder = SweepFolder::new(dir);
-    let definition = parse(text).unwrap();
-    let points = begin(&folder, &definition, None, false, &Costs, &|_, _| Ok(())).unwrap();
-    (folder, definition, points)
+/// Begins a sweep in a folder of its own.
+pub fn sweep(text: &str) -> (TempDir, SweepFolder, Vec<Point>) {
+    let dir = TempDir::new().unwrap();
+    let folder = SweepFolder::new(&dir.path().join("sweep"));
+    let points = begun(&folder, &parse(text).unwrap(), false).unwrap();
+    (dir, folder, points)
+}
+
+/// Begins it, or goes on with it, without data.
+pub fn begun(folder: &SweepFolder, definition: &Definition, extend: bool) -> Result<Vec<Point>> {
+    begin(folder, definition, None, extend, &Costs, &|_, _| Ok(()))
 }
 
 pub fn run(folder: &SweepFolder, points: &[Point], work: &dyn Work, options: Options) -> Result<Vec<Unmeasured>> {
@@ -187,21 +198,29 @@ fn settings_by_seed_go_with_the_seed_under_rows() {
     assert!(of(10).map(|point| point.config.train.steps).eq([20, 30]));
     let definition = parse(&text).unwrap();
     assert_eq!(parse(&definition.to_toml()).unwrap(), definition);
-    let table = definition.table("t", &points);
-    assert!(
-        [&table.must_match, &table.by_seed].iter().all(|columns| columns.contains(&"split".to_string())),
-        "{table:?}"
-    );
+    let TableSpec { must_match, by_seed, .. } = definition.table("t", &points);
+    assert!([must_match, by_seed].iter().all(|columns| columns.iter().any(|column| column == "split")));
     assert!(parse(BASE).unwrap().table("t", &points_of(BASE).unwrap()).by_seed.is_empty());
-    let mut other = definition.clone();
-    let set = vec![(vec!["data".to_string(), "holdout_offset".into()], toml::Value::Integer(1))];
-    other.apply(Overrides { set, ..Overrides::default() }).unwrap();
-    let offsets = expand(&other, None, &Costs).unwrap();
+    let offsets = expand(&with_settings(&definition, &["data.holdout_offset=1"]), None, &Costs).unwrap();
     assert!(offsets.iter().all(|point| point.config.data.holdout_offset == 1), "the command line's setting");
-    let message = points_of(&text.replace("[20]", "[]")).unwrap_err().to_string();
-    assert!(message.contains("by_seed.\"train.steps\""), "{message}");
-    let message = points_of(&text.replace("data.holdout_offset", "data.hold")).unwrap_err().to_string();
-    assert!(message.contains("data.hold"), "{message}");
+    refused(&text.replace("[20]", "[]"), &["by_seed.\"train.steps\""]);
+    refused(&text.replace("data.holdout_offset", "data.hold"), &["data.hold"]);
+}
+
+/// A definition with settings of the command line.
+fn with_settings(definition: &Definition, settings: &[&str]) -> Definition {
+    let mut other = definition.clone();
+    let set = settings.iter().map(|text| parse_assignment(text).unwrap()).collect();
+    other.apply(Overrides { set, ..Overrides::default() }).unwrap();
+    other
+}
+
+/// Demands that a definition is refused with words.
+#[track_caller]
+fn refused(text: &str, words: &[&str]) {
+    let error = points_of(text).expect_err(text);
+    assert_eq!(error.exit_code(), 2, "{error}");
+    assert_says(&error.to_string(), words);
 }
 
 /// A scene has its own settings in every row, and a row still overrides them.
@@ -223,24 +242,17 @@ fn settings_by_scene_go_with_the_scene_under_rows() {
     assert_eq!([(a.1, a.2), (b.1, b.2)], [(steps, rays), (30, rays)]);
     assert_eq!([(c.1, c.2), (d.1, d.2)], [(20, 64), (30, 64)]);
     // The command line's setting is that of all scenes.
-    let mut other = definition.clone();
-    let set = |name: &str, value: i64| {
-        (name.split('.').map(String::from).collect::<Vec<String>>(), toml::Value::Integer(value))
-    };
-    let set = vec![set("train.rays", 32), set("train.steps", 10)];
-    other.apply(Overrides { set, ..Overrides::default() }).unwrap();
+    let mut other = with_settings(&definition, &["train.rays=32", "train.steps=10"]);
     assert!(of(&other).iter().all(|(_, _, rays)| *rays == 32), "{other:?}");
     assert_eq!(of(&other)[2].1, 10);
     // Scenes that the command line leaves out take their settings with them.
     other.apply(Overrides { scenes: Some(vec!["builtin".into()]), ..Overrides::default() }).unwrap();
     assert!(other.by_scene.is_empty());
-    let message = points_of(&text.replace("{ \"builtin:3\" =", "{ ship =")).unwrap_err().to_string();
-    assert_says(&message, &["by_scene.\"ship\"", "the scenes are builtin, builtin:3"]);
-    let message = points_of(&text.replace("train = { rays", "train = { rais")).unwrap_err().to_string();
-    assert_says(&message, &["by_scene", "train.rais"]);
-    let twice =
-        text.replace("\"train.steps\" = 20 } }", "\"train.steps\" = 20 }, \"builtin-3\" = { \"train.rays\" = 8 } }");
-    assert_says(&points_of(&twice).unwrap_err().to_string(), &["settings of scene 'builtin:3' under two names"]);
+    let of_ship = text.replace("{ \"builtin:3\" =", "{ ship =");
+    refused(&of_ship, &["by_scene.\"ship\"", "the scenes are builtin, builtin:3"]);
+    refused(&text.replace("train = { rays", "train = { rais"), &["by_scene", "train.rais"]);
+    let twice = text.replace("= 20 } }", "= 20 }, \"builtin-3\" = { \"train.rays\" = 8 } }");
+    refused(&twice, &["settings of scene 'builtin:3' under two names"]);
 }
 
 #[test]
@@ -286,39 +298,17 @@ fn wrong_definitions_are_refused_with_words() {
             vec!["19980 points", "10000"],
         ),
     ];
-    for (text, words) in cases {
-        let error = points_of(&text).expect_err(&text);
-        assert_eq!(error.exit_code(), 2, "{error}");
-        assert_says(&error.to_string(), &words);
-    }
-}
-
-#[test]
-fn a_finished_sweep_is_not_run_again() {
-    let dir = TempDir::new().unwrap();
-    let (folder, definition, points) = sweep(dir.path(), BASE);
-    let fake = Fake::default();
-    run(&folder, &points, &fake, OPTIONS).unwrap();
-    run(&folder, &points, &fake, OPTIONS).unwrap();
-    assert_eq!(fake.count(), 4);
-    let records = folder.records(&definition, &points).unwrap();
-    let cells: Vec<(&str, u64, Option<f64>)> =
-        records.iter().map(|r| (r.row.as_str(), r.seed.unwrap(), r.metric("psnr"))).collect();
-    let expected = [("NeRF", 0, 20.0), ("NeRF", 1, 21.0), ("Aug-NeRF", 0, 20.0), ("Aug-NeRF", 1, 21.0)];
-    assert_eq!(cells, expected.map(|(row, seed, psnr)| (row, seed, Some(psnr))));
+    cases.iter().for_each(|(text, words)| refused(text, words));
 }
 
 #[test]
 fn failures_and_panics_cost_their_own_point_and_are_retried_when_asked() {
-    let dir = TempDir::new().unwrap();
-    let (folder, definition, points) = sweep(dir.path(), BASE);
-    let fake =
-        Fake {
-            fails: vec!["Aug-NeRF · builtin · seed 0"], panics: vec!["NeRF · builtin · seed 1"], ..Fake::default()
-        };
-    run(&folder, &points, &fake, OPTIONS).unwrap();
+    let (_dir, folder, points) = sweep(BASE);
+    let (fails, panics) = (vec!["Aug-NeRF · builtin · seed 0"], vec!["NeRF · builtin · seed 1"]);
+    run(&folder, &points, &Fake { fails, panics, ..Fake::default() }, OPTIONS).unwrap();
     assert_eq!(statuses(&folder, &points), [Status::Done, Status::Failed, Status::Failed, Status::Done]);
-    let records = folder.records(&definition, &points).unwrap();
+    let records = folder.records(&parse(BASE).unwrap(), &points).unwrap();
+    assert_eq!((records[0].row.as_str(), records[0].metric("psnr")), ("NeRF", Some(20.0)));
     assert_eq!(records[2].reason, "the loss is not a number");
     assert!(records[1].reason.contains("a defect"), "{}", records[1].reason);
     assert!(records[2].result.metrics.is_empty());
@@ -334,8 +324,7 @@ fn failures_and_panics_cost_their_own_point_and_are_retried_when_asked() {
 /// back another's.
 #[test]
 fn a_failure_is_retried_once_a_runner_and_under_its_claim() {
-    let dir = TempDir::new().unwrap();
-    let (folder, _, points) = sweep(dir.path(), BASE);
+    let (_dir, folder, points) = sweep(BASE);
     let broken = || Fake { fails: vec!["NeRF · builtin · seed 0"], ..Fake::default() };
     run(&folder, &points, &broken(), OPTIONS).unwrap();
     let retry = || Options { retry_failed: true, ..OPTIONS };
@@ -355,12 +344,10 @@ fn a_failure_is_retried_once_a_runner_and_under_its_claim() {
 /// An evaluation begins with its first view again: turns that are too short for it lead nowhere.
 #[test]
 fn turns_that_are_too_short_for_an_evaluation_fail_the_point_at_last() {
-    let dir = TempDir::new().unwrap();
-    let (folder, _, points) = sweep(dir.path(), BASE);
+    let (_dir, folder, points) = sweep(BASE);
     let one = &points[..1];
     let turn = |first: u32, sharing: Sharing| {
-        let fake = Fake { stop_at: Some(1), first, ..Fake::default() };
-        run_heard(&folder, one, &fake, Options { sharing, ..OPTIONS }, (&(), &AtomicUsize::new(0)))
+        run(&folder, one, &Fake { stop_at: Some(1), first, ..Fake::default() }, Options { sharing, ..OPTIONS })
     };
     // One that trained got further, and a person may stop as often as they like.
     let waits = [(9, Sharing::Scheduler), (10, Sharing::Locks), (10, Sharing::Scheduler)];
@@ -372,23 +359,16 @@ fn turns_that_are_too_short_for_an_evaluation_fail_the_point_at_last() {
     let failure = folder.point(&one[0].id).failure().unwrap().unwrap();
     assert!(failure.reason.contains("5 turns were stopped before its evaluation was"), "{}", failure.reason);
     // Tried again it has as many turns as before.
-    let options = Options { retry_failed: true, ..OPTIONS };
-    run(&folder, one, &Fake::default(), options).unwrap();
+    run(&folder, one, &Fake::default(), Options { retry_failed: true, ..OPTIONS }).unwrap();
     assert_eq!(statuses(&folder, one), [Status::Done]);
     assert!(!folder.point(&one[0].id).path().join("stops.json").exists());
 }
 
 #[test]
 fn a_full_disk_stops_the_sweep_and_fails_no_point() {
-    struct Full;
-    impl Work for Full {
-        fn run(&self, _: &Point, _: &PointFolder, _: &Runtime, _: &Progress, _: &AtomicUsize) -> Result<PointResult> {
-            Err(Error::Output("no space left".into()))
-        }
-    }
-    let dir = TempDir::new().unwrap();
-    let (folder, _, points) = sweep(dir.path(), BASE);
-    assert_eq!(run(&folder, &points, &Full, OPTIONS).unwrap_err().exit_code(), 4);
+    let (_dir, folder, points) = sweep(BASE);
+    let fake = Fake { ends: Some(|| Error::Output("no space left".into())), ..Fake::default() };
+    assert_eq!(run(&folder, &points, &fake, OPTIONS).unwrap_err().exit_code(), 4);
     assert_eq!(statuses(&folder, &points), [Status::Waiting; 4]);
 }
 
@@ -407,8 +387,7 @@ impl Listener for Counters {
 /// Its result stays, so nothing in the folder says that it failed: the runner returns it, and the next one tries again.
 #[test]
 fn a_point_that_cannot_be_measured_again_stays_done_and_is_returned() {
-    let dir = TempDir::new().unwrap();
-    let (folder, _, points) = sweep(dir.path(), BASE);
+    let (_dir, folder, points) = sweep(BASE);
     run(&folder, &points, &Fake::default(), OPTIONS).unwrap();
     let lacking = PointResult { metrics: vec![("psnr".into(), None)], ..PointResult::default() };
     for index in [0, 2] {
@@ -436,8 +415,7 @@ fn a_point_that_cannot_be_measured_again_stays_done_and_is_returned() {
 /// Older versions marked a finished point as failed if it could not be measured again.
 #[test]
 fn the_run_of_a_finished_point_is_never_deleted() {
-    let dir = TempDir::new().unwrap();
-    let (folder, _, points) = sweep(dir.path(), BASE);
+    let (_dir, folder, points) = sweep(BASE);
     run(&folder, &points, &Fake::default(), OPTIONS).unwrap();
     let own = folder.point(&points[0].id);
     let checkpoint = own.run().join("checkpoint");
@@ -465,39 +443,21 @@ fn the_run_of_a_finished_point_is_never_deleted() {
 /// A command such as `augnerf eval` may take a run after the runner looked at it.
 #[test]
 fn a_run_that_is_taken_at_the_last_moment_stops_no_sweep() {
-    #[derive(Default)]
-    struct TakenOnce(AtomicUsize, Fake);
-    impl Work for TakenOnce {
-        fn run(
-            &self,
-            point: &Point,
-            folder: &PointFolder,
-            runtime: &Runtime,
-            progress: &Progress,
-            stop: &AtomicUsize,
-        ) -> Result<PointResult> {
-            match self.0.fetch_add(1, Ordering::SeqCst) {
-                0 => Err(Error::InUse("run is in use by process 4711".into())),
-                _ => self.1.run(point, folder, runtime, progress, stop),
-            }
-        }
-    }
-    let dir = TempDir::new().unwrap();
-    let (folder, _, points) = sweep(dir.path(), BASE);
+    let taken = || Fake { ends: Some(|| Error::InUse("run is in use by process 4711".into())), ..Fake::default() };
+    let (_dir, folder, points) = sweep(BASE);
     // A task of a scheduler has one point, which is left for the next task.
     let task = Options { sharing: Sharing::Scheduler, ..OPTIONS };
-    let error = run(&folder, &points[..1], &TakenOnce::default(), task).unwrap_err();
+    let error = run(&folder, &points[..1], &taken(), task).unwrap_err();
     assert!(matches!(&error, Error::InUse(text) if text.contains("process 4711")), "{error}");
     assert_eq!(statuses(&folder, &points), [Status::Waiting; 4]);
-    let work = TakenOnce::default();
-    run(&folder, &points, &work, OPTIONS).unwrap();
-    assert_eq!((work.1.count(), statuses(&folder, &points)), (4, vec![Status::Done; 4]));
+    let fake = taken();
+    run(&folder, &points, &fake, OPTIONS).unwrap();
+    assert_eq!((fake.count(), statuses(&folder, &points)), (1 + 4, vec![Status::Done; 4]));
 }
 
 #[test]
 fn fail_fast_leaves_the_rest_waiting() {
-    let dir = TempDir::new().unwrap();
-    let (folder, _, points) = sweep(dir.path(), BASE);
+    let (_dir, folder, points) = sweep(BASE);
     let fake = Fake { fails: vec!["NeRF · builtin · seed 0"], ..Fake::default() };
     run(&folder, &points, &fake, Options { fail_fast: true, ..OPTIONS }).unwrap();
     assert_eq!(statuses(&folder, &points), [Status::Failed, Status::Waiting, Status::Waiting, Status::Waiting]);
@@ -505,8 +465,7 @@ fn fail_fast_leaves_the_rest_waiting() {
 
 #[test]
 fn a_stop_leaves_the_rest_for_the_next_run() {
-    let dir = TempDir::new().unwrap();
-    let (folder, _, points) = sweep(dir.path(), BASE);
+    let (_dir, folder, points) = sweep(BASE);
     let error = run(&folder, &points, &Fake { stop_at: Some(3), ..Fake::default() }, OPTIONS).unwrap_err();
     assert_eq!(error.exit_code(), 143);
     assert_eq!(statuses(&folder, &points), [Status::Done, Status::Done, Status::Waiting, Status::Waiting]);
@@ -517,9 +476,8 @@ fn a_stop_leaves_the_rest_for_the_next_run() {
 
 #[test]
 fn runners_and_jobs_share_the_points() {
-    let dir = TempDir::new().unwrap();
     let text = BASE.replace("[0, 1]", "[0, 1, 2, 3, 4, 5, 6, 7, 8, 9]");
-    let (folder, _, points) = sweep(dir.path(), &text);
+    let (_dir, folder, points) = sweep(&text);
     let fake = Fake { milliseconds: 5, ..Fake::default() };
     std::thread::scope(|scope| {
         for _ in 0..2 {
@@ -532,8 +490,7 @@ fn runners_and_jobs_share_the_points() {
 
 #[test]
 fn a_claim_is_seen_and_the_point_of_a_killed_worker_is_free_at_once() {
-    let dir = TempDir::new().unwrap();
-    let (folder, _, points) = sweep(dir.path(), BASE);
+    let (_dir, folder, points) = sweep(BASE);
     let point = folder.point(&points[0].id);
     point.begin(&points[0]).unwrap();
     let take = || Claim::take(point.path(), Sharing::Locks).unwrap();
@@ -559,26 +516,25 @@ fn a_claim_is_seen_and_the_point_of_a_killed_worker_is_free_at_once() {
 #[test]
 fn a_definition_in_other_words_goes_on_with_its_points() {
     let row = |set: &str| format!("{BASE}[[row]]\nname = \"Input\"\nset = {{ method = \"aug-nerf\", {set} }}\n");
-    let dir = TempDir::new().unwrap();
     let off: Vec<String> =
         ["feature", "rgb", "density"].map(|site| format!("\"perturb.{site}.passes\" = \"off\"")).into();
-    let (folder, _, before) = sweep(dir.path(), &row(&off.join(", ")));
+    let (_dir, folder, before) = sweep(&row(&off.join(", ")));
     let now = parse(&row("\"perturb.levels\" = [\"input\"]")).unwrap();
-    let points = begin(&folder, &now, None, false, &Costs, &|_, _| Ok(())).unwrap();
+    let points = begun(&folder, &now, false).unwrap();
     assert_eq!(labels(&points), labels(&before));
     assert_eq!(folder.compare(&now).unwrap(), Change::None);
     let other = parse(&row("\"perturb.levels\" = [\"output\"]")).unwrap();
-    assert!(begin(&folder, &other, None, false, &Costs, &|_, _| Ok(())).unwrap_err().to_string().contains("--extend"));
+    assert!(begun(&folder, &other, false).unwrap_err().to_string().contains("--extend"));
     // What makes no other experiment is as the definition says it now.
     let mut seldom = now.clone();
     seldom.set.insert("train.eval_every".into(), 7.into());
-    begin(&folder, &seldom, None, true, &Costs, &|_, _| Ok(())).unwrap();
+    begun(&folder, &seldom, true).unwrap();
     let points = folder.points(None).unwrap().unwrap();
     assert_eq!(labels(&points), labels(&before));
     assert!(points.iter().all(|point| point.config.train.eval_every == 7));
     let mut renamed = now;
     renamed.title = "another question".into();
-    let message = begin(&folder, &renamed, None, false, &Costs, &|_, _| Ok(())).unwrap_err().to_string();
+    let message = begun(&folder, &renamed, false).unwrap_err().to_string();
     assert!(message.contains("no point is new, so that --extend costs no training"), "{message}");
 }
 
@@ -638,8 +594,7 @@ fn a_budget_waits_for_its_scene() {
 
 #[test]
 fn a_changed_configuration_of_a_point_is_noticed() {
-    let dir = TempDir::new().unwrap();
-    let (folder, _, points) = sweep(dir.path(), BASE);
+    let (_dir, folder, points) = sweep(BASE);
     run(&folder, &points[..1], &Fake::default(), OPTIONS).unwrap();
     let config = folder.point(&points[0].id).path().join("config.toml");
     let text = std::fs::read_to_string(&config).unwrap();
@@ -732,21 +687,19 @@ fn a_file_extends_another() {
     assert_eq!(row(&small).len(), row(&base).len() + 1, "settings of the row are kept");
     assert_eq!(small.seeds, [7]);
     assert_eq!(small.preset, base.preset);
-    assert_eq!(
-        Definition::parse(&small.to_toml(), "written").unwrap(),
-        small,
-        "what is kept with the points stands alone"
-    );
-
-    write("misspelt.toml", "extends = \"small.toml\"\n[[row]]\nname = \"Nwe\"\nremove = true\n");
-    let misspelt = read("misspelt.toml").unwrap_err().to_string();
-    assert!(misspelt.contains("[[row]] \"Nwe\": remove = true, but small.toml has no row"), "{misspelt}");
-    write("missing.toml", "extends = \"nowhere.toml\"\n");
-    assert!(read("missing.toml").unwrap_err().to_string().contains("nowhere.toml"));
-    write("self.toml", "extends = \"self.toml\"\n");
-    assert!(read("self.toml").unwrap_err().to_string().contains("extend each other"));
-    write("number.toml", "extends = 3\n");
-    assert!(read("number.toml").unwrap_err().to_string().contains("in quotes"));
+    assert_eq!(parse(&small.to_toml()).unwrap(), small, "what is kept with the points stands alone");
+    for (text, words) in [
+        (
+            "extends = \"small.toml\"\n[[row]]\nname = \"Nwe\"\nremove = true\n",
+            "[[row]] \"Nwe\": remove = true, but small.toml has no row",
+        ),
+        ("extends = \"nowhere.toml\"\n", "nowhere.toml"),
+        ("extends = \"self.toml\"\n", "extend each other"),
+        ("extends = 3\n", "in quotes"),
+    ] {
+        write("self.toml", text);
+        assert_says(&read("self.toml").unwrap_err().to_string(), &[words]);
+    }
 }
 
 #[test]

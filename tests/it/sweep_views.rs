@@ -1,5 +1,6 @@
 //! Finished sweeps looked at again: chosen rows, another baseline, two sweeps in one table, the best row, names for points.
 
+use std::collections::HashMap;
 use std::path::{Path, PathBuf};
 
 use crate::common::assert_says;
@@ -53,23 +54,25 @@ fn finished(dir: &Path, name: &str, definition: &str, fields: &[(&str, &str)]) -
     let points = expand(&definition, None, &Costs).unwrap();
     std::fs::create_dir_all(path.join("points")).unwrap();
     folder.begin(&definition, &points, None).unwrap();
+    let known =
+        [("protocol", "1"), ("code_revision", "abc"), ("width", "16"), ("views_evaluated", "3"), ("split", "test")];
+    let known = known.iter().filter(|(name, _)| fields.iter().all(|(other, _)| other != name));
+    let protocol: Vec<(String, String)> =
+        known.chain(fields).map(|(name, text)| (name.to_string(), text.to_string())).collect();
     for point in &points {
         let metrics = [("psnr", Some(psnr(point))), ("ssim", Some(0.5)), ("lpips_squeeze", None)];
-        let known =
-            [("protocol", "1"), ("code_revision", "abc"), ("width", "16"), ("views_evaluated", "3"), ("split", "test")];
-        let mut protocol: Vec<(String, String)> = Vec::new();
-        for (name, text) in known.iter().chain(fields) {
-            protocol.retain(|(known, _)| known != name);
-            protocol.push((name.to_string(), text.to_string()));
-        }
-        folder.point(&point.id).begin(point).unwrap();
         let metrics = metrics.map(|(name, value)| (name.to_string(), value)).to_vec();
-        folder.point(&point.id).finish(&PointResult { metrics, protocol, inactive_levels: vec![] }).unwrap();
+        let result = PointResult { metrics, protocol: protocol.clone(), inactive_levels: vec![] };
+        folder.point(&point.id).begin(point).unwrap();
+        folder.point(&point.id).finish(&result).unwrap();
     }
     (path, points)
 }
 
-fn number(row: &std::collections::HashMap<String, String>, column: &str) -> f64 {
+/// A line of a CSV file by its columns.
+type Cells = HashMap<String, String>;
+
+fn number(row: &Cells, column: &str) -> f64 {
     row[column].parse().unwrap_or_else(|_| panic!("{column}: {row:?}"))
 }
 
@@ -78,7 +81,8 @@ fn chosen_rows_have_the_statistics_of_what_is_shown() {
     let place = Place::new();
     finished(place.path(), "one", BASE, &[]);
     place.run("sweep collect runs/one", 0);
-    let whole = rows(&place.text("results/one/table.csv"));
+    let table = |folder: &str| rows(&place.text(&format!("{folder}/table.csv")));
+    let whole = table("results/one");
     assert_eq!(whole.len(), 4);
     let notes = place.text("results/one/table.md");
     assert_says(&notes, &["lpips_squeeze: empty, no LPIPS weights were given", "--remeasure"]);
@@ -86,15 +90,13 @@ fn chosen_rows_have_the_statistics_of_what_is_shown() {
     let collect = |further: &str, code: i32| place.run(&format!("sweep collect runs/one {further}"), code);
     // The row's name has a comma of its own.
     collect("--rows 'B,A, long,NeRF' --metrics psnr --out view", 0);
-    let chosen = rows(&place.text("view/table.csv"));
+    let chosen = table("view");
     assert_eq!(chosen.iter().map(|row| row["row"].as_str()).collect::<Vec<_>>(), ["B", "A, long", "NeRF"]);
     assert!(!chosen[0].contains_key("ssim_mean"), "{chosen:?}");
-    let of = |table: &[std::collections::HashMap<String, String>], name: &str| {
-        table.iter().find(|row| row["row"] == name).unwrap().clone()
-    };
+    let of = |table: &[Cells], name: &str| table.iter().find(|row| row["row"] == name).unwrap().clone();
     // One comparison instead of three: nothing is left to correct.
     collect("--rows 'NeRF,A, long' --out pair", 0);
-    let (pair, whole_p) = (of(&rows(&place.text("pair/table.csv")), "A, long"), of(&whole, "A, long"));
+    let (pair, whole_p) = (of(&table("pair"), "A, long"), of(&whole, "A, long"));
     assert_eq!(number(&pair, "psnr_p"), number(&whole_p, "psnr_p"));
     assert_eq!(number(&pair, "psnr_p_holm"), number(&pair, "psnr_p"));
     assert!(number(&whole_p, "psnr_p_holm") > number(&whole_p, "psnr_p"), "{whole_p:?}");
@@ -103,12 +105,12 @@ fn chosen_rows_have_the_statistics_of_what_is_shown() {
     assert!(place.text("view/view.toml").contains("points_sha256"));
 
     collect("--baseline 'A, long' --out other", 0);
-    let other = rows(&place.text("other/table.csv"));
+    let other = table("other");
     assert_eq!(of(&other, "A, long")["baseline"], "");
     let turned = number(&of(&other, "NeRF"), "psnr_difference");
     assert!((turned + number(&of(&whole, "A, long"), "psnr_difference")).abs() < 1e-9);
     collect("--rows B,C --baseline none --out none", 0);
-    assert!(rows(&place.text("none/table.csv")).iter().all(|row| !row.contains_key("psnr_difference")));
+    assert!(table("none").iter().all(|row| !row.contains_key("psnr_difference")));
 
     assert_says(&collect("--rows B", 2), &["--out"]);
     assert_says(&collect("--rows B --out x", 2), &["lacks 'NeRF'", "the baseline of 'B'", "--baseline"]);
@@ -117,7 +119,6 @@ fn chosen_rows_have_the_statistics_of_what_is_shown() {
     assert_says(&collect("--metrics psnrr --out x", 2), &["unknown metric 'psnrr'", "psnr"]);
     assert_says(&collect("--rows NeRF --out results/one", 4), &["complete tables", "--out"]);
     // Somebody's own figures, some of which have names of ours.
-    std::fs::create_dir(place.at("paper")).unwrap();
     place.write("paper/rows_overview.svg", "mine");
     assert_says(&collect("--rows NeRF --out paper", 4), &["paper holds files that are not a view", "--out"]);
     assert_eq!(place.text("paper/rows_overview.svg"), "mine");
@@ -126,18 +127,16 @@ fn chosen_rows_have_the_statistics_of_what_is_shown() {
     // Of results alone, without the points, the same comes out; their own tables are left to `verify`.
     collect("--rows 'NeRF,A, long' --out again", 0);
     place.run("sweep collect results/one --rows 'NeRF,A, long' --out kept", 0);
-    let table = |folder: &str| text(&place.at(folder).join("table.csv"));
-    assert_eq!(table("kept"), table("again"));
+    assert_eq!(place.text("kept/table.csv"), place.text("again/table.csv"));
     place.says("sweep collect results/one", 2, &["results, not points", "verify --update"]);
     // A point that several lines show counts once.
     let shared = format!("{}/results/paper/fig_embedded", env!("CARGO_MANIFEST_DIR"));
     assert_eq!(rows(&text(&Path::new(&shared).join("points.csv"))).len(), 117);
     place.says(&format!("sweep status {shared}"), 0, &["results, 99 done"]);
     // The sweep's own tables are what they were, and a view beside them does not disturb their check.
-    assert_eq!(rows(&place.text("results/one/table.csv")), whole);
+    assert_eq!(table("results/one"), whole);
     collect("--rows NeRF,B --out results/view", 0);
-    let said = place.run("verify results/view", 0);
-    assert!(said.contains("a view of sweeps"), "{said}");
+    place.says("verify results/view", 0, &["a view of sweeps"]);
 }
 
 /// Results are written over those of the same sweep, and over nothing else.
@@ -153,8 +152,7 @@ fn results_replace_only_those_of_their_sweep() {
     let said = collect("runs/two --out tables", 4);
     assert_says(&said, &["tables holds results of the sweep 'one', which those of 'two' would replace", "--out"]);
     // A figure of somebody's own with a name of ours.
-    std::fs::create_dir(at("paper")).unwrap();
-    std::fs::write(at("paper/curves_mine.svg"), "mine").unwrap();
+    place.write("paper/curves_mine.svg", "mine");
     let said = collect("runs/one --out paper", 4);
     assert_says(&said, &["paper holds files that are not results of a sweep", "--out"]);
     assert_eq!(entries(&at("paper")), [at("paper/curves_mine.svg")]);
@@ -165,10 +163,8 @@ fn results_replace_only_those_of_their_sweep() {
     collect("runs/one --out tables", 0);
     assert!(files(&at("tables"), &[]) == before, "the same files with the same bytes");
     // Beside hidden files, and beside seconds of steps, which a sweep takes over.
-    std::fs::create_dir_all(at("results/named")).unwrap();
-    for name in [".gitkeep", "step_seconds.json"] {
-        std::fs::write(at("results/named").join(name), "").unwrap();
-    }
+    place.write("results/named/.gitkeep", "");
+    place.write("results/named/step_seconds.json", "");
     collect("runs/one --name named", 0);
     collect("runs/one --name named", 0);
     // In the sweep's own folder its results may have any of its names.
@@ -177,7 +173,7 @@ fn results_replace_only_those_of_their_sweep() {
     collect("own --name another", 0);
     assert_says(&text(&at("own/results/provenance.toml")), &["name = \"another\""]);
     // A sweep is not trained before.
-    std::fs::write(at("mine.toml"), BASE).unwrap();
+    place.write("mine.toml", BASE);
     std::fs::rename(at("tables"), at("results/mine")).unwrap();
     place.says("sweep run --create mine.toml", 4, &["results/mine holds results of the sweep 'one'"]);
     assert!(!at("runs/mine").exists());
@@ -216,18 +212,6 @@ fn two_sweeps_stand_in_one_table_where_they_agree() {
     assert_says(&place.text("third/table.md"), &["NOT COMPARABLE", "B (wednesday) (width, code_revision)"]);
 }
 
-/// A label that pandas and R read as a missing value is none.
-#[test]
-fn labels_that_read_as_missing_values_are_refused() {
-    let place = Place::new();
-    finished(place.path(), "one", BASE, &[]);
-    for label in ["NA", "None", "nan"] {
-        let refused = format!("--label '{label}' is one that pandas and R read as a missing value");
-        place.says(&format!("sweep across runs/one --row B --out both --label one={label}"), 2, &[&refused]);
-        place.says(&format!("compare a b --label {label} --label b"), 2, &[&refused]);
-    }
-}
-
 #[test]
 fn a_new_sweep_file_runs_as_it_is_and_explains_every_key() {
     let place = Place::new();
@@ -242,12 +226,9 @@ fn a_new_sweep_file_runs_as_it_is_and_explains_every_key() {
     let keys: Vec<&str> = schema.lines().filter_map(|line| line.strip_prefix("| `")?.split('`').next()).collect();
     assert!(keys.len() > 35, "{keys:?}");
     let explains = |key: &str| {
-        TEMPLATE.lines().any(|line| {
-            let line = line.trim_start_matches("# ");
-            line.starts_with(&format!("{key} ="))
-                || line.contains(&format!(" {key} ="))
-                || [format!("[{key}]"), format!("[[{key}]]")].contains(&line.to_string())
-        })
+        let sections = [format!("[{key}]"), format!("[[{key}]]")];
+        let assigns = |line: &str| line.contains(&format!(" {key} =")) || sections.contains(&line.trim().into());
+        TEMPLATE.lines().any(|line| assigns(&format!(" {}", line.trim_start_matches("# "))))
     };
     keys.iter().for_each(|key| assert!(explains(key), "the new file does not explain `{key}`"));
 }
@@ -282,11 +263,8 @@ fn shipped_sweeps_are_read_by_name() {
     std::fs::create_dir(place.at("smoke")).unwrap();
     place.says("sweep run --create smoke", 0, &["runs/smoke"]);
     for old in ["sweeps/tab4_fern.toml", "tab4_fern.toml"] {
-        place.says(
-            &format!("sweep plan {old}"),
-            2,
-            &[old, "the shipped sweep of this name is sweeps/paper/tab4_fern.toml"],
-        );
+        let now = "the shipped sweep of this name is sweeps/paper/tab4_fern.toml";
+        place.says(&format!("sweep plan {old}"), 2, &[old, now]);
     }
     place.says("sweep plan tab9", 2, &["tab9", "the name of a shipped one"]);
     // A file of one's own comes first.

@@ -105,8 +105,10 @@ impl Place {
         self.path().join(name)
     }
 
+    /// Writes a file, and the folders that it lies in.
     #[track_caller]
     pub fn write(&self, file: &str, content: impl AsRef<[u8]>) {
+        std::fs::create_dir_all(self.at(file).parent().unwrap()).unwrap();
         std::fs::write(self.at(file), content).unwrap();
     }
 
