@@ -5,7 +5,7 @@ use std::sync::OnceLock;
 use augnerf::base::Image;
 use augnerf::report::page::{Film, Page, ShownScene, ViewOfRow, ViewOfScene};
 use augnerf::report::tables::{AttackLine, Table};
-use augnerf::report::{AxisValue, Record, Status, TableSpec};
+use augnerf::report::{AxisValue, Record, RowSpec, Status, TableSpec};
 
 use crate::common::program::{Place, set};
 use crate::common::{assert_says, record, row_against};
@@ -37,9 +37,17 @@ fn table() -> (Table, Vec<Record>) {
     (Table::new(&spec, &records, false).unwrap(), records)
 }
 
+fn value(axis: &str, value: &str) -> AxisValue {
+    AxisValue { axis: axis.into(), panel: String::new(), value: value.into() }
+}
+
+/// A description of a table of PSNR.
+fn spec_of(rows: Vec<RowSpec>) -> TableSpec {
+    TableSpec { metrics: vec!["psnr".into()], rows, ..TableSpec::default() }
+}
+
 /// The page of points on two axes, one of words; PSNR rises with the weight.
 pub fn page_of_axes() -> String {
-    let value = |axis: &str, value: &str| AxisValue { axis: axis.into(), panel: String::new(), value: value.into() };
     let places = ["0.001", "0.1", "10"].into_iter().flat_map(|weight| ["l1", "tv"].map(|kind| (weight, kind)));
     let point = |(index, (weight, kind)): (usize, (&str, &str))| Record {
         id: format!("p{index}"),
@@ -48,13 +56,7 @@ pub fn page_of_axes() -> String {
         ..record("fern", "NeRF", 0, &[("psnr", (index != 5).then_some(20.0 + index as f64))], &[])
     };
     let records: Vec<Record> = places.enumerate().map(point).collect();
-    let spec = TableSpec {
-        name: "axes".into(),
-        metrics: vec!["psnr".into()],
-        rows: vec![row_against("NeRF", None)],
-        varied: true,
-        ..TableSpec::default()
-    };
+    let spec = TableSpec { varied: true, ..spec_of(vec![row_against("NeRF", None)]) };
     page_without_pictures(&spec, &records)
 }
 
@@ -127,6 +129,11 @@ pub fn page() -> String {
         .unwrap()
 }
 
+/// What stands between two texts of a page.
+fn part<'a>(page: &'a str, start: &str, end: &str) -> &'a str {
+    page.split(start).nth(1).unwrap().split(end).next().unwrap()
+}
+
 /// The texts of an attribute.
 fn attributes<'a>(page: &'a str, name: &str) -> Vec<&'a str> {
     page.split(&format!(" {name}=\"")).skip(1).filter_map(|rest| rest.split('"').next()).collect()
@@ -138,89 +145,32 @@ fn the_page_fetches_nothing_and_runs_nothing_but_its_own_script() {
     assert_eq!(page, self::page(), "the same bytes twice");
     let sources = [attributes(&page, "src"), attributes(&page, "href")].concat();
     assert!(sources.len() > 15, "{sources:?}");
-    assert!(sources.iter().all(|address| {
-        ["data:image/jpeg;base64,", "data:image/gif;base64,", "data:image/png;base64,", "#", "./"]
-            .iter()
-            .any(|s| address.starts_with(s))
-    }));
+    let own = ["data:image/jpeg;base64,", "data:image/gif;base64,", "data:image/png;base64,", "#", "./"];
+    assert!(sources.iter().all(|address| own.iter().any(|start| address.starts_with(start))), "{sources:?}");
     assert!(!sources.iter().any(|address| address.contains("http")), "{sources:?}");
     assert_eq!(page.matches("<script").count(), 1, "names are escaped");
     assert!(!page.contains("\" onload=\"x") && !page.contains("<b>bold"));
     assert_says(&page, &["default-src 'none'", "script-src 'sha256-", "&#60;script&#62;"]);
     // The one rule: the second row's PSNR and SSIM alone are better.
     assert_eq!(page.matches("<b>").count(), 2, "{page}");
-    assert_says(
-        &page,
-        &["lpips_vgg: empty, no LPIPS weights", "9 done", "▲ better", "no difference is shown", "+0.50 [+0.48, +0.52]"],
-    );
+    let words =
+        ["lpips_vgg: empty, no LPIPS weights", "9 done", "▲ better", "no difference is shown", "+0.50 [+0.48, +0.52]"];
+    assert_says(&page, &words);
 }
 
 /// Captions are words, and videos play without the network.
 #[test]
 fn the_page_has_captions_and_shows_videos() {
     let page = page();
-    assert_says(
-        &page,
-        &[
-            "<strong>Training on fern</strong> Lines are means. <code>curves_fern_psnr<",
-            "media-src data:",
-            "data:image/gif;base64,R0lGODlh",
-            "TV, seed 0",
-        ],
-    );
+    let caption = "<strong>Training on fern</strong> Lines are means. <code>curves_fern_psnr<";
+    assert_says(&page, &[caption, "media-src data:", "data:image/gif;base64,R0lGODlh", "TV, seed 0"]);
     // What people look at first stands first, and a mesh is shown as films are.
-    let places =
-        ["id=\"views\"", "id=\"films\"", "id=\"meshes\"", "id=\"figures\""].map(|part| page.find(part).unwrap());
+    let places = ["views", "films", "meshes", "figures"].map(|part| page.find(&format!("id=\"{part}\"")).unwrap());
     assert!(places.is_sorted(), "{places:?}");
     assert_says(&page, &["alt=\"mesh of TV\"", "<code>mesh.png</code>"]);
     // No box scrolls within the page.
     assert!(page.contains("9 points</summary>") && !page.contains("overflow-y"));
     assert_says(&page, &["scroll sideways for more", "rows.length > 2 ? 1 : 0"]);
-}
-
-/// Values of several axes that are one training are one row, and what holds of all rows is said once.
-#[test]
-fn a_training_has_one_row_and_a_fact_one_line() {
-    let value =
-        |axis: &str, value: &str| vec![AxisValue { axis: axis.into(), panel: String::new(), value: value.into() }];
-    let point = |id: &str, seed: u64, axes: Vec<AxisValue>| {
-        let protocol = [("inactive_by", "colour"), ("data_hash", &format!("hash {seed}"))];
-        let mut record = record("fern", "Aug-NeRF", seed, &[("psnr", Some(20.0 + seed as f64))], &protocol);
-        record.result.inactive_levels = vec!["view".into()];
-        Record { id: format!("{id}{seed}"), axes, ..record }
-    };
-    let places =
-        [("a", value("steps", "3")), ("a", value("epsilon", "0.06274509803921569")), ("b", value("steps", "1"))];
-    let records: Vec<Record> =
-        places.iter().flat_map(|(id, axes)| [0, 1].map(|seed| point(id, seed, axes.clone()))).collect();
-    let rows = vec![row_against("Aug-NeRF", None)];
-    let spec = TableSpec { metrics: vec!["psnr".into()], rows, ..TableSpec::default() };
-    let page = page_without_pictures(&spec, &records);
-    let results = page.split("class=\"results").nth(1).unwrap().split("</table>").next().unwrap();
-    assert_eq!(results.matches("<th scope=\"row\">").count(), 2, "{results}");
-    assert_says(results, &["the same training: epsilon = 0.06275"]);
-    let attack = page.split("id=\"attack\"").nth(1).unwrap().split("</table>").next().unwrap();
-    assert_eq!(attack.matches("<th scope=\"row\">").count(), 2, "{attack}");
-    let first = page.split("<h2>Read first</h2>").nth(1).unwrap().split("</section>").next().unwrap();
-    assert_says(first, &["view in all 2 rows (see Attack)", "all rows: data_hash"]);
-    // What marks mean stands before the rows that have them.
-    assert_says(page.split("class=\"results").next().unwrap(), &["<li>† sites that move the rendered colours"]);
-    assert_eq!(first.matches("<li>").count(), 2, "{first}");
-}
-
-/// A metric that no row has takes no column, and commands are code.
-#[test]
-fn pages_have_no_empty_columns_and_no_raw_backticks() {
-    let html = page();
-    let head = html.split("class=\"results").nth(1).unwrap().split("</thead>").next().unwrap();
-    assert!(head.contains("PSNR") && !head.contains("LPIPS"), "{head}");
-    // Nor in the table of points, whose cells stand below their heads.
-    let points = html.split("id=\"points\"").nth(1).unwrap().split("</table>").next().unwrap();
-    let cells = |row: &str| row.matches("<th ").count() + row.matches("<td").count();
-    let counts: Vec<usize> = points.split("</tr>").map(cells).filter(|count| *count > 0).collect();
-    assert_eq!(counts, [7; 10], "{points}");
-    assert_says(&html, &["<li>lpips_vgg: empty", "<code>sweep run --remeasure</code>"]);
-    assert!(!html.split("<main>").next().unwrap().contains("`sweep"));
 }
 
 /// Rows over three scenes: the second gains on all of them.
@@ -233,16 +183,11 @@ fn rows_are_compared_over_scenes() {
             [0, 1].map(|seed| [point(scene, "NeRF", seed, level), point(scene, "TV", seed, level + gain)]).concat()
         };
         let records: Vec<Record> = scenes.iter().enumerate().flat_map(of_scene).collect();
-        let rows = vec![row_against("NeRF", None), row_against("TV", Some("NeRF"))];
-        let spec = TableSpec { metrics: vec!["psnr".into()], rows, ..TableSpec::default() };
-        page_without_pictures(&spec, &records)
+        page_without_pictures(&spec_of(vec![row_against("NeRF", None), row_against("TV", Some("NeRF"))]), &records)
     };
     let page = page_of(&["a", "b", "c"]);
-    let over = page.split("id=\"over\"").nth(1).unwrap().split("</section>").next().unwrap();
-    assert_says(
-        over,
-        &["PSNR over 3 scenes, minus NeRF", "<svg", "+1.01 [+0.99, +1.03]", "3, 0", "class=\"better\">higher"],
-    );
+    let words = ["PSNR over 3 scenes, minus NeRF", "<svg", "+1.01 [+0.99, +1.03]", "3, 0", "class=\"better\">higher"];
+    assert_says(part(&page, "id=\"over\"", "</section>"), &words);
     assert!(page.find("id=\"over\"").unwrap() < page.find("id=\"table\"").unwrap());
     assert!(!page_of(&["a", "b"]).contains("id=\"over\""), "two scenes are not compared over");
 }

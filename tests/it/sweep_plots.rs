@@ -1,5 +1,6 @@
-//! Figures of a sweep from hand-made points. `AUGNERF_PLOTS=DIR` keeps them to look at.
+//! Figures of a sweep from hand-made points.
 
+use crate::common::assert_says;
 use augnerf::base::rng::{Random, Stream};
 use augnerf::report::exporters::{Collected, EXPORTERS};
 use augnerf::report::plots::{Curve, Figure, Style, axes_figure, curves_figure, rows_figure, seconds_figure};
@@ -38,10 +39,6 @@ fn spec(rows: &[&str]) -> TableSpec {
     }
 }
 
-fn page(spec: &TableSpec) -> Style<'_> {
-    Style { spec }
-}
-
 /// The value of an attribute of an element's line.
 fn attribute<'a>(line: &'a str, name: &str) -> &'a str {
     line.split(&format!(" {name}=\"")).nth(1).and_then(|rest| rest.split('"').next()).unwrap_or_default()
@@ -75,18 +72,16 @@ fn record(row: &str, axes: Vec<AxisValue>, seed: u64, psnr: Option<f64>) -> Reco
     Record { id: format!("{row}{axes:?}{seed}"), axes, status, ..record }
 }
 
-/// A table and its points, without logs.
-fn collected<'a>(spec: &'a TableSpec, records: &'a [Record], table: &'a Table) -> Collected<'a> {
-    Collected {
-        constants: Vec::new(),
-        spec,
-        records,
-        timing: &[],
-        with_timing: false,
-        table: Some(table),
-        curves: &[],
-        attacks: &[],
-    }
+/// Three seeds of each row, on no axis.
+fn seeds_of(rows: &[&str], psnr: impl Fn(&str, u64) -> f64) -> Vec<Record> {
+    let of_row = |row: &&str| [0, 1, 2].map(|seed| record(row, vec![], seed, Some(psnr(row, seed))));
+    rows.iter().flat_map(of_row).collect()
+}
+
+/// The figure of a table's rows.
+fn figure_of_rows(spec: &TableSpec, records: &[Record]) -> Figure {
+    let table = Table::new(spec, records, false).unwrap();
+    rows_figure(Style { spec }, &table, records, "fern", "psnr").unwrap()
 }
 
 /// Of a seed at a place: different for every pair, the same every time.
@@ -94,15 +89,10 @@ fn noise(seed: u64, place: u64) -> f64 {
     Random::new(seed, Stream::Search, place).uniform() - 0.5
 }
 
-fn keep(name: &str, figure: &Figure) {
-    if let Ok(dir) = std::env::var("AUGNERF_PLOTS") {
-        std::fs::create_dir_all(&dir).unwrap();
-        for (file, content) in figure.clone().files(name) {
-            std::fs::write(format!("{dir}/{file}"), content).unwrap();
-        }
-    }
+/// All letters have 7 pt, and all words stand within the figure.
+#[track_caller]
+fn assert_fits(figure: &Figure) {
     assert!(figure.svg.contains(" width=\"17cm\""));
-    // All letters have 7 pt, and all words stand within the figure.
     for (element, text) in texts(&figure.svg) {
         let element = format!(" {element}");
         assert_eq!(attribute(&element, "font-size"), "13", "{text}");
@@ -113,7 +103,7 @@ fn keep(name: &str, figure: &Figure) {
                 "middle" => length / 2.0,
                 _ => length,
             };
-        assert!(left >= -0.1 && left + length <= 895.1, "{name}: {text} from {left} to {}", left + length);
+        assert!(left >= -0.1 && left + length <= 895.1, "{text} from {left} to {}", left + length);
     }
 }
 
@@ -123,8 +113,7 @@ fn axis_value(axis: &str, panel: &str, value: &str) -> AxisValue {
 
 /// 2 axes of 3 levels and one of 1, 3 seeds; features matter, output does not; one value is missing.
 fn figure_records() -> Vec<Record> {
-    let mut records: Vec<Record> =
-        (0..3).map(|seed| record("NeRF", vec![], seed, Some(19.3 + 0.1 * noise(seed, 1)))).collect();
+    let mut records = seeds_of(&["NeRF"], |_, seed| 19.3 + 0.1 * noise(seed, 1));
     for (axis, values) in [
         ("steps", vec!["0", "1", "3", "5", "10"]),
         ("step size", vec!["1e-5", "1e-4", "1e-3", "1e-2", "1e-1"]),
@@ -150,9 +139,10 @@ fn figure_records() -> Vec<Record> {
 #[test]
 fn the_paper_s_figure() {
     let (spec, records) = (spec(&["NeRF", "Aug-NeRF"]), figure_records());
-    let figure = axes_figure(page(&spec), &records, "fern", "psnr").unwrap();
-    keep("axes", &figure);
-    assert_eq!(figure.svg, axes_figure(page(&spec), &records, "fern", "psnr").unwrap().svg);
+    let draw = |scene: &str, metric: &str| axes_figure(Style { spec: &spec }, &records, scene, metric);
+    let figure = draw("fern", "psnr").unwrap();
+    assert_fits(&figure);
+    assert_eq!(figure.svg, draw("fern", "psnr").unwrap().svg);
     for words in ["input coordinates", "features", "injection layer", "10⁻⁵", "PSNR (dB)", ">\nNeRF\n<"] {
         assert!(figure.svg.contains(words), "{words}");
     }
@@ -161,8 +151,7 @@ fn the_paper_s_figure() {
     assert_eq!(said.matches("Aug-NeRF: 3 seeds: no difference shown; detectable").count(), 4, "{said}");
     assert_eq!(said.matches("differ, p ").count(), 3, "{said}");
     assert!(figure.caption.contains("waiting: output steps = 3 (Aug-NeRF)"), "the missing value is named");
-    assert!(axes_figure(page(&spec), &records, "orchids", "psnr").is_none());
-    assert!(axes_figure(page(&spec), &records, "fern", "ssim").is_none());
+    assert!(draw("orchids", "psnr").is_none() && draw("fern", "ssim").is_none());
 }
 
 #[test]
@@ -177,10 +166,9 @@ fn a_table_as_points() {
             records.push(record(row, vec![], seed, (!missing).then_some(psnr)));
         }
     }
-    let table = Table::new(&spec, &records, false).unwrap();
-    let figure = rows_figure(page(&spec), &table, &records, "fern", "psnr").unwrap();
-    keep("rows", &figure);
-    assert_eq!(figure.svg, rows_figure(page(&spec), &table, &records, "fern", "psnr").unwrap().svg);
+    let figure = figure_of_rows(&spec, &records);
+    assert_fits(&figure);
+    assert_eq!(figure.svg, figure_of_rows(&spec, &records).svg);
     for words in ["Feature &amp; (Pre-) Output", "waiting", "one seed: no interval", "better", "Aug-NeRF †"] {
         assert!(figure.svg.contains(words), "{words}");
     }
@@ -188,37 +176,29 @@ fn a_table_as_points() {
     assert!(figure.caption.starts_with("PSNR (dB) on fern\nLarge dots") && !figure.svg.contains("Large dots"));
     let names: Vec<String> = figure.files("rows").into_iter().map(|(name, _)| name).collect();
     assert_eq!(names, ["rows.svg", "rows.txt"]);
-    assert!(rows_figure(page(&spec), &table, &records, "orchids", "psnr").is_none());
+    let table = Table::new(&spec, &records, false).unwrap();
+    assert!(rows_figure(Style { spec: &spec }, &table, &records, "orchids", "psnr").is_none());
 }
 
 /// A row with axes of its own is a line for each of its values; it takes no other row's place.
 #[test]
 fn rows_with_axes_of_their_own_stand_beside_plain_ones() {
     let spec = spec(&["NeRF", "Aug-NeRF"]);
-    let weight = |value| vec![axis_value("lambda", "", value)];
-    let records: Vec<Record> = (0..3)
-        .flat_map(|seed| {
-            let psnr = |gain| Some(20.0 + gain + noise(seed, 7));
-            [
-                record("NeRF", vec![], seed, psnr(0.0)),
-                record("Aug-NeRF", weight("0.1"), seed, psnr(0.1)),
-                record("Aug-NeRF", weight("0.5"), seed, psnr(0.2)),
-            ]
-        })
-        .collect();
-    let table = Table::new(&spec, &records, false).unwrap();
-    let names = |spec: &TableSpec| -> Vec<String> {
-        let (table, records) = (&table, &records[..]);
-        let collected = collected(spec, records, table);
-        EXPORTERS.iter().flat_map(|exporter| exporter.export(&collected).unwrap()).map(|(name, _)| name).collect()
+    let psnr = |seed| 20.0 + noise(seed, 7);
+    let mut records = seeds_of(&["NeRF"], |_, seed| psnr(seed));
+    for (value, gain) in [("0.1", 0.1), ("0.5", 0.2)] {
+        let point = |seed| record("Aug-NeRF", vec![axis_value("lambda", "", value)], seed, Some(psnr(seed) + gain));
+        records.extend((0..3).map(point));
+    }
+    let (table, records) = (Table::new(&spec, &records, false).unwrap(), &records);
+    let has_rows = |spec: &TableSpec| {
+        let (table, constants) = (Some(&table), Vec::new());
+        let (timing, curves, attacks) = (&[][..], &[][..], &[][..]);
+        let all = Collected { constants, spec, records, timing, with_timing: false, table, curves, attacks };
+        EXPORTERS.iter().flat_map(|exporter| exporter.export(&all).unwrap()).any(|file| file.0 == "rows_fern_psnr.svg")
     };
-    let has_rows = |names: Vec<String>| names.iter().any(|name| name == "rows_fern_psnr.svg");
-    assert!(has_rows(names(&spec)));
-    assert!(!has_rows(names(&TableSpec { varied: true, ..spec.clone() })));
-    let figure = rows_figure(page(&spec), &table, &records, "fern", "psnr").unwrap();
-    assert!(
-        figure.svg.contains(">\nNeRF\n<") && figure.svg.contains("lambda = 0.1") && figure.svg.contains("lambda = 0.5")
-    );
+    assert!(has_rows(&spec) && !has_rows(&TableSpec { varied: true, ..spec.clone() }));
+    assert_says(&figure_of_rows(&spec, records).svg, &[">\nNeRF\n<", "lambda = 0.1", "lambda = 0.5"]);
 }
 
 #[test]
@@ -232,8 +212,8 @@ fn training_curves() {
     };
     let spec = spec(&ROWS[..10]);
     let curves: Vec<Curve> = ROWS[..10].iter().enumerate().map(|(i, row)| curve(row, 18.0 + 0.3 * i as f64)).collect();
-    let figure = curves_figure(page(&spec), "fern", &curves).unwrap();
-    keep("curves", &figure);
+    let figure = curves_figure(Style { spec: &spec }, "fern", &curves).unwrap();
+    assert_fits(&figure);
     // The baseline and the four that end highest, named at the ends of their lines, in both panels.
     for (row, times) in [("NeRF", 1), ("Aug-NeRF", 2), ("+ Feature Aug.", 2), ("+ l1 Reg.", 0)] {
         assert_eq!(texts(&figure.svg).iter().filter(|(_, text)| *text == row).count(), times, "{row}");
@@ -249,7 +229,7 @@ fn training_curves() {
     // A single log is no curve.
     let single = Curve { label: "single".into(), seeds: vec![vec![(100.0, 16.0)]], ..Curve::default() };
     for curves in [vec![], vec![empty], vec![single]] {
-        assert!(curves_figure(page(&spec), "fern", &curves).is_none());
+        assert!(curves_figure(Style { spec: &spec }, "fern", &curves).is_none());
     }
 }
 
@@ -264,42 +244,16 @@ fn training_curves_against_seconds() {
     };
     let curves = [curve("fast", Some(0.01)), curve("slow", Some(0.04)), curve("unknown", None)];
     let spec = spec(&["fast", "slow", "unknown"]);
-    let svg = seconds_figure(page(&spec), "fern", &curves).unwrap().svg;
+    let svg = seconds_figure(Style { spec: &spec }, "fern", &curves).unwrap().svg;
     assert!(svg.contains("seconds of training") && svg.contains("slow") && !svg.contains("unknown"));
     // 2000 steps of the slow one are 80 seconds, which the axis ends at, and of the fast one a quarter of that.
-    let ends: Vec<f64> = svg
-        .lines()
-        .filter(|line| line.starts_with("<polyline") && line.contains("1.8"))
-        .map(|line| {
-            let points = line.split("points=\"").nth(1).unwrap().split('"').next().unwrap();
-            points.split(' ').next_back().unwrap().split(',').next().unwrap().parse().unwrap()
-        })
-        .collect();
+    let lines = svg.lines().filter(|line| line.starts_with("<polyline") && line.contains("1.8"));
+    let end = |line: &str| attribute(line, "points").rsplit(' ').next().unwrap().split_once(',').unwrap().0.parse();
+    let ends: Vec<f64> = lines.map(|line| end(line).unwrap()).collect();
     let (left, width) = (62.0, 895.0 - 62.0 - 190.0 - 20.0);
     assert_eq!(ends, [left + (width / 4.0 * 10.0_f64).round() / 10.0, left + width]);
-    assert!(seconds_figure(page(&spec), "fern", &curves[2..]).is_none());
-    assert!(curves_figure(page(&spec), "fern", &curves).unwrap().svg.contains("unknown"));
-}
-
-/// What a table does not tell apart is no difference in a figure: a scale spans ten units of the last digit or more.
-#[test]
-fn scales_are_no_finer_than_tables() {
-    let spec = spec(&["NeRF", "TV"]);
-    let level = |row: &str| if row == "TV" { 20.002 } else { 20.0 };
-    let curve = |row: &str| Curve {
-        label: row.into(),
-        seeds: vec![(1..=20).map(|i| (f64::from(i), level(row))).collect()],
-        ..Curve::default()
-    };
-    let curves = curves_figure(page(&spec), "fern", &["NeRF", "TV"].map(curve)).unwrap();
-    let records: Vec<Record> =
-        ["NeRF", "TV"].iter().flat_map(|row| (0..3).map(|seed| record(row, vec![], seed, Some(level(row))))).collect();
-    let table = Table::new(&spec, &records, false).unwrap();
-    let rows = rows_figure(page(&spec), &table, &records, "fern", "psnr").unwrap();
-    for (figure, ticks) in [(curves, ["20.00", "0.00"]), (rows, ["20.00", "0.00"])] {
-        let said = texts(&figure.svg).into_iter().map(|(_, text)| text).collect::<Vec<_>>();
-        assert!(ticks.iter().all(|tick| said.contains(tick)) && !said.contains(&"20.002"), "{said:?}");
-    }
+    assert!(seconds_figure(Style { spec: &spec }, "fern", &curves[2..]).is_none());
+    assert!(curves_figure(Style { spec: &spec }, "fern", &curves).unwrap().svg.contains("unknown"));
 }
 
 /// Where views were evaluated during training, a second panel has held-out and training views of each row.
@@ -309,7 +263,7 @@ fn training_curves_show_seen_and_unseen_views() {
     let spec = spec(&["NeRF"]);
     let rays = Curve { label: "NeRF".into(), seeds: evaluated(17.0), ..Curve::default() };
     let both = Curve { held_out: evaluated(18.0), seen: evaluated(20.0), ..rays.clone() };
-    let [without, with] = [rays, both].map(|curve| curves_figure(page(&spec), "fern", &[curve]).unwrap().svg);
+    let [without, with] = [rays, both].map(|curve| curves_figure(Style { spec: &spec }, "fern", &[curve]).unwrap().svg);
     for (svg, times) in [(&without, 0), (&with, 1)] {
         assert_eq!(svg.matches("PSNR of whole views (dB): held-out, and training (dashed)").count(), times);
         assert_eq!(svg.matches("stroke-dasharray").count(), times, "training views are dashed");
@@ -319,41 +273,20 @@ fn training_curves_show_seen_and_unseen_views() {
 #[test]
 fn odd_input_draws_or_says_that_there_is_nothing() {
     let two = spec(&["NeRF", "Aug-NeRF"]);
-    assert!(axes_figure(page(&two), &[], "fern", "psnr").is_none());
+    assert!(axes_figure(Style { spec: &two }, &[], "fern", "psnr").is_none());
     let word = |value: &str, seed, psnr| record("Aug-NeRF", vec![axis_value("kind", "", value)], seed, psnr);
     let one = [word("worst-case", 0, Some(20.0))];
-    let figure = axes_figure(page(&two), &one, "fern", "psnr").unwrap();
+    let figure = axes_figure(Style { spec: &two }, &one, "fern", "psnr").unwrap();
     assert!(figure.svg.contains("one seed: no spread known") && figure.svg.contains("worst-case"));
     let equal: Vec<Record> = (0..6).map(|i| word(["a", "b"][i as usize % 2], i / 2, Some(20.0))).collect();
-    assert!(axes_figure(page(&two), &equal, "fern", "psnr").unwrap().svg.contains("no difference shown"));
+    assert!(axes_figure(Style { spec: &two }, &equal, "fern", "psnr").unwrap().svg.contains("no difference shown"));
     let broken = [word("a", 0, Some(f64::NAN)), word("b", 0, None)];
-    assert!(axes_figure(page(&two), &broken, "fern", "psnr").is_none());
-    let plain = [record("NeRF", vec![], 0, Some(20.0)), record("Aug-NeRF", vec![], 0, None)];
-    let table = Table::new(&two, &plain, false).unwrap();
-    assert!(rows_figure(page(&two), &table, &plain, "fern", "psnr").unwrap().svg.contains("waiting"));
-}
-
-/// Two axes varied together: the first is drawn along, each value of the second is a line.
-#[test]
-fn a_product_of_two_axes_is_drawn_too() {
-    let values = |down: usize, across: usize| {
-        let axes = vec![
-            axis_value("steps", "features", ["0", "1", "3", "5"][across]),
-            axis_value("epsilon", "features", ["1e-3", "1e-2", "1e-1", "1"][down]),
-        ];
-        let psnr = 19.0 + 0.2 * across as f64 - 0.15 * (down * across) as f64;
-        (0..3).map(move |seed| {
-            let place = (10 * down + across) as u64;
-            record("Aug-NeRF", axes.clone(), seed, Some(psnr + 0.1 * noise(seed, place)))
-        })
-    };
-    let mut records: Vec<Record> = (0..3).map(|seed| record("NeRF", vec![], seed, Some(19.1))).collect();
-    records.extend((0..16).flat_map(|i| values(i / 4, i % 4)));
-    let figure = axes_figure(page(&spec(&["NeRF", "Aug-NeRF"])), &records, "fern", "psnr").unwrap();
-    keep("product", &figure);
-    let said = said(&figure);
-    for value in ["1e-3", "1e-2", "1e-1", "1"] {
-        assert!(said.contains(&format!("features epsilon = {value}: 3 seeds")), "{value}");
+    assert!(axes_figure(Style { spec: &two }, &broken, "fern", "psnr").is_none());
+    // A row whose points failed has failed; it does not lack data.
+    for (status, word) in [(Status::Waiting, "waiting"), (Status::Failed, "failed")] {
+        let other = Record { status, ..record("Aug-NeRF", vec![], 0, None) };
+        let svg = figure_of_rows(&two, &[record("NeRF", vec![], 0, Some(20.0)), other]).svg;
+        assert!(svg.contains(word) && !svg.contains("no data"));
     }
 }
 
@@ -364,14 +297,9 @@ fn no_figure_grows_with_its_words() {
     let mut spec = spec(&["NeRF", long, "unbrokenwordthatislongerthanacolumnofafigurecouldeverbe"]);
     spec.changed = "data.width = 24, train.steps = 20".into();
     spec.title = format!("{long} (with {})", spec.changed);
-    let rows: Vec<String> = spec.rows.iter().map(|row| row.name.clone()).collect();
-    let plain: Vec<Record> = rows
-        .iter()
-        .flat_map(|row| (0..3).map(|seed| record(row, vec![], seed, Some(20.0 + noise(seed, row.len() as u64)))))
-        .collect();
-    let table = Table::new(&spec, &plain, false).unwrap();
-    let figure = rows_figure(page(&spec), &table, &plain, "fern", "psnr").unwrap();
-    keep("long", &figure);
+    let rows: Vec<&str> = spec.rows.iter().map(|row| row.name.as_str()).collect();
+    let figure = figure_of_rows(&spec, &seeds_of(&rows, |row, seed| 20.0 + noise(seed, row.len() as u64)));
+    assert_fits(&figure);
     assert!(figure.caption.ends_with(" All rows: data.width = 24, train.steps = 20.\n"), "{}", figure.caption);
     assert_eq!(said(&figure).matches("data.width").count(), 1, "not in the title");
 }
@@ -379,40 +307,17 @@ fn no_figure_grows_with_its_words() {
 /// A row has one colour in all figures, and blue and orange are of verdicts alone.
 #[test]
 fn a_row_has_one_colour_in_all_figures() {
-    let spec = spec(&["NeRF", "better", "worse"]);
-    let gain =
-        |row: &str| [("NeRF", 0.0), ("better", 1.0), ("worse", -1.0)].iter().find(|(name, _)| *name == row).unwrap().1;
     let rows = ["NeRF", "better", "worse"];
-    let records: Vec<Record> = rows
-        .iter()
-        .flat_map(|row| {
-            (0..3).map(move |seed| {
-                record(row, vec![], seed, Some(20.0 + gain(row) + 0.01 * noise(seed, row.len() as u64)))
-            })
-        })
-        .collect();
-    let table = Table::new(&spec, &records, false).unwrap();
+    let spec = spec(&rows);
+    let level = |row: &str| 20.0 + f64::from(row == "better") - f64::from(row == "worse");
     let log = |level: f64| vec![(1..9).map(|i| (f64::from(i), level)).collect::<Vec<_>>()];
-    let curves: Vec<Curve> = ["worse", "better"]
-        .map(|row| Curve { label: row.into(), seeds: log(20.0 + gain(row)), ..Curve::default() })
-        .to_vec();
+    let curves = ["worse", "better"].map(|row| Curve { label: row.into(), seeds: log(level(row)), ..Curve::default() });
     let figures = [
-        rows_figure(page(&spec), &table, &records, "fern", "psnr").unwrap().svg,
-        curves_figure(page(&spec), "fern", &curves).unwrap().svg,
+        figure_of_rows(&spec, &seeds_of(&rows, |row, seed| level(row) + 0.01 * noise(seed, row.len() as u64))).svg,
+        curves_figure(Style { spec: &spec }, "fern", &curves).unwrap().svg,
     ];
     let [of_worse, of_better] = ["rgb(204,121,167)", "rgb(0,158,115)"];
     assert!(figures.iter().all(|svg| svg.contains(of_worse)));
     assert!(figures[0].contains(of_better) && figures[1].contains(of_better));
     assert!(figures[1..].iter().all(|svg| !svg.contains("rgb(0,114,178)") && !svg.contains("rgb(213,94,0)")));
-}
-
-/// A row whose points failed has failed; it does not lack data.
-#[test]
-fn failed_rows_are_said_to_have_failed() {
-    let spec = spec(&["NeRF", "broken"]);
-    let mut records: Vec<Record> = (0..2).map(|seed| record("NeRF", vec![], seed, Some(20.0))).collect();
-    records.push(Record { status: Status::Failed, ..record("broken", vec![], 0, None) });
-    let table = Table::new(&spec, &records, false).unwrap();
-    let svg = rows_figure(page(&spec), &table, &records, "fern", "psnr").unwrap().svg;
-    assert!(svg.contains("failed") && !svg.contains("no data"));
 }
