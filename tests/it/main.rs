@@ -6,6 +6,8 @@ mod answers;
 mod attack_geometry;
 mod attacks;
 mod bad_data;
+#[cfg(feature = "baselines")]
+mod baselines;
 mod browser;
 mod captures;
 mod cli;
@@ -41,7 +43,6 @@ mod perturbations;
 mod photos;
 mod pictures;
 mod plain;
-mod planes;
 mod reference;
 mod regularizers;
 mod repairs;
@@ -55,8 +56,6 @@ mod sharpness;
 mod slurm;
 #[cfg(unix)]
 mod slurm_jobs;
-#[cfg(feature = "baselines")]
-mod srn;
 mod strangers;
 mod sweep_cli;
 mod sweep_controls;
@@ -74,8 +73,6 @@ mod view;
 mod view_browser;
 mod view_program;
 mod views;
-#[cfg(feature = "baselines")]
-mod volumes;
 
 /// Counts what is taken, for the tests that bound it.
 #[global_allocator]

@@ -7,10 +7,10 @@ use augnerf::data::Scene;
 use augnerf::runtime::Runtime;
 use augnerf::settings::Resolved;
 use augnerf::train::Trainer;
-use candle_core::DType;
+use candle_core::{DType, Device};
 use tempfile::TempDir;
 
-use super::files::assert_same_files;
+use super::files::{assert_same_files, rows, text};
 use super::program::succeed;
 use super::{flat, runtime, tiny_scene};
 
@@ -52,6 +52,18 @@ impl Small {
         std::fs::remove_dir_all(out.join("checkpoints/step_000000040")).unwrap();
         succeed(&["resume", "--quiet", "--threads", "2", out.to_str().unwrap()]);
         assert_same_files(whole, &out, &FLEETING);
+    }
+}
+
+/// Demands columns of a run's log, and parameters of its last checkpoint by the ends of their names.
+#[track_caller]
+pub fn assert_keeps(run: &Path, columns: &[&str], parameters: &[&str]) {
+    let log = rows(&text(&run.join("scalars.csv"))).remove(0);
+    columns.iter().for_each(|column| assert!(log.contains_key(*column), "{column}: {log:?}"));
+    let state = run.join("checkpoints/step_000000040/state.safetensors");
+    let state = candle_core::safetensors::load(state, &Device::Cpu).unwrap();
+    for name in parameters {
+        assert!(state.keys().any(|key| key.ends_with(name)), "{name}: {:?}", state.keys());
     }
 }
 
