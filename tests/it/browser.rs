@@ -1,45 +1,29 @@
 //! The page in a real browser, without a screen.
 
-use std::io::{ErrorKind, Write};
+use std::io::Write;
 use std::net::{SocketAddr, TcpListener};
-use std::process::Command;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
+use tempfile::TempDir;
+
+use crate::common::assert_says;
 use crate::page::{ROW, page, page_of_axes};
+use crate::view_browser::Browser;
 
-const NAMES: [&str; 4] = ["chromium", "chromium-browser", "google-chrome", "chrome"];
-
-/// What the page's document is after `script` has run in it. The page's own policy would stop a second script: that alone is
-/// given up, in a copy.
-fn after(script: &str) -> String {
-    after_in(&page(), script)
-}
-
-fn after_in(page: &str, script: &str) -> String {
-    let (start, rest) = page.split_once("script-src 'sha256-").unwrap();
-    let (_, rest) = rest.split_once("'; ").unwrap();
-    let page = format!("{start}script-src 'unsafe-inline'; {rest}");
-    dom(&page.replace("</body>", &format!("<script>{script}</script></body>")))
-}
-
-/// The document that a browser makes of a page.
-fn dom(page: &str) -> String {
-    let dir = tempfile::tempdir().unwrap();
+/// The page in a browser, and the folder that it lies in.
+fn opened(page: &str) -> (TempDir, Browser) {
+    let dir = TempDir::new().unwrap();
     let file = dir.path().join("page.html");
     std::fs::write(&file, page).unwrap();
-    let arguments = ["--headless=new", "--no-sandbox", "--disable-gpu", "--no-first-run", "--disable-extensions"];
-    for name in NAMES {
-        let mut browser = Command::new(name);
-        browser.args(arguments).arg("--virtual-time-budget=4000").arg("--dump-dom");
-        browser.arg(format!("--user-data-dir={}", dir.path().join("profile").display()));
-        match browser.arg(format!("file://{}", file.display())).env("HOME", dir.path()).output() {
-            Ok(output) => return String::from_utf8(output.stdout).unwrap(),
-            Err(error) if error.kind() == ErrorKind::NotFound => {}
-            Err(error) => panic!("{name}: {error}"),
-        }
-    }
-    panic!("no Chromium is installed: this test opens the page in one");
+    let browser = Browser::open(&format!("file://{}", file.display()), 1200, 800);
+    (dir, browser)
+}
+
+/// What a script returns that runs in a page.
+fn said(page: &str, script: &str) -> String {
+    let (_dir, browser) = opened(page);
+    browser.run(script).as_str().unwrap().into()
 }
 
 /// A server that has nothing, and how often it was asked. Without an answer a browser would wait.
@@ -54,11 +38,6 @@ fn server() -> (SocketAddr, Arc<AtomicUsize>) {
         }
     });
     (address, asked)
-}
-
-/// What a script put into the title.
-fn title(dom: &str) -> &str {
-    dom.split_once("<title>").and_then(|(_, rest)| rest.split_once("</title>")).expect("a page has a title").0
 }
 
 #[test]
@@ -78,12 +57,11 @@ fn heads_sort_and_rows_and_columns_are_chosen() {
         box.click();
         said.push(all(".results tr td").filter(cell => !cell.hidden && !cell.parentNode.hidden).length);
         said.push(csv().split("\n").length + " " + csv().split("\n")[1].split('","').length);
-        document.title = said.join("; ");
+        return said.join("; ");
     "##;
-    let dom = after(script);
     // Best first, then the other way round, then as it was; hidden are two rows and, of two metrics, one.
-    let expected = "NeRF &lt;scr TV; &lt;scr NeRF TV; TV NeRF &lt;scr; NeRF &lt;scr TV; &lt;scr NeRF TV; TV; 1; 2 3";
-    assert_eq!(title(&dom), expected);
+    let expected = "NeRF <scr TV; <scr NeRF TV; TV NeRF <scr; NeRF <scr TV; <scr NeRF TV; TV; 1; 2 3";
+    assert_eq!(said(&page(), script), expected);
 }
 
 #[test]
@@ -105,10 +83,10 @@ fn the_slider_uncovers_one_row_s_picture_over_another_s() {
         said.push(shown());
         buttons[1].click();
         said.push(shown(), over.naturalWidth > 0 || under.naturalWidth > 0);
-        document.title = said.join("; ");
+        return said.join("; ");
     "##;
-    let dom = after(script);
-    assert_eq!(title(&dom), "false; 4; inset(0px 75% 0px 0px); true; false; true,false; false,true; true");
+    let expected = "false; 4; inset(0px 75% 0px 0px); true; false; true,false; false,true; true";
+    assert_eq!(said(&page(), script), expected);
 }
 
 #[test]
@@ -129,10 +107,10 @@ fn points_are_drawn_against_their_values_as_dots_and_as_lines() {
         set("as", "parallel");
         said.push(marks().length, all("svg.values .line").length, document.querySelector("#values [data-only]").hidden);
         said.push(document.querySelector("svg.values .line title").textContent.split("\n")[0]);
-        document.title = said.join("; ");
+        return said.join("; ");
     "##;
-    let dom = after_in(&page_of_axes(), script);
-    assert_eq!(title(&dom), "5; true; true; 0; 5; true; fern, NeRF, weight = 0.001, kind = l1, seed 0");
+    let expected = "5; true; true; 0; 5; true; fern, NeRF, weight = 0.001, kind = l1, seed 0";
+    assert_eq!(said(&page_of_axes(), script), expected);
 }
 
 #[test]
@@ -141,14 +119,14 @@ fn the_page_s_policy_keeps_it_from_the_network_and_from_other_scripts() {
     let (address, fetched) = server();
     let foreign = format!("<img src=\"http://{address}/picture\"><script>document.title = 'run'</script>");
     let with_foreign = page().replace("<header>", &format!("{foreign}<header>"));
-    let kept = dom(&with_foreign);
-    assert_eq!(title(&kept), "Tiny &amp; &lt;b&gt;bold&lt;/b&gt;", "neither the script nor the row {ROW:?} ran");
+    let (_dir, kept) = opened(&with_foreign);
+    assert_eq!(kept.value("document.title"), "Tiny & <b>bold</b>", "neither the script nor the row {ROW:?} ran");
     // The page's own script did.
-    assert!(kept.contains("inset(") && kept.contains("aria-pressed=\"true\""), "{kept}");
+    assert_says(kept.value("document.body.innerHTML").as_str().unwrap(), &["inset(", "aria-pressed=\"true\""]);
     assert_eq!(fetched.load(Ordering::SeqCst), 0, "something was fetched");
     // Without the policy both happen: the test can fail.
     let (start, rest) = with_foreign.split_once("<meta http-equiv").unwrap();
-    let open = dom(&format!("{start}{}", rest.split_once('>').unwrap().1));
-    assert_eq!(title(&open), "run");
+    let (_dir, open) = opened(&format!("{start}{}", rest.split_once('>').unwrap().1));
+    assert_eq!(open.value("document.title"), "run");
     assert!(fetched.load(Ordering::SeqCst) > 0);
 }

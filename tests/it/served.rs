@@ -9,39 +9,28 @@ use std::time::Duration;
 
 use augnerf::data::npy::{Array, read_array};
 use serde_json::{Value, json};
-use tempfile::TempDir;
 
 use crate::common::assert_says;
-use crate::common::files::{entries, json as read_json, text};
-use crate::common::program::{Place, augnerf, refuse, set, succeed, wait_for};
+use crate::common::files::{entries, text};
+use crate::common::program::{Place, set, wait_for};
 
 /// No answer on a busy machine takes so long.
 const PATIENCE: Duration = Duration::from_secs(600);
 
-fn path(path: &Path) -> &str {
-    path.to_str().unwrap()
-}
-
-/// The run that most tests serve, and a folder to write to.
-fn shared(dir: &TempDir) -> (&'static Path, PathBuf) {
-    static RUN: OnceLock<(TempDir, PathBuf)> = OnceLock::new();
-    let (_, run) = RUN.get_or_init(|| {
-        let dir = TempDir::new().unwrap();
-        let run = trained(&dir, "");
-        (dir, run)
-    });
-    (run, dir.path().join("served"))
+/// A folder with the run that most tests serve, `RUN`.
+fn shared() -> Place {
+    static RUN: OnceLock<Place> = OnceLock::new();
+    Place::copy_of(&RUN, |place| train(place, ""))
 }
 
 /// A run of a second at 16 x 16, with further settings.
-fn trained(dir: &TempDir, settings: &str) -> PathBuf {
-    let out = dir.path().join("RUN");
+fn train(place: &Place, settings: &str) {
     let small =
         "data.width=16 field.width=16 sampling.coarse=8 sampling.fine=8 train.rays=64 train.steps=12 eval.pictures=0";
-    let set = format!("{}{}", set(small), set(settings));
-    Place::new().run(&format!("train --quiet --preset smoke --out {}{set}", path(&out)), 0);
-    out
+    place.run(&format!("train --quiet --preset smoke --out RUN{}{}", set(small), set(settings)), 0);
 }
+
+const SERVE: &str = "render RUN --serve --out served --quiet";
 
 /// A server that is killed when it is dropped.
 struct Served {
@@ -51,8 +40,8 @@ struct Served {
 
 impl Served {
     /// Starts a server and returns it with its first line.
-    fn start(run: &Path, out: &Path) -> (Served, Value) {
-        let mut command = augnerf(&["render", path(run), "--serve", "--out", path(out), "--quiet"]);
+    fn start(place: &Place) -> (Served, Value) {
+        let mut command = place.command(SERVE);
         command.stdin(Stdio::piped()).stdout(Stdio::piped()).stderr(Stdio::piped());
         let mut child = command.spawn().unwrap();
         let (sender, answers) = channel();
@@ -120,13 +109,6 @@ fn with(camera: &Value, further: Value) -> String {
     Value::Object(camera).to_string()
 }
 
-/// Renders one camera with `--cameras`.
-fn rendered(run: &Path, camera: &Value, out: &Path) {
-    let file = out.with_extension("json");
-    std::fs::write(&file, json!({ "camera_path": [camera] }).to_string()).unwrap();
-    succeed(&["render", path(run), "--cameras", path(&file), "--out", path(out), "--quiet"]);
-}
-
 const ALL: [&str; 7] =
     ["rgb.png", "depth.png", "accumulation.png", "normals.png", "rgb.npy", "depth.npy", "accumulation.npy"];
 
@@ -137,13 +119,12 @@ fn eight_bits(values: &[f64]) -> Vec<u8> {
 
 #[test]
 fn images_are_those_of_render_cameras_byte_for_byte() {
-    let dir = TempDir::new().unwrap();
-    let (run, out) = shared(&dir);
+    let place = shared();
     // The run is free while it is served.
-    let (mut served, ready) = Served::start(run, &out);
+    let (mut served, ready) = Served::start(&place);
     assert_eq!((&ready["ready"], &ready["protocol"]), (&json!(true), &json!(1)));
     assert_eq!((&ready["step"], &ready["width"], &ready["height"]), (&json!(12), &json!(16), &json!(16)));
-    assert_eq!((ready["run"].as_str(), ready["folder"].as_str()), (Some(path(run)), Some(path(&out))));
+    assert_eq!((&ready["run"], &ready["folder"]), (&json!("RUN"), &json!("served")));
     assert_eq!(ready["outputs"], json!(ALL));
     let off_centre = with(&camera(3.0), json!({ "fl_x": 17.5, "fl_y": 16, "cx": 8.25, "cy": 7 }));
     let off_centre: Value = serde_json::from_str(&off_centre).unwrap();
@@ -153,24 +134,25 @@ fn images_are_those_of_render_cameras_byte_for_byte() {
         let answer = served.ask(&with(camera, json!({ "outputs": ALL, "name": format!("view-{index}") })));
         assert_eq!(answer["request"], index);
         assert!(answer["milliseconds"].is_u64(), "{answer}");
-        let file = |output: &str| out.join(answer["files"][output].as_str().unwrap());
-        let expected = dir.path().join(format!("expected{index}"));
-        rendered(run, camera, &expected);
+        let file = |output: &str| place.at("served").join(answer["files"][output].as_str().unwrap());
+        let expected = format!("expected{index}");
+        place.write("camera.json", json!({ "camera_path": [camera] }).to_string());
+        place.run(&format!("render RUN --cameras camera.json --out {expected} --quiet"), 0);
+        let bytes = |path: PathBuf| std::fs::read(path).unwrap();
         for kind in ["rgb", "depth"] {
-            let bytes = |path: PathBuf| std::fs::read(path).unwrap();
-            let same = bytes(file(&format!("{kind}.png"))) == bytes(expected.join(format!("{kind}_000.png")));
+            let same = bytes(file(&format!("{kind}.png"))) == bytes(place.at(&format!("{expected}/{kind}_000.png")));
             assert!(same, "{kind} of camera {index} differs");
         }
-        check_values(run, &expected, &file);
-        images.push(std::fs::read(file("rgb.png")).unwrap());
+        check_values(&place, &expected, &file);
+        images.push(bytes(file("rgb.png")));
     }
     assert!(images[0] != images[1] && images[1] != images[2], "the cameras see different things");
-    assert_eq!(entries(&out).len(), 3 * ALL.len());
+    assert_eq!(entries(&place.at("served")).len(), 3 * ALL.len());
     assert!(served.end().is_empty());
 }
 
 /// Arrays have the numbers of which the images are.
-fn check_values(run: &Path, expected: &Path, file: &dyn Fn(&str) -> PathBuf) {
+fn check_values(place: &Place, expected: &str, file: &dyn Fn(&str) -> PathBuf) {
     let array = |output: &str| read_array(&file(output)).unwrap();
     let png = |output: &str| image::open(file(output)).unwrap().to_rgb8();
     let (rgb, depth, acc) = (array("rgb.npy"), array("depth.npy"), array("accumulation.npy"));
@@ -182,9 +164,9 @@ fn check_values(run: &Path, expected: &Path, file: &dyn Fn(&str) -> PathBuf) {
     assert_eq!(png("accumulation.png").as_raw().iter().step_by(3).copied().collect::<Vec<u8>>(), grey);
     assert_eq!((png("normals.png").width(), png("normals.png").height()), (width as u32, height as u32));
     // 16-bit depth is in scene units, and says nothing where less than half of the light is stopped.
-    let steps = image::open(expected.join("depth16_000.png")).unwrap().to_luma16();
-    let unit = read_json(&expected.join("depth.json"))["max"].as_f64().unwrap() / 65535.0;
-    let scale = read_json(&run.join("scene.json"))["world_to_scene"]["scale"].as_f64().unwrap();
+    let steps = image::open(place.at(&format!("{expected}/depth16_000.png"))).unwrap().to_luma16();
+    let unit = place.json(&format!("{expected}/depth.json"))["max"].as_f64().unwrap() / 65535.0;
+    let scale = place.json("RUN/scene.json")["world_to_scene"]["scale"].as_f64().unwrap();
     let mut compared = 0;
     for ((step, depth), acc) in steps.as_raw().iter().zip(&depth.values).zip(&acc.values) {
         assert_eq!(*step > 0, *acc >= 0.5);
@@ -198,9 +180,8 @@ fn check_values(run: &Path, expected: &Path, file: &dyn Fn(&str) -> PathBuf) {
 
 #[test]
 fn wrong_requests_are_answered_in_words_and_the_next_is_read() {
-    let dir = TempDir::new().unwrap();
-    let (run, out) = shared(&dir);
-    let (mut served, _) = Served::start(run, &out);
+    let place = shared();
+    let (mut served, _) = Served::start(&place);
     let good = camera(4.0);
     let further = |further: Value| with(&good, further);
     let nowhere = good.to_string().replace("0.3", "NaN");
@@ -216,10 +197,7 @@ fn wrong_requests_are_answered_in_words_and_the_next_is_read() {
         (&doubled, vec!["request 5", "rotation", "2.0000"]),
         (&further(json!({ "w": 100_000 })), vec!["\"w\" is", "1 to 16384"]),
         (&further(json!({ "w": 16384, "h": 16384 })), vec!["16384 x 16384 pixels", "at most 16777216"]),
-        (&further(json!({ "w": 0 })), vec!["\"w\" is 0"]),
-        (&further(json!({ "h": "12" })), vec!["\"h\"", "number"]),
         (&further(json!({ "fov": 180 })), vec!["\"fov\" is 180", "between 0 and 180"]),
-        (&further(json!({ "fl_x": -3 })), vec!["\"fl_x\" is -3", "positive"]),
         (&further(json!({ "fx": 20 })), vec!["unknown key \"fx\"", "fl_x", "outputs"]),
         (&further(json!({ "outputs": ["rgb"] })), vec!["\"outputs\"", "rgb.png", "depth.npy"]),
         (&further(json!({ "outputs": [] })), vec!["\"outputs\"", "one or more"]),
@@ -236,12 +214,12 @@ fn wrong_requests_are_answered_in_words_and_the_next_is_read() {
         assert_says(error, words);
         assert!(!error.contains('\n') && answer.get("files").is_none(), "{answer}");
     }
-    assert!(entries(&out).is_empty(), "a wrong request left a file");
+    assert!(entries(&place.at("served")).is_empty(), "a wrong request left a file");
     // Names are those of the requests unless they state others.
     let answer = served.ask(&good.to_string());
     assert_eq!(answer["files"], json!({ "rgb.png": format!("{:03}_rgb.png", wrong.len()) }));
     // A folder in the way of a file, until it is gone.
-    let taken = out.join("taken_rgb.png");
+    let taken = place.at("served/taken_rgb.png");
     std::fs::create_dir(&taken).unwrap();
     let ask = further(json!({ "name": "taken" }));
     assert_says(served.ask(&ask)["error"].as_str().unwrap(), &["cannot write", "taken_rgb.png"]);
@@ -253,9 +231,8 @@ fn wrong_requests_are_answered_in_words_and_the_next_is_read() {
 /// A program may send many requests before it reads, and needs no end of its last line.
 #[test]
 fn answers_come_in_the_order_of_requests_also_at_the_end_of_input() {
-    let dir = TempDir::new().unwrap();
-    let (run, out) = shared(&dir);
-    let (mut served, _) = Served::start(run, &out);
+    let place = shared();
+    let (mut served, _) = Served::start(&place);
     let request = |index: usize| match index {
         2 => "nonsense".to_string(),
         _ => with(&camera(3.0 + index as f64), json!({ "name": format!("of-{index}") })),
@@ -263,23 +240,23 @@ fn answers_come_in_the_order_of_requests_also_at_the_end_of_input() {
     let lines: Vec<String> = (0..5).map(request).collect();
     served.write(&lines.join("\n"));
     let answers = served.end();
-    assert_eq!(answers.iter().map(|answer| answer["request"].as_u64().unwrap()).collect::<Vec<_>>(), [0, 1, 2, 3, 4]);
+    assert_eq!(answers.len(), 5);
     for (index, answer) in answers.iter().enumerate() {
+        assert_eq!(answer["request"], index);
         match index {
             2 => assert!(answer["error"].is_string(), "{answer}"),
             _ => assert_eq!(answer["files"]["rgb.png"], format!("of-{index}_rgb.png")),
         }
     }
-    assert_eq!(entries(&out).len(), 4);
+    assert_eq!(entries(&place.at("served")).len(), 4);
 }
 
 #[cfg(unix)]
 #[test]
 fn a_signal_ends_a_server_that_waits_or_renders() {
-    let dir = TempDir::new().unwrap();
-    let run = trained(&dir, "eval.chunk=64");
     for (signal, code) in [("-TERM", 143), ("-INT", 130)] {
-        let (mut served, _) = Served::start(&run, &dir.path().join(format!("waits{signal}")));
+        let place = shared();
+        let (mut served, _) = Served::start(&place);
         served.ask(&camera(4.0).to_string());
         served.signal(signal);
         assert_eq!(served.ended().code(), Some(code), "while it waits");
@@ -287,22 +264,21 @@ fn a_signal_ends_a_server_that_waits_or_renders() {
         assert!(said.contains("render --serve ended by signal") && !said.contains("checkpoint"), "{said}");
     }
     // Of a large image, which is not answered. It has begun after some time, and the signal ends the server before, too.
-    let out = dir.path().join("renders");
-    let (mut served, _) = Served::start(&run, &out);
+    let place = Place::new();
+    train(&place, "eval.chunk=64");
+    let (mut served, _) = Served::start(&place);
     served.write(&format!("{}\n", with(&camera(4.0), json!({ "w": 4096, "h": 4096 }))));
     std::thread::sleep(Duration::from_millis(500));
     served.signal("-TERM");
     assert_eq!(served.ended().code(), Some(143));
-    assert!(served.answers.recv().is_err() && entries(&out).is_empty());
+    assert!(served.answers.recv().is_err() && entries(&place.at("served")).is_empty());
 }
 
 /// Nobody is left to be answered.
 #[test]
 fn a_server_whose_answers_nobody_reads_ends() {
-    let dir = TempDir::new().unwrap();
-    let (run, out) = shared(&dir);
-    let mut command = augnerf(&["render", path(run), "--serve", "--out", path(&out), "--quiet"]);
-    let mut child = command.stdin(Stdio::piped()).stdout(Stdio::piped()).spawn().unwrap();
+    let place = shared();
+    let mut child = place.command(SERVE).stdin(Stdio::piped()).stdout(Stdio::piped()).spawn().unwrap();
     let mut output = BufReader::new(child.stdout.take().unwrap());
     let mut ready = String::new();
     output.read_line(&mut ready).unwrap();
@@ -314,15 +290,14 @@ fn a_server_whose_answers_nobody_reads_ends() {
         status.is_some()
     });
     assert_eq!(status.unwrap().code(), Some(0));
-    assert!(out.join("000_rgb.png").is_file());
+    assert!(place.at("served/000_rgb.png").is_file());
 }
 
 #[test]
 fn cameras_that_look_away_have_no_normalized_device_coordinates() {
-    let dir = TempDir::new().unwrap();
-    let run = trained(&dir, "data.kind=builtin-forward");
-    let out = dir.path().join("served");
-    let (mut served, _) = Served::start(&run, &out);
+    let place = Place::new();
+    train(&place, "data.kind=builtin-forward");
+    let (mut served, _) = Served::start(&place);
     let away = json!({ "camera_to_world": [-1, 0, 0, 0, 0, 1, 0, 0, 0, 0, -1, 0, 0, 0, 0, 1] });
     let error = served.ask(&away.to_string());
     assert_says(error["error"].as_str().unwrap(), &["request 0", "looks away from the -z axis", "data.ndc=false"]);
@@ -330,24 +305,20 @@ fn cameras_that_look_away_have_no_normalized_device_coordinates() {
     let ahead =
         json!({ "camera_to_world": [1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1], "outputs": ["depth.npy"] });
     let answer = served.ask(&ahead.to_string());
-    let Array { values, .. } = read_array(&out.join(answer["files"]["depth.npy"].as_str().unwrap())).unwrap();
+    let file = place.at("served").join(answer["files"]["depth.npy"].as_str().unwrap());
+    let Array { values, .. } = read_array(&file).unwrap();
     assert!(values.iter().any(|depth| *depth > 1.5), "{values:?}");
 }
 
 #[test]
 fn flags_of_known_cameras_and_folders_with_files_are_refused() {
-    let dir = TempDir::new().unwrap();
-    let (run, _) = shared(&dir);
-    std::fs::write(dir.path().join("file"), "").unwrap();
-    let (run, out) = (path(run), path(dir.path()));
-    refuse(&["render", run, "--serve"], 2, &["--out"]);
-    let further =
-        [["--what", "views"], ["--cameras", "a.json"], ["--frames", "2"], ["--resolution", "8x8"], ["--fps", "2"]];
-    for [flag, value] in further.into_iter().chain([["--write-cameras", "a.json"]]) {
-        refuse(&["render", run, "--serve", "--out", out, flag, value], 2, &["--serve", flag]);
+    let place = shared();
+    place.says("render RUN --serve", 2, &["--out"]);
+    let flags = "--what views|--cameras a.json|--frames 2|--resolution 8x8|--fps 2|--write-cameras a.json|--json";
+    for flag in flags.split('|') {
+        place.says(&format!("{SERVE} {flag}"), 2, &["--serve", flag.split(' ').next().unwrap()]);
     }
-    refuse(&["render", run, "--serve", "--out", out, "--json"], 2, &["--serve", "--json"]);
-    refuse(&["render", run, "--serve", "--out", out], 4, &["already holds files"]);
+    place.says("render RUN --serve --out RUN", 4, &["already holds files"]);
 }
 
 /// The example of docs/rendering.md in Python, as it is there.
@@ -357,15 +328,14 @@ fn the_example_of_the_page_runs() {
     assert!(python.status.success());
     let page = text(&Path::new(env!("CARGO_MANIFEST_DIR")).join("docs/rendering.md"));
     let example = page.split("```python\n").nth(1).and_then(|rest| rest.split("```").next()).expect("an example");
-    let dir = TempDir::new().unwrap();
-    trained(&dir, "");
+    let place = shared();
     let programs = Path::new(env!("CARGO_BIN_EXE_augnerf")).parent().unwrap();
     let search = std::env::join_paths(
         [programs.to_path_buf()].into_iter().chain(std::env::split_paths(&std::env::var_os("PATH").unwrap())),
     );
     let output = Command::new("timeout")
         .args(["600", "python3", "-c", example])
-        .current_dir(dir.path())
+        .current_dir(place.path())
         .env("PATH", search.unwrap())
         .output()
         .unwrap();
@@ -374,6 +344,6 @@ fn the_example_of_the_page_runs() {
     assert_eq!(said.lines().count(), 4, "{said}");
     for index in 0..3 {
         assert_says(&said, &[&format!("{index:03}_rgb.png"), &format!("{index:03}_depth.npy")]);
-        assert!(dir.path().join(format!("images/{index:03}_depth.npy")).is_file());
+        assert!(place.at(&format!("images/{index:03}_depth.npy")).is_file());
     }
 }

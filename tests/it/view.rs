@@ -13,31 +13,26 @@ use augnerf::render::ray_parts;
 use augnerf::run::{RunDir, Viewer};
 use augnerf::runtime::Runtime;
 use augnerf::settings::{Axes, Config, Encoding, Method};
-use augnerf::train::Trainer;
 use augnerf::view::{Attack, PerturbedRenderer, Server, ShownRun, SkippingRenderer};
 use candle_core::DType;
 
 use crate::common::learning::Small;
 use crate::common::program::succeed;
-use crate::common::{tiny_config, tiny_scene};
+use crate::common::{runtime, tiny_config, tiny_scene, trained};
 
 /// A run of the soft ball after some steps.
-pub fn shown(label: &str, method: Method, steps: usize) -> Arc<ShownRun> {
+pub fn shown(label: &str, method: Method, steps: u64) -> Arc<ShownRun> {
     shown_with(label, method, steps, |_| {})
 }
 
-pub fn shown_with(label: &str, method: Method, steps: usize, change: impl FnOnce(&mut Config)) -> Arc<ShownRun> {
-    let (scene, runtime) = (tiny_scene(), Runtime::new("cpu", Some(2)).unwrap());
+pub fn shown_with(label: &str, method: Method, steps: u64, change: impl FnOnce(&mut Config)) -> Arc<ShownRun> {
     let config = tiny_config(method, |config| {
-        config.train.steps = steps.max(1) as u64;
+        config.train.steps = steps.max(1);
         change(config);
     });
-    let mut trainer = Trainer::new(&config, &scene, DType::F32, &runtime).unwrap();
-    for _ in 0..steps {
-        trainer.step(false).unwrap();
-    }
-    let run = ShownRun::of_training(label.into(), config, scene, runtime);
-    run.show_copy(steps as u64, trainer.model().unwrap()).unwrap();
+    let trainer = trained(&config, steps);
+    let run = ShownRun::of_training(label.into(), config, tiny_scene(), Runtime::new("cpu", Some(2)).unwrap());
+    run.show_copy(steps, trainer.model().unwrap()).unwrap();
     Arc::new(run)
 }
 
@@ -68,11 +63,8 @@ pub fn ask(method: &str, url: &str, headers: &str, body: &str) -> Reply {
     let (host, path) = url.strip_prefix("http://").unwrap().split_once('/').unwrap();
     let mut stream = TcpStream::connect(host).unwrap();
     let length = body.len();
-    write!(
-        stream,
-        "{method} /{path} HTTP/1.1\r\nHost: {host}\r\nConnection: close\r\nContent-Length: {length}\r\n{headers}\r\n{body}"
-    )
-    .unwrap();
+    let head = format!("Host: {host}\r\nConnection: close\r\nContent-Length: {length}\r\n{headers}");
+    write!(stream, "{method} /{path} HTTP/1.1\r\n{head}\r\n{body}").unwrap();
     // A driver of browsers leaves the connection open.
     stream.set_read_timeout(Some(Duration::from_secs(60))).unwrap();
     let mut reader = BufReader::new(stream);
@@ -84,24 +76,8 @@ pub fn ask(method: &str, url: &str, headers: &str, body: &str) -> Reply {
         Some(length) => reader.take(length).read_to_end(&mut body).unwrap(),
         None => reader.read_to_end(&mut body).unwrap(),
     };
-    if lower.contains("transfer-encoding: chunked") {
-        body = unchunked(&body);
-    }
     let head = head.trim_end().to_string();
     Reply { status: head.split(' ').nth(1).unwrap().parse().unwrap(), head, body }
-}
-
-fn unchunked(mut body: &[u8]) -> Vec<u8> {
-    let mut whole = Vec::new();
-    loop {
-        let end = body.windows(2).position(|window| window == b"\r\n").unwrap();
-        let length = usize::from_str_radix(std::str::from_utf8(&body[..end]).unwrap().trim(), 16).unwrap();
-        if length == 0 {
-            return whole;
-        }
-        whole.extend(&body[end + 2..][..length]);
-        body = &body[end + 4 + length..];
-    }
 }
 
 pub fn get(url: &str) -> Reply {
@@ -132,14 +108,10 @@ fn the_page_has_all_that_it_loads_and_nothing_from_elsewhere() {
             assert!(page.words().contains(file));
             let file = get(&format!("{url}{file}"));
             assert_eq!(file.status, 200);
-            let foreign =
-                file.words().matches("http").count() - file.words().matches("http://www.w3.org/2000/svg").count();
-            assert_eq!(foreign, 0);
+            assert!(!file.words().replace("http://www.w3.org/2000/svg", "").contains("http"));
         }
-        assert_eq!(get(&format!("{url}other")).status, 404);
-        assert_eq!(ask("PUT", url, "", "").status, 405);
-        let bare = get(url.trim_end_matches('/'));
-        assert_eq!(bare.status, 301);
+        let others = [get(&format!("{url}other")), ask("PUT", url, "", ""), get(url.trim_end_matches('/'))];
+        assert_eq!(others.map(|reply| reply.status), [404, 405, 301]);
     });
 }
 
@@ -149,12 +121,9 @@ fn without_its_token_or_from_another_page_nothing_is_answered() {
         assert!(!server.is_watched());
         let (place, token) = url.trim_end_matches('/').rsplit_once('/').unwrap();
         assert_eq!(token.len(), 32);
-        for wrong in
-            [format!("{place}/"), format!("{place}/{}/state", "0".repeat(32)), format!("{place}/{}/", &token[1..])]
-        {
-            let reply = get(&wrong);
-            assert_eq!(reply.status, 403);
-            assert!(reply.words().contains("token"));
+        for wrong in ["", &format!("{}/state", "0".repeat(32)), &format!("{}/", &token[1..])] {
+            let reply = get(&format!("{place}/{wrong}"));
+            assert!(reply.status == 403 && reply.words().contains("token"), "{wrong}");
         }
         let state = format!("{url}state");
         assert_eq!(ask("GET", &state, "Origin: http://example.org\r\n", "").status, 403);
@@ -175,13 +144,8 @@ fn sent(place: &str, bytes: &[u8]) -> TcpStream {
     stream
 }
 
-/// Sends some bytes, and returns what is answered until the connection is closed.
-pub fn said(place: &str, bytes: &[u8]) -> String {
-    std::io::read_to_string(sent(place, bytes)).unwrap()
-}
-
 /// The address without the token.
-pub fn place_of(url: &str) -> &str {
+fn place_of(url: &str) -> &str {
     url.trim_end_matches('/').rsplit_once('/').unwrap().0
 }
 
@@ -191,28 +155,19 @@ pub fn place_of(url: &str) -> &str {
 fn what_is_no_request_of_the_page_is_refused_and_its_connection_closed() {
     served(vec![shown("a", Method::Nerf, 0)], |url, server| {
         let place = place_of(url);
-        for body in ["x".to_string(), "x".repeat(5000)] {
-            let reply = ask("POST", &format!("{place}/"), "", &body);
-            assert!(reply.status == 403 && reply.words().contains("token"), "{}", reply.words());
-        }
         let token = url.rsplit('/').nth(1).unwrap();
         let of_page = |lines: &str| format!("POST /{token}/path HTTP/1.1\r\n{lines}\r\n\r\n");
         let stranger = |lines: &str| format!("POST / HTTP/1.1\r\n{lines}\r\n\r\n");
         for (bytes, status, words) in [
-            (stranger("Content-Length: 60000"), 403, "token"),
+            (stranger("Content-Length: 1"), 403, "token"),
             (stranger("Content-Length: 4611686018427387904"), 403, "token"),
             (stranger("Transfer-Encoding: chunked"), 403, "token"),
-            (stranger("Content-Length: much"), 400, "Content-Length"),
             (of_page("Content-Length: 5000000"), 413, "too long"),
             (of_page("Transfer-Encoding: chunked"), 413, "too long"),
-            (of_page("Content-Length: 1\r\nContent-Length: 2"), 400, "Content-Length"),
-            (of_page("no colon"), 400, "no request"),
             (of_page(&"a: b\r\n".repeat(200)), 431, "too many"),
             ("GET / HTTP/9.9\r\n\r\n".into(), 400, "no request"),
-            ("\u{16}\u{3}\u{1}\u{2}\0\u{1}".into(), 400, "no request"),
-            (format!("GET /{} HTTP/1.1\r\n\r\n", "a".repeat(70_000)), 431, "too long"),
         ] {
-            let answer = said(place, bytes.as_bytes());
+            let answer = std::io::read_to_string(sent(place, bytes.as_bytes())).unwrap();
             let start = &bytes[..bytes.len().min(60)];
             assert!(answer.starts_with(&format!("HTTP/1.1 {status} ")) && answer.contains(words), "{start}: {answer}");
             assert!(answer.contains("Connection: close"), "{start}: {answer}");
@@ -300,9 +255,6 @@ fn the_newest_picture_of_a_page_wins() {
     });
 }
 
-/// Pixels of a picture that takes long.
-const LARGE: [u32; 2] = [4096, 1024];
-
 /// A picture without a reader is given up, whether it is being made or waits.
 #[test]
 fn a_closed_page_ends_its_pictures_and_holds_nobody_up() {
@@ -312,7 +264,8 @@ fn a_closed_page_ends_its_pictures_and_holds_nobody_up() {
         assert_eq!(get(&format!("{url}picture?{VIEW}&page=x&turn=1")).status, 200);
         let of_small = run.runtime.work().multiply_adds - before;
         let token = url.rsplit('/').nth(1).unwrap();
-        let [width, height] = LARGE;
+        // Pixels of a picture that takes long.
+        let [width, height] = [4096u32, 1024];
         let pages: Vec<TcpStream> = ["a", "b"]
             .map(|page| {
                 let query = format!("run=0&view=held-out:0&width={width}&height={height}&page={page}&turn=1");
@@ -335,48 +288,6 @@ fn a_closed_page_ends_its_pictures_and_holds_nobody_up() {
         let done = run.runtime.work().multiply_adds - before;
         assert!(done < whole, "{done} multiply-adds for dead pages, of {whole} for one picture");
         assert_eq!(get(&format!("{url}picture?{VIEW}&page=d&turn=1")).status, 200);
-    });
-}
-
-/// A model that takes longer has a smaller picture in the same time, and whoever waits gets the whole size.
-#[test]
-fn a_quick_picture_is_as_large_as_the_model_allows() {
-    let wide = shown_with("wide", Method::AugNerf, 0, |config| {
-        (config.field.width, config.field.depth) = (256, 8);
-    });
-    served(vec![shown("narrow", Method::AugNerf, 0), wide], |url, _| {
-        let mut turn = 0;
-        let mut size = |run: usize, further: &str| {
-            turn += 1;
-            let query = format!("run={run}&view=held-out:0&width=96&height=96&page=x&turn={turn}{further}");
-            let reply = get(&format!("{url}picture?{query}"));
-            assert_eq!(reply.status, 200, "{}", reply.words());
-            reply.size().0
-        };
-        let [narrow, wide] = [0, 1].map(|run| size(run, "&within=10"));
-        assert!((8..narrow).contains(&wide) && wide < 96, "{narrow} and {wide} pixels wide");
-        // A search takes many passes, also before there was one.
-        assert!(size(0, "&within=10&sites=xyz") < narrow.max(9));
-        assert_eq!([size(0, "&within=1e9"), size(1, ""), size(1, "&within=0")], [96, 96, 8]);
-    });
-}
-
-/// A page has pictures before its run's empty space is known.
-#[test]
-fn empty_space_is_found_while_the_page_answers() {
-    let run = shown_with("a", Method::Nerf, 400, |config| {
-        (config.sampling.coarse, config.sampling.fine) = (32, 32);
-    });
-    served(vec![run], |url, server| {
-        let occupied = || get(&format!("{url}state")).json()["runs"][0]["occupied"].clone();
-        let picture = |turn: u64| get(&format!("{url}picture?{VIEW}&page=x&turn={turn}"));
-        let before = picture(1);
-        assert!(occupied().is_null());
-        server.find_empty_space().unwrap();
-        let occupied = occupied().as_f64().expect("some space is empty");
-        assert!((0.0..0.9).contains(&occupied), "{occupied}");
-        let [before, after] = [before, picture(2)].map(|reply| image::load_from_memory(&reply.body).unwrap().to_rgb8());
-        assert!(before.as_raw().iter().zip(after.as_raw()).all(|(a, b)| a.abs_diff(*b) <= 4));
     });
 }
 
@@ -457,34 +368,26 @@ fn runs_of_two_scenes_have_no_page() {
     let mut other = tiny_scene();
     other.train.iter_mut().chain(&mut other.test).for_each(|view| view.camera.pose[0][3] += 1.0);
     let other = Arc::new(ShownRun::of_training("c".into(), a.config.clone(), other, a.runtime.clone()));
-    assert!(
-        Server::bind(vec![a, other], (Ipv4Addr::LOCALHOST, 0).into())
-            .err()
-            .unwrap()
-            .to_string()
-            .contains("different scenes")
-    );
+    let refusal = Server::bind(vec![a, other], (Ipv4Addr::LOCALHOST, 0).into()).err().unwrap().to_string();
+    assert!(refusal.contains("different scenes"), "{refusal}");
 }
 
 /// On a hash grid and on networks: without empty space left out the pictures are the same, and with a little they hardly
 /// differ.
 #[test]
 fn pictures_without_empty_space_are_those_with_it() {
-    let (scene, runtime) = (tiny_scene(), Runtime::new("cpu", Some(2)).unwrap());
+    let (scene, runtime) = (tiny_scene(), runtime());
     for encoding in [Encoding::Hash, Encoding::Positional] {
         let config = tiny_config(Method::Nerf, |config| {
             config.field.encoding = encoding;
             config.train.steps = 150;
         });
-        let mut trainer = Trainer::new(&config, &scene, DType::F32, &runtime).unwrap();
-        for _ in 0..150 {
-            trainer.step(false).unwrap();
-        }
+        let trainer = trained(&config, 150);
         let model = trainer.model().unwrap();
         let fields = model.fields().unwrap();
-        let viewer = Viewer { model, config: &config, scene: &scene, runtime: &runtime };
+        let viewer = Viewer { model, config: &config, scene: &scene, runtime };
         let full = FieldRenderer::new(fields, &config, &scene).unwrap();
-        let mut skipping = SkippingRenderer::new(fields, &config, &scene, &runtime, &mut || Ok(())).unwrap().unwrap();
+        let mut skipping = SkippingRenderer::new(fields, &config, &scene, runtime, &mut || Ok(())).unwrap().unwrap();
         let camera = scene.test[0].camera;
         let expected = viewer.render_with(&full, &camera).unwrap().image.pixels;
         let mut differences = Vec::new();
@@ -499,9 +402,9 @@ fn pictures_without_empty_space_are_those_with_it() {
         assert!(close < 0.02 && far > close && few < some, "{encoding:?}: {differences:?}");
     }
     let mip = tiny_config(Method::MipNerf, |_| {});
-    let trainer = Trainer::new(&mip, &scene, DType::F32, &runtime).unwrap();
+    let trainer = trained(&mip, 0);
     let fields = trainer.model().unwrap().fields().unwrap();
-    assert!(SkippingRenderer::new(fields, &mip, &scene, &runtime, &mut || Ok(())).unwrap().is_none());
+    assert!(SkippingRenderer::new(fields, &mip, &scene, runtime, &mut || Ok(())).unwrap().is_none());
     assert!(ray_parts(fields.evaluated()).footprint);
     assert!(PerturbedRenderer::new(fields, &mip, &scene).unwrap().ray_parts().footprint);
 }

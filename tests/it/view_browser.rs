@@ -16,14 +16,14 @@ const PAUSE: Duration = Duration::from_millis(100);
 const SHARP: &str = "document.getElementById('status').textContent.includes('shown after')";
 
 /// Chromium without a screen, by WebDriver.
-struct Browser {
+pub struct Browser {
     driver: Child,
     session: String,
 }
 
 impl Browser {
     /// Opens a page in a window of some size.
-    fn open(url: &str, width: u32, height: u32) -> Browser {
+    pub fn open(url: &str, width: u32, height: u32) -> Browser {
         let mut driver = Command::new("chromedriver")
             .arg("--port=0")
             .stdout(Stdio::piped())
@@ -54,9 +54,14 @@ impl Browser {
         reply["value"].clone()
     }
 
+    /// What a script returns.
+    pub fn run(&self, script: &str) -> Value {
+        self.call("execute/sync", &json!({ "script": script, "args": [] }))
+    }
+
     /// The value of an expression in the page.
-    fn value(&self, expression: &str) -> Value {
-        self.call("execute/sync", &json!({ "script": format!("return {expression}"), "args": [] }))
+    pub fn value(&self, expression: &str) -> Value {
+        self.run(&format!("return {expression}"))
     }
 
     /// Waits until an expression is true.
@@ -191,7 +196,7 @@ fn two_runs_have_a_slider_and_a_difference() {
         let border = browser.value("border").as_f64().unwrap();
         assert!(border > 0.55, "{border}");
         assert_ne!(browser.picture(), half);
-        browser.call("execute/sync", &json!({ "script": "document.getElementById('slider').focus()", "args": [] }));
+        browser.run("document.getElementById('slider').focus()");
         browser.key("\u{e012}");
         assert!(browser.value("border").as_f64().unwrap() < border, "the arrow moves the border");
         browser.choose("as", "difference");

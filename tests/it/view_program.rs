@@ -7,7 +7,7 @@ use std::process::{Child, Command, Stdio};
 use crate::common::assert_says;
 use crate::common::files::files;
 use crate::common::learning::Small;
-use crate::common::program::{augnerf, demand};
+use crate::common::program::{Place, augnerf, demand, set};
 
 /// The program with a page, killed when it is dropped.
 struct Page {
@@ -31,30 +31,6 @@ impl Drop for Page {
         let _ = self.child.kill();
         let _ = self.child.wait();
     }
-}
-
-/// Strangers use up no descriptors, and a page that had none for a while goes on.
-#[cfg(unix)]
-#[test]
-fn strangers_do_not_end_the_page() {
-    use crate::view::{ask, get, place_of, said};
-    let (_dir, out) = Small { method: "nerf", settings: "" }.once();
-    let view = "ulimit -n 40; exec \"$0\" view \"$1\" --port 0 --quiet --threads 1";
-    let program = env!("CARGO_BIN_EXE_augnerf");
-    let mut page = Page::start(Command::new("sh").args(["-c", view, program, out.to_str().unwrap()]));
-    let place = place_of(&page.url).to_string();
-    for _ in 0..100 {
-        assert_eq!(ask("POST", &format!("{place}/"), "", "x").status, 403);
-        let claims = said(&place, b"POST / HTTP/1.1\r\nContent-Length: 99999999\r\n\r\n");
-        assert!(claims.starts_with("HTTP/1.1 403 "), "{claims}");
-    }
-    assert_eq!(get(&page.url).status, 200);
-    let host = place.strip_prefix("http://").unwrap();
-    let idle: Vec<_> = (0..60).map(|_| std::net::TcpStream::connect(host).unwrap()).collect();
-    std::thread::sleep(std::time::Duration::from_secs(1));
-    drop(idle);
-    assert_eq!(get(&page.url).status, 200);
-    assert!(page.child.try_wait().unwrap().is_none());
 }
 
 /// What is printed can be opened here, and names are addresses, too.
@@ -101,22 +77,20 @@ fn a_page_that_may_not_be_ready_yet_ends() {
 /// A page that cannot be opened leaves no run behind, and replaces none.
 #[test]
 fn a_page_that_cannot_be_opened_creates_no_run() {
-    let dir = tempfile::tempdir().unwrap();
-    let out = dir.path().join("run");
+    let place = Place::new();
     let taken = TcpListener::bind((Ipv4Addr::LOCALHOST, 0)).unwrap();
     let port = taken.local_addr().unwrap().port().to_string();
-    let train = |further: &[&str], code: i32| {
-        let run = ["train", "--preset", "smoke", "--quiet", "--out", out.to_str().unwrap()];
-        let small = ["--set", "data.width=16", "--set", "train.rays=64", "--set", "train.steps=4"];
-        demand(&mut augnerf(&[&run[..], &small, further].concat()), code)
+    let small = set("data.width=16 train.rays=64 train.steps=4");
+    let train = |further: &str, code: i32, words: &[&str]| {
+        place.says(&format!("train --preset smoke --quiet --out run{small} {further}"), code, words);
     };
-    assert_says(&train(&["--port", &port], 2), &["--port and --host", "add --view"]);
-    assert_says(&train(&["--view", "--port", &port], 4), &[&port, "cannot listen there"]);
-    assert!(!out.exists());
+    train(&format!("--port {port}"), 2, &["--port and --host", "add --view"]);
+    train(&format!("--view --port {port}"), 4, &[&port, "cannot listen there"]);
+    assert!(!place.at("run").exists());
     // With --quiet, too, the address is printed: it has a secret.
-    assert_says(&train(&["--view", "--port", "0"], 0), &["look at it: http://127.0.0.1:"]);
-    let before = files(&out, &[]);
-    train(&["--overwrite", "--host", "127.0.0.1"], 2);
-    train(&["--overwrite", "--view", "--port", &port], 4);
-    assert!(files(&out, &[]) == before, "the run is as before");
+    train("--view --port 0", 0, &["look at it: http://127.0.0.1:"]);
+    let before = files(&place.at("run"), &[]);
+    train("--overwrite --host 127.0.0.1", 2, &[]);
+    train(&format!("--overwrite --view --port {port}"), 4, &[]);
+    assert!(files(&place.at("run"), &[]) == before, "the run is as before");
 }
