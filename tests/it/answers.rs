@@ -7,9 +7,8 @@ use std::process::Command;
 
 use crate::common::assert_says;
 use crate::common::files::{json, text};
-use crate::common::program::{Place, augnerf, demand, printed, refuse, set, succeed};
+use crate::common::program::{Place, augnerf, demand, printed, set};
 use serde_json::Value;
-use tempfile::TempDir;
 
 /// A run of a second at 16 x 16.
 const TINY: &str = "--preset smoke --set data.width=16 --set field.width=16 --set sampling.coarse=8 --set sampling.fine=8 \
@@ -63,21 +62,18 @@ fn answer(place: &Place, line: &str) -> Value {
     serde_json::from_str(&printed).unwrap_or_else(|e| panic!("{line}: {e}: {printed}"))
 }
 
+fn page() -> String {
+    text(&Path::new(env!("CARGO_MANIFEST_DIR")).join("docs/scripting.md"))
+}
+
 /// Keys of each command's answer, as the page has them.
 fn documented() -> BTreeMap<String, Vec<String>> {
-    let page = text(&Path::new(env!("CARGO_MANIFEST_DIR")).join("docs/scripting.md"));
+    let page = page();
     let rows = page.lines().filter(|line| line.starts_with("| `"));
     let codes = |cell: &str| cell.split('`').skip(1).step_by(2).map(String::from).collect::<Vec<_>>();
     rows.map(|row| row.split('|').skip(1).map(codes).collect::<Vec<_>>())
         .map(|cells| (cells[0][0].clone(), cells[1].clone()))
         .collect()
-}
-
-/// All commands that take the flag, `sweep run` and the like.
-fn commands_with(flag: &str) -> Vec<String> {
-    let takes = |command: &clap::Command| command.get_arguments().any(|own| own.get_long() == Some(flag));
-    let all = crate::common::commands().into_iter().filter(|(_, command)| takes(command));
-    all.filter_map(|(path, _)| path.strip_prefix("augnerf ").map(String::from)).collect()
 }
 
 #[test]
@@ -93,9 +89,26 @@ fn every_answer_as_json_is_one_object_with_the_keys_of_its_page() {
         check(&name, &answer, place.path());
         seen.push(name);
     }
+    // Flags with which a command answers something else.
+    let page = page();
+    for (line, keys) in [
+        ("eval a --smoothness --lattice 8", "fields"),
+        ("train --balance=2 --set regularizer.points_per_step=64 TINY", "scene steps weights"),
+        ("compare a --ray 2,2", "folder ray"),
+        ("mesh a --chamfer builtin --points 2000", "mesh reference points_mesh points_reference seed distance scores"),
+        ("bench --devices", "devices"),
+        ("sweep run tiny.toml --create", "folder points"),
+    ] {
+        let answer = answer(&place, line);
+        assert!(answer.as_object().unwrap().keys().eq(keys.split(' ')), "{line}: {answer}");
+        let named = |key: &str| page.contains(&format!("`{key}`"));
+        assert!(keys.split(' ').all(named), "docs/scripting.md does not name {keys} of {line}");
+    }
     seen.extend(ELSEWHERE.map(String::from));
-    for name in commands_with("json") {
-        assert!(seen.contains(&name), "{name} takes --json and is not tried");
+    for (name, command) in crate::common::commands() {
+        let takes = command.get_arguments().any(|flag| flag.get_long() == Some("json"));
+        let tried = seen.iter().any(|seen| name == format!("augnerf {seen}"));
+        assert!(tried || !takes, "{name} takes --json and is not tried");
     }
 }
 
@@ -108,10 +121,7 @@ fn check(name: &str, answer: &Value, dir: &Path) {
             assert_eq!(answer["mean"], json(&run.join("metrics.json"))["mean"]);
             assert!(dir.join(answer["metrics"].as_str().unwrap()).is_file());
         }
-        "sweep status" => {
-            assert_eq!(answer["counts"]["done"], 2);
-            assert!(answer["points"][1]["psnr"].as_f64().is_some());
-        }
+        "sweep status" => assert!(answer["counts"]["done"] == 2 && answer["points"][1]["psnr"].is_f64(), "{answer}"),
         "sweep run" | "sweep collect" => {
             let rows = answer["rows"].as_array().unwrap();
             assert_eq!((rows.len(), &rows[1]["row"]), (2, &"+ TV".into()), "{answer}");
@@ -130,9 +140,7 @@ fn check(name: &str, answer: &Value, dir: &Path) {
 #[test]
 fn a_run_s_folder_is_printed_also_where_nothing_else_is() {
     let place = Place::new();
-    let output = place.command(&of_run("train -q TINY --set train.keep_checkpoints=3").0).output().unwrap();
-    let named = String::from_utf8(output.stdout).unwrap();
-    assert!(output.status.success() && output.stderr.is_empty(), "{}", String::from_utf8_lossy(&output.stderr));
+    let named = place.run(&of_run("train -q TINY --set train.keep_checkpoints=3").0, 0);
     let run = named.strip_suffix('\n').unwrap();
     assert!(place.at(run).join("metrics.json").is_file(), "{named}");
 
@@ -152,33 +160,6 @@ fn a_run_s_folder_is_printed_also_where_nothing_else_is() {
     place.says(&format!("eval {run} --step 6"), 5, &["no checkpoint of step 6", "5, 10, 12"]);
 }
 
-/// Flags with which a command answers something else.
-#[test]
-fn a_flag_that_asks_something_else_has_its_own_keys() {
-    let place = Place::with("tiny.toml", SWEEP);
-    let page = text(&Path::new(env!("CARGO_MANIFEST_DIR")).join("docs/scripting.md"));
-    for (line, keys) in [
-        ("train --out a TINY", &[][..]),
-        ("eval a --smoothness --lattice 8", &["fields"]),
-        ("train --balance=2 --set regularizer.points_per_step=64 TINY", &["scene", "steps", "weights"]),
-        ("compare a --ray 2,2", &["folder", "ray"]),
-        ("mesh a --resolution 16 --threshold 0.01", &[]),
-        (
-            "mesh a --chamfer builtin --points 2000",
-            &["mesh", "reference", "points_mesh", "points_reference", "seed", "distance", "scores"],
-        ),
-        ("bench --devices", &["devices"]),
-        ("sweep run tiny.toml --create", &["folder", "points"]),
-    ] {
-        let answer = answer(&place, line);
-        let found: Vec<&String> = answer.as_object().unwrap().keys().collect();
-        assert!(keys.is_empty() || found == keys, "{line}: {found:?}");
-        for key in keys {
-            assert!(page.contains(&format!("`{key}`")), "docs/scripting.md does not name {key} of {line}");
-        }
-    }
-}
-
 /// A script goes on with what a command left, which is all that is printed where it is quiet.
 #[test]
 fn what_a_command_leaves_is_printed_also_where_nothing_else_is() {
@@ -189,9 +170,9 @@ fn what_a_command_leaves_is_printed_also_where_nothing_else_is() {
         assert!(output.status.success() && said.is_empty(), "{line}: {said}");
         String::from_utf8(output.stdout).unwrap()
     };
-    say("train -q --out a TINY");
-    say("train -q --out b --seed 1 TINY");
     for (line, left) in [
+        ("train -q --out a TINY", "a"),
+        ("train -q --out b --seed 1 TINY", "b"),
         ("export -q a a.safetensors", "a.safetensors"),
         ("import -q a.safetensors --out c", "c"),
         ("render -q a --frames 2", "a/renders/path"),
@@ -220,15 +201,11 @@ fn training_says_what_it_trains_and_when_it_evaluates() {
     // Settings without effect, and terms that are far too strong, are named.
     let idle = "perturb.lambda=0.5 regularizer.weight=[] data.corruption.severity=5 data.validation=3 train.steps=13";
     let said = train(&format!("{} --out idle", set(idle)));
-    let words = [
-        "--set perturb.lambda has no effect: method nerf has no perturbed pass",
-        "--set regularizer.weight has no effect: regularizer.kind names no term",
-        "--set data.corruption.severity has no effect: data.corruption.kind is \"none\"",
-        "--set data.validation has no effect: the scene has splits of its own",
-    ];
-    assert_says(&said, &words);
-    assert!(said.find(words[0]).unwrap() < said.find("step 13/13").unwrap(), "{said}");
-    assert!(!said.contains("train.steps has no effect") && !said.contains("times the photometric loss"), "{said}");
+    let (before, _) = said.split_once("step 13/13").unwrap();
+    assert_says(before, &["--set perturb.lambda has no effect: method nerf has no perturbed pass"]);
+    assert_says(before, &["--set data.validation has no effect: the scene has splits of its own"]);
+    assert_eq!(said.matches("has no effect").count(), 4, "{said}");
+    assert!(!said.contains("times the photometric loss"), "{said}");
     let strong = "regularizer.kind=l1 regularizer.weight=1000 train.learning_rate=1e-9";
     let said = train(&format!("{} --out strong", set(strong)));
     assert_says(&said, &["regularizer l1: weight 1e3 x value is ", "augnerf train --balance"]);
@@ -237,44 +214,33 @@ fn training_says_what_it_trains_and_when_it_evaluates() {
 
 #[test]
 fn a_scene_that_is_not_here_is_looked_for_below_the_data_folder() {
-    let dir = TempDir::new().unwrap();
-    let root = dir.path().join("data");
-    let at = |path: &str| root.join(path).to_str().unwrap().to_string();
+    let place = Place::new();
     for scene in ["synthetic/small", "near"] {
-        succeed(&["data", "export-builtin", &at(scene), "--width", "16"]);
+        place.run(&format!("data export-builtin data/{scene} --width 16"), 0);
     }
-    let check = |name: &str, code| {
-        demand(augnerf(&["data", "check", name]).env("AUGNERF_DATA", &root).current_dir(dir.path()), code)
-    };
-    assert!(check("near", 0).contains("data/near (AUGNERF_DATA)"));
-    assert!(check("synthetic/small", 0).contains("data/synthetic/small (AUGNERF_DATA)"));
-    assert!(check("small", 0).contains("data/synthetic/small (AUGNERF_DATA)"));
-    let missing = check("nowhere", 3);
-    assert!(missing.contains("nowhere: no such folder, here or in AUGNERF_DATA"), "{missing}");
-    refuse(
-        &["train", "--data", "nowhere"],
-        3,
-        &["--data nowhere: no such folder", "omit --data for the built-in scene"],
-    );
-    std::fs::create_dir_all(root.join("other/small")).unwrap();
-    let several = check("small", 3);
-    assert!(several.contains("other/small") && several.contains("synthetic/small"), "{several}");
+    let below = |root: &str, line: &str, code| demand(place.command(line).env("AUGNERF_DATA", place.at(root)), code);
+    let check =
+        |name: &str, code, words: &[&str]| assert_says(&below("data", &format!("data check {name}"), code), words);
+    check("near", 0, &["data/near (AUGNERF_DATA)"]);
+    check("synthetic/small", 0, &["data/synthetic/small (AUGNERF_DATA)"]);
+    check("small", 0, &["data/synthetic/small (AUGNERF_DATA)"]);
+    check("nowhere", 3, &["nowhere: no such folder, here or in AUGNERF_DATA"]);
+    let words = ["--data nowhere: no such folder", "omit --data for the built-in scene"];
+    place.says("train --data nowhere", 3, &words);
+    std::fs::create_dir_all(place.at("data/other/small")).unwrap();
+    check("small", 3, &["other/small", "synthetic/small"]);
     // What is here comes first.
-    std::fs::create_dir(dir.path().join("near")).unwrap();
-    assert!(!check("near", 3).contains("AUGNERF_DATA"));
-    let print = ["train", "--data", "small", "--print-config"];
-    let printed = demand(augnerf(&print).env("AUGNERF_DATA", root.join("synthetic")).current_dir(dir.path()), 0);
-    assert!(printed.contains("kind = \"blender\"") && printed.contains("(AUGNERF_DATA)"), "{printed}");
+    std::fs::create_dir(place.at("near")).unwrap();
+    assert!(!below("data", "data check near", 3).contains("AUGNERF_DATA"));
+    let printed = below("data/synthetic", "train --data small --print-config", 0);
+    assert_says(&printed, &["kind = \"blender\"", "(AUGNERF_DATA)"]);
 }
 
 #[test]
 fn the_version_says_what_was_built() {
     let short = printed(&["-V"]);
     assert!(short.starts_with("augnerf ") && short.contains(augnerf::base::revision()), "{short}");
-    let long = printed(&["--version"]);
-    for words in [augnerf::base::revision(), "features: ", "instructions: "] {
-        assert!(long.contains(words), "{long}");
-    }
+    assert_says(&printed(&["--version"]), &[augnerf::base::revision(), "features: ", "instructions: "]);
 }
 
 #[test]
@@ -284,29 +250,25 @@ fn completions_come_from_the_definition() {
         assert!(script.contains("print-config") && script.contains("export-builtin"), "{shell}");
     }
     assert!(demand(&mut augnerf(&["--completions", "bash", "train"]), 2).contains("cannot be used with"));
-    let dir = TempDir::new().unwrap();
-    let script = dir.path().join("augnerf.bash");
-    std::fs::write(&script, printed(&["--completions", "bash"])).unwrap();
+    let place = Place::with("augnerf.bash", &printed(&["--completions", "bash"]));
     // What bash does when the tabulator is pressed.
     let ask = |line: &str| {
         let program = format!(
-            "source {}; COMP_WORDS=({line}); COMP_CWORD=$((${{#COMP_WORDS[@]}} - 1)); \
-             _augnerf augnerf \"${{COMP_WORDS[COMP_CWORD]}}\" \"${{COMP_WORDS[COMP_CWORD-1]}}\"; echo \"${{COMPREPLY[*]}}\"",
-            script.display()
+            "source ./augnerf.bash; COMP_WORDS=({line}); COMP_CWORD=$((${{#COMP_WORDS[@]}} - 1)); \
+             _augnerf augnerf \"${{COMP_WORDS[COMP_CWORD]}}\" \"${{COMP_WORDS[COMP_CWORD-1]}}\"; echo \"${{COMPREPLY[*]}}\""
         );
-        let output = Command::new("bash").args(["-c", &program]).output();
+        let output = Command::new("bash").args(["-c", &program]).current_dir(place.path()).output();
         output.ok().map(|output| String::from_utf8(output.stdout).unwrap())
     };
-    if let Some(answer) = ask("augnerf tr") {
-        assert_eq!(answer.trim(), "train");
-        assert_eq!(ask("augnerf train --print").unwrap().trim(), "--print-config");
-        for (line, values) in [
-            ("train --preset fa", "fast"),
-            ("train --set train.eval_s", "train.eval_stride="),
-            ("train --method aug-m", "aug-mip-nerf"),
-            ("sweep new --from tab4_f", "tab4_fern"),
-        ] {
-            assert_eq!(ask(&format!("augnerf {line}")).unwrap().trim(), values, "{line}");
-        }
+    for (line, values) in [
+        ("tr", "train"),
+        ("train --print", "--print-config"),
+        ("train --preset fa", "fast"),
+        ("train --set train.eval_s", "train.eval_stride="),
+        ("train --method aug-m", "aug-mip-nerf"),
+        ("sweep new --from tab4_f", "tab4_fern"),
+    ] {
+        let Some(answer) = ask(&format!("augnerf {line}")) else { return };
+        assert_eq!(answer.trim(), values, "{line}");
     }
 }

@@ -12,10 +12,6 @@ fn fixture(name: &str) -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/fixtures").join(name)
 }
 
-fn weights_of_nerf_pytorch() -> String {
-    fixture("nerf_pytorch.tar").display().to_string()
-}
-
 /// A training of some steps on the embedded scene.
 fn train(place: &Place, out: &str, steps: usize) {
     let small = set("data.width=12 field.width=16 train.rays=32 eval.pictures=0 train.log_every=4");
@@ -42,7 +38,7 @@ fn parameters(place: &Place, run: &str) -> Vec<(String, Vec<u8>)> {
 fn a_checkpoint_of_nerf_pytorch_renders_as_there() {
     let place = Place::new();
     let small = set("data.width=16 train.rays=32 eval.pictures=0");
-    let import = format!("import {}", weights_of_nerf_pytorch());
+    let import = format!("import {}", fixture("nerf_pytorch.tar").display());
     // With its own number of samples.
     place.run(&format!("{import} --out run{small}{}", set("sampling.coarse=24 sampling.fine=24")), 0);
     let there = read_json(&fixture("nerf_pytorch.json"));
@@ -134,7 +130,7 @@ fn what_cannot_be_taken_over_is_refused() {
     train(&place, "short", 2);
     place.run(&format!("train --preset fast{} --out hash -q", set("train.steps=1 data.width=8 eval.pictures=0")), 0);
     place.write("bad.tar", "no archive");
-    let tar = weights_of_nerf_pytorch();
+    let tar = &fixture("nerf_pytorch.tar").display().to_string();
     let far = "regularizer.kind=tv regularizer.domain=[[50,50,50],[51,51,51]]";
     let endless = "regularizer.kind=tv regularizer.points=full regularizer.lattice=1024 train.steps=1000000000";
     let from = |flags: &str, settings: &str| format!("train --from {flags}{} --out out -q", set(settings));
@@ -147,6 +143,7 @@ fn what_cannot_be_taken_over_is_refused() {
         (from("short --restart", endless), 2, &["regularizer.lattice = 1024", "days", "sampled"]),
         (from("hash --restart", "field.hash.bounds=[[50,50,50],[51,51,51]]"), 2, &["field.hash.bounds", "outside"]),
         ("train --preset smoke --set train.parent=abc --out out -q".into(), 2, &["train.parent", "--from"]),
+        ("import x.tar --out out".into(), 3, &["cannot read x.tar: No such file"]),
         ("import bad.tar --out out".into(), 3, &["bad.tar", "weight file", "torch.save(torch.load("]),
         ("import weights.bin --out out".into(), 2, &["weights.bin", ".safetensors"]),
         ("export short x.onnx".into(), 2, &["x.onnx", ".safetensors"]),

@@ -100,23 +100,27 @@ fn the_scene_of_images_is_found_as_in_training() {
 fn what_cannot_be_scored_is_refused() {
     let place = swept();
     let run = run(&place, "NeRF", 0);
-    let renders = format!("{run}/renders");
-    renamed(&place.at(&renders), &place.at("other"), |index| format!("x_{index}.png"));
-    place.says(&format!("score other {run}"), 3, &["has no image of its name", "--match order"]);
-    std::fs::remove_file(place.at("other/x_0.png")).unwrap();
-    place.says(&format!("score other {run} --match order"), 3, &["images for", "one image a view"]);
-    let words = ["is 16x16 pixels", "is 12x12", "data.width"];
-    place.says(&format!("score {renders} --data builtin --set data.width=12"), 3, &words);
-    place.says(&format!("score {renders}"), 2, &["no ground truth", "--data"]);
-    std::fs::create_dir(place.at("empty")).unwrap();
-    place.says(&format!("score empty {run}"), 3, &["empty holds no PNG, JPEG or WebP files"]);
-    place.says(&format!("score nowhere {run}"), 3, &["nowhere"]);
-    std::fs::create_dir(place.at("clear")).unwrap();
+    let renders = &format!("{run}/renders");
+    renamed(&place.at(renders), &place.at("other"), |index| format!("x_{index}.png"));
+    renamed(&place.at(renders), &place.at("fewer"), |index| format!("x_{}.png", index / 2));
+    for folder in ["empty", "clear"] {
+        std::fs::create_dir(place.at(folder)).unwrap();
+    }
     image::RgbaImage::from_pixel(16, 16, image::Rgba([10, 20, 30, 40])).save(place.at("clear/0.png")).unwrap();
-    place.says("score clear clear", 3, &["transparent", "--background"]);
+    place.write("broken/0.png", "no picture");
     place.run("score clear clear --background black", 0);
-    place.write("clear/0.png", "no picture");
-    place.says("score clear clear", 3, &["0.png"]);
+    for (line, code, words) in [
+        (format!("other {run}"), 3, &["has no image of its name", "--match order"][..]),
+        (format!("fewer {run} --match order"), 3, &["images for", "one image a view"]),
+        (format!("{renders} --data builtin --set data.width=12"), 3, &["is 16x16 pixels", "is 12x12", "data.width"]),
+        (renders.clone(), 2, &["no ground truth", "--data"]),
+        (format!("empty {run}"), 3, &["empty holds no PNG, JPEG or WebP files"]),
+        (format!("nowhere {run}"), 3, &["nowhere"]),
+        ("clear clear".into(), 3, &["transparent", "--background"]),
+        ("broken broken".into(), 3, &["0.png"]),
+    ] {
+        place.says(&format!("score {line}"), code, words);
+    }
 }
 
 #[test]

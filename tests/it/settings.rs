@@ -5,12 +5,10 @@ use std::path::Path;
 use augnerf::perturb::{Norm, PaperSite, Passes};
 use augnerf::run::{Protocol, columns};
 use augnerf::settings::columns::COLUMNS;
-use augnerf::settings::{
-    Config, Core, Encoding, Method, Preset, Schedule, TrainViews, build, parse_assignment, settings_page,
-};
+use augnerf::settings::{Config, Core, Method, Preset, Schedule, TrainViews, build, parse_assignment, settings_page};
 
-use crate::common::program::{refuse, succeed};
-use crate::common::{tiny_config, tiny_scene, trained};
+use crate::common::program::Place;
+use crate::common::{put_on_grid, tiny_config, tiny_scene, trained};
 
 /// `AUGNERF_UPDATE_DOCS=1 cargo test settings` writes the page anew.
 #[test]
@@ -58,23 +56,16 @@ fn presets_of_few_views_train_as_the_sweeps_do() {
     assert_eq!(set(Preset::FewViews, &of_scenes), set_of_sweep("scenes", &row));
 }
 
-#[test]
-fn the_command_explains_settings() {
-    let text = String::from_utf8(succeed(&["settings", "warmup"]).stdout).unwrap();
-    assert!(
-        text.contains("train.warmup_share = 0.0025\n") && text.contains("0 (no warm-up) to 1; changes numbers"),
-        "{text}"
-    );
-    assert!(!text.contains("train.steps"), "{text}");
-    refuse(&["settings", "train.stepz"], 2, &["did you mean 'train.steps'"]);
-}
-
 /// Words need no quotes, and those of other programs lead somewhere.
 #[test]
-fn several_words_find_a_setting() {
-    for words in [&["settings", "total", "variation"][..], &["settings", "regulariser"], &["settings", "tv"]] {
-        let said = crate::common::program::demand(&mut crate::common::program::augnerf(words), 0);
-        crate::common::assert_says(&said, &["regularizer.weight = ", "tv 3.8e-6"]);
+fn the_command_explains_settings() {
+    let place = Place::new();
+    let said = place.run("settings warmup", 0);
+    assert!(said.contains("train.warmup_share = 0.0025\n") && !said.contains("train.steps"), "{said}");
+    assert!(said.contains("0 (no warm-up) to 1; changes numbers"), "{said}");
+    place.says("settings train.stepz", 2, &["did you mean 'train.steps'"]);
+    for words in ["total variation", "regulariser", "tv"] {
+        place.says(&format!("settings {words}"), 0, &["regularizer.weight = ", "tv 3.8e-6"]);
     }
 }
 
@@ -90,15 +81,25 @@ fn the_table_of_columns_is_the_protocol() {
     assert!(!protocol.text("instructions").is_empty());
 }
 
+/// The protocol of a run that has not begun.
+fn protocol_of(method: Method, change: impl FnOnce(&mut Config)) -> Protocol {
+    let trainer = trained(&tiny_config(method, change), 0);
+    Protocol::new(trainer.config(), &tiny_scene(), &trainer.state())
+}
+
+/// Demands columns of a protocol: `column=text` with spaces between.
+#[track_caller]
+fn assert_columns(protocol: &Protocol, columns: &str) {
+    for (column, text) in columns.split_whitespace().map(|column| column.split_once('=').unwrap()) {
+        assert_eq!(protocol.text(column), text, "{column}");
+    }
+}
+
 /// What moves a number and hid in no column (encoding, padding, noise, batches, norms, ...) stands in its own, as it was
 /// set, filled from the scene, or empty where it has no part in the run.
 #[test]
 fn columns_hold_the_values_of_settings() {
-    let of = |method: Method, change: fn(&mut Config)| {
-        let trainer = trained(&tiny_config(method, change), 0);
-        Protocol::new(trainer.config(), &tiny_scene(), &trainer.state())
-    };
-    let nerf = of(Method::Nerf, |config| {
+    let nerf = protocol_of(Method::Nerf, |config| {
         config.field.skips = vec![1, 3];
         config.train.chunk = 17;
         config.eval.chunk = 19;
@@ -106,71 +107,34 @@ fn columns_hold_the_values_of_settings() {
         config.eval.train_views = Some(2);
         config.data.views_seed = 5;
     });
-    for (column, text) in [
-        ("encoding", "positional"),
-        ("view_octaves", "2"),
-        ("skips", "[1,3]"),
-        ("density_noise", "0.0"),
-        ("precrop_steps", "7"),
-        ("chunk", "17"),
-        ("eval_chunk", "19"),
-        ("core", "fused"),
-        ("precision", "f32"),
-        ("views_seen", "2"),
-        ("views_seed", "5"),
-        // No part in this run.
-        ("resample_padding", ""),
-        ("norms", ""),
-        ("lambda", ""),
-    ] {
-        assert_eq!(nerf.text(column), text, "{column}");
-    }
-    let mip = of(Method::AugMipNerf, |config| {
+    assert_columns(&nerf, "encoding=positional view_octaves=2 skips=[1,3] density_noise=0.0 precrop_steps=7 chunk=17");
+    assert_columns(&nerf, "eval_chunk=19 core=fused precision=f32 views_seen=2 views_seed=5");
+    // No part in this run.
+    assert_columns(&nerf, "resample_padding= norms= lambda=");
+    let mip = protocol_of(Method::AugMipNerf, |config| {
         config.train.schedule = Schedule::LogLinear;
         config.field.core = Core::Plain;
         config.perturb[PaperSite::Xyz].norm = Some(Norm::Linf);
         config.data.train_views = Some(TrainViews::Named(vec!["r_2".into(), "r_26".into()]));
     });
-    for (column, text) in [
-        ("encoding", "integrated"),
-        ("position_octaves", "6"),
-        ("rgb_padding", "0.001"),
-        ("resample_padding", "0.01"),
-        ("warmup_share", "0.0025"),
-        ("core", "plain"),
-        ("xyz_radius", "pixel"),
-        ("norms", "xyz linf, view linf, feature linf, rgb linf"),
-        ("training_views", "r_2 r_26"),
-        ("lambda", "0.1"),
-    ] {
-        assert_eq!(mip.text(column), text, "{column}");
-    }
+    assert_columns(&mip, "encoding=integrated position_octaves=6 rgb_padding=0.001 resample_padding=0.01");
+    assert_columns(&mip, "warmup_share=0.0025 core=plain xyz_radius=pixel lambda=0.1");
+    assert_eq!(mip.text("norms"), "xyz linf, view linf, feature linf, rgb linf");
+    assert_eq!(mip.text("training_views"), "r_2 r_26");
 }
 
 /// Columns of what a field on a hash grid does not read are empty, and its attack is that of the fine pass.
 #[test]
 fn columns_of_a_hash_field_tell_what_it_reads() {
-    let of = |levels: usize| {
-        let config = tiny_config(Method::AugNerf, |config| {
-            config.field.encoding = Encoding::Hash;
-            config.field.hash.log2_table = 8;
+    for (levels, grid) in [(2, "2 x 2, 2^8, 16 to "), (1, "1 x 2, 2^8, 16, linear")] {
+        let protocol = protocol_of(Method::AugNerf, |config| {
+            put_on_grid(config, 8);
             config.field.hash.levels = levels;
             config.perturb[PaperSite::Xyz].passes = Passes::Fine;
             config.perturb[PaperSite::View].passes = Passes::Off;
         });
-        Protocol::new(&config, &tiny_scene(), &trained(&config, 0).state())
-    };
-    let protocol = of(2);
-    for (column, text) in [
-        ("levels", "t:fine xyz:fine feature:fine rgb:fine density:fine"),
-        ("position_octaves", ""),
-        ("coarse_weight", ""),
-        ("view_octaves", "2"),
-    ] {
-        assert_eq!(protocol.text(column), text, "{column}");
+        assert_columns(&protocol, "position_octaves= coarse_weight= view_octaves=2");
+        assert_eq!(protocol.text("levels"), "t:fine xyz:fine feature:fine rgb:fine density:fine");
+        assert!(protocol.text("hash_grid").starts_with(grid), "{}", protocol.text("hash_grid"));
     }
-    let two = protocol.text("hash_grid");
-    assert!(two.starts_with("2 x 2, 2^8, 16 to "), "{two}");
-    let one = of(1).text("hash_grid");
-    assert!(one.starts_with("1 x 2, 2^8, 16, linear"), "{one}");
 }

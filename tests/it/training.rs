@@ -1,26 +1,28 @@
 //! What training promises besides the numbers of one step.
 
 use crate::common::{assert_says, parameters, runtime, tiny_config, tiny_scene, trained};
-use augnerf::base::Error;
-use augnerf::data::{Camera, View};
+use augnerf::base::{Error, Image};
 use augnerf::metrics::psnr_float;
 use augnerf::run::Viewer;
-use augnerf::settings::{DataKind, DensityActivation, Encoding, Method, PerturbField, Schedule};
+use augnerf::settings::{DataKind, DensityActivation, Encoding, Method, PerturbField, Resolved, Schedule};
 use augnerf::train::{Trainer, learning_rate};
 use candle_core::{DType, Device, Tensor};
+
+/// The held-out view as it is rendered.
+fn rendered(trainer: &Trainer, config: &Resolved) -> Image {
+    let scene = &tiny_scene();
+    let viewer = Viewer { model: trainer.model().unwrap(), config, scene, runtime: runtime() };
+    viewer.render(&scene.test[0].camera).unwrap().image
+}
+
+fn psnr(trainer: &Trainer, config: &Resolved) -> f64 {
+    psnr_float(&rendered(trainer, config), &tiny_scene().test[0].image).unwrap().unwrap()
+}
 
 #[test]
 fn training_fits_the_scene() {
     let config = tiny_config(Method::Nerf, |_| {});
-    let held_out = |steps: u64| {
-        let scene = tiny_scene();
-        let trainer = trained(&config, steps);
-        let View { camera, image, .. } = &scene.test[0];
-        let viewer = Viewer { model: trainer.model().unwrap(), config: &config, scene: &scene, runtime: runtime() };
-        let view = viewer.render(camera).unwrap();
-        psnr_float(&view.image, image).unwrap().unwrap()
-    };
-    let (start, end) = (held_out(0), held_out(400));
+    let [start, end] = [0, 400].map(|steps| psnr(&trained(&config, steps), &config));
     assert!(end > start + 5.0 && end > 18.0, "{start} dB at the start, {end} dB at the end");
 }
 
@@ -29,14 +31,8 @@ fn training_fits_the_scene() {
 fn chunks_bound_memory_and_change_no_picture() {
     let config = tiny_config(Method::Nerf, |_| {});
     let trainer = trained(&config, 20);
-    let scene = tiny_scene();
-    let render = |chunk: usize| {
-        let config = tiny_config(Method::Nerf, |config| config.eval.chunk = chunk);
-        let camera: &Camera = &scene.test[0].camera;
-        let viewer = Viewer { model: trainer.model().unwrap(), config: &config, scene: &scene, runtime: runtime() };
-        let view = viewer.render(camera).unwrap();
-        view.image.pixels
-    };
+    let render =
+        |chunk: usize| rendered(&trainer, &tiny_config(Method::Nerf, |config| config.eval.chunk = chunk)).pixels;
     let whole = render(256);
     let largest = |other: Vec<f32>| whole.iter().zip(other).map(|(a, b)| (a - b).abs()).fold(0f32, f32::max);
     // Matrix kernels handle the last rows of a block in another order.
@@ -182,12 +178,9 @@ fn mip_nerf_trains_on_a_forward_facing_scene() {
 fn mip_nerf_fits_the_scene_with_one_field() {
     for method in [Method::MipNerf, Method::AugMipNerf] {
         let config = tiny_config(method, |_| {});
-        let scene = tiny_scene();
         let mut trainer = trained(&config, 300);
         assert_eq!(trainer.model().unwrap().fields().unwrap().by_role().count(), 1);
-        let View { camera, image, .. } = &scene.test[0];
-        let viewer = Viewer { model: trainer.model().unwrap(), config: &config, scene: &scene, runtime: runtime() };
-        let psnr = psnr_float(&viewer.render(camera).unwrap().image, image).unwrap().unwrap();
+        let psnr = psnr(&trainer, &config);
         assert!(psnr > 18.0, "{method:?}: {psnr} dB");
         let stats = trainer.step(true).unwrap();
         let (coarse, fine) = (stats.term("loss_coarse").unwrap(), stats.term("loss_fine").unwrap());
@@ -204,8 +197,5 @@ fn a_model_without_fine_samples_trains_its_coarse_field_alone() {
     assert!(trainer.model().unwrap().fields().unwrap().fine().is_none());
     let stats = trainer.step(true).unwrap();
     assert!(stats.term("loss_fine").is_none() && stats.sites.len() == 6);
-    let scene = tiny_scene();
-    let camera = &scene.test[0].camera;
-    let viewer = Viewer { model: trainer.model().unwrap(), config: &config, scene: &scene, runtime: runtime() };
-    viewer.render(camera).unwrap();
+    rendered(&trainer, &config);
 }

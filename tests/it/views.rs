@@ -1,5 +1,6 @@
 //! Views that are trained on, kept for choices, held out, and measured though they were trained on.
 
+use std::collections::BTreeSet;
 use std::path::Path;
 use std::sync::Mutex;
 use std::sync::atomic::{AtomicUsize, Ordering};
@@ -11,7 +12,7 @@ use augnerf::run::{Existing, Job, RunDir, Setup, Viewer, load_scene, read_pictur
 use augnerf::settings::{DataConfig, DataKind, EvalSplit, Preset, TrainViews};
 use tempfile::TempDir;
 
-use crate::common::files::assert_same_files;
+use crate::common::files::{assert_same_files, entries, json, rows, text};
 use crate::common::needs::scene as scene_folder;
 use crate::common::{built, runtime, tiny_config, tiny_scene, trained};
 
@@ -26,27 +27,13 @@ fn run(settings: &[&str], events: &dyn Listener) -> (serde_json::Value, String) 
     let path = folder.path().join("run");
     let setup = Setup { config, scene: &scene, lpips: &[], runtime: runtime().clone() };
     Job::create(&path, Existing::Refuse, setup).unwrap().train(events, &AtomicUsize::new(0)).unwrap();
-    assert_eq!(
-        std::fs::read_dir(path.join("renders")).unwrap().count(),
-        6,
-        "pictures of one held-out view, depth.json"
-    );
-    let text = |name: &str| std::fs::read_to_string(path.join(name)).unwrap();
-    (serde_json::from_str(&text("metrics.json")).unwrap(), text("scalars.csv"))
+    assert_eq!(entries(&path.join("renders")).len(), 6, "pictures of one held-out view, depth.json");
+    (json(&path.join("metrics.json")), text(&path.join("scalars.csv")))
 }
 
-/// An estimate grows with the pixels, and is not made where making it would be a good part of the work.
-#[test]
-fn views_are_estimated_from_a_few_rows() {
-    let seconds = |chunk: usize, views: usize| {
-        let config = tiny_config(augnerf::settings::Method::Nerf, |config| config.eval.chunk = chunk);
-        let (trainer, scene) = (trained(&config, 1), tiny_scene());
-        let viewer = Viewer { model: trainer.model().unwrap(), config: &config, scene: &scene, runtime: runtime() };
-        viewer.estimate_seconds(&vec![&scene.train[0].camera; views]).unwrap()
-    };
-    let (one, many) = (seconds(1, 1).unwrap(), seconds(1, 1000).unwrap());
-    assert!(one > 0.0 && many > 20.0 * one, "{one} {many}");
-    assert_eq!((seconds(4096, 1), seconds(1, 0)), (None, None));
+/// A number in the first line of a log.
+fn number(scalars: &str, column: &str) -> f64 {
+    rows(scalars)[0][column].parse().unwrap()
 }
 
 /// What is told of training views is what rendering them gives, and touches nothing of the held-out ones.
@@ -85,9 +72,8 @@ fn a_run_tells_of_training_views_in_its_files_and_while_it_trains() {
     struct Heard(Mutex<Vec<(String, u64)>>);
     impl Listener for Heard {
         fn on(&self, event: Event<'_>) {
-            if let Event::Started { what, parts } = event {
-                self.0.lock().unwrap().push((what.to_string(), parts));
-            }
+            let Event::Started { what, parts } = event else { return };
+            self.0.lock().unwrap().push((what.to_string(), parts));
         }
     }
     let heard = Heard::default();
@@ -99,11 +85,9 @@ fn a_run_tells_of_training_views_in_its_files_and_while_it_trains() {
     assert!((mean("gap") - (mean("train_psnr") - mean("psnr"))).abs() < 1e-12);
     assert!((mean("gap_ssim") - (mean("train_ssim") - mean("ssim"))).abs() < 1e-12);
     assert_eq!(metrics["protocol"]["views_seen"], 4);
-    let head: Vec<&str> = scalars.lines().next().unwrap().split(',').collect();
-    let row: Vec<&str> = scalars.lines().nth(1).unwrap().split(',').collect();
-    let cell = |name: &str| -> f64 { row[head.iter().position(|own| *own == name).unwrap()].parse().unwrap() };
-    assert_eq!(row[0], "3");
-    assert_eq!(cell("gap"), cell("train_psnr") - cell("test_psnr"));
+    let first = rows(&scalars).remove(0);
+    assert_eq!(first["step"], "3");
+    assert_eq!(number(&scalars, "gap"), number(&scalars, "train_psnr") - number(&scalars, "test_psnr"));
 
     let (without, scalars) = run(&["train.eval_every=3", "data.test_skip=2", "eval.train_views=0"], &());
     assert_eq!(without["mean"]["psnr"], metrics["mean"]["psnr"]);
@@ -120,15 +104,11 @@ fn evaluations_between_steps_may_take_a_part_of_the_pixels() {
     let (sparse, some) = run(&[all[0], all[1], "train.eval_stride=3"], &());
     assert_eq!((&sparse["mean"], &sparse["views"]), (&whole["mean"], &whole["views"]));
     assert_eq!(sparse["protocol"]["config_hash"], whole["protocol"]["config_hash"]);
-    let cell = |scalars: &str, name: &str| -> f64 {
-        let column = scalars.lines().next().unwrap().split(',').position(|own| own == name).unwrap();
-        scalars.lines().nth(1).unwrap().split(',').nth(column).unwrap().parse().unwrap()
-    };
     for name in ["test_psnr", "train_psnr"] {
-        let (all, ninth) = (cell(&every, name), cell(&some, name));
+        let (all, ninth) = (number(&every, name), number(&some, name));
         assert!(all != ninth && (all - ninth).abs() < 3.0, "{name}: {all} {ninth}");
     }
-    assert_eq!(cell(&every, "loss"), cell(&some, "loss"));
+    assert_eq!(number(&every, "loss"), number(&some, "loss"));
 }
 
 fn names(scene: &Scene) -> [Vec<String>; 2] {
@@ -144,20 +124,16 @@ fn splits_of_fern_are_disjoint_and_its_hash_stays() {
     let load = |config: &DataConfig| data::load(config, 0, &()).unwrap();
     assert_eq!(load(&usual).hash(), "60141f0bb53a");
     let small = DataConfig { width: 32, ..usual };
-    let mut tested: Vec<String> = Vec::new();
+    let mut tested = BTreeSet::new();
     for holdout_offset in 0..8 {
         let test = DataConfig { holdout_offset, validation: 6, ..small.clone() };
         let val = DataConfig { eval_split: EvalSplit::Val, ..test.clone() };
         let ([train, held_out], [train_again, kept]) = (names(&load(&test)), names(&load(&val)));
         assert_eq!(train, train_again);
-        let mut all = [train, held_out.clone(), kept].concat();
-        all.sort();
-        all.dedup();
+        let all: BTreeSet<&String> = train.iter().chain(&held_out).chain(&kept).collect();
         assert_eq!(all.len(), 20, "offset {holdout_offset}");
         tested.extend(held_out);
     }
-    tested.sort();
-    tested.dedup();
     assert_eq!(tested.len(), 20, "every view is held out once");
     let few = |views_seed| {
         let train_views = Some(TrainViews::Number(5));
@@ -181,11 +157,10 @@ fn a_first_picture_comes_early_and_leaves_a_run_as_it_was() {
     struct Stop<'a>(&'a Path, &'a AtomicUsize);
     impl Listener for Stop<'_> {
         fn on(&self, event: Event<'_>) {
-            if let Event::Note(line) = event {
-                assert!(line.starts_with("step 2: ") && line.contains(self.0.to_str().unwrap()), "{line}");
-                assert!(line.ends_with("_beside.png in its place"), "{line}");
-                self.1.store(15, Ordering::SeqCst);
-            }
+            let Event::Note(line) = event else { return };
+            assert!(line.starts_with("step 2: ") && line.contains(self.0.to_str().unwrap()), "{line}");
+            assert!(line.ends_with("_beside.png in its place"), "{line}");
+            self.1.store(15, Ordering::SeqCst);
         }
     }
     for method in [
