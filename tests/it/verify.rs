@@ -1,18 +1,26 @@
 //! `augnerf verify`: what is committed holds, and what is changed does not.
 
+use std::collections::HashMap;
 use std::path::{Path, PathBuf};
 
 use crate::common::assert_says;
 use crate::common::files::{assert_same_files, copy, points_of, rows, text};
-use crate::common::program::{Place, augnerf, demand};
-use sha2::{Digest, Sha256};
+use crate::common::program::{Place, augnerf, demand, tiny_sweep};
 
 const ROOT: &str = env!("CARGO_MANIFEST_DIR");
+
+/// A line of a CSV file by its columns.
+type Cells = HashMap<String, String>;
 
 /// Where committed results of this name lie, from the repository's root.
 fn committed(name: &str) -> String {
     let groups = ["paper", "study", "baselines", "checks"].map(|group| format!("results/{group}/{name}"));
     groups.into_iter().find(|place| Path::new(ROOT).join(place).exists()).unwrap_or_else(|| panic!("no {name}"))
+}
+
+/// The committed table of that sweep.
+fn table_of(name: &str) -> Vec<Cells> {
+    rows(&text(&Path::new(ROOT).join(committed(name)).join("table.csv")))
 }
 
 /// A copy of committed results, to be changed.
@@ -49,8 +57,7 @@ fn what_is_changed_is_found() {
     let first = |column: &str| rows(&text(&at("points.csv")))[0][column].clone();
     // A number of a point, of a table, of its pictures.
     let psnr = first("psnr");
-    let wrong = psnr[..psnr.len() - 1].to_string() + if psnr.ends_with('1') { "2" } else { "1" };
-    assert_found(&place, &at("points.csv"), &psnr, &wrong, &["WRONG", "table.csv, line 2"]);
+    assert_found(&place, &at("points.csv"), &psnr, &forged(&psnr), &["WRONG", "table.csv, line 2"]);
     assert_found(&place, &at("table.md"), "23.57", "23.58", &["table.md, line", "23.58", "23.57"]);
     assert_found(&place, &at("rows_builtin_psnr.svg"), "NeRF", "NerF", &["rows_builtin_psnr.svg, line"]);
     // Files that nothing makes again: one that is kept, one that a commit has and somebody put there.
@@ -60,6 +67,23 @@ fn what_is_changed_is_found() {
     std::fs::remove_file(at("curves_builtin_psnr.svg")).unwrap();
     std::fs::write(at("rows_builtin_ssim.svg"), "old").unwrap();
     place.says("verify", 10, &["rows_builtin_ssim.svg: the points do not make it"]);
+}
+
+/// Changes a file of a comparison, and demands that the change is found and the file made again.
+#[track_caller]
+fn assert_made_again(place: &Place, file: &str, from: &str, to: &str) {
+    let (folder, name) = file.rsplit_once('/').unwrap();
+    let before = place.text(file);
+    place.write(file, before.replace(from, to));
+    place.says(&format!("verify {folder}"), 10, &["WRONG", name]);
+    place.says(&format!("verify {folder} --update"), 0, &[&format!("{name}: written anew")]);
+    assert_eq!(place.text(file), before);
+}
+
+/// A number with another last digit.
+fn forged(number: &str) -> String {
+    let digit = if number.ends_with('1') { "2" } else { "1" };
+    number[..number.len() - 1].to_string() + digit
 }
 
 /// Empties a column of `points.csv`.
@@ -83,8 +107,7 @@ fn forged_tables_are_not_held_to_their_own_hash() {
     let provenance = folder.join("provenance.toml");
     let before = text(&provenance);
     let pin = |name: &str| {
-        let hash: String =
-            Sha256::digest(std::fs::read(folder.join(name)).unwrap()).iter().map(|b| format!("{b:02x}")).collect();
+        let hash = augnerf::train::sha256(&std::fs::read(folder.join(name)).unwrap());
         format!("\"{name}\" = \"{hash}\"\n")
     };
     let names = ["table.csv", "table.md"];
@@ -94,17 +117,15 @@ fn forged_tables_are_not_held_to_their_own_hash() {
     }
     let pins: String = names.into_iter().map(pin).collect();
     std::fs::write(&provenance, before.replace("[pinned]\n", &format!("[pinned]\n{pins}"))).unwrap();
-    let said = place.run("verify", 10);
-    assert_says(&said, &["table.csv, line"]);
-    assert_says(&said, &["table.md: provenance.toml has its hash under [pinned], but the points make it"]);
+    let made = "table.md: provenance.toml has its hash under [pinned], but the points make it";
+    place.says("verify", 10, &["table.csv, line", made]);
     // Curves are held to theirs where it is said why their logs are gone.
     let (start, rest) = before.split_once("[archived]").unwrap();
-    let missing =
-        rest.split_once("[[missing]]").unwrap().1.replace("scalars.csv.gz, and so the training curves", "the logs");
+    let (_, missing) = rest.split_once("[[missing]]").unwrap();
+    let missing = missing.replace("scalars.csv.gz, and so the training curves", "the logs");
     std::fs::write(folder.join("curves_builtin_psnr.svg"), "<svg/>").unwrap();
-    let without =
-        format!("{}{}\n[[missing]]{missing}", start.trim_end().to_string() + "\n", pin("curves_builtin_psnr.svg"));
-    std::fs::write(&provenance, without).unwrap();
+    let curves = pin("curves_builtin_psnr.svg");
+    std::fs::write(&provenance, format!("{}\n{curves}\n[[missing]]{missing}", start.trim_end())).unwrap();
     place.says("verify --update", 10, &["curves_builtin_psnr.svg", "no [[missing]] says why"]);
     let rows = pin("table.md").replace("table.md", "rows_builtin_other.svg");
     std::fs::write(&provenance, before.replace("[pinned]\n", &format!("[pinned]\n{rows}"))).unwrap();
@@ -114,14 +135,12 @@ fn forged_tables_are_not_held_to_their_own_hash() {
 #[test]
 fn folders_that_nothing_checks_are_wrong() {
     let (place, _) = results("geometry");
-    let foo = place.at("results/foo");
-    std::fs::create_dir(&foo).unwrap();
-    std::fs::write(foo.join("table.csv"), "scene,row,axes,psnr_mean\nfern,NeRF,,34.10\n").unwrap();
+    place.write("results/foo/table.csv", "scene,row,axes,psnr_mean\nfern,NeRF,,34.10\n");
     place.says("verify", 10, &["results/foo", "WRONG", "neither a sweep's"]);
     // A page beside what the program makes is no folder of pages; by itself it is.
-    std::fs::write(foo.join("README.md"), "A page.\n").unwrap();
+    place.write("results/foo/README.md", "A page.\n");
     place.says("verify", 10, &["WRONG", "neither a sweep's"]);
-    std::fs::remove_file(foo.join("table.csv")).unwrap();
+    std::fs::remove_file(place.at("results/foo/table.csv")).unwrap();
     place.run("verify", 0);
 }
 
@@ -132,11 +151,8 @@ fn update_writes_tables_from_points_alone() {
     std::fs::remove_file(folder.join("table.csv")).unwrap();
     std::fs::write(folder.join("rows_builtin_ssim.svg"), "old").unwrap();
     place.says("verify", 10, &["table.csv: the points make it, and it is not there"]);
-    place.says(
-        "verify --update",
-        0,
-        &["table.csv: written anew", "table.md: written anew", "rows_builtin_ssim.svg: deleted"],
-    );
+    let done = ["table.csv: written anew", "table.md: written anew", "rows_builtin_ssim.svg: deleted"];
+    place.says("verify --update", 0, &done);
     assert_same_files(&folder, &Path::new(ROOT).join("results/checks/geometry"), &[]);
     // Figures are written anew where they are kept.
     let figure = folder.join("rows_builtin_psnr.svg");
@@ -167,8 +183,8 @@ fn what_is_not_kept_is_said() {
     std::fs::write(folder.join("attack.csv"), attack.replacen(',', ";", 1)).unwrap();
     place.says("verify", 10, &["attack.csv: its SHA-256 is", "under [pinned]"]);
     std::fs::write(folder.join("attack.csv"), attack).unwrap();
-    std::fs::copy(Path::new(ROOT).join(committed("smoke")).join("scalars.csv.gz"), folder.join("scalars.csv.gz"))
-        .unwrap();
+    let other = Path::new(ROOT).join(committed("smoke")).join("scalars.csv.gz");
+    std::fs::copy(other, folder.join("scalars.csv.gz")).unwrap();
     place.says("verify", 10, &["scalars.csv.gz: its SHA-256", "under [archived]"]);
     std::fs::remove_file(folder.join("scalars.csv.gz")).unwrap();
     std::fs::write(folder.join("table.tex"), "old").unwrap();
@@ -203,14 +219,12 @@ fn a_comparison_over_scenes_is_made_again() {
     assert_says(&text(&folder.join("over_scenes.svg")), &["difference in PSNR (dB) to NeRF"]);
     assert_says(&text(&folder.join("over_scenes.txt")), &["Rows against NeRF over 3 scenes", "Faint dots are scenes"]);
     let scenes = rows(&text(&folder.join("scenes.csv")));
-    let number = |row: &std::collections::HashMap<String, String>, column: &str| row[column].parse::<f64>().unwrap();
-    for (scene, name) in ["builtin", "fern", "chair"].iter().zip(["precision", "precision", "precision_chair"]) {
-        let table = rows(&place.text(&format!("{}/table.csv", committed(name))));
-        let mean = |row: &str| {
-            let line = table.iter().find(|line| line["row"] == row && line["scene"] == *scene).unwrap();
-            number(line, "psnr_mean")
-        };
-        let found = scenes.iter().find(|row| row["scene"] == *scene).unwrap();
+    let number = |row: &Cells, column: &str| row[column].parse::<f64>().unwrap();
+    for (scene, name) in [("builtin", "precision"), ("fern", "precision"), ("chair", "precision_chair")] {
+        let table = table_of(name);
+        let of = |row: &str| table.iter().find(|line| line["row"] == row && line["scene"] == scene).unwrap();
+        let mean = |row: &str| number(of(row), "psnr_mean");
+        let found = scenes.iter().find(|row| row["scene"] == scene).unwrap();
         let difference = mean("Aug-NeRF") - mean("NeRF");
         assert!((number(found, "difference") - difference).abs() < 1e-9, "{scene}: {found:?}");
     }
@@ -222,12 +236,7 @@ fn a_comparison_over_scenes_is_made_again() {
     let folders = ["precision", "precision_chair"].map(committed).join(" ");
     let by_sweep = format!("sweep across {folders} --row Aug-NeRF --out results/over");
     place.says(&by_sweep, 4, &["another comparison (over_scenes.toml)"]);
-    let csv = folder.join("scenes.csv");
-    let before = text(&csv);
-    std::fs::write(&csv, before.replace("fern", "Fern")).unwrap();
-    place.says("verify results/over", 10, &["WRONG", "scenes.csv"]);
-    place.says("verify results/over --update", 0, &["scenes.csv: written anew"]);
-    assert_eq!(text(&csv), before);
+    assert_made_again(&place, "results/over/scenes.csv", "fern", "Fern");
 }
 
 /// One question to two committed sweeps: p values over the two, and files that are made again.
@@ -247,53 +256,42 @@ fn a_comparison_across_sweeps_is_made_again() {
     assert_says(&across("results/both", "NeRF", 2), &["both 'NeRF'"]);
     place.says(&format!("{pair} --out results/both"), 2, &["--row names the row to compare in each sweep"]);
     // A table of somebody's own with a name of ours.
-    let mine = place.at("mine");
-    std::fs::create_dir(&mine).unwrap();
-    std::fs::write(mine.join("across.csv"), "mine").unwrap();
+    place.write("mine/across.csv", "mine");
     assert_says(&across("mine", "Aug-NeRF", 4), &["mine holds files that are not a comparison of sweeps", "--out"]);
-    assert_eq!(text(&mine.join("across.csv")), "mine");
+    assert_eq!(place.text("mine/across.csv"), "mine");
     // Once more takes its own place.
     across("results/both", "Aug-NeRF", 0);
     let said = across("results/both", "Aug-NeRF", 0);
     assert_says(&said, &["Aug-NeRF against NeRF: psnr", "chair, 8 views", "files: results/both"]);
     let folder = place.at("results/both");
-    assert_says(
-        &text(&folder.join("across.svg")),
-        &["Aug-NeRF minus NeRF: difference in PSNR", "chair, 8 views", " width=\"17cm\""],
-    );
+    let words = ["Aug-NeRF minus NeRF: difference in PSNR", "chair, 8 views", " width=\"17cm\""];
+    assert_says(&text(&folder.join("across.svg")), &words);
     let blocks = rows(&text(&folder.join("across.csv")));
-    let own = |name: &str, column: &str| {
-        let table = rows(&place.text(&format!("{}/table.csv", committed(name))));
-        // A table of one seed has no p.
-        table.iter().find(|row| row["row"] == "Aug-NeRF").unwrap().get(column).cloned().unwrap_or_default()
-    };
     for block in &blocks {
-        assert_eq!(block["difference"], own(&block["sweep"], "psnr_difference"), "{}", block["sweep"]);
-        assert_eq!(block["p"], own(&block["sweep"], "psnr_p"), "{}", block["sweep"]);
+        let table = table_of(&block["sweep"]);
+        let own = table.iter().find(|row| row["row"] == "Aug-NeRF").unwrap();
+        // A table of one seed has no p.
+        let p = own.get("psnr_p").cloned().unwrap_or_default();
+        assert_eq!([&block["difference"], &block["p"]], [&own["psnr_difference"], &p], "{}", block["sweep"]);
     }
     // A sweep of one seed claims nothing and takes no part in the correction.
     let p = |row: usize, column: &str| blocks[row][column].parse::<f64>().unwrap();
     assert!(blocks[2]["p_holm"].is_empty() && blocks[2]["simultaneous_low"].is_empty());
     assert_eq!(p(0, "p_holm").min(p(1, "p_holm")), 2.0 * p(0, "p").min(p(1, "p")));
     place.says("verify results/both", 0, &["comparisons of 3 sweeps"]);
-    let csv = folder.join("across.csv");
-    let (before, difference) = (text(&csv), &blocks[1]["difference"]);
-    std::fs::write(&csv, before.replace(difference, "0.5")).unwrap();
-    place.says("verify results/both", 10, &["WRONG", "across.csv, line 3"]);
-    place.says("verify results/both --update", 0, &["across.csv: written anew"]);
-    assert_eq!(text(&csv), before);
+    assert_made_again(&place, "results/both/across.csv", &blocks[1]["difference"], "0.5");
     std::fs::remove_file(folder.join("across.svg")).unwrap();
     place.says("verify results/both", 0, &["not kept: 1 figures"]);
     // What sweeps are called is kept.
     let labelled = |label: &str| format!("{pair} --row Aug-NeRF --out results/both --label '{label}'");
     place.run(&labelled("mip_chair=The chair = 200 pixels"), 0);
-    for (file, words) in
-        [("svg", "The chair = 200 pixels"), ("md", "| The chair = 200 pixels |"), ("csv", "mip_chair,chair")]
-    {
-        assert_says(&text(&folder.join("across").with_extension(file)), &[words]);
-    }
+    assert_says(&text(&folder.join("across.svg")), &["The chair = 200 pixels"]);
+    assert_says(&text(&folder.join("across.md")), &["| The chair = 200 pixels |"]);
     place.says("verify results/both", 0, &["comparisons of 2 sweeps"]);
     place.says(&labelled("fern=x"), 2, &["--label fern", "geometry_chair, mip_chair"]);
+    let missing = "--label 'NA' is one that pandas and R read as a missing value";
+    place.says(&labelled("mip_chair=NA"), 2, &[missing]);
+    place.says("compare a b --label NA --label b", 2, &[missing]);
     // What names results elsewhere, or what is not there, does not hold.
     let asked = folder.join("across.toml");
     let named = text(&asked);
@@ -342,25 +340,18 @@ fn assert_attack(place: &Place, folder: &Path) {
     is_mean_of("first.shift.xyz", &|log| log[0]);
     is_mean_of("last.shift.xyz", &|log| log[3]);
     let shift = &line["last.shift.xyz"];
-    let other = shift[..shift.len() - 1].to_string() + if shift.ends_with('1') { "2" } else { "1" };
-    assert_found(place, &folder.join("attack.csv"), shift, &other, &["WRONG", "attack.csv, line 2"]);
+    assert_found(place, &folder.join("attack.csv"), shift, &forged(shift), &["WRONG", "attack.csv, line 2"]);
 }
 
 /// A sweep of a second, collected, verified, trained again.
 #[test]
 fn a_collected_sweep_holds_and_trains_again() {
     let place = Place::new();
-    let definition = r#"
-title = "tiny"
-preset = "smoke"
-scenes = ["builtin"]
-seeds = [0, 1]
-metrics = ["psnr"]
-baseline = "NeRF"
-set = { "data.width" = 16, "field.width" = 16, "sampling.coarse" = 8, "sampling.fine" = 8, "train.rays" = 64, "train.steps" = 20, "train.log_every" = 5, "eval.pictures" = 1, "eval.mesh.resolution" = 16, "eval.mesh.reference" = "none", "eval.mesh.threshold" = 0.5 }
-row = [{ name = "NeRF" }, { name = "equal", set = { "field.depth" = 3 }, budget = { kind = "seconds", like = "NeRF" } }, { name = "Aug-NeRF", set = { method = "aug-nerf" } }]
-"#;
-    place.write("tiny.toml", definition);
+    let settings = "train.steps=20 train.log_every=5 eval.pictures=1 eval.mesh.resolution=16 eval.mesh.threshold=0.5 \
+        eval.mesh.reference=\"none\"";
+    let rows = [("Aug-NeRF", "method = \"aug-nerf\""), ("equal", "\"field.depth\" = 3")];
+    let budget = "budget = { kind = \"seconds\", like = \"NeRF\" }\n";
+    place.write("tiny.toml", tiny_sweep(&[0, 1], &["psnr"], settings, &rows) + budget);
     place.run("sweep run tiny.toml --quiet", 0);
     let folder = place.at("results/tiny");
     let said = place.run("verify --retrain 2", 0);
