@@ -192,16 +192,6 @@ fn average_gives_every_published_average() {
     assert_eq!(truncated, TRUNCATED);
 }
 
-#[derive(serde::Deserialize)]
-struct Reference {
-    a: String,
-    b: String,
-    psnr: f64,
-    ssim_gaussian_11_sigma_1_5_valid_crop: f64,
-    lpips_squeeze_v0_1: f64,
-    average: f64,
-}
-
 fn read_png(path: &Path) -> Image {
     let image = image::open(path).unwrap_or_else(|e| panic!("{}: {e}", path.display())).to_rgb8();
     let (width, height) = (image.width() as usize, image.height() as usize);
@@ -209,38 +199,33 @@ fn read_png(path: &Path) -> Image {
     Image { width, height, channels: 3, pixels }
 }
 
-/// The pairs of pictures whose numbers `tests/fixtures/metrics.json` holds: scenes lie below the data folder, the
-/// corrupted picture among the fixtures.
-fn references() -> Vec<(Reference, Image, Image)> {
-    let fixtures = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/fixtures");
-    let references: Vec<Reference> = serde_json::from_value(json(&fixtures.join("metrics.json"))).unwrap();
-    assert_eq!(references.len(), 3);
-    let read = |name: &str| match name.strip_prefix("data/") {
-        Some(relative) => read_png(&needs::scene(relative)),
-        None => read_png(&fixtures.join(Path::new(name).file_name().unwrap())),
-    };
-    let with_pictures = |reference: Reference| {
-        let (a, b) = (read(&reference.a), read(&reference.b));
-        (reference, a, b)
-    };
-    references.into_iter().map(with_pictures).collect()
-}
-
+/// Of the pictures in `tests/fixtures/metrics.json` scenes lie below the data folder, the corrupted one among the fixtures.
 #[test]
 #[ignore = "needs AUGNERF_DATA and AUGNERF_LPIPS_WEIGHTS"]
 fn photographs_give_the_numbers_of_other_implementations() {
     let lpips = Lpips::load(&needs::lpips_weights(), Backbone::Squeeze, &Device::Cpu).unwrap();
     let lpips = [lpips.expect("the weights folder lacks the squeeze backbone")];
-    for (reference, a, b) in references() {
-        let view = metrics::measure(&reference.a, &a, &b, &lpips).unwrap();
+    let fixtures = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/fixtures");
+    let read = |name: &str| match name.strip_prefix("data/") {
+        Some(relative) => read_png(&needs::scene(relative)),
+        None => read_png(&fixtures.join(Path::new(name).file_name().unwrap())),
+    };
+    let references = json(&fixtures.join("metrics.json"));
+    let references = references.as_array().unwrap();
+    assert_eq!(references.len(), 3);
+    for reference in references {
+        let [a, b] = ["a", "b"].map(|name| read(reference[name].as_str().unwrap()));
+        let view = metrics::measure("view", &a, &b, &lpips).unwrap();
+        let close = |name: &str, found: f64, tolerance: f64| {
+            assert_close(name, found, reference[name].as_f64().unwrap(), tolerance);
+        };
         let (psnr, ssim) = (view.get(&PSNR).unwrap(), view.get(&SSIM).unwrap());
-        assert_close("psnr", psnr, reference.psnr, PSNR_SSIM_TOLERANCE);
-        assert_close("psnr_float", view.get(&PSNR_FLOAT).unwrap(), reference.psnr, PSNR_SSIM_TOLERANCE);
-        assert_close("ssim", ssim, reference.ssim_gaussian_11_sigma_1_5_valid_crop, PSNR_SSIM_TOLERANCE);
-        let average = metrics::average(psnr, ssim, reference.lpips_squeeze_v0_1);
-        assert_close("average", average, reference.average, PSNR_SSIM_TOLERANCE);
-        let squeeze = view.get(LPIPS.get(Backbone::Squeeze)).unwrap();
-        assert_close("lpips_squeeze", squeeze, reference.lpips_squeeze_v0_1, LPIPS_TOLERANCE);
+        close("psnr", psnr, PSNR_SSIM_TOLERANCE);
+        close("psnr", view.get(&PSNR_FLOAT).unwrap(), PSNR_SSIM_TOLERANCE);
+        close("ssim_gaussian_11_sigma_1_5_valid_crop", ssim, PSNR_SSIM_TOLERANCE);
+        let lpips = "lpips_squeeze_v0_1";
+        close("average", metrics::average(psnr, ssim, reference[lpips].as_f64().unwrap()), PSNR_SSIM_TOLERANCE);
+        close(lpips, view.get(LPIPS.get(Backbone::Squeeze)).unwrap(), LPIPS_TOLERANCE);
     }
 }
 
