@@ -44,7 +44,7 @@ fn weights_that_move_up_lose_more_than_random_ones() {
     for on_grid in [false, true] {
         let run = |sam: &[&str], steps: u64| on_the_builtin_scene(on_grid, sam, steps);
         let (plain, moved) = (run(&[], 0), run(&["train.sam_radius=0.02"], 0));
-        assert_eq!((moved.loss, moved.mse, moved.terms), (plain.loss, plain.mse, plain.terms));
+        assert_eq!((moved.loss, moved.mse, &moved.terms), (plain.loss, plain.mse, &plain.terms));
         assert!(plain.of_weights.is_empty());
         // Where a field starts, a move takes whole rays from empty to full. Later losses are smoother.
         let up = run(&["train.sam_radius=0.005"], 20);

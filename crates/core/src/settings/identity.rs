@@ -28,12 +28,17 @@ impl Config {
         let mut portable = named.at_defaults(|setting| {
             setting.rule.effect != Effect::Numbers || idle.at(&setting.path).any(|idle| idle.kind != IdleKind::Noted)
         });
-        // The coarse pass of a hash grid is never perturbed, so that `fine` and `both` are the same.
-        for site in PaperSite::ALL.into_iter().filter(|_| self.on_hash_grid()) {
-            let passes = &mut portable.perturb[site].passes;
-            *passes = if *passes == Passes::Fine { Passes::Both } else { *passes };
-        }
+        portable.join_passes();
         portable
+    }
+
+    /// The coarse pass of a hash grid is never perturbed, so that `fine` and `both` are the same.
+    fn join_passes(&mut self) {
+        for site in PaperSite::ALL {
+            if self.on_hash_grid() && self.perturb[site].passes == Passes::Fine {
+                self.perturb[site].passes = Passes::Both;
+            }
+        }
     }
 
     /// Returns the same experiment without paths. Its scene keeps its name.
@@ -60,6 +65,7 @@ impl Config {
             let is_of_steps = !rule.same_time && rule.effect != Effect::Path && !path.starts_with("eval.");
             !is_of_steps || idle.at(path).any(|idle| idle.kind != IdleKind::Noted)
         });
+        shape.join_passes();
         shape.regularizer.weight = vec![1.0; shape.regularizer.kind.len()];
         for number in [&mut shape.train.sam_radius, &mut shape.train.clip_value, &mut shape.train.clip_norm] {
             *number = if *number > 0.0 { 1.0 } else { 0.0 };

@@ -10,7 +10,7 @@ use super::types::{number_text, word};
 use super::{Config, DataConfig, Encoding, Method, REGULARIZERS, over_run};
 use crate::base::input::{TEXT_BYTES, read_named};
 use crate::base::{Error, Result};
-use crate::perturb::settings::forget_passes;
+use crate::perturb::settings::{check_levels, forget_passes};
 
 /// A named set of settings.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -204,6 +204,7 @@ pub fn build(preset: Option<Preset>, file: Option<&Path>, assignments: &[(Vec<St
         check_keys(&layer, &path.display().to_string())?;
         // Also checks types and choices, while the file and its lines can still be named.
         toml::from_str::<Config>(&text).map_err(|e| Error::Config(format!("{}: {e}", path.display())))?;
+        check_levels(&layer).map_err(|why| Error::Config(format!("{}: {why}", path.display())))?;
         lay_over(&mut table, layer);
         let mut given = Table::new();
         assignments.iter().try_for_each(|(path, value)| assign(&mut given, path, value.clone()))?;

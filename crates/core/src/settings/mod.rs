@@ -56,6 +56,7 @@ pub use crate::perturb::settings::{
 pub use crate::render::settings::{SamplingConfig, Spacing};
 
 use crate::base::{Error, Result};
+use crate::perturb::settings::check_levels;
 use registry::{REGISTRY, Setting, numbers, section};
 
 section! {
@@ -97,6 +98,8 @@ impl Config {
     /// Parses TOML text over the defaults. Errors name `origin` as the file.
     pub fn from_toml(text: &str, origin: &str) -> Result<Config> {
         let config: Config = toml::from_str(text).map_err(|e| Error::Config(format!("{origin}: {e}")))?;
+        let table = toml::from_str(text).expect("it was read");
+        check_levels(&table).map_err(|why| Error::Config(format!("{origin}: {why}")))?;
         config.validate()?;
         Ok(config)
     }
@@ -106,22 +109,26 @@ impl Config {
     /// # Errors
     /// [`Error::Setting`] for the first setting out of its range.
     pub fn check_ranges(&self) -> Result<()> {
-        let Ok(table) = toml::Table::try_from(self) else { return self.check_whole_numbers() };
+        let table = self.check_whole_numbers()?;
         for Setting { path, rule, .. } in &REGISTRY.settings {
             value_at(&table, path).map_or(Ok(()), |value| rule.check(path, value))?;
         }
         Ok(())
     }
 
-    /// Returns an error for the first whole number above 2^63 - 1, which TOML does not have, and JSON has.
-    fn check_whole_numbers(&self) -> Result<()> {
+    /// Returns [`Config::to_table`], or an error for the first whole number above 2^63 - 1, which TOML does not have, and JSON
+    /// has.
+    pub(super) fn check_whole_numbers(&self) -> Result<toml::Table> {
+        if let Ok(table) = toml::Table::try_from(self) {
+            return Ok(table);
+        }
         let values = serde_json::to_value(self).expect("a configuration is plain data");
         let value =
             |path: &str| values.pointer(&format!("/{}", path.replace('.', "/"))).filter(|value| !value.is_null());
         for Setting { path, rule, .. } in &REGISTRY.settings {
             value(path).map_or(Ok(()), |value| rule.check(path, value))?;
         }
-        Ok(())
+        unreachable!("a configuration is plain data")
     }
 
     /// Returns the configuration as a table of values, without the open settings.

@@ -159,7 +159,7 @@ impl Journal<'_> {
     fn measured(&mut self, stats: Option<StepStats>) {
         if let Some(stats) = stats {
             self.events.on(Event::Stepped { step: stats.step, loss: stats.loss, psnr: stats.psnr() });
-            self.last_terms = stats.terms;
+            self.last_terms = stats.report.terms;
         }
     }
 

@@ -1,35 +1,32 @@
 //! Measurements of a training step.
 
-use crate::methods::{Extremes, SiteDiagnostics, StepAt, StepReport, Term};
+use std::ops::Deref;
 
-/// Measurements of one step.
+use crate::methods::{StepAt, StepReport};
+
+/// Measurements of one step, and its place in the training.
 #[derive(Clone, Debug)]
 pub struct StepStats {
     /// Completed steps, this one included.
     pub step: u64,
     /// Learning rate of this step's update.
     pub learning_rate: f64,
-    /// The terms of the loss.
-    pub terms: Vec<Term>,
-    /// The training loss: the weighted sum of the terms.
-    pub loss: f64,
-    /// Mean squared error of the batch's colours in the evaluated pass.
-    pub mse: f64,
-    /// Extremes of the rays in the evaluated pass; accumulations are without density noise.
-    pub extremes: Extremes,
-    /// Diagnostics of each active site, at log steps.
-    pub sites: Vec<SiteDiagnostics>,
-    /// What was measured of the weights, by columns.
-    pub of_weights: Vec<(String, f64)>,
+    /// What was measured.
+    pub report: StepReport,
+}
+
+impl Deref for StepStats {
+    type Target = StepReport;
+
+    fn deref(&self) -> &StepReport {
+        &self.report
+    }
 }
 
 impl StepStats {
     /// Returns the measurements of the step at a place.
-    pub(super) fn new(
-        at: StepAt,
-        StepReport { terms, loss, mse, extremes, sites, of_weights }: StepReport,
-    ) -> StepStats {
-        StepStats { step: at.step + 1, learning_rate: at.learning_rate, terms, loss, mse, extremes, sites, of_weights }
+    pub(super) fn new(at: StepAt, report: StepReport) -> StepStats {
+        StepStats { step: at.step + 1, learning_rate: at.learning_rate, report }
     }
 
     /// Returns the PSNR of the batch in the evaluated pass in dB, unrounded, or `None` if the error is 0.

@@ -6,7 +6,6 @@
 use std::ops::{Deref, Index, IndexMut};
 use std::sync::Arc;
 
-use serde::de::Error;
 use serde::{Deserialize, Deserializer, Serialize, Serializer};
 
 use crate::base;
@@ -23,9 +22,9 @@ mod second_pass;
 mod site;
 
 pub use second_pass::{DeltaSource, SecondPass};
-pub(crate) use site::forget_passes;
 use site::switched_off;
 pub use site::{SiteConfig, Sizes};
+pub(crate) use site::{check_levels, forget_passes};
 
 /// How `lambda` combines clean and perturbed loss.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
@@ -132,7 +131,8 @@ section! {
         /// of the paper's runs, so that any run searches sets of the paper's absolute size).
         pub geometry: Geometry = Geometry::Sampling,
             numbers().column("attack_geometry").columns(&["step_over_radius"]).same_time();
-        /// A short way to switch sites off: those of the levels that are not named. It is read but never written.
+        /// A short way to switch sites off: those of the levels that are not named. It is read but never written;
+        /// a program sets the passes of sites.
         #[serde(skip_serializing, deserialize_with = "some_levels")]
         pub levels: Option<Vec<Level>> = None, numbers().columns(&["levels"]);
     }
@@ -378,17 +378,7 @@ impl<'de> Deserialize<'de> for PerturbConfig {
     fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<PerturbConfig, D::Error> {
         let mut config = PerturbConfig::deserialize(deserializer)?;
         let levels = config.levels.take();
-        for site in switched_off(levels.as_deref()) {
-            if matches!(config[site].passes, Passes::Coarse | Passes::Fine) {
-                return Err(D::Error::custom(format!(
-                    "perturb.{}.passes contradicts perturb.levels, which switches that site off; add its level there \
-                     (\"{}\"), or remove one of the two",
-                    site.name(),
-                    word(site.about().level)
-                )));
-            }
-            config[site].passes = Passes::Off;
-        }
+        switched_off(levels.as_deref()).for_each(|site| config[site].passes = Passes::Off);
         Ok(config)
     }
 }
@@ -440,8 +430,11 @@ mod tests {
 
     #[test]
     fn passes_of_a_site_whose_level_is_off_are_refused_not_ignored() {
-        let refused = set(&["perturb.levels=[\"input\"]", "perturb.rgb.passes=fine"]).unwrap_err().to_string();
-        assert!(refused.contains("perturb.rgb.passes") && refused.contains("\"output\""), "{refused}");
+        for passes in ["both", "coarse", "fine"] {
+            let passes = format!("perturb.rgb.passes={passes}");
+            let refused = set(&["perturb.levels=[\"input\"]", &passes]).unwrap_err().to_string();
+            assert!(refused.contains("perturb.rgb.passes") && refused.contains("\"output\""), "{passes}: {refused}");
+        }
         let off = set(&["perturb.levels=[\"input\"]", "perturb.rgb.passes=off"]).unwrap();
         assert_eq!(off.perturb[PaperSite::Rgb].passes, Passes::Off);
         // A run's own file names the passes of all sites: what is asked for later goes over it.
