@@ -12,7 +12,7 @@
 //! | train in a run folder, with logs, checkpoints and metrics | [`run::Job`] |
 //! | open a run, measure it again, extract a mesh | [`run::Trained`] |
 //! | render a view | [`run::Viewer`] |
-//! | compare images or meshes | [`metrics::measure`], [`space::chamfer`], [`space::read_mesh`] |
+//! | compare images or meshes | [`metrics::measure`], [`mesh::chamfer`], [`mesh::read_mesh`] |
 //! | run many trainings as one table | [`sweep::expand`], [`report::tables::Table`] |
 //! | receive notes and progress | [`base::Listener`] |
 //!
@@ -39,7 +39,7 @@
 //!          in a box: density, its gradient, its Laplacian (l1, tv, ...) ────────────┘
 //!
 //!  checkpoint ─► run::Trained ─► methods: a Renderer ─► views ─► metrics ─► metrics.json, CSV, images
-//!                            └─► space: density on a grid ─► level set ─► mesh ─► Chamfer distance to a reference
+//!                            └─► mesh: density on a grid ─► level set ─► mesh ─► Chamfer distance to a reference
 //!
 //!  sweep: definition ─► points ─► one run each ─► report: records ─► tables, figures
 //!  compare: runs ─► one view or ray side by side
@@ -84,7 +84,11 @@
 //! | `augnerf-run` | [`train`], [`run`], [`compare`], [`mod@bench`] |
 //! | `augnerf-baselines` | [`grids`] and the [`methods`] SRN, Neural Volumes and LLFF |
 //! | `augnerf-report` | [`draw`], [`report`] |
-//! | `augnerf-core` | [`base`], [`runtime`], [`settings`], [`perturb`], [`data`], [`field`], [`metrics`], [`render`], [`space`], [`losses`] |
+//! | `augnerf-measure` | [`mesh`], [`metrics`] |
+//! | `augnerf-nerf` | [`runtime`], [`settings`], [`field`], [`perturb`], [`render`], [`losses`], [`space`], [`methods`] NeRF and Aug-NeRF |
+//! | `augnerf-scenes` | [`data`] |
+//! | `augnerf-fast` | kernels for CPUs, which `augnerf-nerf` runs in place of candle's operations |
+//! | `augnerf-base` | [`base`] |
 //!
 //! All random numbers come from [`base::rng`], as a function of seed, stream and step. The core is generic over f32 and f64:
 //! training uses f32, and tests compare with f64.
@@ -96,9 +100,11 @@ pub use candle_core;
 
 #[cfg(feature = "baselines")]
 pub use augnerf_baselines::grids;
-pub use augnerf_core::{data, field, losses, metrics, perturb, render, settings, space};
+pub use augnerf_measure::{mesh, metrics};
+pub use augnerf_nerf::{field, losses, perturb, render, settings, space};
 pub use augnerf_report::{draw, report};
 pub use augnerf_run::{bench, compare, run, train};
+pub use augnerf_scenes as data;
 pub use augnerf_sweep as sweep;
 pub use augnerf_view as view;
 
@@ -106,13 +112,13 @@ pub mod cli;
 
 /// Errors, events, files and random numbers, which all other modules use.
 pub mod base {
-    pub use augnerf_core::base::*;
+    pub use augnerf_base::*;
     pub use augnerf_run::revision::{features, revision, version};
 }
 
 /// The machine of a run: device, threads, memory, host, clocks.
 pub mod runtime {
-    pub use augnerf_core::runtime::*;
+    pub use augnerf_nerf::runtime::*;
     pub use augnerf_run::{ListedDevice, list_devices, open_runtime};
 }
 
@@ -123,7 +129,7 @@ pub mod methods {
         MpiNetwork, NeuralVolume, PlanesLearner, PlanesRenderer, Srn, SrnLearner, SrnMarch, SrnRenderer, VolumeDensity,
         VolumeLearner, VolumeRenderer,
     };
-    pub use augnerf_core::methods::*;
+    pub use augnerf_nerf::methods::*;
     pub use augnerf_run::model::*;
 }
 

@@ -226,7 +226,8 @@ impl Experiment {
         let mut preset = self.preset.as_deref().map(Preset::parse).transpose()?;
         if preset.is_none() && file.is_none() {
             // The preset that suits the scene.
-            preset = Format::of(data::detect(&data_section(&assignments)?)?).map(|format| (base.preset)(format.preset));
+            let format = Format::of(data::detect(&data_section(&assignments)?)?);
+            preset = format.map(|format| Preset::parse(format.preset)).transpose()?.map(base.preset);
             if preset == Some(Preset::Fast) && !may_be_on_a_grid(&assignments) {
                 preset = Some(Preset::Smoke);
             }

@@ -6,17 +6,19 @@ use clap::{Args, ValueEnum};
 use serde_json::json;
 
 use crate::base::csv::csv_text;
+use crate::base::settings::numbers;
 use crate::base::{Error, Result};
 use crate::data::Camera;
 use crate::draw::write_png8;
+use crate::mesh::{self, Normals, Paint, Score};
 use crate::run::{
     Coverage, MeshFormat, MeshOptions, MeshPicture, MeshReport, MeshUnits, OpenOptions, RunDir, Trained, Viewpoint,
     builtin_surface, columns, mesh_picture, named_mesh, reference_mesh,
 };
 use crate::runtime::Runtime;
 use crate::settings::MESH_SIDES;
-use crate::settings::registry::{check_flag, numbers};
-use crate::space::{self, Lattice, Normals, Paint, Score};
+use crate::settings::registry::check_flag;
+use crate::space::Lattice;
 
 use super::answer::Answer;
 use super::compare::pictures_folder;
@@ -215,7 +217,7 @@ impl MeshArguments {
         }
         let columns = usize::from(self.picture.columns.unwrap_or(FILE_COLUMNS));
         let shares = if self.picture.at.is_empty() { vec![FILE_EYE] } else { self.picture.at.clone() };
-        let cameras: Vec<Camera> = shares.iter().map(|share| space::around(&mesh, *share, columns)).collect();
+        let cameras: Vec<Camera> = shares.iter().map(|share| mesh::around(&mesh, *share, columns)).collect();
         write_png8(&picture.file, &mesh_picture(&mesh, &cameras, picture.paint)?)?;
         let file = picture.file.display().to_string();
         self.answer.give_place(&json!({ "of": name, "folder": null, "picture": file, "mesh": null }), &picture.file)
@@ -377,7 +379,7 @@ impl ChamferArguments {
         }
         let draw = |name: &str, other: &str| named_mesh(name, other)?.sample(self.points, self.seed);
         let (mesh, reference) = (draw(name, other)?, draw(other, name)?);
-        let compared = space::chamfer(&mesh, &reference, &self.within)?;
+        let compared = mesh::chamfer(&mesh, &reference, &self.within)?;
         let report = json!({
             "mesh": name,
             "reference": other,
@@ -410,7 +412,7 @@ impl ChamferArguments {
     }
 }
 
-fn report_distance(compared: &space::Chamfer) {
+fn report_distance(compared: &mesh::Chamfer) {
     report(&format!(
         "Chamfer {:.5}: {:.5} from the mesh to the reference, {:.5} back; two samples of one surface with as many points \
          have {:.5}",

@@ -10,7 +10,7 @@ use augnerf::data::pose::{self, Pose, Vec3};
 use augnerf::data::{Camera, Photos, PointRays, Scene, View};
 use augnerf::run::load_scene;
 use augnerf::settings::{Config, DataConfig, PixelOrigin};
-use augnerf::space::read_mesh;
+use augnerf::mesh::read_mesh;
 use tempfile::TempDir;
 
 use crate::captures::{all, load, read};

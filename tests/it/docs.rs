@@ -345,7 +345,7 @@ fn the_pages_have_every_setting_that_hash_grids_and_mip_nerf_bring() {
         ("hash-nerf", section("hash-grids.md", "## Settings")),
         ("mip-nerf", section("training.md", "MipNeRF (Barron et al. 2021)")),
     ] {
-        let file = root().join(format!("crates/core/src/settings/presets/{layer}.toml"));
+        let file = root().join(format!("crates/nerf/src/settings/presets/{layer}.toml"));
         let sections: toml::Table = toml::from_str(&std::fs::read_to_string(file).unwrap()).unwrap();
         for (section, settings) in &sections {
             // The tables of sizes that suit a preset lie over these.

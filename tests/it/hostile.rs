@@ -11,7 +11,7 @@ use crate::common::{assert_says, built};
 use augnerf::base::Error;
 use augnerf::metrics::{Backbone, Lpips};
 use augnerf::settings::build;
-use augnerf::space::read_mesh;
+use augnerf::mesh::read_mesh;
 use candle_core::Device;
 use tempfile::TempDir;
 

@@ -6,7 +6,7 @@ use std::sync::Mutex;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
 use augnerf::base::{Event, Listener};
-use augnerf::data::{self, Scene, seen_views};
+use augnerf::data::{self, Scene};
 use augnerf::metrics::{Backbone, LPIPS, MeanMetrics, PSNR, Scope, measure};
 use augnerf::run::{Existing, Job, RunDir, Setup, Viewer, load_scene, read_picture};
 use augnerf::settings::{DataConfig, DataKind, EvalSplit, Preset, TrainViews};
@@ -49,7 +49,7 @@ fn the_gap_is_between_training_views_as_rendered_and_held_out_ones() {
     let mut mean = MeanMetrics::from_views(&held_out);
     let before = mean.clone();
     mean.set_train(&seen);
-    let places = seen_views(&scene, &config);
+    let places = config.seen_views(&scene);
     assert_eq!(places.len(), 2);
     let psnrs = places.iter().map(|&place| {
         let view = &scene.train[place];

@@ -2,9 +2,9 @@
 
 use std::sync::{Mutex, PoisonError};
 
-use augnerf_core::base::Result;
-use augnerf_core::field::{Density, Field};
-use augnerf_core::settings::Precision;
+use augnerf_base::Result;
+use augnerf_nerf::field::{Density, Field};
+use augnerf_nerf::settings::Precision;
 use candle_core::{DType, Device, Tensor};
 use wgpu::Buffer;
 

@@ -5,9 +5,9 @@ use std::fmt;
 use std::sync::{Arc, Mutex, OnceLock, PoisonError, mpsc};
 use std::time::Duration;
 
-use augnerf_core::base::{Error, Result};
-use augnerf_core::runtime::Accelerator;
-use augnerf_core::settings::Precision;
+use augnerf_base::{Error, Result};
+use augnerf_nerf::runtime::Accelerator;
+use augnerf_nerf::settings::Precision;
 use pollster::block_on;
 use wgpu::{
     Backends, BindGroupDescriptor, BindGroupEntry, Buffer, BufferDescriptor, BufferUsages, CommandEncoder,

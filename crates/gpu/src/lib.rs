@@ -4,13 +4,13 @@
 
 #![warn(missing_docs)]
 
-use augnerf_core::base::Result;
-use augnerf_core::data::Scene;
-use augnerf_core::field::{Density, Field};
-use augnerf_core::methods::{DeviceSteps, Fields, Renderer};
-use augnerf_core::optimizer::Moments;
-use augnerf_core::runtime::{Accelerator, DeviceWork};
-use augnerf_core::settings::{Config, Resolved};
+use augnerf_base::Result;
+use augnerf_nerf::field::{Density, Field};
+use augnerf_nerf::methods::{DeviceSteps, Fields, Renderer};
+use augnerf_nerf::optimizer::Moments;
+use augnerf_nerf::runtime::{Accelerator, DeviceWork};
+use augnerf_nerf::settings::{Config, Resolved};
+use augnerf_scenes::Scene;
 
 mod density;
 mod device;

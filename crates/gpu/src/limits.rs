@@ -1,7 +1,7 @@
 //! What the device does not do, and how much it does at once.
 
-use augnerf_core::base::{Error, Result};
-use augnerf_core::settings::{
+use augnerf_base::{Error, Result};
+use augnerf_nerf::settings::{
     ChangedEntries, Config, DeltaSource, Encoding, FieldConfig, Precision, Regularizer, Resolved, SecondPass,
     WeightSchedule,
 };

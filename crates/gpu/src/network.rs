@@ -1,9 +1,9 @@
 //! A field's parameters on the device: matrices `[inputs + 1, outputs]` whose last row is the bias, one after another.
 
-use augnerf_core::base::Result;
-use augnerf_core::field::hash::{HashGrid, Level};
-use augnerf_core::field::{Field, encoded_channels, opening_factors, position_channels};
-use augnerf_core::settings::{Contraction, Encoding, FieldConfig, Interpolation};
+use augnerf_base::Result;
+use augnerf_nerf::field::hash::{HashGrid, Level};
+use augnerf_nerf::field::{Field, encoded_channels, opening_factors, position_channels};
+use augnerf_nerf::settings::{Contraction, Encoding, FieldConfig, Interpolation};
 use candle_core::{DType, Device, Tensor};
 use wgpu::Buffer;
 

@@ -1,8 +1,8 @@
 //! Rays as the kernels read them.
 
-use augnerf_core::data::tangents;
-use augnerf_core::methods::Batch;
-use augnerf_core::settings::Spacing;
+use augnerf_nerf::methods::Batch;
+use augnerf_nerf::settings::Spacing;
+use augnerf_scenes::tangents;
 
 /// Numbers of a ray in the rays' buffer; `rays.wgsl` says which.
 pub(crate) const RAY: usize = 20;

@@ -1,7 +1,7 @@
 //! Records the dispatches of passes through a field: forward, and back to what is asked for.
 
-use augnerf_core::perturb::PaperSite;
-use augnerf_core::settings::{DensityActivation, FieldConfig, Regularizer};
+use augnerf_nerf::perturb::PaperSite;
+use augnerf_nerf::settings::{DensityActivation, FieldConfig, Regularizer};
 use wgpu::Buffer;
 
 use crate::device::{Dispatch, Gpu, rows};

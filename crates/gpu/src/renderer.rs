@@ -2,10 +2,10 @@
 
 use std::sync::{Mutex, PoisonError};
 
-use augnerf_core::base::Result;
-use augnerf_core::data::{Rays, Scene};
-use augnerf_core::methods::{Fields, RenderedRays, Renderer};
-use augnerf_core::settings::{Config, Precision};
+use augnerf_base::Result;
+use augnerf_nerf::methods::{Fields, RenderedRays, Renderer};
+use augnerf_nerf::settings::{Config, Precision};
+use augnerf_scenes::{Rays, Scene};
 use candle_core::{DType, Device, Tensor};
 use wgpu::Buffer;
 

@@ -1,14 +1,14 @@
 //! The constraint sets of a pass on the device: radii, random points, and steps of the search.
 
-use augnerf_core::base::Result;
-use augnerf_core::base::rng::Stream;
-use augnerf_core::data::Scene;
-use augnerf_core::methods::{AttackGeometry, PassPlan, Search};
-use augnerf_core::perturb::{
+use augnerf_base::Result;
+use augnerf_base::rng::Stream;
+use augnerf_nerf::methods::{AttackGeometry, PassPlan, Search};
+use augnerf_nerf::perturb::{
     Draw, Epsilon, Level, Norm, PaperSite, PassGeometry, PerSite, Radius, SampleDensity, Sets, SiteNumbers, StepUnit,
     output_range,
 };
-use augnerf_core::settings::{OutputPlace, Resolved};
+use augnerf_nerf::settings::{OutputPlace, Resolved};
+use augnerf_scenes::Scene;
 use candle_core::{DType, Device, Tensor};
 use wgpu::Buffer;
 

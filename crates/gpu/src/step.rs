@@ -1,14 +1,14 @@
 //! Training steps of NeRF and Aug-NeRF on the device.
 
-use augnerf_core::base::Result;
-use augnerf_core::data::{RayParts, Scene};
-use augnerf_core::methods::{
+use augnerf_base::Result;
+use augnerf_nerf::methods::{
     Batches, DeviceSteps, Fields, LogColumns, Plan, StepAt, StepReport, is_regularized, log_columns, not_finite,
 };
-use augnerf_core::optimizer::Moments;
-use augnerf_core::perturb::PaperSite;
-use augnerf_core::runtime::{DeviceWork, KernelTime};
-use augnerf_core::settings::{Precision, Regularizer, Resolved};
+use augnerf_nerf::optimizer::Moments;
+use augnerf_nerf::perturb::PaperSite;
+use augnerf_nerf::runtime::{DeviceWork, KernelTime};
+use augnerf_nerf::settings::{Precision, Regularizer, Resolved};
+use augnerf_scenes::{RayParts, Scene};
 use candle_core::Tensor;
 use wgpu::Buffer;
 
@@ -72,7 +72,7 @@ impl Steps {
     /// Copies fields and their moments to the device.
     ///
     /// # Errors
-    /// [`Error::Config`](augnerf_core::base::Error::Config): the device does not do what the configuration asks for, or has
+    /// [`Error::Config`](augnerf_base::Error::Config): the device does not do what the configuration asks for, or has
     /// too little memory.
     pub fn new(
         gpu: &Gpu,

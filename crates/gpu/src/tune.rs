@@ -3,7 +3,7 @@
 
 use std::time::{Duration, Instant};
 
-use augnerf_core::base::Result;
+use augnerf_base::Result;
 use wgpu::Buffer;
 
 use crate::device::{Dispatch, Gpu};

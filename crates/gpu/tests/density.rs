@@ -2,11 +2,11 @@
 
 mod common;
 
-use augnerf_core::field::{Density, FieldDensity};
-use augnerf_core::losses::{measure, measure_density};
-use augnerf_core::methods::FieldLearner;
-use augnerf_core::runtime::Accelerator;
-use augnerf_core::space::{Lattice, densities};
+use augnerf_nerf::field::{Density, FieldDensity};
+use augnerf_nerf::losses::{measure, measure_density};
+use augnerf_nerf::methods::FieldLearner;
+use augnerf_nerf::runtime::Accelerator;
+use augnerf_nerf::space::{Lattice, densities};
 use candle_core::{DType, Device, Tensor};
 use common::{config, flat, gpu, scene};
 

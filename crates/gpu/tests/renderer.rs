@@ -2,10 +2,10 @@
 
 mod common;
 
-use augnerf_core::data::{RayBuffer, RayParts};
-use augnerf_core::methods::{FieldLearner, FieldRenderer, Renderer};
-use augnerf_core::runtime::Accelerator;
-use augnerf_core::settings::PixelOrigin;
+use augnerf_nerf::methods::{FieldLearner, FieldRenderer, Renderer};
+use augnerf_nerf::runtime::Accelerator;
+use augnerf_nerf::settings::PixelOrigin;
+use augnerf_scenes::{RayBuffer, RayParts};
 use candle_core::{DType, Device, Tensor};
 use common::{config, flat, gpu, scene};
 

@@ -2,9 +2,9 @@
 
 mod common;
 
-use augnerf_core::methods::{DeviceSteps, FieldLearner, Learner, StepAt};
-use augnerf_core::settings::DensityActivation;
 use augnerf_gpu::Steps;
+use augnerf_nerf::methods::{DeviceSteps, FieldLearner, Learner, StepAt};
+use augnerf_nerf::settings::DensityActivation;
 use candle_core::{DType, Device, Tensor};
 use common::{config, flat, gpu, scene};
 

@@ -2,7 +2,9 @@
 
 #![warn(missing_docs)]
 
-pub(crate) use augnerf_core::{base, data, metrics, perturb, settings};
+pub(crate) use augnerf_measure::metrics;
+pub(crate) use augnerf_nerf::{perturb, settings};
+pub(crate) use {augnerf_base as base, augnerf_scenes as data};
 
 pub mod draw;
 pub mod report;

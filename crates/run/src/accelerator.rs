@@ -17,7 +17,7 @@ use crate::settings::{Config, Precision, Resolved};
 /// ```
 /// assert_eq!(augnerf_run::open_runtime("cpu", Some(2))?.threads(), 2);
 /// assert!(augnerf_run::open_runtime("gpu:x", None).is_err());
-/// # Ok::<(), augnerf_core::base::Error>(())
+/// # Ok::<(), augnerf_base::Error>(())
 /// ```
 pub fn open_runtime(device: &str, threads: Option<usize>) -> Result<Runtime> {
     match Runtime::accelerator_index(device)? {

@@ -2,10 +2,10 @@
 
 #![warn(missing_docs)]
 
-pub(crate) use augnerf_core::{
-    base, data, field, losses, methods, metrics, optimizer, perturb, render, runtime, settings, space,
-};
+pub(crate) use augnerf_measure::{mesh, metrics};
+pub(crate) use augnerf_nerf::{field, losses, methods, optimizer, perturb, render, runtime, settings, space};
 pub(crate) use augnerf_report::{draw, report};
+pub(crate) use {augnerf_base as base, augnerf_scenes as data};
 
 mod accelerator;
 pub mod bench;

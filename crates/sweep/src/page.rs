@@ -7,11 +7,11 @@ use super::outputs::{SweepOutputs, optional};
 use crate::base::input::read_bytes;
 use crate::base::{Error, Result};
 use crate::draw::pictures::encode_png8;
+use crate::mesh::{Paint, around, read_mesh};
 use crate::report::page::{Film, Page, ShownScene, ViewOfRow, ViewOfScene};
 use crate::report::tables::{Line, Table};
 use crate::report::{Status, distinct};
 use crate::run::{FirstView, RunDir, mesh_picture};
-use crate::space::{Paint, around, read_mesh};
 
 /// Most rows of a scene whose images are shown.
 const MOST_ROWS: usize = 24;

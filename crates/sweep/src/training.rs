@@ -9,7 +9,7 @@ use candle_core::DType;
 
 use crate::base::{Error, Event, Listener, Result};
 use crate::data::corruption::corrupt;
-use crate::data::{self, Scene, seen_views};
+use crate::data::{self, Scene};
 use crate::metrics::Lpips;
 use crate::report::{PointResult, label};
 use crate::revision::revision;
@@ -237,7 +237,7 @@ impl Trainings<'_> {
             let (first, rows_alone) = (timed()?, timed()?);
             let rays = (view.camera.height as f64 / camera.height as f64) * rows_alone;
             let preparing = (first - rows_alone).max(0.0);
-            let views = (scene.test.len() + seen_views(&scene, &config).len()) as f64;
+            let views = (scene.test.len() + config.seen_views(&scene).len()) as f64;
             let TrainConfig { steps, eval_every, eval_stride, .. } = config.train;
             let between = steps.saturating_sub(1).checked_div(eval_every).unwrap_or(0) as f64;
             let sparse = rays / (eval_stride * eval_stride) as f64;

@@ -10,7 +10,7 @@ use candle_core::{CpuStorage, CustomOp3, D, DType, Layout, Result, Shape, Tensor
 use rayon::prelude::*;
 
 use crate::base::place::is_ours;
-use crate::base::simd::{LANES, vectorized};
+use augnerf_fast::simd::{LANES, vectorized};
 
 use super::values::{Values, slice};
 

@@ -1,7 +1,7 @@
 //! The way back of a pass.
 
-use augnerf_core::perturb::PaperSite;
-use augnerf_core::settings::OutputPlace;
+use augnerf_nerf::perturb::PaperSite;
+use augnerf_nerf::settings::OutputPlace;
 use wgpu::Buffer;
 
 use crate::device::groups;

@@ -1,9 +1,9 @@
 //! The buffers of a step.
 
-use augnerf_core::base::Result;
-use augnerf_core::data::Scene;
-use augnerf_core::settings::{LatticePoints, Regularizer, Resolved};
-use augnerf_core::space::Quadrature;
+use augnerf_base::Result;
+use augnerf_nerf::settings::{LatticePoints, Regularizer, Resolved};
+use augnerf_nerf::space::Quadrature;
+use augnerf_scenes::Scene;
 use candle_core::{DType, Device};
 use wgpu::Buffer;
 

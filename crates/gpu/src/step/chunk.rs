@@ -1,9 +1,9 @@
 //! The work of a chunk of rays: its clean passes, its search, its perturbed passes.
 
-use augnerf_core::base::rng::Stream;
-use augnerf_core::methods::{PassPlan, SampleSource, Search};
-use augnerf_core::perturb::{Draw, PaperSite};
-use augnerf_core::settings::{DeltaSource, OutputPlace, Regularizer, Resolved};
+use augnerf_base::rng::Stream;
+use augnerf_nerf::methods::{PassPlan, SampleSource, Search};
+use augnerf_nerf::perturb::{Draw, PaperSite};
+use augnerf_nerf::settings::{DeltaSource, OutputPlace, Regularizer, Resolved};
 use wgpu::Buffer;
 
 use crate::device::groups;

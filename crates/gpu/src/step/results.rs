@@ -1,8 +1,8 @@
 //! What a step leaves to be read, and the report made of it.
 
-use augnerf_core::methods::{Extremes, PassPlan, SiteDiagnostics, StepLosses, StepReport};
-use augnerf_core::perturb::PaperSite;
-use augnerf_core::settings::Regularizer;
+use augnerf_nerf::methods::{Extremes, PassPlan, SiteDiagnostics, StepLosses, StepReport};
+use augnerf_nerf::perturb::PaperSite;
+use augnerf_nerf::settings::Regularizer;
 
 use crate::record::{FIRST_TERM, ON_RAYS, SLOT};
 

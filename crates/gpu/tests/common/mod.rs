@@ -2,10 +2,10 @@
 
 use std::sync::OnceLock;
 
-use augnerf_core::base::Image;
-use augnerf_core::data::{Camera, Scene, View};
-use augnerf_core::settings::{DataKind, Extent, Resolved, build, parse_assignment};
+use augnerf_base::Image;
 use augnerf_gpu::Gpu;
+use augnerf_nerf::settings::{DataKind, Extent, Resolved, build, parse_assignment};
+use augnerf_scenes::{Camera, Scene, View};
 use candle_core::{DType, Tensor};
 
 pub fn gpu() -> &'static Gpu {

@@ -6,8 +6,9 @@ use serde::Serialize;
 use crate::base::Result;
 use crate::data::{Camera, RayBuffer, RayParts, Scene};
 use crate::field::Density;
+use crate::mesh::resized;
 use crate::settings::PixelOrigin;
-use crate::space::{Lattice, over_queries, resized};
+use crate::space::{Lattice, over_queries};
 
 /// Largest number of columns of the view.
 const COLUMNS: usize = 96;

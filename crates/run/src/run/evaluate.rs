@@ -5,7 +5,7 @@ use std::time::Instant;
 use candle_core::DType;
 
 use crate::base::{Error, Event, Image, Listener, Result};
-use crate::data::{Camera, RayBuffer, Rays, Scene, View, seen_views};
+use crate::data::{Camera, RayBuffer, Rays, Scene, View};
 use crate::methods::Renderer;
 use crate::metrics::{Floor, Lpips, ViewMetrics, depth_errors, measure_depth, measure_unmasked};
 use crate::model::Model;
@@ -49,7 +49,7 @@ impl Viewer<'_> {
     /// Renders the view of a camera without any randomness, `config.eval.chunk` rays at a time.
     ///
     /// ```
-    /// # mod augnerf { pub use augnerf_core::*; pub use augnerf_run::*; pub use candle_core; }
+    /// # mod augnerf { pub use augnerf_nerf::*; pub use augnerf_run::*; pub use candle_core; }
     /// use augnerf::candle_core::DType;
     /// use augnerf::run::{Viewer, load_scene};
     /// use augnerf::runtime::Runtime;
@@ -244,19 +244,19 @@ impl Viewer<'_> {
         self.measure(EVALUATING, self.scene.test.iter().collect(), lpips, events, stop_check, each)
     }
 
-    /// Renders and measures the training views of [`seen_views`] as the training saw them, corruption included.
+    /// Renders and measures the training views of [`Config::seen_views`](crate::settings::Config::seen_views) as the training saw them, corruption included.
     pub fn evaluate_training_views(
         &self,
         lpips: &[Lpips],
         events: &dyn Listener,
         stop_check: impl Fn() -> Result<()>,
     ) -> Result<Vec<ViewMetrics>> {
-        let views = seen_views(self.scene, self.config).into_iter().map(|place| &self.scene.train[place]).collect();
+        let views = self.config.seen_views(self.scene).into_iter().map(|place| &self.scene.train[place]).collect();
         self.measure("evaluating training views", views, lpips, events, stop_check, |_, _, _| Ok(()))
     }
 
     /// Measures every `stride`-th pixel, across and down, of every held-out view and of the training views of
-    /// [`seen_views`].
+    /// [`Config::seen_views`](crate::settings::Config::seen_views).
     pub(super) fn evaluate_sparsely(
         &self,
         stride: usize,
@@ -272,7 +272,7 @@ impl Viewer<'_> {
             floor.map_or(Ok(()), |floor| floor.measure(&mut measured, &truth, mask))?;
             Ok(measured)
         };
-        let seen = seen_views(self.scene, self.config);
+        let seen = self.config.seen_views(self.scene);
         Ok([
             self.scene.test.iter().map(&of_view).collect::<Result<_>>()?,
             seen.into_iter().map(|place| of_view(&self.scene.train[place])).collect::<Result<_>>()?,

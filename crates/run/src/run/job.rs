@@ -10,7 +10,7 @@ use candle_core::DType;
 
 use crate::base::files::write_atomic;
 use crate::base::{Error, Event, Listener, Result};
-use crate::data::{Scene, seen_views};
+use crate::data::Scene;
 use crate::field::forget_buffers;
 use crate::methods::{LogColumns, Term};
 use crate::metrics::{Lpips, MeanMetrics, Metric, PSNR, PSNR_FLOAT};
@@ -42,7 +42,7 @@ pub struct Setup<'a> {
 /// A training that is ready to start or resume.
 ///
 /// ```
-/// # mod augnerf { pub use augnerf_core::*; pub use augnerf_run::*; pub use candle_core; }
+/// # mod augnerf { pub use augnerf_nerf::*; pub use augnerf_run::*; pub use candle_core; }
 /// use std::sync::atomic::AtomicUsize;
 ///
 /// use augnerf::metrics::PSNR;
@@ -295,7 +295,7 @@ impl<'a> Job<'a> {
             per_step => left as f64 * per_step?,
         };
         let Setup { config, scene, .. } = &self.experiment.setup;
-        let seen = seen_views(scene, config).into_iter().map(|place| &scene.train[place]);
+        let seen = config.seen_views(scene).into_iter().map(|place| &scene.train[place]);
         let cameras: Vec<_> = scene.test.iter().chain(seen).map(|view| &view.camera).collect();
         let evaluation = self.experiment.viewer(&self.trainer)?.estimate_seconds(&cameras)?;
         Ok(Some(Estimate { training: steps, measuring: evaluation.unwrap_or(0.0) }))

@@ -10,11 +10,10 @@ use crate::base::files::{AtomicDir, write_json};
 use crate::base::{Error, Event, Listener, Result};
 use crate::data::{WorldToScene, npy};
 use crate::draw::write_png8;
+use crate::mesh::{self, DensityRange, Drawing, FinishedMesh, LevelSet, Mesh, Normals, finish_mesh, level_set};
 use crate::revision::version;
 use crate::settings::Capability;
-use crate::space::{
-    self, DensityRange, Drawing, FinishedMesh, Lattice, LevelSet, Mesh, Normals, finish_mesh, level_set,
-};
+use crate::space::Lattice;
 
 use super::coverage::Coverage;
 use super::mesh_picture::{MeshPicture, mesh_picture};
@@ -131,8 +130,8 @@ impl MeshFormat {
         let write = || {
             let mut out = BufWriter::new(File::create(path)?);
             match self {
-                MeshFormat::Ply => space::write_ply(mesh, &comment, &mut out)?,
-                MeshFormat::Obj => space::write_obj(mesh, &comment, &mut out)?,
+                MeshFormat::Ply => mesh::write_ply(mesh, &comment, &mut out)?,
+                MeshFormat::Obj => mesh::write_obj(mesh, &comment, &mut out)?,
             }
             out.flush()
         };
@@ -302,7 +301,7 @@ impl MeshReport {
 fn in_capture(mesh: &mut Mesh, world: &WorldToScene) {
     let single = |point: [f64; 3]| point.map(|v| v as f32);
     let places: Vec<[f64; 3]> = mesh.vertices.iter().map(|vertex| world.to_capture(vertex.map(f64::from))).collect();
-    (mesh.vertices, mesh.origin) = space::with_origin(&places);
+    (mesh.vertices, mesh.origin) = mesh::with_origin(&places);
     mesh.normals.iter_mut().for_each(|normal| *normal = single(world.direction_to_capture(normal.map(f64::from))));
 }
 

@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use crate::base::{Error, Image, Result};
 use crate::data::{Camera, Scene};
 use crate::draw::beside;
-use crate::space::{Mesh, Paint, resized, shade};
+use crate::mesh::{Mesh, Paint, resized, shade};
 
 /// White pixels between two views of a mesh.
 const GAP: usize = 4;

@@ -7,8 +7,8 @@ use serde::Deserialize;
 use crate::base::input::{JSON_BYTES, read_text};
 use crate::base::{Error, Result};
 use crate::data::{Format, WorldToScene};
+use crate::mesh::Reference;
 use crate::settings::Capability;
-use crate::space::Reference;
 
 use super::mesh::{MeshFormat, MeshUnits, REPORT};
 use super::scene_file::WorldMatrix;

@@ -3,7 +3,7 @@
 use serde::ser::{Serialize, SerializeMap, Serializer};
 use serde_json::Value;
 
-use crate::data::{Camera, RayGroup, Scene, View, epochs, seen_views};
+use crate::data::{Camera, RayGroup, Scene, View, epochs};
 use crate::methods::step_over_radius;
 use crate::metrics::{Lpips, share};
 use crate::model::Model;
@@ -156,7 +156,7 @@ fn of_scene(config: &Resolved, scene: &Scene) -> Found {
         ("ndc", scene.ndc.is_some().into()),
         ("views_trained", scene.train.len().into()),
         ("views_evaluated", scene.test.len().into()),
-        ("views_seen", seen_views(scene, config).len().into()),
+        ("views_seen", config.seen_views(scene).len().into()),
         ("data_hash", data_hash.into()),
         ("corruption", corrupted.map(|corrupted| corrupted.what.clone()).into()),
         ("corruption_hash", corrupted.map(|_| scene.hash()).into()),

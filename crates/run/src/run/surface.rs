@@ -4,9 +4,10 @@ use std::path::Path;
 
 use crate::base::{Error, Event, Image, Listener, Result};
 use crate::data::{Camera, Scene};
+use crate::mesh::{Chamfer, Drawing, Reference, chamfer, in_scene, level_set, read_mesh, sample};
 use crate::runtime::free_memory_mib;
 use crate::settings::{BuiltinScene, Config, DataKind, MeshConfig, NO_REFERENCE, Representation};
-use crate::space::{Chamfer, Drawing, Lattice, Reference, chamfer, in_scene, level_set, read_mesh, sample};
+use crate::space::Lattice;
 
 use super::mesh_picture::surface_picture;
 use super::{RenderedView, Viewer};

@@ -1,9 +1,9 @@
 //! The backward pass of a chunk of rays.
 
-use crate::field::fused::kernels::panels::{Panels, Slab};
-use crate::field::fused::kernels::product::{Finish, Lhs, Out, Rows, Source};
-use crate::field::fused::kernels::{add_rows, bias_gradient, head_forward, head_gradient, weight_gradient};
 use crate::srn::network::{GRADIENT_LIMIT, HIDDEN};
+use augnerf_fast::fused::kernels::panels::{Panels, Slab};
+use augnerf_fast::fused::kernels::product::{Finish, Lhs, Out, Rows, Source};
+use augnerf_fast::fused::kernels::{add_rows, bias_gradient, head_forward, head_gradient, weight_gradient};
 
 use super::forward::{Lines, Normals, Query, Tape, slab};
 use super::norm;

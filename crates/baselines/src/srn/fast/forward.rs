@@ -1,9 +1,9 @@
 //! The forward pass of a chunk of rays.
 
-use crate::field::fused::kernels::head_forward;
-use crate::field::fused::kernels::panels::{Form, Panels, Slab};
-use crate::field::fused::kernels::product::{Bias, Finish, Lhs, Out, Rows, Source};
 use crate::srn::network::HIDDEN;
+use augnerf_fast::fused::kernels::head_forward;
+use augnerf_fast::fused::kernels::panels::{Form, Panels, Slab};
+use augnerf_fast::fused::kernels::product::{Bias, Finish, Lhs, Out, Rows, Source};
 
 use super::cell::{self, State};
 use super::norm;

@@ -1,8 +1,8 @@
 //! Layer normalization with ReLU of rows in panels, over the channels of each.
 
-use crate::base::simd::{LANES, vectorized};
-use crate::field::fused::kernels::panels::{PANEL, Shape, Slab};
 use crate::srn::network::EPSILON;
+use augnerf_fast::fused::kernels::panels::{PANEL, Shape, Slab};
+use augnerf_fast::simd::{LANES, vectorized};
 
 use super::weights::Block;
 

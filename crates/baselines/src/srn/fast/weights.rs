@@ -2,10 +2,10 @@
 
 use std::ops::Range;
 
-use crate::field::fused::kernels::Head;
-use crate::field::fused::kernels::panels::{Packed, filled_up};
 use crate::settings::SrnConfig;
 use crate::srn::network::{HIDDEN, OF_BLOCK, Srn};
+use augnerf_fast::fused::kernels::Head;
+use augnerf_fast::fused::kernels::panels::{Packed, filled_up};
 
 /// Number of gate values of the cell.
 pub(super) const GATES: usize = 4 * HIDDEN;

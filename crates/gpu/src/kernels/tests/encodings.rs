@@ -210,7 +210,7 @@ fn views() {
         let view = [ray[6], ray[7], ray[8]].map(f64::from);
         let norm = view.iter().map(|x| x * x).sum::<f64>().sqrt();
         let view = view.map(|x| x / norm);
-        let (u, w) = augnerf_core::data::tangents(view);
+        let (u, w) = augnerf_scenes::tangents(view);
         for (to, x) in ray[6..15].iter_mut().zip(view.into_iter().chain(u).chain(w)) {
             *to = x as f32;
         }

@@ -1,12 +1,12 @@
 //! Each kernel against the same in f64. A table of differences is printed with `--nocapture`.
 
-use augnerf_core::base::rng::{Random, Stream};
-use augnerf_core::field::encode_reference;
-use augnerf_core::field::hash::{Domain, HashGrid, Level};
-use augnerf_core::optimizer::{Adam, AdamSettings};
-use augnerf_core::render::sampling::importance;
-use augnerf_core::render::volume::composite_reference;
-use augnerf_core::settings::{Contraction, Interpolation};
+use augnerf_base::rng::{Random, Stream};
+use augnerf_nerf::field::encode_reference;
+use augnerf_nerf::field::hash::{Domain, HashGrid, Level};
+use augnerf_nerf::optimizer::{Adam, AdamSettings};
+use augnerf_nerf::render::sampling::importance;
+use augnerf_nerf::render::volume::composite_reference;
+use augnerf_nerf::settings::{Contraction, Interpolation};
 use candle_core::{DType, Device, Tensor, Var};
 use wgpu::Buffer;
 

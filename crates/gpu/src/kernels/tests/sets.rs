@@ -1,6 +1,6 @@
 //! Constraint sets: radii, random points, steps of the search, and what is at its bound.
 
-use augnerf_core::perturb::{DeltaSet, Norm};
+use augnerf_nerf::perturb::{DeltaSet, Norm};
 
 use super::*;
 

@@ -1,0 +1,292 @@
+//! The level set of a trained density on a sampling grid, plane by plane.
+
+use std::io::Write;
+
+use serde::Serialize;
+
+use augnerf_base::{Error, Result};
+use augnerf_nerf::field::Density;
+use augnerf_nerf::settings::MESH_SIDES;
+use augnerf_nerf::space::{Lattice, densities};
+
+use super::{Marcher, Mesh};
+
+/// Memory of a finished mesh with colours, normals and the search for its open edges, over that of its bare vertices
+/// and triangles.
+const WORKING_SHARE: f64 = 6.0;
+const MIB: f64 = 1024.0 * 1024.0;
+/// Memory of a mesh over that of the grid's planes; both grow with the square of the resolution. Surfaces of the
+/// built-in scene take 15 to 30 times as much, and this adds a margin.
+const MESH_OVER_PLANES: f64 = 40.0;
+/// The smallest allowed resolution.
+const LEAST_SIDE: usize = *MESH_SIDES.start();
+
+/// The distribution of densities at a grid's midpoints, 1 / length.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct DensityRange {
+    /// Smallest density.
+    pub least: f32,
+    /// Median. It and the percentiles are exact to 1 %.
+    pub median: f32,
+    /// 90th percentile.
+    pub percentile_90: f32,
+    /// 99th percentile.
+    pub percentile_99: f32,
+    /// Largest density.
+    pub largest: f32,
+    /// Fraction of midpoints at or above the threshold.
+    pub inside: f64,
+}
+
+/// Counts densities by the upper half of their bits: 128 steps per octave, in ascending order.
+struct Histogram {
+    counts: Vec<u64>,
+    total: u64,
+    inside: u64,
+    range: (f32, f32),
+}
+
+impl Histogram {
+    fn new() -> Histogram {
+        let range = (f32::INFINITY, f32::NEG_INFINITY);
+        Histogram { counts: vec![0; 1 << 15], total: 0, inside: 0, range }
+    }
+
+    /// Densities are at least 0.
+    fn add(&mut self, densities: &[f32], threshold: f32) {
+        for &density in densities {
+            self.counts[(density.abs().to_bits() >> 16) as usize] += 1;
+            self.inside += u64::from(density >= threshold);
+            self.range = (self.range.0.min(density), self.range.1.max(density));
+        }
+        self.total += densities.len() as u64;
+    }
+
+    /// Returns the middle of the step that a fraction of all densities reaches.
+    fn percentile(&self, share: f64) -> f32 {
+        let wanted = (share * self.total as f64).ceil() as u64;
+        let mut seen = 0;
+        let reached = |&count: &u64| {
+            seen += count;
+            seen >= wanted.max(1)
+        };
+        let step = self.counts.iter().position(reached).unwrap_or(0) as u32;
+        let middle = if step == 0 { 0.0 } else { f32::from_bits(step << 16 | 1 << 15) };
+        middle.clamp(self.range.0, self.range.1)
+    }
+
+    fn range(&self) -> DensityRange {
+        DensityRange {
+            least: self.range.0,
+            median: self.percentile(0.5),
+            percentile_90: self.percentile(0.9),
+            percentile_99: self.percentile(0.99),
+            largest: self.range.1,
+            inside: self.inside as f64 / self.total as f64,
+        }
+    }
+}
+
+/// A level set, and the densities around it.
+pub struct LevelSet {
+    /// In the units in which density is queried, without normals and colours. It has at least one triangle.
+    pub mesh: Mesh,
+    /// The densities on the sampling grid.
+    pub range: DensityRange,
+}
+
+/// How a level set is computed.
+#[derive(Clone, Copy, Debug)]
+pub struct Drawing {
+    /// The grid at whose cells' midpoints density is queried.
+    pub lattice: Lattice,
+    /// Density of the surface, 1 / length.
+    pub threshold: f64,
+    /// Whether the outermost midpoints count as empty. That closes the surface where it would leave the box.
+    pub cap: bool,
+    /// Memory that grid and mesh may take.
+    pub most_mib: f64,
+}
+
+/// Computes a level set of density. Memory is bounded by some planes of the grid and the mesh. `volume` gets all
+/// densities as little-endian f32, z fastest. `advance` is called after each plane, and its error ends the work.
+///
+/// # Errors
+/// If a density is not finite, if the level set is empty, or if it needs too much memory. The messages name a threshold
+/// or a resolution that may work.
+pub fn level_set(
+    density: &dyn Density,
+    drawing: &Drawing,
+    mut volume: Option<&mut dyn Write>,
+    mut advance: impl FnMut() -> Result<()>,
+) -> Result<LevelSet> {
+    let Drawing { lattice, threshold, cap, .. } = *drawing;
+    let (side, threshold) = (lattice.side, threshold as f32);
+    drawing.check_planes()?;
+    let mut marcher = Marcher::new([side, side], threshold);
+    let mut histogram = Histogram::new();
+    let mut plane: Vec<f32> = Vec::with_capacity(side * side);
+    let (mut planes, mut largest) = (0, f32::NEG_INFINITY);
+    densities(density, &lattice, |mut part| {
+        if let Some(at) = part.iter().position(|density| !density.is_finite()) {
+            let point = lattice.point(planes * side * side + plane.len() + at, [0.5; 3]);
+            return Err(Error::Diverged(format!(
+                "the density at {point:.3?} is {}: the weights are broken; delete the newest checkpoint to fall back on the \
+                 one before it",
+                part[at]
+            )));
+        }
+        histogram.add(&part, threshold);
+        if let Some(volume) = &mut volume {
+            let bytes: Vec<u8> = part.iter().flat_map(|density| density.to_le_bytes()).collect();
+            volume.write_all(&bytes).map_err(|e| Error::Output(format!("cannot write the densities: {e}")))?;
+        }
+        // A part may end one plane and begin the next.
+        while !part.is_empty() {
+            let rest = part.split_off(part.len().min(side * side - plane.len()));
+            plane.append(&mut part);
+            part = rest;
+            if plane.len() == side * side {
+                let mut full = std::mem::replace(&mut plane, Vec::with_capacity(side * side));
+                if cap {
+                    clear_border(&mut full, side, planes);
+                }
+                largest = full.iter().copied().fold(largest, f32::max);
+                marcher.push(full);
+                planes += 1;
+                drawing.check_mesh(&marcher, planes)?;
+                advance()?;
+            }
+        }
+        Ok(())
+    })?;
+    let Marcher { vertices, triangles, .. } = marcher;
+    if triangles.is_empty() {
+        return Err(drawing.no_surface([histogram.range.0, largest]));
+    }
+    let [lower, upper] = lattice.domain;
+    let place = |vertex: [f32; 3]| {
+        std::array::from_fn(|axis| {
+            let share = (f64::from(vertex[axis]) + 0.5) / side as f64;
+            (lower[axis] + share * (upper[axis] - lower[axis])) as f32
+        })
+    };
+    let vertices = vertices.into_iter().map(place).collect();
+    Ok(LevelSet { mesh: Mesh { vertices, triangles, ..Mesh::default() }, range: histogram.range() })
+}
+
+/// Empties the points of plane `x` that are on the border of the grid.
+fn clear_border(plane: &mut [f32], side: usize, x: usize) {
+    let on_border = |i: usize| i == 0 || i + 1 == side;
+    for (at, value) in plane.iter_mut().enumerate() {
+        if on_border(x) || on_border(at / side) || on_border(at % side) {
+            *value = 0.0;
+        }
+    }
+}
+
+/// Returns the memory of a grid's planes in MiB.
+fn planes_mib(side: usize) -> f64 {
+    Marcher::plane_bytes([side, side]) as f64 / MIB
+}
+
+/// Returns the usual memory of a grid and its mesh in MiB.
+fn usual_mib(side: usize) -> f64 {
+    (1.0 + MESH_OVER_PLANES) * planes_mib(side)
+}
+
+fn mib(amount: f64) -> String {
+    let digits = if amount < 10.0 { 3 } else { 0 };
+    format!("{amount:.digits$} MiB")
+}
+
+impl Drawing {
+    fn check_planes(&self) -> Result<()> {
+        let side = self.lattice.side;
+        if planes_mib(side) <= self.most_mib {
+            return Ok(());
+        }
+        let advice = match self.largest_side(usual_mib) {
+            Some(fits) => format!("with its mesh, a resolution of about {fits} may fit"),
+            None => format!("with its mesh, even {LEAST_SIDE} would take about {}", mib(usual_mib(LEAST_SIDE))),
+        };
+        Err(Error::Config(format!(
+            "a resolution of {side} takes {} for the sampling grid's planes alone, and {} (a half of what is free, or `augnerf mesh \
+             --memory`) may be taken: {advice}",
+            mib(planes_mib(side)),
+            mib(self.most_mib)
+        )))
+    }
+
+    /// Returns an error if the growing mesh will need too much memory, with a resolution that may fit.
+    fn check_mesh(&self, marcher: &Marcher, planes: usize) -> Result<()> {
+        let side = self.lattice.side;
+        let mesh = WORKING_SHARE * marcher.mesh_bytes() as f64 / MIB;
+        if mesh + planes_mib(side) <= self.most_mib && marcher.vertices.len() < u32::MAX as usize {
+            return Ok(());
+        }
+        // A surface grows with the square of the resolution. Its first planes tell little of the rest: they are in the
+        // box's outer part, before the object or at its rim. The estimate is twice what they say, and at least the
+        // usual.
+        let whole = 2.0 * mesh * side as f64 / planes as f64;
+        let estimate = |fewer: usize| planes_mib(fewer) + whole * (fewer as f64 / side as f64).powi(2);
+        let needed = |fewer: usize| estimate(fewer).max(usual_mib(fewer));
+        let advice = match self.largest_side(needed) {
+            Some(fits) => format!("a resolution of about {fits} may fit"),
+            None => format!("even {LEAST_SIDE} would take about {}", mib(needed(LEAST_SIDE))),
+        };
+        Err(Error::Config(format!(
+            "the level set at resolution {side} outgrows {} (a half of what is free, or `augnerf mesh --memory`) after \
+             {planes} of {side} planes, with {} triangles: {advice}; a higher threshold may help, too, for a low one also \
+             draws what the training views left undecided",
+            mib(self.most_mib),
+            marcher.triangles.len()
+        )))
+    }
+
+    /// Returns the largest resolution below this one that fits into the memory.
+    fn largest_side(&self, needed_mib: impl Fn(usize) -> f64) -> Option<usize> {
+        (LEAST_SIDE..self.lattice.side).rev().find(|&side| needed_mib(side) <= self.most_mib)
+    }
+
+    /// Returns the error for an empty surface. `least` and `largest` are the smallest and the largest density that
+    /// count.
+    fn no_surface(&self, [least, largest]: [f32; 2]) -> Error {
+        let Drawing { threshold, lattice: Lattice { domain, .. }, cap, .. } = self;
+        let within = if *cap { "within the capped box" } else { "in the box" };
+        let range = format!("density {within} from {:?} to {:?} runs from {least} to {largest}", domain[0], domain[1]);
+        let advice = if least < largest {
+            format!("a threshold of {} would give one", 0.5 * (least + largest))
+        } else {
+            "no threshold gives one: choose another box, or train longer".into()
+        };
+        Error::Config(format!("the level set {threshold} is empty: {range}; {advice}"))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn percentiles_are_those_of_the_numbers() {
+        let values: Vec<f32> = (0..10_000).map(|i| i as f32 * 0.01).collect();
+        let mut histogram = Histogram::new();
+        values.chunks(77).for_each(|part| histogram.add(part, 75.0));
+        let range = histogram.range();
+        assert_eq!((range.least, range.largest), (0.0, 99.99));
+        for (found, exact) in [(range.median, 50.0), (range.percentile_90, 90.0), (range.percentile_99, 99.0)] {
+            assert!((found / exact - 1.0).abs() < 0.01, "{found} for {exact}");
+        }
+        assert!((range.inside - 0.25).abs() < 1e-3);
+    }
+
+    #[test]
+    fn a_cap_empties_the_border_alone() {
+        let mut plane = vec![1.0; 9];
+        clear_border(&mut plane, 3, 1);
+        assert_eq!(plane, [0.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0]);
+        clear_border(&mut plane, 3, 2);
+        assert_eq!(plane, [0.0; 9]);
+    }
+}

@@ -1,0 +1,488 @@
+//! The radiance field: an encoding, a trunk with skips, a density head and a view-dependent colour head.
+//!
+//! A field knows nothing of rays or attacks. It maps points and directions to raw colour and raw density, and accepts a
+//! delta that is added to one trunk layer's output. A field with integrated encoding is queried at Gaussians, mean and
+//! diagonal variance `[n, 6]`, instead of points `[n, 3]`.
+//!
+//! A field has two implementations with one signature. The plain one uses candle's operations, works in f32 and f64 on
+//! any device, and is the reference. The fused one (`fused`) serves [`Field::frozen`] and [`Field::recording`] fields
+//! in f32 on the CPU.
+
+use std::sync::{Arc, Mutex, PoisonError};
+
+use candle_core::{DType, Device, Layout, Shape, Tensor, Var};
+use candle_nn::var_builder::SimpleBackend;
+use candle_nn::{Init, Linear, VarBuilder};
+
+use crate::base::Result;
+use crate::base::place::is_ours_in_f32;
+use crate::base::rng::{Random, Stream};
+use crate::settings::{Core, Encoding, FieldConfig, Precision};
+
+mod activation;
+mod dense;
+mod density;
+mod encoding;
+mod grid;
+mod grid_plain;
+mod inside;
+mod nerf;
+mod open;
+mod rgb_limit;
+pub mod settings;
+mod slopes;
+mod spatial;
+
+pub use activation::Cotangents;
+pub use activation::{density_of, raw_density_gradient};
+pub use augnerf_fast::encoding::{encoded_channels, integrated_channels};
+use augnerf_fast::fused;
+pub use augnerf_fast::fused::forget as forget_buffers;
+pub use augnerf_fast::{hash, peak_gflops};
+pub use dense::{dense, dense_reference};
+pub use density::{Density, FieldDensity};
+pub use encoding::{encode, encode_integrated, encode_integrated_reference, encode_reference};
+use encoding::{encode_positions, position_code};
+use grid::Grid;
+pub use grid::TableRecord;
+use hash::HashGrid;
+use inside::{Inside, NOTHING};
+pub use nerf::{FeatureDelta, Nerf, RawOutput};
+pub use open::opening_factors;
+pub(crate) use rgb_limit::leads_away;
+pub use spatial::{DensityAt, Order, Spatial, spatial_reference};
+
+/// Returns the values of a contiguous tensor on the CPU, for custom operations.
+pub fn contiguous<'a, T>(values: &'a [T], layout: &Layout) -> candle_core::Result<&'a [T]> {
+    match layout.contiguous_offsets() {
+        Some((start, end)) => Ok(&values[start..end]),
+        None => candle_core::bail!("this operation needs contiguous arguments, got {layout:?}"),
+    }
+}
+
+/// A network `(points, viewdirs) -> (raw rgb, raw density)`.
+#[derive(Clone)]
+pub struct Field {
+    config: FieldConfig,
+    nerf: Nerf,
+    /// The hash grid, if it encodes positions.
+    grid: Option<Grid>,
+    /// The parameters as variables, in the order of [`Field::parameter_names`]. Empty if frozen.
+    variables: Vec<(String, Var)>,
+    /// A copy of the weights in the layout of the fused core, if it applies (see [`Field::prepared`]).
+    network: Option<Arc<fused::Network>>,
+    /// For each layer, factors of its inputs, `[1, inputs]`, if some are hidden (see [`Field::opened`]). The weights above
+    /// are multiplied by them.
+    hidden: Option<Arc<Vec<Option<Tensor>>>>,
+    /// Receives the gradients of the weights outside of candle's graph.
+    recorder: Option<Arc<fused::Recorder>>,
+}
+
+/// Points at which a search queries a field many times, without gradients of weights or points. The fused core computes
+/// the trunk below the feature delta, or all of it, once.
+pub struct FixedPoints<'a> {
+    field: &'a Field,
+    inputs: Inputs,
+    below: fused::PrefixCache,
+}
+
+impl FixedPoints<'_> {
+    /// Runs [`Field::forward`] at these points.
+    ///
+    /// # Errors
+    /// Those of candle, if shapes do not fit.
+    pub fn forward(&self, viewdirs: &Tensor, delta: Option<FeatureDelta>) -> Result<RawOutput> {
+        self.field.raw_at(&self.inputs, viewdirs, delta, Some(&self.below))
+    }
+}
+
+/// The input of a field's networks.
+struct Inputs {
+    /// Points `[n, 3]`, Gaussians `[n, 6]`, or features `[n, channels]`.
+    values: Tensor,
+    /// Where density can be. `None` if it can be everywhere.
+    inside: Option<Inside>,
+}
+
+impl Inputs {
+    /// Removes raw density where there can be none. It takes raw density `[n]`, or raw output that ends with it.
+    fn only_inside(&self, raw: Tensor) -> Result<Tensor> {
+        Ok(self.inside.as_ref().map_or(Ok(raw.clone()), |inside| inside.only(&raw))?)
+    }
+}
+
+/// Returns what the fused core knows of a field.
+fn architecture(config: &FieldConfig) -> fused::Architecture {
+    fused::Architecture {
+        code: position_code(config),
+        view_octaves: config.view_octaves,
+        depth: config.depth,
+        width: config.width,
+        skips: config.skips.clone(),
+        view_depth: config.view_depth,
+        bf16: config.precision == Precision::Bf16,
+    }
+}
+
+/// Returns the number of channels of a position's encoding.
+pub fn position_channels(config: &FieldConfig) -> usize {
+    position_code(config).channels()
+}
+
+impl Field {
+    /// Returns names and shapes of all parameters in their fixed order: `trunk.0.weight`, `trunk.0.bias`, ...,
+    /// `rgb.bias`. A hash grid's `table` comes before them.
+    pub fn parameter_names(config: &FieldConfig) -> Vec<(String, Vec<usize>)> {
+        let mut names = Vec::new();
+        let nothing = Tensor::zeros((), DType::F32, &Device::Cpu).expect("a number");
+        let named = Field::from_source(config, |name, shape, _| {
+            names.push((name.to_string(), shape.dims().to_vec()));
+            nothing.broadcast_as(shape)
+        });
+        named.expect("a number has any shape");
+        names
+    }
+
+    /// Creates a field with weights drawn from `seed`'s stream `Init` at `index`.
+    pub fn init(config: &FieldConfig, seed: u64, index: u64, dtype: DType, device: &Device) -> Result<Field> {
+        let mut random = Random::new(seed, Stream::Init, index);
+        let mut parameters = Vec::new();
+        Field::from_source(config, |_, shape, init| {
+            let drawn = match init {
+                Init::Uniform { lo, up } => random
+                    .uniform_tensor(shape.dims(), dtype, device)
+                    .map_err(candle_core::Error::wrap)?
+                    .affine(up - lo, lo)?,
+                _ => Tensor::zeros(shape, dtype, device)?,
+            };
+            parameters.push(drawn.clone());
+            Ok(drawn)
+        })?;
+        Field::from_parameters(config, parameters)
+    }
+
+    /// Creates a field with given parameter values, in the order of [`Field::parameter_names`]. The values are copied.
+    ///
+    /// # Errors
+    /// If shapes are wrong, or the type or device of the values does not support the precision.
+    pub fn from_parameters(config: &FieldConfig, values: Vec<Tensor>) -> Result<Field> {
+        let expected = Field::parameter_names(config).len();
+        if values.len() != expected {
+            return Err(tensor_error(format!("{} parameters given, {expected} expected", values.len())));
+        }
+        if config.precision == Precision::Bf16 && !(config.core == Core::Fused && values.iter().all(is_ours_in_f32)) {
+            return Err(crate::base::Error::Config(
+                "field.precision = \"bf16\" needs the fused core, which needs f32 weights on the CPU: run with \
+                 device cpu, or choose field.precision = \"f32\""
+                    .into(),
+            ));
+        }
+        let (mut values, mut variables) = (values.into_iter(), Vec::with_capacity(expected));
+        let field = Field::from_source(config, |name, shape, _| {
+            let value = values.next().expect("as many as names");
+            if value.shape() != shape {
+                candle_core::bail!("{name} has shape {:?}, expected {:?}", value.dims(), shape.dims());
+            }
+            let variable = Var::from_tensor(&value.copy()?)?;
+            let tensor = variable.as_tensor().clone();
+            variables.push((name.to_string(), variable));
+            Ok(tensor)
+        })?;
+        Ok(Field { variables, ..field })
+    }
+
+    /// Returns a field without variables, whose parameters are what `source` returns for name, shape and distribution. It
+    /// is asked in the order of [`Field::parameter_names`].
+    fn from_source(
+        config: &FieldConfig,
+        source: impl FnMut(&str, &Shape, Init) -> candle_core::Result<Tensor> + Send,
+    ) -> Result<Field> {
+        // The source decides on type and device.
+        let builder = VarBuilder::from_backend(Box::new(Source(Mutex::new(source))), DType::F32, Device::Cpu);
+        let grid = Grid::new(config, &builder)?;
+        let nerf = Nerf::new(config, builder)?;
+        let (config, variables) = (config.clone(), Vec::new());
+        Ok(Field { config, nerf, grid, variables, network: None, hidden: None, recorder: None })
+    }
+
+    /// Returns the same field with the low frequencies of its encodings alone (FreeNeRF, equation 3): of the channels of each
+    /// axis, of which there are n, number i is multiplied by clamp(share n + 1 - i, 0, 1). Of a hash grid these are levels.
+    /// `share` 1 opens all. What is hidden is computed from the current parameters, which are shared.
+    ///
+    /// Hidden channels are hidden in the layers that read them: a channel times a factor is a column of weights times it.
+    ///
+    /// # Panics
+    /// The field is frozen.
+    pub fn opened(&self, share: f64) -> Result<Field> {
+        let mut variables = self.variables[usize::from(self.grid.is_some())..].iter().map(|(_, var)| var.as_tensor());
+        let factors =
+            if share < 1.0 { Some(opening_factors(&self.config, share, self.dtype(), self.device())?) } else { None };
+        let mut factor = factors.iter().flatten();
+        let nerf = self.nerf.map(|_| {
+            let [weight, bias] = [(); 2].map(|()| variables.next().expect("weight and bias of each layer"));
+            let weight = match factor.next() {
+                Some(Some(factor)) => weight.broadcast_mul(factor)?,
+                _ => weight.clone(),
+            };
+            Ok(Linear::new(weight, Some(bias.clone())))
+        })?;
+        Ok(Field { nerf, hidden: factors.map(Arc::new), network: None, recorder: None, ..self.clone() })
+    }
+
+    /// Returns the current parameters as passes read them, in the order of [`Field::parameter_names`]: weights of hidden
+    /// inputs are multiplied ([`Field::opened`]).
+    pub fn opened_parameters(&self) -> Vec<Tensor> {
+        let table = self.grid.iter().map(|grid| grid.table().detach());
+        table.chain(self.parameters_of_layers().map(Tensor::detach)).collect()
+    }
+
+    /// Multiplies gradients of the layers' weights and biases, in the order of parameters, by the factors of hidden inputs.
+    fn hide(&self, of_layers: &mut [Option<Tensor>]) -> Result<()> {
+        let Some(hidden) = &self.hidden else { return Ok(()) };
+        for (gradient, factor) in of_layers.iter_mut().step_by(2).zip(&**hidden) {
+            if let (Some(gradient), Some(factor)) = (gradient, factor) {
+                *gradient = gradient.broadcast_mul(factor)?;
+            }
+        }
+        Ok(())
+    }
+
+    /// Returns the same field with a copy of its current weights in the layout of the fused core, if it applies. Fields
+    /// derived from it share the copy. After an update of the weights it is out of date.
+    pub fn prepared(&self) -> Result<Field> {
+        let weight = self.nerf.density.weight();
+        if self.network.is_some() || self.config.core == Core::Plain || !is_ours_in_f32(weight) {
+            return Ok(self.clone());
+        }
+        if let Some(grid) = &self.grid {
+            grid.fetch()?;
+        }
+        let parameters: Vec<Tensor> = self.parameters_of_layers().cloned().collect();
+        Ok(Field { network: Some(Arc::new(fused::prepare(architecture(&self.config), &parameters)?)), ..self.clone() })
+    }
+
+    /// Returns a field with the same weights and a record of their gradients. Backward passes through it add to the
+    /// record (see [`Field::recorded`]). If the fused core does not apply, candle's gradient store has them.
+    pub fn recording(&self) -> Result<Field> {
+        let field = self.prepared()?;
+        let recorder = field.network.clone().map(|network| Arc::new(fused::Recorder::new(network)));
+        let grid = field.grid.as_ref().map(|grid| if recorder.is_some() { grid.recording() } else { grid.clone() });
+        Ok(Field { recorder, grid, ..field })
+    }
+
+    /// Returns the gradients of the weights that backward passes through this field have added up, in the order of
+    /// parameters. Entries are `None` if the field does not record, and for a hash grid's table: see
+    /// [`Field::table_records`].
+    pub fn recorded(&self) -> Result<Vec<Option<Tensor>>> {
+        let Some(recorder) = &self.recorder else { return Ok(vec![None; self.variables.len()]) };
+        let table = self.grid.iter().map(|_| None);
+        let shapes = self.parameters_of_layers().map(|parameter| parameter.dims().to_vec()).collect();
+        let mut of_layers: Vec<Option<Tensor>> = recorder.gradients(shapes)?.into_iter().map(Some).collect();
+        self.hide(&mut of_layers)?;
+        Ok(table.chain(of_layers).collect())
+    }
+
+    /// Returns the hash grid that encodes positions, if there is one. Its table is the first parameter.
+    pub fn hash_grid(&self) -> Option<&HashGrid> {
+        self.grid.as_ref().map(|grid| &*grid.shape)
+    }
+
+    /// Returns the records for the table of the hash grid that backward passes have left, in their order.
+    pub fn table_records(&self) -> Vec<TableRecord> {
+        self.grid.as_ref().map_or_else(Vec::new, Grid::take_records)
+    }
+
+    /// Marks the records after the first `count` as those of a step's second pass.
+    pub fn mark_second_pass(&self, count: usize) {
+        self.grid.iter().for_each(|grid| grid.mark_second_pass(count));
+    }
+
+    /// Returns the number of records for the table that backward passes have left.
+    pub fn record_count(&self) -> usize {
+        self.grid.as_ref().map_or(0, Grid::record_count)
+    }
+
+    /// Returns the gradient of the hash grid's table, `[entries, features]`, from records in their order. `None`
+    /// without a grid or records.
+    pub fn table_gradient<'a>(&self, records: impl IntoIterator<Item = &'a TableRecord>) -> Result<Option<Tensor>> {
+        let mut records = records.into_iter().peekable();
+        let Some(grid) = self.grid.as_ref().filter(|_| records.peek().is_some()) else { return Ok(None) };
+        Ok(Some(grid.table_gradient(records)?))
+    }
+
+    /// Returns the fused core, if it applies and candle's graph needs no gradients of the weights.
+    fn query<'a>(&self, below: Option<&'a fused::PrefixCache>) -> Option<fused::Query<'a>> {
+        let network = self.network.clone()?;
+        let applies = self.recorder.is_some() || self.variables.is_empty();
+        applies.then(|| fused::Query { network, recorder: self.recorder.clone(), below })
+    }
+
+    /// Iterates over weight and bias of all layers, in the order of parameters.
+    fn parameters_of_layers(&self) -> impl Iterator<Item = &Tensor> {
+        self.nerf.layers().flat_map(|layer| [layer.weight(), nerf::bias(layer)])
+    }
+
+    /// Returns a field with the same weights (shared, not copied) that never computes their gradients.
+    pub fn frozen(&self) -> Result<Field> {
+        self.detached().prepared()
+    }
+
+    /// Fixes points `[n, 3]` that do not move any more. They get no gradient.
+    pub fn fix(&self, points: &Tensor) -> Result<FixedPoints<'_>> {
+        let inputs = self.inputs(&points.detach())?;
+        Ok(FixedPoints { field: self, inputs, below: fused::PrefixCache::default() })
+    }
+
+    fn detached(&self) -> Field {
+        let detached = |layer: &Linear| Ok(Linear::new(layer.weight().detach(), Some(nerf::bias(layer).detach())));
+        let nerf = self.nerf.map(detached).expect("nothing is computed");
+        let grid = self.grid.as_ref().map(Grid::detached);
+        Field { nerf, grid, variables: Vec::new(), recorder: None, ..self.clone() }
+    }
+
+    /// Returns the parameters in their fixed order. Empty for a frozen field.
+    pub fn variables(&self) -> &[(String, Var)] {
+        &self.variables
+    }
+
+    /// Returns the configuration of the field.
+    pub fn config(&self) -> &FieldConfig {
+        &self.config
+    }
+
+    /// Returns the type of weights, points and outputs.
+    pub fn dtype(&self) -> DType {
+        self.nerf.density.weight().dtype()
+    }
+
+    /// Returns the device of the weights.
+    pub fn device(&self) -> &Device {
+        self.nerf.density.weight().device()
+    }
+
+    /// Returns raw colour and density of points `[n, 3]` along unit directions `viewdirs [rays, 3]`. All rays have the
+    /// same number of points, and the points of a ray are consecutive.
+    pub fn forward(&self, points: &Tensor, viewdirs: &Tensor, delta: Option<FeatureDelta>) -> Result<RawOutput> {
+        self.raw_at(&self.inputs(points)?, viewdirs, delta, None)
+    }
+
+    /// Returns the networks' input at `positions`: the positions, or their features in the hash grid.
+    fn inputs(&self, positions: &Tensor) -> Result<Inputs> {
+        let Some(grid) = &self.grid else { return Ok(Inputs { values: positions.clone(), inside: None }) };
+        Ok(Inputs { values: grid.encode(positions)?, inside: grid.inside(positions)? })
+    }
+
+    fn raw_at(
+        &self,
+        inputs: &Inputs,
+        viewdirs: &Tensor,
+        delta: Option<FeatureDelta>,
+        below: Option<&fused::PrefixCache>,
+    ) -> Result<RawOutput> {
+        let (n, _) = inputs.values.dims2()?;
+        if let Some(query) = self.query(below) {
+            let raw = query.run(&inputs.values, viewdirs, delta.map(|delta| (delta.layer, delta.delta)))?;
+            let raw = inputs.only_inside(raw)?;
+            let (rgb, density) = (raw.narrow(0, 0, 3 * n)?.reshape((n, 3))?, raw.narrow(0, 3 * n, n)?);
+            return Ok(RawOutput { rgb, density, joined: Some(raw) });
+        }
+        let directions = self.encode_views(viewdirs, n / viewdirs.dim(0)?.max(1))?;
+        let raw = self.nerf.forward(&self.encoded(inputs)?, &directions, delta)?;
+        Ok(RawOutput { density: inputs.only_inside(raw.density)?, ..raw })
+    }
+
+    /// Returns the encoding of a network's inputs, `[n, channels]`.
+    fn encoded(&self, inputs: &Inputs) -> Result<Tensor> {
+        Ok(encode_positions(position_code(&self.config), &inputs.values)?)
+    }
+
+    /// Returns 1 where density can be and 0 elsewhere, for points `[n, 3]`, as `[n]`. `None` if it is 1 everywhere.
+    pub fn inside(&self, points: &Tensor) -> Result<Option<Tensor>> {
+        let inside = self.grid.as_ref().map(|grid| grid.inside(points)).transpose()?.flatten();
+        Ok(inside.map(|inside| inside.mask(points)).transpose()?)
+    }
+
+    /// Returns raw density, `[n]`, without colour.
+    pub fn raw_density(&self, points: &Tensor) -> Result<Tensor> {
+        if let Some(query) = self.query(None).filter(|query| query.recorder.is_none() && !points.track_op()) {
+            return self.queried_density(query, points);
+        }
+        let inputs = self.inputs(points)?;
+        let hidden = self.nerf.trunk(&self.encoded(&inputs)?, None)?;
+        inputs.only_inside(self.nerf.raw_density(&hidden)?)
+    }
+
+    /// The same by the fused core, without points outside a grid's box.
+    fn queried_density(&self, query: fused::Query, points: &Tensor) -> Result<Tensor> {
+        let Some(grid) = &self.grid else { return Ok(query.density(points)?) };
+        let Some(inside) = grid.are_inside(points)? else { return Ok(query.density(&grid.encode(points)?)?) };
+        let asked: Vec<u32> = (0..).zip(&inside).filter_map(|(i, inside)| inside.then_some(i)).collect();
+        let mut raw = vec![NOTHING as f32; inside.len()];
+        if !asked.is_empty() {
+            let points = points.index_select(&Tensor::new(asked.as_slice(), points.device())?, 0)?;
+            let found = query.density(&grid.encode(&points)?)?.to_vec1::<f32>()?;
+            for (i, found) in asked.iter().zip(found) {
+                raw[*i as usize] = found;
+            }
+        }
+        Ok(Tensor::new(raw, points.device())?)
+    }
+
+    /// Returns colour from raw colour, of any shape: a sigmoid, padded by `field.rgb_padding` on both sides. Within it raw
+    /// colour is limited by `field.rgb_limit`; beyond it, its gradient is that at the limit if it leads back, and 0 otherwise.
+    pub fn activate_rgb(&self, raw: &Tensor) -> Result<Tensor> {
+        let limit = self.config.rgb_limit;
+        let rgb = match limit > 0.0 {
+            true => candle_nn::ops::sigmoid(&rgb_limit::limited(raw, limit)?)?,
+            false => candle_nn::ops::sigmoid(raw)?,
+        };
+        let padding = self.config.rgb_padding;
+        Ok(if padding > 0.0 { rgb.affine(1.0 + 2.0 * padding, -padding)? } else { rgb })
+    }
+
+    /// Returns density from raw density, of any shape.
+    pub fn activate_density(&self, raw: &Tensor) -> Result<Tensor> {
+        Ok(activation::activate_density(self.config.density_activation, raw)?)
+    }
+
+    /// Returns the positions at which this field is queried for `points [n, 3]`. With integrated encoding these are
+    /// Gaussians `[n, 6]` around them, with a `variance` along each axis, length^2. Otherwise they are the points.
+    pub fn positions(&self, points: &Tensor, variance: [f64; 3]) -> Result<Tensor> {
+        if self.config.encoding != Encoding::Integrated {
+            return Ok(points.clone());
+        }
+        let variance = Tensor::new(&variance, points.device())?.to_dtype(points.dtype())?;
+        Ok(Tensor::cat(&[points, &variance.broadcast_as(points.shape())?], 1)?)
+    }
+
+    /// Encodes unit directions `[rays, 3]` once per ray, and repeats them for its samples:
+    /// `[rays * samples, 3 + 6 view_octaves]`.
+    fn encode_views(&self, viewdirs: &Tensor, samples: usize) -> Result<Tensor> {
+        let (rays, _) = viewdirs.dims2()?;
+        let encoded = encode(viewdirs, self.config.view_octaves)?; // [rays, channels]
+        let channels = encoded.dim(1)?;
+        let repeated = encoded.unsqueeze(1)?.broadcast_as((rays, samples, channels))?;
+        Ok(repeated.contiguous()?.reshape((rays * samples, channels))?)
+    }
+}
+
+fn tensor_error(message: String) -> crate::base::Error {
+    candle_core::Error::Msg(message).into()
+}
+
+/// Parameters from a function of name, shape and distribution, for candle's builder.
+struct Source<F>(Mutex<F>);
+
+impl<F: FnMut(&str, &Shape, Init) -> candle_core::Result<Tensor> + Send> SimpleBackend for Source<F> {
+    fn get(&self, shape: Shape, name: &str, init: Init, _: DType, _: &Device) -> candle_core::Result<Tensor> {
+        (self.0.lock().unwrap_or_else(PoisonError::into_inner))(name, &shape, init)
+    }
+
+    fn get_unchecked(&self, name: &str, _: DType, _: &Device) -> candle_core::Result<Tensor> {
+        candle_core::bail!("{name} was asked for without its shape")
+    }
+
+    fn contains_tensor(&self, _: &str) -> bool {
+        true
+    }
+}

@@ -1,0 +1,313 @@
+//! Adam with moments that can be saved, and the learning-rate schedule.
+
+use std::cell::RefCell;
+
+use candle_core::{CpuStorage, InplaceOp1, Layout, Storage, Tensor, Var};
+use rayon::prelude::*;
+
+use crate::base::Result;
+use crate::base::place::is_ours_in_f32;
+use crate::settings::{Located, Schedule, TrainConfig};
+use augnerf_fast::hash::{Moving, SparseAdam};
+use augnerf_fast::simd::vectorized;
+
+const BETA1: f64 = 0.9;
+
+/// The settings of Adam in a run.
+#[derive(Clone, Copy, Debug)]
+pub struct AdamSettings {
+    /// Decay of squared gradients.
+    pub beta2: f64,
+    /// Added to the divisor.
+    pub epsilon: f64,
+    /// Decoupled decay of layers' weights (Loshchilov and Hutter 2019, algorithm 2): before an update they are multiplied by 1
+    /// minus this times the learning rate. Biases and tables do not decay.
+    pub weight_decay: f64,
+}
+
+impl AdamSettings {
+    /// Returns the settings of a run.
+    pub fn of(train: &TrainConfig) -> AdamSettings {
+        AdamSettings { beta2: train.adam_beta2, epsilon: train.adam_epsilon, weight_decay: train.weight_decay }
+    }
+}
+
+/// Returns the learning rate of the update after `step` finished ones.
+///
+/// - Exponential: learning_rate * decay_rate^(step / decay_steps).
+/// - Log-linear (Barron et al. 2021): learning_rate^(1 - s) * final_learning_rate^s at the fraction s of the steps,
+///   times warmup_from + (1 - warmup_from) sin(pi/2 min(s / warmup_share, 1)).
+pub fn learning_rate(config: &Located, step: u64) -> f64 {
+    let train = &config.train;
+    match train.schedule {
+        Schedule::Exponential => {
+            let decay_steps = config.decay_steps as f64;
+            train.learning_rate * train.decay_rate.powf(step as f64 / decay_steps)
+        }
+        Schedule::LogLinear => {
+            let done = step as f64 / train.steps as f64;
+            let course = train.learning_rate.powf(1.0 - done) * train.final_learning_rate.powf(done);
+            if done >= train.warmup_share {
+                return course;
+            }
+            let risen = (std::f64::consts::FRAC_PI_2 * done / train.warmup_share).sin();
+            course * (train.warmup_from + (1.0 - train.warmup_from) * risen)
+        }
+    }
+}
+
+/// First and second moment of one parameter.
+pub struct Moments {
+    /// Mean of gradients.
+    pub first: Tensor,
+    /// Mean of squared gradients.
+    pub second: Tensor,
+}
+
+impl Moments {
+    /// Returns moments of 0, in the order of the variables.
+    ///
+    /// # Errors
+    /// Those of candle.
+    pub fn zero(variables: &[(String, Var)]) -> Result<Vec<Moments>> {
+        let zero = |(_, var): &(String, Var)| Ok(Moments { first: var.zeros_like()?, second: var.zeros_like()? });
+        variables.iter().map(zero).collect()
+    }
+}
+
+/// Adam (Kingma and Ba 2015).
+pub struct Adam {
+    settings: AdamSettings,
+    variables: Vec<(String, Var)>,
+    moments: Vec<Moments>,
+}
+
+impl Adam {
+    /// Creates an optimizer with moments of zero.
+    pub fn new(settings: AdamSettings, variables: Vec<(String, Var)>) -> Result<Adam> {
+        let moments = Moments::zero(&variables)?;
+        Ok(Adam { settings, variables, moments })
+    }
+
+    /// Creates an optimizer with saved moments, in the order of the variables.
+    pub fn restore(settings: AdamSettings, variables: Vec<(String, Var)>, moments: Vec<Moments>) -> Adam {
+        assert_eq!(variables.len(), moments.len(), "one pair of moments a parameter");
+        Adam { settings, variables, moments }
+    }
+
+    /// Returns the parameters that are updated.
+    pub fn variables(&self) -> &[(String, Var)] {
+        &self.variables
+    }
+
+    /// Returns the moments, in the order of the variables.
+    pub fn moments(&self) -> &[Moments] {
+        &self.moments
+    }
+
+    /// Updates the parameters with `gradients`, in the order of the variables. `updates` counts this update as well (1
+    /// for the first). A missing gradient counts as 0.
+    pub fn update(&mut self, gradients: &[Option<Tensor>], learning_rate: f64, updates: u64) -> Result<()> {
+        let correction1 = 1.0 - BETA1.powf(updates as f64);
+        let AdamSettings { beta2, epsilon, weight_decay } = self.settings;
+        if weight_decay > 0.0 {
+            let weights = self.variables.iter().filter(|(name, _)| decays(name));
+            weights
+                .map(|(_, var)| var)
+                .try_for_each(|var| var.set(&(var.as_tensor() * (1.0 - learning_rate * weight_decay))?))?;
+        }
+        let correction2 = 1.0 - beta2.powf(updates as f64);
+        if self.variables.iter().all(|(_, var)| is_ours_in_f32(var)) {
+            let update = Update { settings: self.settings, rate: learning_rate / correction1, correction2 };
+            let all = self.variables.par_iter().zip(&self.moments).zip(gradients);
+            return all.try_for_each(|(((name, var), moments), gradient)| {
+                update.apply(var, moments, gradient.as_ref(), is_table(name))
+            });
+        }
+        for (((name, var), moments), gradient) in self.variables.iter().zip(&mut self.moments).zip(gradients) {
+            let zero;
+            let gradient = match gradient {
+                Some(gradient) => gradient,
+                None if is_table(name) => continue,
+                None => {
+                    zero = var.zeros_like()?;
+                    &zero
+                }
+            };
+            let mut first = ((&moments.first * BETA1)? + (gradient * (1.0 - BETA1))?)?;
+            let mut second = ((&moments.second * beta2)? + (gradient.sqr()? * (1.0 - beta2))?)?;
+            let scale = ((&second / correction2)?.sqrt()? + epsilon)?;
+            let mut moved = (var.as_tensor() - ((&first * (learning_rate / correction1))? / scale)?)?;
+            if is_table(name) {
+                // An entry without a gradient keeps its values and its moments.
+                let has_gradient = gradient.ne(0f64)?.to_dtype(gradient.dtype())?.max_keepdim(1)?.gt(0f64)?;
+                let has_gradient = has_gradient.broadcast_as(gradient.shape())?;
+                first = has_gradient.where_cond(&first, &moments.first)?;
+                second = has_gradient.where_cond(&second, &moments.second)?;
+                moved = has_gradient.where_cond(&moved, var.as_tensor())?;
+            }
+            *moments = Moments { first, second };
+            var.set(&moved)?;
+        }
+        Ok(())
+    }
+}
+
+/// The update in f32 on the CPU: one pass over parameter, moments and gradient, in place.
+struct Update {
+    settings: AdamSettings,
+    /// The learning rate over the first moment's correction.
+    rate: f64,
+    correction2: f64,
+}
+
+impl Update {
+    fn apply(&self, var: &Var, moments: &Moments, gradient: Option<&Tensor>, sparse: bool) -> Result<()> {
+        if sparse && gradient.is_none() {
+            return Ok(());
+        }
+        let zero;
+        let gradient = match gradient {
+            Some(gradient) => &gradient.contiguous()?,
+            None => {
+                zero = var.zeros_like()?;
+                &zero
+            }
+        };
+        let (gradient, layout) = gradient.storage_and_layout();
+        let Storage::Cpu(gradient) = &*gradient else { unreachable!("parameters are on the processor") };
+        let (start, end) = layout.contiguous_offsets().expect("made contiguous");
+        let features = if sparse { var.dim(1)? } else { 1 };
+        let update = |p: &mut CpuStorage, m: &mut CpuStorage, v: &mut CpuStorage| match (p, m, v, gradient) {
+            (CpuStorage::F32(values), CpuStorage::F32(first), CpuStorage::F32(second), CpuStorage::F32(gradient)) => {
+                let (moving, gradient) = (Moving { values, first, second }, &gradient[start..end]);
+                if sparse {
+                    self.pass_table(moving, gradient, features)
+                } else {
+                    self.pass(moving, gradient)
+                }
+                Ok(())
+            }
+            _ => candle_core::bail!("adam: parameters, moments and gradients are all f32"),
+        };
+        Ok(lend(var, |p| lend(&moments.first, |m| lend(&moments.second, |v| update(p, m, v))))?)
+    }
+
+    /// Updates blocks of a table in parallel, because it is far larger than all other parameters together.
+    fn pass_table(&self, Moving { values, first, second }: Moving, gradient: &[f32], features: usize) {
+        const ENTRIES: usize = 1 << 14;
+        let AdamSettings { beta2, epsilon, .. } = self.settings;
+        let (rate, correction2) = (self.rate, self.correction2);
+        let adam = SparseAdam { rate, correction2, betas: [BETA1, beta2], epsilon };
+        let size = ENTRIES * features;
+        let moments = first.par_chunks_mut(size).zip(second.par_chunks_mut(size));
+        let blocks = values.par_chunks_mut(size).zip(moments).zip(gradient.par_chunks(size));
+        blocks.for_each(|((values, (first, second)), gradient)| {
+            adam.update(Moving { values, first, second }, gradient, features);
+        });
+    }
+
+    fn pass(&self, Moving { values, first, second }: Moving, gradient: &[f32]) {
+        let sizes = [first.len(), second.len(), gradient.len()];
+        assert!(sizes.iter().all(|size| *size == values.len()), "one moment and one gradient a parameter");
+        let AdamSettings { beta2, epsilon, .. } = self.settings;
+        let [keep1, take1, keep2, take2] = [BETA1, 1.0 - BETA1, beta2, 1.0 - beta2].map(|beta| beta as f32);
+        let [rate, correction2, epsilon] = [self.rate, self.correction2, epsilon].map(|number| number as f32);
+        vectorized(
+            #[inline(always)]
+            || {
+                for (((p, m), v), g) in values.iter_mut().zip(&mut *first).zip(&mut *second).zip(gradient) {
+                    *m = *m * keep1 + take1 * *g;
+                    *v = *v * keep2 + take2 * (*g * *g);
+                    *p -= *m * rate / ((*v / correction2).sqrt() + epsilon);
+                }
+            },
+        );
+    }
+}
+
+/// Returns whether the parameter is a layer's weights. Those of an LSTM are `weight_ih` and `weight_hh`.
+fn decays(name: &str) -> bool {
+    name.rsplit('.').next().is_some_and(|part| part.starts_with("weight"))
+}
+
+/// Returns whether the parameter is a hash grid's table. An update leaves its entries without gradient as they are,
+/// including moments (Mueller et al. 2022).
+fn is_table(name: &str) -> bool {
+    name.ends_with(".table")
+}
+
+/// Lends a tensor's values to a closure that may change them. The tensor must be the only one of its storage.
+fn lend(tensor: &Tensor, change: impl FnOnce(&mut CpuStorage) -> candle_core::Result<()>) -> candle_core::Result<()> {
+    tensor.inplace_op1(&Lend(RefCell::new(Some(change))))
+}
+
+struct Lend<F>(RefCell<Option<F>>);
+
+impl<F: FnOnce(&mut CpuStorage) -> candle_core::Result<()>> InplaceOp1 for Lend<F> {
+    fn name(&self) -> &'static str {
+        "adam"
+    }
+
+    fn cpu_fwd(&self, storage: &mut CpuStorage, _: &Layout) -> candle_core::Result<()> {
+        self.0.take().expect("called once")(storage)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use candle_core::Device;
+
+    /// By hand: with one gradient g the first step is learning_rate * sign(g), whatever |g|.
+    #[test]
+    fn the_first_step_is_the_learning_rate() {
+        let var = Var::new(&[1.0f64, -2.0, 3.0], &Device::Cpu).unwrap();
+        let mut adam = Adam::new(AdamSettings::of(&TrainConfig::default()), vec![("p".into(), var.clone())]).unwrap();
+        let gradient = Tensor::new(&[4.0f64, -0.5, 0.0], &Device::Cpu).unwrap();
+        adam.update(&[Some(gradient)], 0.1, 1).unwrap();
+        let found = var.to_vec1::<f64>().unwrap();
+        assert!(found.iter().zip([0.9, -1.9, 3.0]).all(|(a, b)| (a - b).abs() < 1e-6), "{found:?}");
+    }
+
+    /// The scalar recursion of the paper, algorithm 1, written out.
+    #[test]
+    fn many_steps_follow_the_scalar_recursion() {
+        let var = Var::new(&[0.3f64], &Device::Cpu).unwrap();
+        let mut adam = Adam::new(AdamSettings::of(&TrainConfig::default()), vec![("p".into(), var.clone())]).unwrap();
+        let (mut p, mut m, mut v) = (0.3f64, 0.0f64, 0.0f64);
+        for t in 1..=20 {
+            let g = (t as f64).sin();
+            m = 0.9 * m + 0.1 * g;
+            v = 0.999 * v + 0.001 * g * g;
+            p -= 0.01 * (m / (1.0 - 0.9f64.powi(t))) / ((v / (1.0 - 0.999f64.powi(t))).sqrt() + 1e-8);
+            adam.update(&[Some(Tensor::new(&[g], &Device::Cpu).unwrap())], 0.01, t as u64).unwrap();
+        }
+        assert!((var.to_vec1::<f64>().unwrap()[0] - p).abs() < 1e-12);
+    }
+
+    /// Without a gradient a weight falls by the rate times the decay, times itself; a bias and a table keep their size, and
+    /// so do other parameters of a head that is called weights.
+    #[test]
+    fn weights_alone_decay() {
+        const NAMES: [&str; 7] = [
+            "coarse.trunk.0.weight",
+            "lstm.weight_ih",
+            "lstm.weight_hh",
+            "coarse.trunk.0.bias",
+            "lstm.bias_ih",
+            "volume.warp.weights.0.bias",
+            "coarse.table",
+        ];
+        let variables = NAMES.map(|name| (name.to_string(), Var::new(&[[2.0f64]], &Device::Cpu).unwrap()));
+        let train = TrainConfig { weight_decay: 0.5, ..TrainConfig::default() };
+        let mut adam = Adam::new(AdamSettings::of(&train), variables.to_vec()).unwrap();
+        let zero = Tensor::new(&[[0.0f64]], &Device::Cpu).unwrap();
+        for updates in 1..=2 {
+            adam.update(&[Some(zero.clone()), None, None, None, None, None, None], 0.1, updates).unwrap();
+        }
+        let found = variables.map(|(_, var)| var.to_vec2::<f64>().unwrap()[0][0]);
+        let decayed = 2.0 * 0.95 * 0.95;
+        assert_eq!(found, [decayed, decayed, decayed, 2.0, 2.0, 2.0, 2.0]);
+    }
+}

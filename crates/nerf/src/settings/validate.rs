@@ -1,0 +1,348 @@
+//! Checks of sections against one another. Each section checks its own settings.
+
+use super::{
+    Capability, ChangedEntries, Config, Core, CorruptionKind, DataKind, DeltaSource, Encoding, MESH_SIDES, Objective,
+    PerturbField, Regularizer, Representation, Resample, SecondPass, Spacing, TermNeeds, UnseenPoses, word,
+};
+use crate::base::settings::{refuse, require};
+use crate::base::{Error, Result};
+use crate::perturb::{Geometry, Passes};
+
+/// Returns an error with the first sentence whose condition holds.
+fn refuse_first<const N: usize>(refusals: [(bool, String); N]) -> Result<()> {
+    refusals.into_iter().try_for_each(|(wrong, message)| refuse(wrong, message))
+}
+
+impl Config {
+    /// Checks every setting, and the settings against one another.
+    ///
+    /// # Errors
+    /// [`Error::Setting`] for the first setting out of its range, [`Error::Config`] for settings that contradict each
+    /// other.
+    pub fn validate(&self) -> Result<()> {
+        self.check_ranges()?;
+        self.data.validate()?;
+        self.nv.validate()?;
+        self.llff.validate()?;
+        let side = self.eval.mesh.resolution;
+        let allowed = format!("0 (no surface), or {} to {} cells a side", MESH_SIDES.start(), MESH_SIDES.end());
+        require(side == 0 || MESH_SIDES.contains(&side), "eval.mesh.resolution", side, &allowed)?;
+        if self.method.has_fields() {
+            self.field.validate()?;
+            self.validate_representation()?;
+            self.validate_sampling()?;
+            self.validate_second_pass()?;
+        } else {
+            self.validate_without_fields()?;
+        }
+        if side > 0 {
+            self.require_capability(Capability::Density, &format!("eval.mesh.resolution = {side}"), "set it to 0")?;
+        }
+        self.perturb.validate()?;
+        self.regularizer.validate()?;
+        self.validate_terms()
+    }
+
+    fn validate_representation(&self) -> Result<()> {
+        let method = self.method.name();
+        let Some(representation) = self.method.representation(self.field.encoding) else {
+            return Err(Error::Config(format!(
+                "field.encoding = \"{}\" is not that of method {method}: integrated is for mip-nerf and aug-mip-nerf, \
+                 positional and hash are for nerf and aug-nerf",
+                word(self.field.encoding),
+            )));
+        };
+        let message = format!(
+            "regularizer.kind with method {method}: terms in space and orientation read density at points, and this \
+             field is queried at Gaussians; use nerf or aug-nerf, or other terms on rays, such as distortion"
+        );
+        refuse(!representation.has_derivatives_at_points() && self.regularizer.reads_points(), message)
+    }
+
+    /// Rejects terms and spaces for which a method without fields has no answer.
+    fn validate_without_fields(&self) -> Result<()> {
+        for term in &self.regularizer.kind {
+            let capability = match term.needs() {
+                TermNeeds::Density(_) | TermNeeds::Slopes => Capability::Derivatives,
+                TermNeeds::Samples(_) => Capability::Samples,
+                // Refused with the encoding.
+                TermNeeds::Tables => continue,
+            };
+            let what = format!("regularizer.kind = \"{}\"", term.name());
+            self.require_capability(capability, &what, "leave it empty, or use nerf or aug-nerf")?;
+        }
+        let (data, method, kind) = (&self.data, self.method.name(), self.data.kind.name());
+        let forward = data.kind.forward_facing() && !data.spherify;
+        let around = match data.kind {
+            DataKind::Llff => ", or data.spherify=true if the cameras go around an object",
+            _ => "",
+        };
+        refuse_first([
+            (
+                forward && self.representation() == Representation::Volume,
+                format!(
+                    "data.kind = \"{kind}\" with method {method}: a forward-facing scene has no bounded box and no known \
+                     background, which Neural Volumes need (the paper has no such row, either); use srn, llff, nerf or \
+                     aug-nerf{around}"
+                ),
+            ),
+            (
+                data.in_ndc(),
+                format!(
+                    "data.ndc = true with method {method}: it works with distances in the world, which normalized device \
+                     coordinates bend; set data.ndc=false"
+                ),
+            ),
+            (
+                self.train.gradient_scaling,
+                format!(
+                    "train.gradient_scaling = true with method {method}: it has no samples along rays; set it to false"
+                ),
+            ),
+        ])
+    }
+
+    /// Returns the error for an operation that the method does not support. `what` begins the sentence, and `instead`
+    /// ends it.
+    ///
+    /// # Errors
+    /// [`Error::Config`] if the method's representation lacks the capability.
+    pub fn require_capability(&self, capability: Capability, what: &str, instead: &str) -> Result<()> {
+        match self.representation().lacks(capability) {
+            None => Ok(()),
+            Some(why) => Err(Error::Config(format!("{what} with method {}: {why}; {instead}", self.method.name()))),
+        }
+    }
+
+    fn validate_sampling(&self) -> Result<()> {
+        let in_disparity = self.sampling.spacing == Spacing::Disparity;
+        let of_paper = self.method.is_augmented() && self.perturb.geometry == Geometry::Paper;
+        refuse_first([
+            (
+                in_disparity && self.data.in_ndc(),
+                "sampling.spacing = \"disparity\" with data.ndc: normalized device coordinates are even in disparity already; \
+                 set data.ndc=false, or leave sampling.spacing at \"depth\""
+                    .into(),
+            ),
+            (
+                in_disparity && of_paper,
+                "sampling.spacing = \"disparity\" with perturb.geometry = \"paper\": the paper's gaps are those of samples that \
+                 are even in depth; leave perturb.geometry at \"sampling\""
+                    .into(),
+            ),
+        ])?;
+        let openings = [
+            ("field.frequency_steps", self.field.frequency_steps, "or the encodings never open"),
+            ("sampling.anneal_steps", self.sampling.anneal_steps, "or training never sees whole rays"),
+        ];
+        for (name, steps, why) in openings {
+            let allowed = format!("at most train.steps ({}), {why}", self.train.steps);
+            require(steps <= self.train.steps, name, steps, &allowed)?;
+        }
+        let fine = self.sampling.fine;
+        let (is_possible, allowed) = match self.field.encoding {
+            Encoding::Positional => return Ok(()),
+            Encoding::Integrated => (fine != 1, "0 (coarse only) or at least 2 intervals"),
+            Encoding::Hash => (
+                fine >= 2,
+                "at least 2 with field.encoding = \"hash\", whose coarse pass only places the samples of the fine one",
+            ),
+        };
+        require(is_possible, "sampling.fine", fine, allowed)
+    }
+
+    fn validate_second_pass(&self) -> Result<()> {
+        let (perturb, chunk, rays) = (&self.perturb, self.train.chunk, self.train.rays);
+        let lambda = perturb.lambda.max(perturb.lambda_schedule.at(perturb.lambda, 0));
+        let allowed = "0 or positive, and at most 1 with perturb.objective = \"released\"";
+        require(perturb.objective == Objective::Paper || lambda <= 1.0, "perturb.lambda", lambda, allowed)?;
+        let fresh = perturb.second == SecondPass::Clean;
+        refuse(
+            fresh && perturb.field == PerturbField::Separate,
+            "perturb.kind = \"fresh-jitter\" is a second pass of the same fields; perturb.field must be \"shared\"",
+        )?;
+        if !self.method.is_augmented() {
+            return Ok(());
+        }
+        let on_grid = self.field.encoding == Encoding::Hash;
+        let separable = on_grid && self.field.core == Core::Fused && perturb.field == PerturbField::Shared;
+        let permutes = perturb.second == SecondPass::Perturbed(DeltaSource::Permuted);
+        let still = !self.sampling.jitter && self.sampling.density_noise == Some(0.0);
+        refuse_first([
+            (
+                perturb.entries == ChangedEntries::Clean && !separable,
+                "perturb.entries = \"clean\" needs the entries of a hash grid that both passes share; use field.encoding = \
+                 \"hash\", field.core = \"fused\" and perturb.field = \"shared\""
+                    .into(),
+            ),
+            (
+                permutes && (chunk == 1 || rays % chunk == 1),
+                format!(
+                    "perturb.kind = \"permuted\" with train.chunk = {chunk} and train.rays = {rays}: a chunk has one ray, whose \
+                     deltas no other ray can take; choose a train.chunk that leaves no chunk of one ray"
+                ),
+            ),
+            (
+                on_grid && perturb.resample == Resample::Perturbed,
+                "perturb.resample = \"perturbed\" with field.encoding = \"hash\": there is no perturbed coarse pass to \
+                 resample from; use \"clean\""
+                    .into(),
+            ),
+            (
+                fresh && still,
+                "perturb.kind = \"fresh-jitter\" needs sampling.jitter = true or sampling.density_noise above 0: otherwise the \
+                 second pass equals the first"
+                    .into(),
+            ),
+            (
+                !fresh && perturb.sites_on().next().is_none(),
+                "a perturbed method with every perturb.*.passes = \"off\" perturbs nothing; use method = \"nerf\" or \
+                 \"mip-nerf\", or perturb.kind = \"fresh-jitter\" for the control"
+                    .into(),
+            ),
+        ])?;
+        let coarse_alone = perturb.sites_on().find(|(_, site)| site.passes == Passes::Coarse);
+        if let (Some((site, _)), true, false) = (coarse_alone, on_grid, fresh) {
+            return Err(Error::Config(format!(
+                "perturb.{}.passes = \"coarse\" with field.encoding = \"hash\": the coarse pass of a hash field only places \
+                 samples and is never perturbed; use \"fine\", \"both\" (the same here) or \"off\"",
+                site.name()
+            )));
+        }
+        let (layer, depth) = (perturb.injection_layer, self.field.depth);
+        let is_there = fresh || !perturb.feature.on() || (1..=depth).contains(&layer);
+        require(is_there, "perturb.injection_layer", layer, &format!("1 to {depth} (field.depth)"))
+    }
+
+    /// Rejects terms and scaled gradients in scenes and fields where they mean nothing.
+    fn validate_terms(&self) -> Result<()> {
+        let has = |term| self.regularizer.kind.contains(&term);
+        let (in_ndc, scales) = (self.data.in_ndc(), self.train.gradient_scaling);
+        let has_tables = self.method.has_fields() && self.field.encoding == Encoding::Hash;
+        refuse_first([
+            (
+                scales && has(Regularizer::Orientation),
+                "train.gradient_scaling = true with regularizer.kind = \"orientation\": gradients of normals are not scaled; \
+                 choose one of them"
+                    .into(),
+            ),
+            (
+                scales && in_ndc,
+                "train.gradient_scaling = true with data.ndc = true: t is no distance in normalized device coordinates; set \
+                 data.ndc=false, or train.gradient_scaling=false"
+                    .into(),
+            ),
+            (
+                in_ndc && self.regularizer.unseen_poses == Some(UnseenPoses::Sphere),
+                "regularizer.unseen_poses = \"sphere\" with data.ndc = true: cameras on all sides see nothing of a \
+                 forward-facing scene; choose box or between"
+                    .into(),
+            ),
+            (
+                in_ndc && has(Regularizer::SparseDepth),
+                "regularizer.kind = \"sparse-depth\" with data.ndc = true: t is no depth in normalized device coordinates; set \
+                 data.ndc=false"
+                    .into(),
+            ),
+            (
+                has(Regularizer::SparseDepth) && self.data.corruption.kind == CorruptionKind::Poses,
+                "regularizer.kind = \"sparse-depth\" with data.corruption.kind = \"poses\": COLMAP's points are those of the \
+                 cameras before they were moved; choose one of them"
+                    .into(),
+            ),
+            (
+                has(Regularizer::Laplacian) && !self.field.has_laplacian(),
+                "regularizer.kind = \"laplacian\" with field.hash.interpolation = \"linear\": a trilinear grid has no second \
+                 derivative along an axis; set field.hash.interpolation = \"smoothstep\""
+                    .into(),
+            ),
+            (
+                has(Regularizer::HashDecay) && !has_tables,
+                "regularizer.kind = \"hash-decay\" needs the tables of a hash grid; use nerf or aug-nerf with field.encoding = \
+                 \"hash\""
+                    .into(),
+            ),
+        ])
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::{build, parse_assignment};
+
+    #[test]
+    fn messages_name_field_value_and_range() {
+        for (assignment, words) in [
+            ("train.steps=0", vec!["train.steps", "0", "at least 1"]),
+            ("field.width=7", vec!["field.width", "7", "even"]),
+            ("perturb.t.epsilon=0.6", vec!["perturb.t.epsilon", "0.6", "0.5"]),
+            ("field.skips=[8]", vec!["field.skips", "8", "1 to 7"]),
+            ("train.learning_rate=nan", vec!["train.learning_rate", "positive"]),
+            ("data.holdout=1", vec!["data.holdout", "at least 2"]),
+        ] {
+            let set = vec![parse_assignment(assignment).unwrap()];
+            let message = build(None, None, &set).unwrap_err().to_string();
+            for word in words {
+                assert!(message.contains(word), "{assignment}: {message}");
+            }
+        }
+    }
+
+    /// What settings of a hash field are told; nothing where they are taken.
+    fn told(further: &[&str]) -> String {
+        let texts = ["field.encoding=hash"].iter().chain(further);
+        let set: Vec<_> = texts.map(|text| parse_assignment(text).unwrap()).collect();
+        build(None, None, &set).map_or_else(|refusal| refusal.to_string(), |_| String::new())
+    }
+
+    /// A camera that is moved sees COLMAP's points elsewhere than its photo does.
+    #[test]
+    fn depth_at_points_needs_the_cameras_that_found_them() {
+        let term = ["data.kind=colmap", "regularizer.kind=sparse-depth"];
+        let told = |further: &[&str]| told(&[&term[..], further].concat());
+        let message = told(&["data.corruption.kind=poses"]);
+        assert!(message.contains("sparse-depth") && message.contains("data.corruption.kind = \"poses\""), "{message}");
+        assert_eq!(told(&[]) + &told(&["data.corruption.kind=pepper"]), "");
+    }
+
+    /// Its coarse pass is never perturbed: such an attack would never run.
+    #[test]
+    fn an_attack_on_the_coarse_pass_of_a_hash_field_is_refused() {
+        for site in ["t", "density"] {
+            let message = told(&["method=aug-nerf", &format!("perturb.{site}.passes=coarse")]);
+            assert!(message.contains(&format!("perturb.{site}.passes")) && message.contains("\"fine\""), "{message}");
+        }
+        for taken in [
+            &["method=aug-nerf", "perturb.t.passes=fine"][..],
+            &["method=nerf", "perturb.t.passes=coarse"],
+            &["method=aug-nerf", "perturb.kind=fresh-jitter", "perturb.t.passes=coarse"],
+        ] {
+            assert_eq!(told(taken), "", "{taken:?}");
+        }
+    }
+
+    #[test]
+    fn a_hash_field_without_a_fine_pass_is_told_one_thing() {
+        for fine in [0, 1] {
+            let message = told(&[&format!("sampling.fine={fine}")]);
+            let says = ["sampling.fine", "at least 2", "hash"].iter().all(|words| message.contains(words));
+            assert!(says && !message.contains("coarse only"), "{message}");
+        }
+        assert_eq!(told(&["sampling.fine=2"]), "");
+    }
+
+    #[test]
+    fn a_hash_grid_s_box_is_one_that_can_be_computed_with() {
+        let with = |low: &str, high: &str| told(&[&format!("field.hash.bounds=[[{low},0,0],[{high},1,1]]")]);
+        for (low, high) in [("-1e308", "1e308"), ("-1e-320", "1e-320"), ("0", "1e-7"), ("0", "1e13"), ("1", "0")] {
+            let message = with(low, high);
+            assert!(
+                message.contains("field.hash.bounds") && message.contains("two corners"),
+                "{low} {high}: {message}"
+            );
+        }
+        assert_eq!(with("-1e12", "1e12") + &with("0", "1e-6"), "");
+        let message = told(&["field.hash.finest=8"]);
+        assert!(message.contains("field.hash.finest = 8") && message.contains("16 (field.hash.coarsest)"), "{message}");
+    }
+}

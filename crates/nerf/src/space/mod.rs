@@ -1,0 +1,7 @@
+//! Sampling grids, and work over their cells.
+
+mod cells;
+mod lattice;
+
+pub use cells::{chunk_count, chunk_size, chunks_at_once, densities, over_cells, over_chunks, over_queries};
+pub use lattice::{Lattice, Quadrature};
