@@ -1,9 +1,11 @@
-//! The encodings of positions on slices, row by row: sines and cosines of points, and their expectations over Gaussians.
+//! The encodings of positions, row by row: sines and cosines of points, and their expectations over Gaussians.
 //! Each component needs one sine and cosine (and one exponential). Further octaves follow by the double-angle formulas in
 //! f64. Their error doubles with each octave and stays far below f32's. A Gaussian's damping is the fourth power of the
 //! octave's below. Gradients need the encoding alone.
 
-use candle_core::WithDType;
+use augnerf_base::place::is_ours;
+use augnerf_base::tensors::slice;
+use candle_core::{CpuStorage, CustomOp1, CustomOp2, Layout, Result, Shape, Tensor, WithDType};
 
 /// Returns the number of channels of the encoding of a 3-vector.
 pub fn encoded_channels(octaves: usize) -> usize {
@@ -147,5 +149,71 @@ impl Code {
         let mut out = vec![T::from_f64(0.0); encoded.len() / self.channels() * self.inputs()];
         self.gradient_into(encoded, gradient, &mut out);
         out
+    }
+}
+
+/// Encodes positions in candle's graph. `None` if candle's own operations have to.
+///
+/// # Errors
+/// The positions are not `[n, inputs]`.
+pub fn encode(positions: &Tensor, code: Code) -> Result<Option<Tensor>> {
+    if !is_ours(positions) {
+        return Ok(None);
+    }
+    Ok(Some(positions.contiguous()?.apply_op1(Encode(code))?))
+}
+
+/// The encodings on the CPU. The backward pass needs only the result.
+struct Encode(Code);
+
+impl CustomOp1 for Encode {
+    fn name(&self) -> &'static str {
+        "encode"
+    }
+
+    fn cpu_fwd(&self, x: &CpuStorage, layout: &Layout) -> Result<(CpuStorage, Shape)> {
+        let (n, components) = layout.shape().dims2()?;
+        if components != self.0.inputs() {
+            candle_core::bail!("encode takes [n, {}], got {:?}", self.0.inputs(), layout.shape());
+        }
+        let out = match x {
+            CpuStorage::F32(_) => CpuStorage::F32(self.0.rows(slice(x, layout)?)),
+            CpuStorage::F64(_) => CpuStorage::F64(self.0.rows(slice(x, layout)?)),
+            _ => candle_core::bail!("encode is for f32 and f64"),
+        };
+        Ok((out, Shape::from((n, self.0.channels()))))
+    }
+
+    fn bwd(&self, _x: &Tensor, encoded: &Tensor, gradient: &Tensor) -> Result<Option<Tensor>> {
+        let backward = EncodeBackward(self.0);
+        Ok(Some(encoded.detach().contiguous()?.apply_op2_no_bwd(&gradient.contiguous()?, &backward)?))
+    }
+}
+
+struct EncodeBackward(Code);
+
+impl CustomOp2 for EncodeBackward {
+    fn name(&self) -> &'static str {
+        "encode-backward"
+    }
+
+    fn cpu_fwd(
+        &self,
+        encoded: &CpuStorage,
+        encoded_layout: &Layout,
+        gradient: &CpuStorage,
+        gradient_layout: &Layout,
+    ) -> Result<(CpuStorage, Shape)> {
+        let (n, _) = encoded_layout.shape().dims2()?;
+        let out = match encoded {
+            CpuStorage::F32(_) => CpuStorage::F32(
+                self.0.gradient_rows(slice(encoded, encoded_layout)?, slice(gradient, gradient_layout)?),
+            ),
+            CpuStorage::F64(_) => CpuStorage::F64(
+                self.0.gradient_rows(slice(encoded, encoded_layout)?, slice(gradient, gradient_layout)?),
+            ),
+            _ => candle_core::bail!("encode is for f32 and f64"),
+        };
+        Ok((out, Shape::from((n, self.0.inputs()))))
     }
 }

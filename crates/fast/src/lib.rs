@@ -1,12 +1,28 @@
-//! Kernels for CPUs: encodings, the fused field, the hash grid, and vectors of sixteen numbers in the widest instructions of
-//! the processor. They work on slices. `augnerf-nerf` has the same in candle's operations, to which tests compare them.
+//! Kernels for CPUs, in place of candle's operations. `augnerf-nerf` has each in candle's own, to which its tests compare them,
+//! and which computes where a kernel here answers `None`.
+//!
+//! | kernel | in place of |
+//! |---|---|
+//! | [`encoding`] | `encode`, `encode_integrated` |
+//! | [`fused`] | a field's layers, forward and backward, and the slope of its density |
+//! | [`hash`] | the hash grid, its derivatives and its tables' Adam |
+//! | [`inside`] | the density of empty space around a grid |
+//! | [`relu`] | ReLU's backward pass |
+//! | [`scan`] | `composite` |
+//! | [`sets`] | a constraint set's draw and PGD step |
+//! | [`adam`] | `Adam::update` |
 
 #![warn(missing_docs)]
 
+pub mod adam;
 pub mod encoding;
 pub mod fused;
 pub mod hash;
+pub mod inside;
 mod peak;
+pub mod relu;
+pub mod scan;
+pub mod sets;
 pub mod simd;
 
 pub use peak::peak_gflops;

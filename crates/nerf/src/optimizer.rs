@@ -1,15 +1,12 @@
 //! Adam with moments that can be saved, and the learning-rate schedule.
 
-use std::cell::RefCell;
-
-use candle_core::{CpuStorage, InplaceOp1, Layout, Storage, Tensor, Var};
+use augnerf_fast::adam;
+use candle_core::{Tensor, Var};
 use rayon::prelude::*;
 
 use crate::base::Result;
 use crate::base::place::is_ours_in_f32;
 use crate::settings::{Located, Schedule, TrainConfig};
-use augnerf_fast::hash::{Moving, SparseAdam};
-use augnerf_fast::simd::vectorized;
 
 const BETA1: f64 = 0.9;
 
@@ -118,10 +115,11 @@ impl Adam {
         }
         let correction2 = 1.0 - beta2.powf(updates as f64);
         if self.variables.iter().all(|(_, var)| is_ours_in_f32(var)) {
-            let update = Update { settings: self.settings, rate: learning_rate / correction1, correction2 };
+            let update =
+                adam::Update { betas: [BETA1, beta2], epsilon, rate: learning_rate / correction1, correction2 };
             let all = self.variables.par_iter().zip(&self.moments).zip(gradients);
             return all.try_for_each(|(((name, var), moments), gradient)| {
-                update.apply(var, moments, gradient.as_ref(), is_table(name))
+                Ok(update.apply(var, [&moments.first, &moments.second], gradient.as_ref(), is_table(name))?)
             });
         }
         for (((name, var), moments), gradient) in self.variables.iter().zip(&mut self.moments).zip(gradients) {
@@ -153,79 +151,6 @@ impl Adam {
     }
 }
 
-/// The update in f32 on the CPU: one pass over parameter, moments and gradient, in place.
-struct Update {
-    settings: AdamSettings,
-    /// The learning rate over the first moment's correction.
-    rate: f64,
-    correction2: f64,
-}
-
-impl Update {
-    fn apply(&self, var: &Var, moments: &Moments, gradient: Option<&Tensor>, sparse: bool) -> Result<()> {
-        if sparse && gradient.is_none() {
-            return Ok(());
-        }
-        let zero;
-        let gradient = match gradient {
-            Some(gradient) => &gradient.contiguous()?,
-            None => {
-                zero = var.zeros_like()?;
-                &zero
-            }
-        };
-        let (gradient, layout) = gradient.storage_and_layout();
-        let Storage::Cpu(gradient) = &*gradient else { unreachable!("parameters are on the processor") };
-        let (start, end) = layout.contiguous_offsets().expect("made contiguous");
-        let features = if sparse { var.dim(1)? } else { 1 };
-        let update = |p: &mut CpuStorage, m: &mut CpuStorage, v: &mut CpuStorage| match (p, m, v, gradient) {
-            (CpuStorage::F32(values), CpuStorage::F32(first), CpuStorage::F32(second), CpuStorage::F32(gradient)) => {
-                let (moving, gradient) = (Moving { values, first, second }, &gradient[start..end]);
-                if sparse {
-                    self.pass_table(moving, gradient, features)
-                } else {
-                    self.pass(moving, gradient)
-                }
-                Ok(())
-            }
-            _ => candle_core::bail!("adam: parameters, moments and gradients are all f32"),
-        };
-        Ok(lend(var, |p| lend(&moments.first, |m| lend(&moments.second, |v| update(p, m, v))))?)
-    }
-
-    /// Updates blocks of a table in parallel, because it is far larger than all other parameters together.
-    fn pass_table(&self, Moving { values, first, second }: Moving, gradient: &[f32], features: usize) {
-        const ENTRIES: usize = 1 << 14;
-        let AdamSettings { beta2, epsilon, .. } = self.settings;
-        let (rate, correction2) = (self.rate, self.correction2);
-        let adam = SparseAdam { rate, correction2, betas: [BETA1, beta2], epsilon };
-        let size = ENTRIES * features;
-        let moments = first.par_chunks_mut(size).zip(second.par_chunks_mut(size));
-        let blocks = values.par_chunks_mut(size).zip(moments).zip(gradient.par_chunks(size));
-        blocks.for_each(|((values, (first, second)), gradient)| {
-            adam.update(Moving { values, first, second }, gradient, features);
-        });
-    }
-
-    fn pass(&self, Moving { values, first, second }: Moving, gradient: &[f32]) {
-        let sizes = [first.len(), second.len(), gradient.len()];
-        assert!(sizes.iter().all(|size| *size == values.len()), "one moment and one gradient a parameter");
-        let AdamSettings { beta2, epsilon, .. } = self.settings;
-        let [keep1, take1, keep2, take2] = [BETA1, 1.0 - BETA1, beta2, 1.0 - beta2].map(|beta| beta as f32);
-        let [rate, correction2, epsilon] = [self.rate, self.correction2, epsilon].map(|number| number as f32);
-        vectorized(
-            #[inline(always)]
-            || {
-                for (((p, m), v), g) in values.iter_mut().zip(&mut *first).zip(&mut *second).zip(gradient) {
-                    *m = *m * keep1 + take1 * *g;
-                    *v = *v * keep2 + take2 * (*g * *g);
-                    *p -= *m * rate / ((*v / correction2).sqrt() + epsilon);
-                }
-            },
-        );
-    }
-}
-
 /// Returns whether the parameter is a layer's weights. Those of an LSTM are `weight_ih` and `weight_hh`.
 fn decays(name: &str) -> bool {
     name.rsplit('.').next().is_some_and(|part| part.starts_with("weight"))
@@ -235,23 +160,6 @@ fn decays(name: &str) -> bool {
 /// including moments (Mueller et al. 2022).
 fn is_table(name: &str) -> bool {
     name.ends_with(".table")
-}
-
-/// Lends a tensor's values to a closure that may change them. The tensor must be the only one of its storage.
-fn lend(tensor: &Tensor, change: impl FnOnce(&mut CpuStorage) -> candle_core::Result<()>) -> candle_core::Result<()> {
-    tensor.inplace_op1(&Lend(RefCell::new(Some(change))))
-}
-
-struct Lend<F>(RefCell<Option<F>>);
-
-impl<F: FnOnce(&mut CpuStorage) -> candle_core::Result<()>> InplaceOp1 for Lend<F> {
-    fn name(&self) -> &'static str {
-        "adam"
-    }
-
-    fn cpu_fwd(&self, storage: &mut CpuStorage, _: &Layout) -> candle_core::Result<()> {
-        self.0.take().expect("called once")(storage)
-    }
 }
 
 #[cfg(test)]

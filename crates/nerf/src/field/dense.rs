@@ -5,11 +5,10 @@
 //! kernels on every device, and computes only the requested gradients: none for weights during a search, none for
 //! constant inputs. [`dense_reference`] is the same layer in plain candle operations.
 
+use augnerf_fast::relu;
 use candle_core::backend::BackendStorage;
 use candle_core::op::{Add, Relu};
-use candle_core::{CpuStorage, CudaStorage, CustomOp2, CustomOp3, Layout, MetalStorage, Result, Shape, Tensor};
-
-use crate::base::place::is_ours;
+use candle_core::{CpuStorage, CudaStorage, CustomOp3, Layout, MetalStorage, Result, Shape, Tensor};
 
 /// Returns `activation(x @ weight^T + bias)`: x `[n, inputs]`, weight `[outputs, inputs]`, bias `[outputs]` ->
 /// `[n, outputs]`. The activation is ReLU or none; ReLU's derivative at 0 is 0. `trainable = false` skips the gradients
@@ -146,40 +145,9 @@ impl CustomOp3 for Dense {
 
 /// Returns ReLU's backward pass: the gradient where `y > 0`, otherwise 0.
 pub(super) fn mask_where_zero(gradient: &Tensor, y: &Tensor) -> Result<Tensor> {
-    if is_ours(y) {
-        return gradient.contiguous()?.apply_op2_no_bwd(&y.contiguous()?, &ReluMask);
-    }
-    y.gt(0f64)?.where_cond(&gradient.contiguous()?, &gradient.zeros_like()?)
-}
-
-struct ReluMask;
-
-fn masked<T: Copy + PartialOrd + Default>(gradient: &[T], y: &[T]) -> Vec<T> {
-    gradient.iter().zip(y).map(|(&g, &y)| if y > T::default() { g } else { T::default() }).collect()
-}
-
-impl CustomOp2 for ReluMask {
-    fn name(&self) -> &'static str {
-        "relu-mask"
-    }
-
-    fn cpu_fwd(
-        &self,
-        gradient: &CpuStorage,
-        gradient_layout: &Layout,
-        y: &CpuStorage,
-        y_layout: &Layout,
-    ) -> Result<(CpuStorage, Shape)> {
-        let (Some((g0, g1)), Some((y0, y1))) = (gradient_layout.contiguous_offsets(), y_layout.contiguous_offsets())
-        else {
-            candle_core::bail!("relu-mask needs contiguous arguments");
-        };
-        let out = match (gradient, y) {
-            (CpuStorage::F32(g), CpuStorage::F32(y)) => CpuStorage::F32(masked(&g[g0..g1], &y[y0..y1])),
-            (CpuStorage::F64(g), CpuStorage::F64(y)) => CpuStorage::F64(masked(&g[g0..g1], &y[y0..y1])),
-            _ => candle_core::bail!("relu-mask is for f32 and f64"),
-        };
-        Ok((out, y_layout.shape().clone()))
+    match relu::mask_where_zero(gradient, y)? {
+        Some(masked) => Ok(masked),
+        None => y.gt(0f64)?.where_cond(&gradient.contiguous()?, &gradient.zeros_like()?),
     }
 }
 

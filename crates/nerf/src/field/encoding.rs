@@ -1,13 +1,10 @@
 //! Positional encoding (NeRF paper, section 5.1, including the point itself), and its expectation over Gaussians
 //! (MipNeRF).
 
-use augnerf_fast::encoding::{Code, integrated_channels};
-use candle_core::{CpuStorage, CustomOp1, CustomOp2, Layout, Result, Shape, Tensor};
+use augnerf_fast::encoding::{self, Code, integrated_channels};
+use candle_core::{Result, Tensor};
 
-use crate::base::place::is_ours;
 use crate::settings::{Encoding, FieldConfig};
-
-use super::contiguous;
 
 /// Returns the encoding of a field's positions.
 pub(super) fn position_code(config: &FieldConfig) -> Code {
@@ -30,10 +27,8 @@ pub(super) fn encode_positions(code: Code, positions: &Tensor) -> Result<Tensor>
 /// Encodes `[n, 3]` -> `[n, 3 + 6 octaves]`: x, then for each frequency 2^0..2^(octaves-1) the sines and the cosines of
 /// its three components.
 pub fn encode(x: &Tensor, octaves: usize) -> Result<Tensor> {
-    if !is_ours(x) {
-        return encode_reference(x, octaves);
-    }
-    x.contiguous()?.apply_op1(Encode(Code::Positional(octaves)))
+    let encoded = encoding::encode(x, Code::Positional(octaves))?;
+    encoded.map_or_else(|| encode_reference(x, octaves), Ok)
 }
 
 /// The same in plain candle operations.
@@ -53,10 +48,8 @@ pub fn encode_reference(x: &Tensor, octaves: usize) -> Result<Tensor> {
 /// 2^0..2^(octaves-1) it returns the expectations of the sines and of the cosines of f x. These are
 /// exp(-f^2 variance / 2) times those of the mean (Barron et al. 2021, equation 14).
 pub fn encode_integrated(gaussians: &Tensor, octaves: usize) -> Result<Tensor> {
-    if !is_ours(gaussians) {
-        return encode_integrated_reference(gaussians, octaves);
-    }
-    gaussians.contiguous()?.apply_op1(Encode(Code::Integrated(octaves)))
+    let encoded = encoding::encode(gaussians, Code::Integrated(octaves))?;
+    encoded.map_or_else(|| encode_integrated_reference(gaussians, octaves), Ok)
 }
 
 /// The same in plain candle operations.
@@ -71,61 +64,6 @@ pub fn encode_integrated_reference(gaussians: &Tensor, octaves: usize) -> Result
     let kept = (spread * -0.5)?.exp()?;
     let waves = Tensor::cat(&[(&kept * angles.sin()?)?, (&kept * angles.cos()?)?], 2)?; // [n, octaves, 6]
     waves.reshape((n, integrated_channels(octaves)))
-}
-
-/// The encodings on the CPU. The backward pass needs only the result.
-struct Encode(Code);
-
-impl CustomOp1 for Encode {
-    fn name(&self) -> &'static str {
-        "encode"
-    }
-
-    fn cpu_fwd(&self, x: &CpuStorage, layout: &Layout) -> Result<(CpuStorage, Shape)> {
-        let (n, components) = layout.shape().dims2()?;
-        if components != self.0.inputs() {
-            candle_core::bail!("encode takes [n, {}], got {:?}", self.0.inputs(), layout.shape());
-        }
-        let out = match x {
-            CpuStorage::F32(x) => CpuStorage::F32(self.0.rows(contiguous(x, layout)?)),
-            CpuStorage::F64(x) => CpuStorage::F64(self.0.rows(contiguous(x, layout)?)),
-            _ => candle_core::bail!("encode is for f32 and f64"),
-        };
-        Ok((out, Shape::from((n, self.0.channels()))))
-    }
-
-    fn bwd(&self, _x: &Tensor, encoded: &Tensor, gradient: &Tensor) -> Result<Option<Tensor>> {
-        let backward = EncodeBackward(self.0);
-        Ok(Some(encoded.detach().contiguous()?.apply_op2_no_bwd(&gradient.contiguous()?, &backward)?))
-    }
-}
-
-struct EncodeBackward(Code);
-
-impl CustomOp2 for EncodeBackward {
-    fn name(&self) -> &'static str {
-        "encode-backward"
-    }
-
-    fn cpu_fwd(
-        &self,
-        encoded: &CpuStorage,
-        encoded_layout: &Layout,
-        gradient: &CpuStorage,
-        gradient_layout: &Layout,
-    ) -> Result<(CpuStorage, Shape)> {
-        let (n, _) = encoded_layout.shape().dims2()?;
-        let out = match (encoded, gradient) {
-            (CpuStorage::F32(e), CpuStorage::F32(g)) => {
-                CpuStorage::F32(self.0.gradient_rows(contiguous(e, encoded_layout)?, contiguous(g, gradient_layout)?))
-            }
-            (CpuStorage::F64(e), CpuStorage::F64(g)) => {
-                CpuStorage::F64(self.0.gradient_rows(contiguous(e, encoded_layout)?, contiguous(g, gradient_layout)?))
-            }
-            _ => candle_core::bail!("encode is for f32 and f64"),
-        };
-        Ok((out, Shape::from((n, self.0.inputs()))))
-    }
 }
 
 #[cfg(test)]

@@ -9,7 +9,6 @@ use std::sync::{Arc, Mutex, PoisonError};
 use candle_core::{CpuStorage, CustomOp1, CustomOp2, DType, Device, Layout, Result, Shape, Tensor, Var};
 use candle_nn::{Init, VarBuilder};
 
-use super::contiguous;
 use super::inside::Inside;
 use crate::base::place::is_ours;
 use crate::base::tensors::Values;
@@ -180,8 +179,7 @@ impl CustomOp1 for Encode {
     }
 
     fn cpu_fwd(&self, points: &CpuStorage, layout: &Layout) -> Result<(CpuStorage, Shape)> {
-        let CpuStorage::F32(points) = points else { candle_core::bail!("points are f32 here") };
-        let points = contiguous(points, layout)?;
+        let points: &[f32] = slice(points, layout)?;
         let Grid { shape, domain, table, .. } = &self.grid;
         let mut unit = vec![0f32; points.len()];
         let n = points.len() / 3;
@@ -263,12 +261,12 @@ impl CustomOp2 for Reference {
         table_layout: &Layout,
     ) -> Result<(CpuStorage, Shape)> {
         let shape = Shape::from((points_layout.shape().dims2()?.0, self.grid.shape.channels()));
-        let out = match (points, table) {
-            (CpuStorage::F32(points), CpuStorage::F32(table)) => {
-                CpuStorage::F32(self.features(contiguous(points, points_layout)?, contiguous(table, table_layout)?))
+        let out = match points {
+            CpuStorage::F32(_) => {
+                CpuStorage::F32(self.features(slice(points, points_layout)?, slice(table, table_layout)?))
             }
-            (CpuStorage::F64(points), CpuStorage::F64(table)) => {
-                CpuStorage::F64(self.features(contiguous(points, points_layout)?, contiguous(table, table_layout)?))
+            CpuStorage::F64(_) => {
+                CpuStorage::F64(self.features(slice(points, points_layout)?, slice(table, table_layout)?))
             }
             _ => candle_core::bail!("points and table are both f32 or both f64"),
         };

@@ -52,14 +52,6 @@ pub use open::opening_factors;
 pub(crate) use rgb_limit::leads_away;
 pub use spatial::{DensityAt, Order, Spatial, spatial_reference};
 
-/// Returns the values of a contiguous tensor on the CPU, for custom operations.
-pub fn contiguous<'a, T>(values: &'a [T], layout: &Layout) -> candle_core::Result<&'a [T]> {
-    match layout.contiguous_offsets() {
-        Some((start, end)) => Ok(&values[start..end]),
-        None => candle_core::bail!("this operation needs contiguous arguments, got {layout:?}"),
-    }
-}
-
 /// A network `(points, viewdirs) -> (raw rgb, raw density)`.
 #[derive(Clone)]
 pub struct Field {

@@ -16,9 +16,9 @@ mod sets;
 pub mod settings;
 mod site;
 
+pub use augnerf_fast::sets::{larger, smaller};
 pub use epsilon::{Epsilon, REACH};
 pub use feature::Feature;
-pub use flat::{larger, smaller};
 pub use geometry::{Geometry, PaperPass, PassGeometry, PixelScale, SampleDensity};
 pub use input::{Radius, T, View, Xyz, tilt};
 pub use output::{Density, Rgb, UsedDeltas, output_range};

@@ -12,10 +12,10 @@ use crate::base::tensors::with_values;
 use crate::field::{Field, RawOutput, density_of, leads_away, raw_density_gradient};
 use crate::perturb::{DeltaSet, Deltas, Norm, PaperSite, Sets, SiteSet, larger, output_range, smaller};
 use crate::settings::DensityActivation;
+use augnerf_fast::scan::{Gradients, Passed, Scan};
 
 use super::pass::Pass;
 use super::photometric_loss;
-use super::scan::{Gradients, Passed, Scan};
 use super::volume::{Composite, LAST_INTERVAL};
 
 /// Samples with the output of their field.

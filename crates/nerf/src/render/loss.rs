@@ -12,8 +12,8 @@ use super::fused_loss::{Samples, ShadedLoss};
 use super::pass::{Pass, PassOutput, activate, clean_raw, finish};
 use super::perturbed::{FixedSamples, Perturbation, PerturbedOutput, Queried, query};
 use super::photometric_loss;
-use super::scan::Scan;
 use super::volume::{self, Composite, LAST_INTERVAL};
+use augnerf_fast::scan::Scan;
 
 /// A pass with its photometric loss. Only the loss must have a graph.
 pub struct PassLoss {

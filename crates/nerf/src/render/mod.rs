@@ -11,7 +11,6 @@ mod loss;
 mod pass;
 mod perturbed;
 pub mod sampling;
-mod scan;
 pub mod settings;
 pub mod volume;
 

@@ -3,9 +3,7 @@
 use candle_core::{D, DType, Tensor};
 
 use crate::base::Result;
-use crate::base::place::is_ours;
-
-use super::scan::{self, Scan};
+use augnerf_fast::scan::{self, Scan};
 
 /// Length of a ray's last interval, as in the original implementation. Any density at the last sample makes the ray
 /// opaque.
@@ -94,14 +92,13 @@ pub fn composite(
     direction_norm: &Tensor,
     background: Option<[f32; 3]>,
 ) -> Result<Composite> {
-    if !is_ours(rgb) {
-        return composite_reference(rgb, density, t_vals, direction_norm, background);
-    }
     let (rays, samples) = density.dims2()?;
-    let direction_norm = direction_norm.to_dtype(DType::F64)?.flatten_all()?.to_vec1()?;
-    let scan = Scan { direction_norm, last_interval: LAST_INTERVAL, background };
-    let out = rgb.contiguous()?.apply_op3(&density.contiguous()?, &t_vals.contiguous()?, scan)?;
-    Composite::of_flat(&out, rays, samples)
+    let lengths = direction_norm.to_dtype(DType::F64)?.flatten_all()?.to_vec1()?;
+    let scan = Scan { direction_norm: lengths, last_interval: LAST_INTERVAL, background };
+    match scan.composite(rgb, density, t_vals)? {
+        Some(out) => Composite::of_flat(&out, rays, samples),
+        None => composite_reference(rgb, density, t_vals, direction_norm, background),
+    }
 }
 
 /// The same in plain candle operations.

@@ -1,11 +1,11 @@
 //! Compositing as one differentiable operation on the CPU: a scan along each ray, and one back.
 
+use augnerf_base::place::is_ours;
+use augnerf_base::tensors::slice;
 use candle_core::{CpuStorage, CustomOp3, Layout, Result, Shape, Tensor, WithDType};
 
-use crate::field::contiguous;
-
 /// Number types of the scans. Sums along a ray are in f64.
-pub(super) trait Real: WithDType {
+pub trait Real: WithDType {
     fn exp_neg(self) -> Self;
 }
 
@@ -24,7 +24,7 @@ impl Real for f64 {
 /// From colours `[rays, samples, 3]`, densities `[rays, samples]` and positions to one flat tensor. Positions are
 /// points `[rays, samples]`, or edges of intervals `[rays, samples + 1]`. The tensor holds colour `[3 rays]`, depth
 /// `[rays]`, acc `[rays]` and weights `[rays * samples]`.
-pub(super) struct Scan {
+pub struct Scan {
     /// Lengths of the rays' directions.
     pub direction_norm: Vec<f64>,
     pub last_interval: f64,
@@ -32,23 +32,23 @@ pub(super) struct Scan {
 }
 
 /// Inputs and results of a forward pass.
-pub(super) struct Passed<'a, T> {
-    pub(super) rgb: &'a [T],
-    pub(super) density: &'a [T],
-    pub(super) t_vals: &'a [T],
-    pub(super) weights: &'a [T],
+pub struct Passed<'a, T> {
+    pub rgb: &'a [T],
+    pub density: &'a [T],
+    pub t_vals: &'a [T],
+    pub weights: &'a [T],
     /// Transmittance behind each sample.
-    pub(super) behind: &'a [T],
+    pub behind: &'a [T],
 }
 
 /// Gradients of rendered rays. A missing one counts as 0.
-pub(super) struct Gradients<'a, T> {
-    pub(super) colours: &'a [T],
-    pub(super) depths: Option<&'a [T]>,
-    pub(super) accs: Option<&'a [T]>,
-    pub(super) weights: Option<&'a [T]>,
+pub struct Gradients<'a, T> {
+    pub colours: &'a [T],
+    pub depths: Option<&'a [T]>,
+    pub accs: Option<&'a [T]>,
+    pub weights: Option<&'a [T]>,
     /// Whether positions need a gradient. It stays 0 otherwise.
-    pub(super) wants_t_vals: bool,
+    pub wants_t_vals: bool,
 }
 
 /// One ray's samples.
@@ -113,6 +113,17 @@ impl<T: Real> Ray<'_, T> {
 }
 
 impl Scan {
+    /// Composites samples in candle's graph. `None` if candle's own operations have to.
+    ///
+    /// # Errors
+    /// Those of candle.
+    pub fn composite(self, rgb: &Tensor, density: &Tensor, t_vals: &Tensor) -> Result<Option<Tensor>> {
+        if !is_ours(rgb) {
+            return Ok(None);
+        }
+        Ok(Some(rgb.contiguous()?.apply_op3(&density.contiguous()?, &t_vals.contiguous()?, self)?))
+    }
+
     fn ray<'a, T>(&self, ray: usize, samples: usize, rgb: &'a [T], density: &'a [T], t_vals: &'a [T]) -> Ray<'a, T> {
         let row = ray * samples..(ray + 1) * samples;
         let columns = t_vals.len() / self.direction_norm.len();
@@ -130,7 +141,7 @@ impl Scan {
     }
 
     /// Returns the flat output, and the transmittance behind each sample.
-    pub(super) fn forward<T: Real>(&self, rgb: &[T], density: &[T], t_vals: &[T]) -> (Vec<T>, Vec<T>) {
+    pub fn forward<T: Real>(&self, rgb: &[T], density: &[T], t_vals: &[T]) -> (Vec<T>, Vec<T>) {
         let rays = self.direction_norm.len();
         let samples = density.len().checked_div(rays).unwrap_or(0);
         let mut out = vec![T::from_f64(0.0); rays * (5 + samples)];
@@ -161,7 +172,7 @@ impl Scan {
     }
 
     /// Returns the accumulation of each ray, the sum of its weights.
-    pub(super) fn accumulations<T: Real>(&self, density: &[T], t_vals: &[T]) -> Vec<T> {
+    pub fn accumulations<T: Real>(&self, density: &[T], t_vals: &[T]) -> Vec<T> {
         let rays = self.direction_norm.len();
         let [samples, columns] = [density, t_vals].map(|values| values.len().checked_div(rays).unwrap_or(0));
         let acc = |(i, &norm): (usize, &f64)| {
@@ -177,7 +188,7 @@ impl Scan {
     /// Returns the gradients of colours, densities and positions. With G_k the gradient of weight k, that of the
     /// optical depth o_k = density_k * interval_k is G_k T_k exp(-o_k) - sum over l > k of G_l w_l. The last interval's
     /// o is in no other weight.
-    pub(super) fn backward<T: Real>(&self, passed: Passed<T>, gradients: Gradients<T>) -> [Vec<T>; 3] {
+    pub fn backward<T: Real>(&self, passed: Passed<T>, gradients: Gradients<T>) -> [Vec<T>; 3] {
         let Passed { rgb, density, t_vals, weights, behind } = passed;
         let rays = self.direction_norm.len();
         let samples = density.len().checked_div(rays).unwrap_or(0);
@@ -229,8 +240,8 @@ impl Scan {
     }
 }
 
-/// Returns the transmittance before each sample of one ray, see [`super::volume::transmittance`].
-pub(super) fn transmittance(t_vals: &[f64], density: &[f64], norm: f64, last_interval: f64) -> Vec<f64> {
+/// Returns the transmittance before each sample of one ray, as `transmittance` of `augnerf_nerf::render`.
+pub fn transmittance(t_vals: &[f64], density: &[f64], norm: f64, last_interval: f64) -> Vec<f64> {
     let ray = Ray { rgb: &[], density, t_vals, norm, last_interval };
     let mut before = Vec::with_capacity(density.len());
     ray.scan(|_, sample| before.push(sample.before));
@@ -252,20 +263,16 @@ impl CustomOp3 for Scan {
         t_layout: &Layout,
     ) -> Result<(CpuStorage, Shape)> {
         macro_rules! forward {
-            ($kind:ident, $rgb:expr, $density:expr, $t_vals:expr) => {{
-                let (rgb, density, t_vals) = (
-                    contiguous($rgb, rgb_layout)?,
-                    contiguous($density, density_layout)?,
-                    contiguous($t_vals, t_layout)?,
-                );
-                let (out, _) = self.forward(rgb, density, t_vals);
+            ($kind:ident) => {{
+                let (rgb, density) = (slice(rgb, rgb_layout)?, slice(density, density_layout)?);
+                let (out, _) = self.forward(rgb, density, slice(t_vals, t_layout)?);
                 let n = out.len();
                 Ok((CpuStorage::$kind(out), Shape::from(n)))
             }};
         }
-        match (rgb, density, t_vals) {
-            (CpuStorage::F32(rgb), CpuStorage::F32(density), CpuStorage::F32(t)) => forward!(F32, rgb, density, t),
-            (CpuStorage::F64(rgb), CpuStorage::F64(density), CpuStorage::F64(t)) => forward!(F64, rgb, density, t),
+        match rgb {
+            CpuStorage::F32(_) => forward!(F32),
+            CpuStorage::F64(_) => forward!(F64),
             _ => candle_core::bail!("compositing is for f32 and f64"),
         }
     }
