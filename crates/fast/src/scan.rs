@@ -6,6 +6,7 @@ use candle_core::{CpuStorage, CustomOp3, Layout, Result, Shape, Tensor, WithDTyp
 
 /// Number types of the scans. Sums along a ray are in f64.
 pub trait Real: WithDType {
+    /// Returns exp(-self).
     fn exp_neg(self) -> Self;
 }
 
@@ -27,15 +28,21 @@ impl Real for f64 {
 pub struct Scan {
     /// Lengths of the rays' directions.
     pub direction_norm: Vec<f64>,
+    /// Length of the last interval of samples at points, in units of `t_vals`.
     pub last_interval: f64,
+    /// Colour behind the samples.
     pub background: Option<[f32; 3]>,
 }
 
 /// Inputs and results of a forward pass.
 pub struct Passed<'a, T> {
+    /// `[rays, samples, 3]`.
     pub rgb: &'a [T],
+    /// `[rays, samples]`.
     pub density: &'a [T],
+    /// `[rays, samples]`, or edges `[rays, samples + 1]`.
     pub t_vals: &'a [T],
+    /// `[rays, samples]`.
     pub weights: &'a [T],
     /// Transmittance behind each sample.
     pub behind: &'a [T],
@@ -43,9 +50,13 @@ pub struct Passed<'a, T> {
 
 /// Gradients of rendered rays. A missing one counts as 0.
 pub struct Gradients<'a, T> {
+    /// `[rays, 3]`.
     pub colours: &'a [T],
+    /// `[rays]`.
     pub depths: Option<&'a [T]>,
+    /// `[rays]`.
     pub accs: Option<&'a [T]>,
+    /// `[rays, samples]`.
     pub weights: Option<&'a [T]>,
     /// Whether positions need a gradient. It stays 0 otherwise.
     pub wants_t_vals: bool,

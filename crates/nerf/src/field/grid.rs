@@ -11,8 +11,7 @@ use candle_nn::{Init, VarBuilder};
 
 use super::inside::Inside;
 use crate::base::place::is_ours;
-use crate::base::tensors::Values;
-use crate::base::tensors::with_values;
+use crate::base::tensors::{Values, slice, with_values};
 use crate::settings::{Contraction, Encoding, FieldConfig};
 use augnerf_fast::hash::{Cotangents, Domain, HashGrid, Operator, Real, fetch_tables};
 

@@ -3,11 +3,11 @@
 use candle_core::{CpuStorage, CustomOp1, DType, Device, Layout, Shape, Tensor};
 
 use crate::base::Result;
-use crate::base::tensors::Values;
+use crate::base::tensors::{Values, slice};
 
 use super::activation::Cotangents;
 use super::grid::{Grid, TableRecord};
-use super::{Field, contiguous, encoded_channels};
+use super::{Field, encoded_channels};
 use augnerf_fast::hash::Operator;
 
 /// The derivatives of an encoding at `n` points.
@@ -244,15 +244,15 @@ impl CustomOp1 for Operate {
         let Operate { grid, unit, operators } = self;
         let (n, channels) = (operators.len(), grid.shape.channels());
         let out = match table {
-            CpuStorage::F32(table) => {
+            CpuStorage::F32(_) => {
                 let mut out = vec![0f32; n * channels];
-                let table = contiguous(table, layout)?;
+                let table = slice(table, layout)?;
                 grid.shape.differentiate(table, &narrowed(unit), &narrowed_each(operators), &mut out);
                 CpuStorage::F32(out)
             }
-            CpuStorage::F64(table) => {
+            CpuStorage::F64(_) => {
                 let mut out = vec![0f64; n * channels];
-                grid.shape.differentiate_reference(contiguous(table, layout)?, unit, operators, &mut out);
+                grid.shape.differentiate_reference(slice(table, layout)?, unit, operators, &mut out);
                 CpuStorage::F64(out)
             }
             _ => candle_core::bail!("tables are f32 or f64"),
