@@ -47,7 +47,7 @@ fn step(criterion: &mut Criterion) {
 fn space(criterion: &mut Criterion) {
     let field = Field::init(&FieldConfig::default(), 0, 0, DType::F32, &Device::Cpu).expect("a field");
     let config = RegularizerConfig { points_per_step: 8192, ..RegularizerConfig::default() };
-    let points = Quadrature::draw(&config, 0, 0);
+    let points = config.quadrature(0, 0);
     let mut group = criterion.benchmark_group("space");
     group.sample_size(20).warm_up_time(Duration::from_secs(3)).measurement_time(Duration::from_secs(10));
     let plain = |start: usize| {

@@ -19,6 +19,24 @@
 //! The folder `examples` shows a training, a view of an opened run, your own regularizer and your own data format. The folder
 //! `docs` has a page for each task.
 //!
+//! # The source in eleven files
+//!
+//! A candle NeRF, a module of perturbations for each level, one training step, and a runner of sweeps. In this order:
+//!
+//! | file in `crates` | what it has |
+//! |---|---|
+//! | `nerf/src/field/encoding.rs` | sines and cosines of positions |
+//! | `nerf/src/field/nerf.rs` | the network, of `candle_nn::Linear` |
+//! | `nerf/src/render/sampling.rs` | samples along a ray |
+//! | `nerf/src/render/volume.rs` | the rendering equation |
+//! | `nerf/src/perturb/input.rs` | sites of coordinates: `t`, `xyz`, `view` |
+//! | `nerf/src/perturb/feature.rs` | the site of intermediate features |
+//! | `nerf/src/perturb/output.rs` | sites before rendering: `rgb`, `density` |
+//! | `nerf/src/perturb/pgd.rs` | the search for the worst case |
+//! | `nerf/src/losses/tv.rs` | a regularizer; the others stand beside it |
+//! | `nerf/src/methods/fields/step.rs` | a training step, as the paper's Algorithm 1 |
+//! | `sweep/src/definition.rs` | a sweep as its file describes it |
+//!
 //! # The pipeline
 //!
 //! ```text

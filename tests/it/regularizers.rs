@@ -305,7 +305,7 @@ fn sampled(side: usize, points_per_step: usize, jitter: bool) -> RegularizerConf
 fn estimates(field: &Field, config: &RegularizerConfig, seeds: u64) -> [(f64, f64); 3] {
     let draws: Vec<Vec<f64>> = (0..seeds)
         .map(|seed| {
-            let points = Quadrature::draw(config, seed, 3);
+            let points = config.quadrature(seed, 3);
             flat(&regularize(field, &points, &terms()).unwrap().values)
         })
         .collect();
@@ -344,7 +344,7 @@ fn all_cells_once_are_the_full_lattice() {
     let config = RegularizerConfig { domain: lattice.domain, ..sampled(5, 125, false) };
     let field = field(&shape(4, &[2], 3, DensityActivation::Softplus), 9, &points(9, 40));
     let run = |points: &Quadrature| regularize(&field, points, &terms().map(|(term, _)| (term, 2.0))).unwrap();
-    let (some, all) = (run(&Quadrature::draw(&config, 0, 0)), run(&Quadrature::full(lattice)));
+    let (some, all) = (run(&config.quadrature(0, 0)), run(&Quadrature::full(lattice)));
     for (a, b) in flat(&some.values).iter().zip(flat(&all.values)) {
         assert!((a / b - 1.0).abs() < 1e-12);
     }
@@ -354,7 +354,7 @@ fn all_cells_once_are_the_full_lattice() {
 #[test]
 fn points_stay_in_their_cells_and_are_fresh_in_each_step() {
     let draw = |seed, step| {
-        let points = Quadrature::draw(&sampled(8, 100, true), seed, step);
+        let points = sampled(8, 100, true).quadrature(seed, step);
         points.tensor(0, 100, DType::F64, &CPU).unwrap().to_vec2::<f64>().unwrap()
     };
     let first = draw(0, 0);
@@ -440,7 +440,7 @@ fn the_balance_is_a_ratio_of_gradient_norms_and_moves_nothing() {
 
     // A term's norm is over both networks, at the points of the step that comes next.
     let config = sampled(16, 256, true);
-    let points = Quadrature::draw(&config, trainer.config().seed, trainer.step_count());
+    let points = config.quadrature(trainer.config().seed, trainer.step_count());
     for (balance, term) in balances.iter().zip(terms()) {
         assert_eq!(balance.term, term.0.name());
         let of_field = |(_, field): (&'static str, &Field)| {

@@ -13,5 +13,6 @@ pub mod optimizer;
 pub mod perturb;
 pub mod render;
 pub mod runtime;
+mod schedule;
 pub mod settings;
 pub mod space;

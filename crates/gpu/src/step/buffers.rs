@@ -115,7 +115,7 @@ impl SpaceBuffers {
             return Ok(None);
         }
         let has_gradient = config.regularizer.terms().any(|(term, _)| term == Regularizer::Tv);
-        let points = Quadrature::draw(&config.regularizer, config.seed, 0);
+        let points = config.regularizer.quadrature(config.seed, 0);
         let most = if has_gradient { (rows / 4).max(1) } else { rows };
         let part = |first: usize| {
             let count = most.min(points.count() - first);
@@ -146,7 +146,7 @@ impl SpaceBuffers {
         if config.regularizer.points == LatticePoints::Full {
             return Ok(0);
         }
-        let points = Quadrature::draw(&config.regularizer, config.seed, step);
+        let points = config.regularizer.quadrature(config.seed, step);
         self.write(gpu, &points)?;
         Ok(12 * points.count())
     }

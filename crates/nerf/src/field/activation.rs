@@ -2,7 +2,7 @@
 
 use candle_core::{Result, Tensor};
 
-use crate::settings::DensityActivation;
+use crate::field::settings::DensityActivation;
 
 /// Derivatives of a loss in density, its gradient and its Laplacian. An absent one is 0.
 #[derive(Default)]

@@ -4,7 +4,7 @@
 use augnerf_fast::encoding::{self, Code, integrated_channels};
 use candle_core::{Result, Tensor};
 
-use crate::settings::{Encoding, FieldConfig};
+use crate::field::settings::{Encoding, FieldConfig};
 
 /// Returns the encoding of a field's positions.
 pub(super) fn position_code(config: &FieldConfig) -> Code {

@@ -12,7 +12,7 @@ use candle_nn::{Init, VarBuilder};
 use super::inside::Inside;
 use crate::base::place::is_ours;
 use crate::base::tensors::{Values, slice, with_values};
-use crate::settings::{Contraction, Encoding, FieldConfig};
+use crate::field::settings::{Contraction, Encoding, FieldConfig};
 use augnerf_fast::hash::{Cotangents, Domain, HashGrid, Operator, Real, fetch_tables};
 
 /// Initial entries of a table are uniform within +- this (Mueller et al. 2022, section 4).
@@ -299,7 +299,7 @@ mod tests {
     use super::*;
     use crate::base::rng::{Random, Stream};
     use crate::field::Field;
-    use crate::settings::HashConfig;
+    use crate::field::settings::HashConfig;
 
     /// What is not asked about points outside the box is what masking it afterwards leaves, to the bit.
     #[test]

@@ -4,7 +4,7 @@
 
 use candle_core::{D, DType, Device, Result, Tensor};
 
-use crate::settings::{Contraction, Interpolation};
+use crate::field::settings::{Contraction, Interpolation};
 
 use super::grid::Grid;
 

@@ -17,7 +17,7 @@ use candle_nn::{Init, Linear, VarBuilder};
 use crate::base::Result;
 use crate::base::place::is_ours_in_f32;
 use crate::base::rng::{Random, Stream};
-use crate::settings::{Core, Encoding, FieldConfig, Precision};
+use crate::field::settings::{Core, Encoding, FieldConfig, Precision};
 
 mod activation;
 mod dense;

@@ -4,8 +4,9 @@
 use candle_core::{Result, Tensor};
 use candle_nn::{Init, Linear, VarBuilder};
 
-use crate::settings::{self, FieldConfig};
+use crate::field::settings::FieldConfig;
 
+use super::settings;
 use super::{dense, encoded_channels, position_channels};
 
 /// A network (encoded position, encoded view direction) -> (raw colour, raw density).

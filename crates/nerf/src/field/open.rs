@@ -3,7 +3,7 @@
 use candle_core::{DType, Device, Tensor};
 
 use crate::base::Result;
-use crate::settings::{Encoding, FieldConfig};
+use crate::field::settings::{Encoding, FieldConfig};
 
 use super::{encoded_channels, position_channels};
 
@@ -38,7 +38,7 @@ mod tests {
     use super::*;
     use crate::base::rng::{Random, Stream};
     use crate::field::Field;
-    use crate::settings::Core;
+    use crate::field::settings::Core;
 
     /// Of 2 octaves: x, sin x, cos x, sin 2x, cos 2x, each of three axes.
     #[test]

@@ -44,7 +44,7 @@ impl Slopes {
         }
     }
 
-    /// Returns its Laplacian `[n]`, which not every encoding has ([`crate::settings::FieldConfig::has_laplacian`]).
+    /// Returns its Laplacian `[n]`, which not every encoding has ([`super::settings::FieldConfig::has_laplacian`]).
     pub(super) fn laplacian(&self, e_bar: &Tensor) -> Result<Tensor> {
         match self {
             Slopes::Waves(waves) => Ok((e_bar * &waves.second)?.sum(1)?),

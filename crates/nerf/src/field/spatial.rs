@@ -27,7 +27,7 @@ use candle_nn::Linear;
 
 use crate::base::Result;
 use crate::base::place::is_host;
-use crate::settings::{DensityActivation, Encoding};
+use crate::field::settings::{DensityActivation, Encoding};
 
 use super::activation::{Activated, Cotangents};
 use super::dense::mask_where_zero;

@@ -40,7 +40,7 @@ impl HashDecay {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::settings::Interpolation;
+    use crate::field::settings::Interpolation;
     use candle_core::Device;
 
     #[test]

@@ -20,7 +20,7 @@
 //! A term on rays is the mean over a step's rays, which are those of its photographs or unseen ones, or over its pairs or
 //! patches of unseen rays. A term on tables is of the hash grids' parameters alone. A term in space is an integral over a
 //! box: volume / n * sum over n points. If the points are the midpoints of all cells, volume / n is the paper's delta^3. A term of your own
-//! implements [`RayTerm`] or [`SpaceTerm`], and is passed to the trainer ([`crate::methods::Learner::add_term`]).
+//! implements [`RayTerm`] or [`SpaceTerm`], and is passed to the trainer (`Learner::add_term` in [`crate::methods`]).
 
 use std::sync::Arc;
 
@@ -42,7 +42,6 @@ mod laplacian;
 mod occlusion;
 mod opacity;
 mod orientation;
-mod schedule;
 mod settings;
 mod smoothness;
 mod sparse_depth;
@@ -60,8 +59,7 @@ pub use laplacian::Laplacian;
 pub use occlusion::Occlusion;
 pub use opacity::{OpacityPrior, OpacitySparsity};
 pub use orientation::Orientation;
-pub(crate) use schedule::SCHEDULES;
-pub use schedule::WeightSchedule;
+pub use crate::schedule::WeightSchedule;
 pub use settings::{LatticePoints, REGULARIZERS, RegularizedFields, Regularizer, RegularizerConfig, TermRays};
 pub use smoothness::{Smoothness, measure, measure_density};
 pub use sparse_depth::SparseDepth;

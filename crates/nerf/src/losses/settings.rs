@@ -2,7 +2,9 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::{LossTerm, SCHEDULES, TermNeeds, WeightSchedule};
+use super::{LossTerm, TermNeeds};
+use crate::schedule::{SCHEDULES, WeightSchedule};
+use crate::space::{Lattice, Quadrature};
 use crate::base::Result;
 use crate::base::settings::IdleKind::Dropped;
 use crate::base::settings::{IdleSettings, name_of, one_or_many, refuse, require};
@@ -190,6 +192,15 @@ section! {
 }
 
 impl RegularizerConfig {
+    /// Returns the points in space of one training step, a function of `seed` and `step`.
+    pub fn quadrature(&self, seed: u64, step: u64) -> Quadrature {
+        let lattice = Lattice { domain: self.domain, side: self.lattice };
+        match self.points {
+            LatticePoints::Full => Quadrature::full(lattice),
+            LatticePoints::Sampled => Quadrature::draw(lattice, self.points_per_step, self.jitter, seed, step),
+        }
+    }
+
     /// Returns the terms with their weights.
     pub fn terms(&self) -> impl Iterator<Item = (Regularizer, f64)> + '_ {
         self.kind.iter().copied().zip(self.weight.iter().copied())

@@ -18,7 +18,7 @@ pub struct Smoothness {
     /// Integral of the gradient's length, length.
     pub tv: f64,
     /// Integral of abs(Laplacian), 1. `None` if density has no Laplacian
-    /// ([`crate::settings::FieldConfig::has_laplacian`]).
+    /// ([`crate::field::settings::FieldConfig::has_laplacian`]).
     pub laplacian: Option<f64>,
     /// Largest density, 1 / length.
     pub largest_density: f64,

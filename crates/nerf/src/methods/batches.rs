@@ -4,8 +4,9 @@ use std::sync::Arc;
 
 use crate::base::rng::{Random, Stream};
 use crate::base::{Error, Image, Result};
+use crate::data::settings::PixelOrigin;
 use crate::data::{Camera, Ndc, RayBuffer, RayParts, Scene, UnseenRay, View};
-use crate::settings::{Batching, Located, PixelOrigin};
+use crate::settings::{Batching, Located};
 
 /// The training views' pixels, and the order in which they are drawn. A batch is a function of the seed and the step.
 pub struct Batches {
@@ -204,7 +205,8 @@ fn running_sums(numbers: impl Iterator<Item = usize>) -> Vec<usize> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::settings::{Config, DataKind};
+    use crate::data::settings::DataKind;
+    use crate::settings::Config;
 
     fn scene() -> Scene {
         let camera = |width, height| Camera {

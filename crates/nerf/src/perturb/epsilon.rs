@@ -8,7 +8,7 @@ use serde::{Deserialize, Deserializer, Serialize, Serializer};
 /// Size of a delta's constraint set.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Epsilon {
-    /// A number in the site's unit ([`crate::settings::PerturbConfig`]); 0 is no perturbation.
+    /// A number in the site's unit ([`super::settings::PerturbConfig`]); 0 is no perturbation.
     Units(f64),
     /// The reach of PGD, steps x step size, in the delta's own unit. `t` also keeps the order of samples.
     Reach,

@@ -7,7 +7,7 @@ use crate::base::Result;
 use crate::base::tensors::with_values;
 use crate::data::{RayParts, Rays};
 use crate::field::Field;
-use crate::settings::Encoding;
+use crate::field::settings::Encoding;
 
 use super::volume::middles;
 

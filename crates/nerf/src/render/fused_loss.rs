@@ -9,9 +9,9 @@ use candle_core::{CpuStorage, CustomOp3, DType, Device, Layout, Result as Tensor
 use crate::base::Result;
 use crate::base::place::is_ours_in_f32;
 use crate::base::tensors::with_values;
+use crate::field::settings::DensityActivation;
 use crate::field::{Field, RawOutput, density_of, leads_away, raw_density_gradient};
 use crate::perturb::{DeltaSet, Deltas, Norm, PaperSite, Sets, SiteSet, larger, output_range, smaller};
-use crate::settings::DensityActivation;
 use augnerf_fast::scan::{Gradients, Passed, Scan};
 
 use super::pass::Pass;

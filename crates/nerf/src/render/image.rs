@@ -5,7 +5,8 @@ use candle_core::Tensor;
 use crate::base::Result;
 use crate::data::Rays;
 use crate::field::Field;
-use crate::settings::{Encoding, SamplingConfig};
+use crate::field::settings::Encoding;
+use crate::render::settings::SamplingConfig;
 
 use super::cast::positions_at;
 use super::pass::{Pass, clean_pass};

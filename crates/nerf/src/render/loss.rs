@@ -5,8 +5,8 @@ use candle_core::{D, DType, Tensor};
 use crate::base::Result;
 use crate::base::tensors::with_values;
 use crate::field::{Field, density_of};
+use crate::perturb::settings::OutputPlace;
 use crate::perturb::{Deltas, PaperSite};
-use crate::settings::OutputPlace;
 
 use super::fused_loss::{Samples, ShadedLoss};
 use super::pass::{Pass, PassOutput, activate, clean_raw, finish};
@@ -117,7 +117,7 @@ mod tests {
     use super::*;
     use crate::base::rng::{Random, Stream};
     use crate::data::Rays;
-    use crate::settings::{DensityActivation, FieldConfig};
+    use crate::field::settings::{DensityActivation, FieldConfig};
     use candle_core::Device;
 
     #[test]

@@ -5,8 +5,8 @@ use candle_core::Tensor;
 
 use crate::base::Result;
 use crate::field::{FeatureDelta, Field, FixedPoints, RawOutput};
+use crate::perturb::settings::OutputPlace;
 use crate::perturb::{Deltas, PaperSite, Sets, UsedDeltas, output_range, tilt};
-use crate::settings::OutputPlace;
 
 use super::cast::{positions_at, samples_of};
 use super::pass::{Pass, PassOutput, SampleValues, activate, by_ray, finish, near_scaled};

@@ -7,7 +7,7 @@ use candle_core::{DType, Tensor};
 
 use crate::base::Result;
 use crate::base::place::is_host;
-use crate::settings::Spacing;
+use crate::render::settings::Spacing;
 
 /// Returns stratified samples: `samples` points evenly spaced from near to far (in t or in 1 / t). Each is moved
 /// uniformly within its bin, which ends midway to the neighbours. `jitter` is uniform in 0..1, `[rays, samples]`.

@@ -4,9 +4,9 @@ use candle_core::{DType, Device, Tensor};
 
 use super::{Lattice, Quadrature};
 use crate::base::Result;
+use crate::base::machine::over_parts;
 use crate::base::place::is_host;
 use crate::field::Density;
-use crate::runtime::over_parts;
 
 /// Points per thread. The activations of a trunk of 8 x 256 then stay in its core's cache.
 const CHUNK: usize = 1024;

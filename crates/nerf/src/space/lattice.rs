@@ -4,8 +4,8 @@ use candle_core::{DType, Device, Tensor};
 
 use crate::base::rng::{Random, Stream};
 use crate::base::{Error, Result};
+use crate::data::settings::PixelOrigin;
 use crate::data::{Camera, RayBuffer, RayParts, Scene};
-use crate::settings::{LatticePoints, PixelOrigin, RegularizerConfig};
 
 /// A box divided into `side`^3 equal cells, numbered with z fastest.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -100,15 +100,12 @@ impl Quadrature {
         Quadrature { lattice, sampled: None }
     }
 
-    /// Returns the points of one training step, a function of `seed` and `step`.
-    pub fn draw(config: &RegularizerConfig, seed: u64, step: u64) -> Quadrature {
-        let lattice = Lattice { domain: config.domain, side: config.lattice };
-        if config.points == LatticePoints::Full {
-            return Quadrature::full(lattice);
-        }
+    /// Returns one point in each of `count` cells, a function of `seed` and `step`: anywhere in the cell, or without `jitter` in
+    /// its middle.
+    pub fn draw(lattice: Lattice, count: usize, jitter: bool, seed: u64, step: u64) -> Quadrature {
         let mut random = Random::new(seed, Stream::Regularizer, step);
-        let cells = random.distinct(config.points_per_step, lattice.cells() as u32);
-        let mut offset = |_| if config.jitter { random.uniform() } else { 0.5 };
+        let cells = random.distinct(count, lattice.cells() as u32);
+        let mut offset = |_| if jitter { random.uniform() } else { 0.5 };
         let sampled = cells.into_iter().map(|cell| (cell, std::array::from_fn(&mut offset))).collect();
         Quadrature { lattice, sampled: Some(sampled) }
     }

@@ -1,10 +1,12 @@
 //! The gradient norms of terms beside that of the photometric loss.
 
 use crate::base::Result;
+use crate::data::settings::CorruptionKind;
 use crate::data::{RayGroup, UnseenCameras};
 use crate::field::Order;
+use crate::field::settings::Encoding;
 use crate::losses::{LossTerm, TermSource, WeightedTerm};
-use crate::settings::{CorruptionKind, Encoding, REGULARIZERS, Regularizer, RegularizerConfig, TermNeeds, TermRays};
+use crate::losses::{REGULARIZERS, Regularizer, RegularizerConfig, TermNeeds, TermRays};
 
 use super::draws::Draws;
 use super::learner::FieldLearner;

@@ -5,8 +5,9 @@ use candle_core::{DType, Tensor};
 use crate::base::Result;
 use crate::base::place::is_host;
 use crate::field::TableRecord;
+use crate::field::settings::{Core, Encoding};
 use crate::methods::gradients::Gradients;
-use crate::settings::{ChangedEntries, Core, Encoding, PerturbField};
+use crate::perturb::settings::{ChangedEntries, PerturbField};
 
 use super::learner::FieldLearner;
 

@@ -7,7 +7,8 @@ use crate::data::Scene;
 use crate::perturb::{
     Geometry, PaperPass, PaperSite, PassGeometry, PixelScale, SampleDensity, Sets, SiteSet, StepUnit,
 };
-use crate::settings::{Resolved, Spacing};
+use crate::render::settings::Spacing;
+use crate::settings::Resolved;
 
 use super::plan::Plan;
 

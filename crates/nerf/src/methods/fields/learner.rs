@@ -4,17 +4,19 @@ use std::sync::Arc;
 
 use candle_core::{DType, Device, Tensor, Var};
 
+use crate::base::machine::over_parts;
 use crate::base::place::is_host;
 use crate::base::{Error, Result};
 use crate::data::{Camera, PointRays, RayGroup, RayParts, Scene, UnseenCameras};
+use crate::field::settings::Encoding;
 use crate::losses::{LossTerm, WeightedTerm};
 use crate::methods::batches::Batches;
 use crate::methods::diagnostics::columns as site_columns;
 use crate::methods::learner::{Learner, LogColumns, StepResult, StopCheck};
+use crate::perturb::settings::{ChangedEntries, DeltaSource};
 use crate::perturb::{PaperSite, Site};
 use crate::render::{ray_parts, render_rays};
-use crate::runtime::over_parts;
-use crate::settings::{ChangedEntries, DeltaSource, Encoding, Resolved};
+use crate::settings::Resolved;
 
 use super::geometry::AttackGeometry;
 use super::networks::Fields;

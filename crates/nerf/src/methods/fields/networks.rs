@@ -4,7 +4,8 @@ use candle_core::{DType, Device, Tensor, Var};
 
 use crate::base::Result;
 use crate::field::{Field, TableRecord};
-use crate::settings::{Config, PerturbField};
+use crate::perturb::settings::PerturbField;
+use crate::settings::Config;
 
 /// The coarse and the fine field, and the additional field of the released code's perturbed pass.
 #[derive(Clone)]

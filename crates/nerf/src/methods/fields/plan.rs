@@ -2,10 +2,10 @@
 
 use std::sync::Arc;
 
+use crate::losses::{RegularizedFields, WeightSchedule};
+use crate::perturb::settings::{DeltaSource, Objective, PerturbField, Resample, SecondPass};
 use crate::perturb::{PaperSite, Site};
-use crate::settings::{
-    DeltaSource, Objective, PerturbField, RegularizedFields, Resample, Resolved, SecondPass, WeightSchedule,
-};
+use crate::settings::Resolved;
 
 /// The passes of a step in their order. Each list has a coarse pass, a fine one, or both.
 pub struct Plan {

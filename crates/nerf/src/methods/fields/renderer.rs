@@ -3,8 +3,9 @@
 use crate::base::Result;
 use crate::data::{RayParts, Rays, Scene};
 use crate::methods::renderer::{RenderedRays, Renderer};
+use crate::render::settings::SamplingConfig;
 use crate::render::{ray_parts, render_rays};
-use crate::settings::{Config, SamplingConfig};
+use crate::settings::Config;
 
 use super::networks::Fields;
 

@@ -5,9 +5,9 @@ use candle_core::{DType, Tensor};
 use crate::base::{Error, Result};
 use crate::field::Field;
 use crate::losses::{HashDecay, SpaceTerm, WeightedTerm, estimate_seconds, regularize_unless};
+use crate::losses::{LatticePoints, RegularizedFields, RegularizerConfig};
 use crate::methods::gradients::Gradients;
 use crate::methods::learner::StopCheck;
-use crate::settings::{LatticePoints, RegularizedFields, RegularizerConfig};
 use crate::space::{Lattice, Quadrature};
 
 use super::learner::FieldLearner;
@@ -70,7 +70,7 @@ pub(super) fn integrate(
     if terms.is_empty() {
         return Ok(None);
     }
-    let points = Quadrature::draw(config, learner.config.seed, step);
+    let points = config.quadrature(learner.config.seed, step);
     let mut values = Tensor::zeros(terms.len(), DType::F64, &learner.device)?;
     let mut gradients = Vec::new();
     for (field, counts) in regularized(learner, config) {

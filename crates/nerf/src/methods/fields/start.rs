@@ -4,10 +4,11 @@ use candle_core::{DType, Device, Tensor};
 
 use crate::base::{Error, Result};
 use crate::data::{PointRays, RayParts, Scene};
+use crate::field::settings::{Contraction, DensityActivation, Encoding, FieldConfig};
 use crate::losses::WeightedTerm;
 use crate::methods::batches::Batches;
 use crate::render::positions_at;
-use crate::settings::{Contraction, DensityActivation, Encoding, FieldConfig, Resolved};
+use crate::settings::Resolved;
 use crate::space::Lattice;
 
 use super::draws::Draws;

@@ -6,6 +6,7 @@
 use candle_core::{DType, Tensor};
 
 use crate::base::Result;
+use crate::base::machine::over_parts;
 use crate::base::rng::{Random, Stream};
 use crate::base::tensors::sum;
 use crate::data::RayGroup;
@@ -14,13 +15,12 @@ use crate::losses::{LossTerm, TermSource, WeightedTerm};
 use crate::methods::Extremes;
 use crate::methods::gradients::Gradients;
 use crate::methods::learner::{StepResult, StopCheck};
+use crate::perturb::settings::DeltaSource;
 use crate::perturb::{Deltas, Draw, Sets, worst_case};
 use crate::render::{
     FixedSamples, Pass, PassLoss, Perturbation, PerturbedOutput, clean_pass, clean_pass_loss, noiseless_acc,
     perturbed_pass, perturbed_pass_loss, photometric_loss, place, resample, samples_of,
 };
-use crate::runtime::over_parts;
-use crate::settings::DeltaSource;
 
 use super::diagnosis::diagnose;
 use super::draws::Draws;
