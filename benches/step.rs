@@ -14,7 +14,7 @@ use augnerf::render::sampling::{importance, stratified};
 use augnerf::render::volume::{composite, composite_reference};
 use augnerf::runtime::Runtime;
 use augnerf::settings::{Config, Core, DataKind, FieldConfig, Method, RegularizerConfig, Spacing, TrainConfig};
-use augnerf::space::{Quadrature, chunk_size};
+use augnerf::space::chunk_size;
 use augnerf::train::{Adam, AdamSettings, Trainer};
 use candle_core::{DType, Device, Tensor, Var};
 use criterion::{Criterion, criterion_group, criterion_main};

@@ -48,6 +48,7 @@ mod sparse_depth;
 mod spatial;
 mod tv;
 
+pub use crate::schedule::WeightSchedule;
 pub use cauchy::Cauchy;
 pub use depth_smoothness::DepthSmoothness;
 pub use distortion::Distortion;
@@ -59,7 +60,6 @@ pub use laplacian::Laplacian;
 pub use occlusion::Occlusion;
 pub use opacity::{OpacityPrior, OpacitySparsity};
 pub use orientation::Orientation;
-pub use crate::schedule::WeightSchedule;
 pub use settings::{LatticePoints, REGULARIZERS, RegularizedFields, Regularizer, RegularizerConfig, TermRays};
 pub use smoothness::{Smoothness, measure, measure_density};
 pub use sparse_depth::SparseDepth;

@@ -3,13 +3,13 @@
 use serde::{Deserialize, Serialize};
 
 use super::{LossTerm, TermNeeds};
-use crate::schedule::{SCHEDULES, WeightSchedule};
-use crate::space::{Lattice, Quadrature};
 use crate::base::Result;
 use crate::base::settings::IdleKind::Dropped;
 use crate::base::settings::{IdleSettings, name_of, one_or_many, refuse, require};
 use crate::base::settings::{numbers, section};
 use crate::data::{RayGroup, UnseenPoses};
+use crate::schedule::{SCHEDULES, WeightSchedule};
+use crate::space::{Lattice, Quadrature};
 
 /// An explicit regularizer: an integral over a box (the paper's, appendix "Implementation of explicit
 /// regularization"), a mean over rays, or a sum over tables.

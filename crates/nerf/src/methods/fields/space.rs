@@ -8,7 +8,7 @@ use crate::losses::{HashDecay, SpaceTerm, WeightedTerm, estimate_seconds, regula
 use crate::losses::{LatticePoints, RegularizedFields, RegularizerConfig};
 use crate::methods::gradients::Gradients;
 use crate::methods::learner::StopCheck;
-use crate::space::{Lattice, Quadrature};
+use crate::space::Lattice;
 
 use super::learner::FieldLearner;
 use super::terms::in_space;

@@ -12,11 +12,11 @@ use crate::base;
 use crate::base::settings::IdleKind::Noted;
 use crate::base::settings::{IdleSettings, one_or_many, refuse, require, word};
 use crate::base::settings::{numbers, section};
-use crate::schedule::{SCHEDULES, WeightSchedule};
 use crate::perturb::{
     Density, Epsilon, Feature, Geometry, Level, Norm, PaperPass, PaperSite, Passes, PerSite, Pgd, REACH, Radius, Rgb,
     Site, SiteNumbers, StepUnit, T, View, Xyz,
 };
+use crate::schedule::{SCHEDULES, WeightSchedule};
 
 mod second_pass;
 mod site;
