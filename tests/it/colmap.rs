@@ -8,9 +8,9 @@ use augnerf::base::rng::{Random, Stream};
 use augnerf::data::formats::builtin::export;
 use augnerf::data::pose::{self, Pose, Vec3};
 use augnerf::data::{Camera, Photos, PointRays, Scene, View};
+use augnerf::mesh::read_mesh;
 use augnerf::run::load_scene;
 use augnerf::settings::{Config, DataConfig, PixelOrigin};
-use augnerf::mesh::read_mesh;
 use tempfile::TempDir;
 
 use crate::captures::{all, load, read};

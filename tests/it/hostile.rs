@@ -9,9 +9,9 @@ use std::time::{Duration, Instant};
 use crate::common::program::{Place, augnerf, refuse};
 use crate::common::{assert_says, built};
 use augnerf::base::Error;
+use augnerf::mesh::read_mesh;
 use augnerf::metrics::{Backbone, Lpips};
 use augnerf::settings::build;
-use augnerf::mesh::read_mesh;
 use candle_core::Device;
 use tempfile::TempDir;
 

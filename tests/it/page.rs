@@ -173,6 +173,28 @@ fn the_page_has_captions_and_shows_videos() {
     assert_says(&page, &["scroll sideways for more", "rows.length > 2 ? 1 : 0"]);
 }
 
+/// Two points of one training have one row, and what all rows share is said once.
+#[test]
+fn a_training_has_one_row_and_a_fact_one_line() {
+    let point = |(id, axis): (&str, AxisValue), seed: u64| {
+        let protocol = [("inactive_by", "colour"), ("data_hash", &format!("hash {seed}"))];
+        let mut record = record("fern", "Aug-NeRF", seed, &[("psnr", Some(20.0 + seed as f64))], &protocol);
+        record.result.inactive_levels = vec!["view".into()];
+        Record { id: format!("{id}{seed}"), axes: vec![axis], ..record }
+    };
+    let places =
+        [("a", value("steps", "3")), ("a", value("epsilon", "0.06274509803921569")), ("b", value("steps", "1"))];
+    let records: Vec<Record> = places.iter().flat_map(|place| [0, 1].map(|seed| point(place.clone(), seed))).collect();
+    let page = page_without_pictures(&spec_of(vec![row_against("Aug-NeRF", None)]), &records);
+    for table in ["class=\"results", "id=\"attack\""] {
+        assert_eq!(part(&page, table, "</table>").matches("<th scope=\"row\">").count(), 2, "{table}");
+    }
+    assert_says(part(&page, "class=\"results", "</table>"), &["the same training: epsilon = 0.06275"]);
+    let first = part(&page, "<h2>Read first</h2>", "</section>");
+    assert_says(first, &["view in all 2 rows (see Attack)", "all rows: data_hash"]);
+    assert_eq!(first.matches("<li>").count(), 2, "{first}");
+}
+
 /// Rows over three scenes: the second gains on all of them.
 #[test]
 fn rows_are_compared_over_scenes() {
