@@ -21,21 +21,27 @@
 //!
 //! # The source in eleven files
 //!
-//! A candle NeRF, a module of perturbations for each level, one training step, and a runner of sweeps. In this order:
+//! A candle NeRF, a module of perturbations for each level, one training step, and the points of a sweep. In this order:
 //!
 //! | file in `crates` | what it has |
 //! |---|---|
 //! | `nerf/src/field/encoding.rs` | sines and cosines of positions |
 //! | `nerf/src/field/nerf.rs` | the network, of `candle_nn::Linear` |
-//! | `nerf/src/render/sampling.rs` | samples along a ray |
 //! | `nerf/src/render/volume.rs` | the rendering equation |
-//! | `nerf/src/perturb/input.rs` | sites of coordinates: `t`, `xyz`, `view` |
-//! | `nerf/src/perturb/feature.rs` | the site of intermediate features |
-//! | `nerf/src/perturb/output.rs` | sites before rendering: `rgb`, `density` |
+//! | `nerf/src/perturb/site.rs` | what a site of perturbation is |
+//! | `nerf/src/perturb/input.rs` | the sites of coordinates: `t`, `xyz`, `view`. `feature.rs` and `output.rs` beside it have the other levels |
+//! | `nerf/src/perturb/set.rs` | constraint sets, and projection onto them |
 //! | `nerf/src/perturb/pgd.rs` | the search for the worst case |
-//! | `nerf/src/losses/tv.rs` | a regularizer; the others stand beside it |
-//! | `nerf/src/methods/fields/step.rs` | a training step, as the paper's Algorithm 1 |
-//! | `sweep/src/definition.rs` | a sweep as its file describes it |
+//! | `nerf/src/render/perturbed.rs` | where each delta is added |
+//! | `nerf/src/losses/mod.rs` | the table of loss terms; each has a file beside it, such as `tv.rs` |
+//! | `nerf/src/methods/fields/plan.rs` | the passes of a step with their weights, such as lambda |
+//! | `nerf/src/methods/fields/step.rs` | a training step, as the Aug-NeRF paper's Algorithm 1 |
+//!
+//! Then `sweep/src/layout.rs` makes a sweep's points of rows, axes and seeds.
+//!
+//! These files are the reference. On a CPU in f32 the crate `augnerf-fast` computes the network, compositing, projections and
+//! updates in their place, which tests compare with them. `field.core = "plain"` takes candle's operations for the network and
+//! the loss.
 //!
 //! # The pipeline
 //!
@@ -92,7 +98,8 @@
 //!
 //! # Crates
 //!
-//! Each crate uses the crates of lower rows only, which the compiler checks. This crate re-exports their modules.
+//! Each crate uses the crates of lower rows only, which the compiler checks. This crate re-exports the modules of all but
+//! `augnerf-fast`.
 //!
 //! | crate | modules |
 //! |---|---|
@@ -108,7 +115,7 @@
 //! | `augnerf-fast` | kernels for CPUs, which `augnerf-nerf` runs in place of candle's operations |
 //! | `augnerf-base` | [`base`] |
 //!
-//! All random numbers come from [`base::rng`], as a function of seed, stream and step. The core is generic over f32 and f64:
+//! All random numbers come from [`base::rng`], as a function of seed, stream and step. `augnerf-nerf` is generic over f32 and f64:
 //! training uses f32, and tests compare with f64.
 
 #![warn(missing_docs)]

@@ -202,10 +202,11 @@ fn tables_of_the_paper_name_the_rows_that_a_gpu_refuses() {
 #[test]
 fn wrong_commands_and_settings_are_found_out() {
     let words = |text: &str| commands(text).remove(0);
-    for wrong in
-        ["trian", "train --data", "train --step 3", "compare", "train --set train.steps=0", "train --method nerv"]
-    {
+    for wrong in ["trian", "train --data", "train --step 3", "compare", "train --method nerv"] {
         assert!(refused_at(&"", &words(&format!("augnerf {wrong}")), false).is_some(), "{wrong}");
+    }
+    for wrong in ["train.stepz=3", "train.steps=0", "regularizer.kind=tvv"] {
+        assert!(refused_settings(&words(&format!("augnerf train --set {wrong}"))).is_some(), "{wrong}");
     }
     assert!(refusal(&words("augnerf compare"), true).is_none() && refusal(&words("augnerf compar"), true).is_some());
     assert!(exists("train.steps") && exists("eval.mesh.box") && !exists("train.stepz") && !exists("perturb.q.steps"));

@@ -120,6 +120,10 @@ fn a_terminal_gets_no_commands_from_files() {
 #[cfg(unix)]
 #[test]
 fn pipes_are_read_where_a_user_names_them_alone() {
+    let place = Place::with("sweep.toml", "extends = \"/dev/zero\"\n");
+    for command in ["train --print-config --config /dev/zero", "sweep plan sweep.toml"] {
+        place.says(command, 2, &["/dev/zero", "more than 4 MiB"]);
+    }
     let mut reading = augnerf(&["train", "--print-config", "--config", "/dev/stdin"]);
     let reading = reading.stdin(std::process::Stdio::piped()).stdout(std::process::Stdio::piped());
     let mut child = reading.spawn().unwrap();

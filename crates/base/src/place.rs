@@ -1,6 +1,6 @@
-//! Where operations run. This is the one place that chooses: on a CPU, this project's own operations; elsewhere, the same
-//! by candle's, which every device has. A device that is none of candle's, such as a GPU, computes whole steps and takes
-//! no part in this choice.
+//! Where operations run: on a CPU this project's own, elsewhere candle's, which every device has. `field.core = "plain"` takes
+//! candle's on a CPU, too, for a field's layers. A device that is none of candle's, such as a GPU, computes whole steps and
+//! takes no part in this choice.
 
 use std::cell::Cell;
 

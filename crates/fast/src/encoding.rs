@@ -18,7 +18,7 @@ pub fn integrated_channels(octaves: usize) -> usize {
 }
 
 /// Encodes 3-vectors row by row.
-pub fn encode_into<T: WithDType>(x: &[T], octaves: usize, out: &mut [T]) {
+pub(crate) fn encode_into<T: WithDType>(x: &[T], octaves: usize, out: &mut [T]) {
     let channels = encoded_channels(octaves);
     for (x, out) in x.chunks_exact(3).zip(out.chunks_exact_mut(channels)) {
         out[..3].copy_from_slice(x);
@@ -34,7 +34,7 @@ pub fn encode_into<T: WithDType>(x: &[T], octaves: usize, out: &mut [T]) {
 }
 
 /// d/dx of sin(f x) is f cos(f x), of cos(f x) it is -f sin(f x).
-pub fn gradient_into<T: WithDType>(encoded: &[T], gradient: &[T], octaves: usize, out: &mut [T]) {
+pub(crate) fn gradient_into<T: WithDType>(encoded: &[T], gradient: &[T], octaves: usize, out: &mut [T]) {
     let channels = encoded_channels(octaves);
     let rows = encoded.chunks_exact(channels).zip(gradient.chunks_exact(channels));
     for ((encoded, gradient), out) in rows.zip(out.chunks_exact_mut(3)) {
@@ -57,7 +57,7 @@ pub fn gradient_into<T: WithDType>(encoded: &[T], gradient: &[T], octaves: usize
 pub const LEAST_KEPT: f64 = 1e-20;
 
 /// Encodes Gaussians row by row.
-pub fn integrated_into<T: WithDType>(gaussians: &[T], octaves: usize, out: &mut [T]) {
+pub(crate) fn integrated_into<T: WithDType>(gaussians: &[T], octaves: usize, out: &mut [T]) {
     for (gaussian, out) in gaussians.chunks_exact(6).zip(out.chunks_exact_mut(integrated_channels(octaves))) {
         for axis in 0..3 {
             let (mut sin, mut cos) = gaussian[axis].to_f64().sin_cos();

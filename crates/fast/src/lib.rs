@@ -1,5 +1,6 @@
-//! Kernels for CPUs, in place of candle's operations. `augnerf-nerf` has each in candle's own, to which its tests compare them,
-//! and which computes where a kernel here answers `None`.
+//! Kernels for CPUs, in place of candle's operations. `augnerf-nerf` has each in candle's own operations, to which its tests
+//! compare them. A kernel that answers `None` leaves the work to these. For `adam`, `fused` and `hash` the caller asks
+//! [`augnerf_base::place`] first. Operations of the hash grid's points and the fused loss are in `augnerf-nerf`.
 //!
 //! | kernel | in place of |
 //! |---|---|
@@ -11,6 +12,7 @@
 //! | [`scan`] | `composite` |
 //! | [`sets`] | a constraint set's draw and PGD step |
 //! | [`adam`] | `Adam::update` |
+//! | [`simd`] | what all of them compute with |
 
 #![warn(missing_docs)]
 

@@ -2,7 +2,7 @@
 
 use augnerf_base::place::is_ours;
 use augnerf_base::tensors::slice;
-use candle_core::{CpuStorage, CustomOp3, Layout, Result, Shape, Tensor, WithDType};
+use candle_core::{CpuStorage, CustomOp3, DType, Layout, Result, Shape, Tensor, WithDType};
 
 /// Number types of the scans. Sums along a ray are in f64.
 pub trait Real: WithDType {
@@ -123,18 +123,26 @@ impl<T: Real> Ray<'_, T> {
     }
 }
 
-impl Scan {
-    /// Composites samples in candle's graph. `None` if candle's own operations have to.
-    ///
-    /// # Errors
-    /// Those of candle.
-    pub fn composite(self, rgb: &Tensor, density: &Tensor, t_vals: &Tensor) -> Result<Option<Tensor>> {
-        if !is_ours(rgb) {
-            return Ok(None);
-        }
-        Ok(Some(rgb.contiguous()?.apply_op3(&density.contiguous()?, &t_vals.contiguous()?, self)?))
+/// Composites colours, densities and positions in candle's graph, to what a [`Scan`] returns. `None` if candle's own
+/// operations have to.
+///
+/// # Errors
+/// Those of candle.
+pub fn composite(
+    [rgb, density, t_vals]: [&Tensor; 3],
+    direction_norm: &Tensor,
+    last_interval: f64,
+    background: Option<[f32; 3]>,
+) -> Result<Option<Tensor>> {
+    if !is_ours(rgb) {
+        return Ok(None);
     }
+    let direction_norm = direction_norm.to_dtype(DType::F64)?.flatten_all()?.to_vec1()?;
+    let scan = Scan { direction_norm, last_interval, background };
+    Ok(Some(rgb.contiguous()?.apply_op3(&density.contiguous()?, &t_vals.contiguous()?, scan)?))
+}
 
+impl Scan {
     fn ray<'a, T>(&self, ray: usize, samples: usize, rgb: &'a [T], density: &'a [T], t_vals: &'a [T]) -> Ray<'a, T> {
         let row = ray * samples..(ray + 1) * samples;
         let columns = t_vals.len() / self.direction_norm.len();
@@ -251,7 +259,7 @@ impl Scan {
     }
 }
 
-/// Returns the transmittance before each sample of one ray, as `transmittance` of `augnerf_nerf::render`.
+/// Returns the transmittance before each sample of one ray, as `transmittance` of `augnerf_nerf::render::volume`.
 pub fn transmittance(t_vals: &[f64], density: &[f64], norm: f64, last_interval: f64) -> Vec<f64> {
     let ray = Ray { rgb: &[], density, t_vals, norm, last_interval };
     let mut before = Vec::with_capacity(density.len());
@@ -297,7 +305,7 @@ impl CustomOp3 for Scan {
         gradient: &Tensor,
     ) -> Result<(Option<Tensor>, Option<Tensor>, Option<Tensor>)> {
         match gradient.dtype() {
-            candle_core::DType::F64 => self.gradients::<f64>([rgb, density, t_vals], gradient),
+            DType::F64 => self.gradients::<f64>([rgb, density, t_vals], gradient),
             _ => self.gradients::<f32>([rgb, density, t_vals], gradient),
         }
     }

@@ -1,6 +1,6 @@
 //! The numeric core of augnerf: fields, perturbations, rendering, losses and the training step.
 //!
-//! The crate `augnerf` re-exports everything here and describes the pipeline.
+//! The crate `augnerf` re-exports these modules and describes the pipeline.
 
 #![warn(missing_docs)]
 

@@ -42,7 +42,7 @@ pub use frame::{Photos, Unread};
 pub use lookalikes::scene_of_file;
 pub use points::PointRays;
 pub use rays::{Footprint, RayBuffer, RayParts, Rays, tangents};
-pub use remarks::{MANY_COLOURS, are_one_colour};
+pub use remarks::MANY_COLOURS;
 pub use rig::{Rig, Subject};
 pub use scene_space::SceneSpace;
 pub use unseen::{PATCH_SIDE, RayGroup, UnseenCameras, UnseenPoses, UnseenRay};

@@ -53,7 +53,7 @@ fn one_colour(scene: &Scene) -> Option<String> {
 }
 
 /// Returns whether all pixels of all views that count are of one colour.
-pub fn are_one_colour(views: &[View]) -> bool {
+fn are_one_colour(views: &[View]) -> bool {
     colour_spread(views.iter().map(|view| (&*view.image, view.mask.as_deref()))) <= MANY_COLOURS
 }
 

@@ -20,11 +20,11 @@ use crate::settings::BuiltinScene;
 pub struct Definition {
     /// The question that the table answers, in one line.
     pub title: String,
-    /// Preset that every point starts from.
+    /// Preset that points start from, unless their row names another.
     pub preset: String,
     /// Scene folders below the data root, or `builtin`, `builtin-forward`, either with a number: `builtin:17`.
     pub scenes: Vec<String>,
-    /// Every row is trained once with each seed.
+    /// Every row is trained once with each seed, on each scene, with each combination of axes.
     pub seeds: Vec<u64>,
     /// The table's metrics, the most important first.
     #[serde(default = "default_metrics")]

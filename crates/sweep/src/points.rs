@@ -58,7 +58,7 @@ impl Point {
 /// Expands a definition to its points, with the steps of their budgets.
 ///
 /// ```
-/// # mod augnerf { pub use augnerf_nerf::*; pub use augnerf_sweep as sweep; }
+/// # mod augnerf { pub use augnerf_base as base; pub use augnerf_nerf::*; pub use augnerf_sweep as sweep; }
 /// use augnerf::base::Result;
 /// use augnerf::settings::Config;
 /// use augnerf::sweep::{Definition, StepCosts, expand};

@@ -54,3 +54,16 @@ fn words(line: &str) -> Vec<String> {
     words.extend(word);
     words
 }
+
+#[test]
+fn commands_are_found_as_a_shell_finds_them() {
+    let text = "AUGNERF_DATA=~/data augnerf sweep run a.toml \\\n  --jobs 2   # two at once\ncargo run --release -- train\n\
+                ls | target/release/augnerf measure 'a b' > $OUT; augnerf train --set 'regularizer.kind=[\"tv\"]'\n# augnerf no";
+    let expected: [&[&str]; 4] = [
+        &["sweep", "run", "a.toml", "--jobs", "2"],
+        &["train"],
+        &["measure", "a b"],
+        &["train", "--set", "regularizer.kind=[\"tv\"]"],
+    ];
+    assert_eq!(commands(text), expected);
+}

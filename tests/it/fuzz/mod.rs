@@ -7,8 +7,8 @@
 //! | `AUGNERF_FUZZ_SEED` | 1 |
 //! | `AUGNERF_FUZZ_READER` | every file; otherwise those whose paths hold this |
 //!
-//! An input is a function of seed, file and number. One that fails is left in `target/fuzz`. One that never comes back is that of the
-//! file whose line the table does not have yet.
+//! An input is a function of seed, file and number. One that fails is left in `target/fuzz`. If a run hangs, its input is one of the first
+//! file that has no line in the table.
 
 pub mod damage;
 pub mod memory;

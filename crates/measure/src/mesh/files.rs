@@ -81,8 +81,8 @@ pub fn write_obj(mesh: &Mesh, comment: &str, out: &mut impl Write) -> std::io::R
 /// The file cannot be read. The mesh has no faces or no area, or a coordinate is NaN.
 ///
 /// ```
-/// # mod augnerf { pub use {augnerf_base as base, augnerf_measure::mesh as space}; }
-/// use augnerf::space::read_mesh;
+/// # mod augnerf { pub use {augnerf_base as base, augnerf_measure::mesh}; }
+/// use augnerf::mesh::read_mesh;
 ///
 /// let folder = tempfile::tempdir().unwrap();
 /// let file = folder.path().join("triangle.obj");

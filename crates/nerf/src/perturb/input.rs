@@ -9,7 +9,7 @@ use crate::perturb::geometry::{PassGeometry, PixelScale};
 use crate::perturb::set::{DeltaSet, Norm};
 use crate::perturb::site::{ANY_EPSILON, DefaultSizes, Level, PaperSite, Pgd, Site, SiteNumbers, SiteSpec};
 
-/// A shift along the ray, `[rays, samples]`.
+/// A shift along the ray, in the shape of `t_vals`: points `[rays, samples]`, or edges `[rays, samples + 1]`.
 pub struct T {
     /// Its numbers in an experiment.
     pub numbers: SiteNumbers,

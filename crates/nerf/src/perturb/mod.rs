@@ -1,7 +1,7 @@
 //! Worst-case augmentation: the sites of the three levels, the constraint sets of their deltas, and the search for the
 //! worst case.
 //!
-//! Nothing here knows a field, a renderer or a settings file. A site describes its set from a pass's geometry. The
+//! Outside of `settings` nothing here knows a field, a renderer or a settings file. A site describes its set from a pass's geometry. The
 //! search ascends a loss that is passed as a closure, so that tests can use a quadratic with a known maximum.
 
 mod epsilon;

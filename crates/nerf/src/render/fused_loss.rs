@@ -1,7 +1,7 @@
 //! From a field's raw output to the photometric loss of its rays, as one differentiable operation in f32 on the CPU. It
 //! includes activations, density noise, output deltas after them, compositing and the loss.
 //!
-//! `activate`, `add_after`, [`super::volume::composite`] and [`photometric_loss`] are the same in tensor operations.
+//! `activate`, `UsedDeltas::add_to`, [`super::volume::composite`] and [`photometric_loss`] are the same in tensor operations.
 //! They serve all other cases. They are also the reference, which this operation equals bit for bit.
 
 use candle_core::{CpuStorage, CustomOp3, DType, Device, Layout, Result as TensorResult, Shape, Tensor};
@@ -273,7 +273,7 @@ impl FusedLoss {
 
 impl BoxSet {
     /// Adds `delta` to `values`, projected so that they stay within `limits`. Returns the projected delta. It agrees
-    /// with `add_after`.
+    /// with `UsedDeltas::add_to`.
     fn add(&self, values: &mut [f32], delta: &[f32], (low, high): (f64, f64), of_ray: usize) -> Vec<f32> {
         let (low, high) = (low as f32, high as f32);
         let entries = values.iter_mut().zip(delta).enumerate();

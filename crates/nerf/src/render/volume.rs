@@ -1,9 +1,9 @@
-//! Emission-absorption compositing along rays (paper, equation 1). Pure functions of tensors.
+//! Emission-absorption compositing along rays (Aug-NeRF paper, equation 1). Pure functions of tensors.
 
 use candle_core::{D, DType, Tensor};
 
 use crate::base::Result;
-use augnerf_fast::scan::{self, Scan};
+use augnerf_fast::scan;
 
 /// Length of a ray's last interval, as in the original implementation. Any density at the last sample makes the ray
 /// opaque.
@@ -22,7 +22,7 @@ pub struct Composite {
 }
 
 impl Composite {
-    /// Splits the output of a [`Scan`].
+    /// Splits the output of [`scan::composite`].
     pub(super) fn of_flat(out: &Tensor, rays: usize, samples: usize) -> Result<Composite> {
         Ok(Composite {
             rgb: out.narrow(0, 0, 3 * rays)?.reshape((rays, 3))?,
@@ -35,7 +35,7 @@ impl Composite {
 
 /// Returns the lengths of `samples` intervals in scene units, `[rays, samples]`. They are the differences of `t_vals`
 /// times the length of the direction, `direction_norm` `[rays, 1]`. With points `[rays, samples]` the last interval is
-/// [`LAST_INTERVAL`] long. Edges `[rays, samples + 1]` (MipNeRF) bound every interval.
+/// [`LAST_INTERVAL`] long in units of `t_vals`. Edges `[rays, samples + 1]` (MipNeRF) bound every interval.
 pub fn intervals(t_vals: &Tensor, direction_norm: &Tensor, samples: usize) -> Result<Tensor> {
     let (rays, columns) = t_vals.dims2()?;
     let gaps = (t_vals.narrow(1, 1, columns - 1)? - t_vals.narrow(1, 0, columns - 1)?)?;
@@ -93,9 +93,7 @@ pub fn composite(
     background: Option<[f32; 3]>,
 ) -> Result<Composite> {
     let (rays, samples) = density.dims2()?;
-    let lengths = direction_norm.to_dtype(DType::F64)?.flatten_all()?.to_vec1()?;
-    let scan = Scan { direction_norm: lengths, last_interval: LAST_INTERVAL, background };
-    match scan.composite(rgb, density, t_vals)? {
+    match scan::composite([rgb, density, t_vals], direction_norm, LAST_INTERVAL, background)? {
         Some(out) => Composite::of_flat(&out, rays, samples),
         None => composite_reference(rgb, density, t_vals, direction_norm, background),
     }
@@ -142,7 +140,7 @@ mod tests {
         assert_eq!(transmittance(&[1.0, 2.0, 3.0], &[ln2, ln2, 1.0], 1.0), [1.0, 0.5, 0.25]);
     }
 
-    /// Every output gradients_of at once, every input's gradient; random rays, one of them empty, one opaque.
+    /// All outputs' gradients at once, every input's gradient; random rays, one of them empty, one opaque.
     #[test]
     fn the_scan_equals_plain_candle() {
         let (rays, samples) = (5, 9);

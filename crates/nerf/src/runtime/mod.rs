@@ -56,7 +56,7 @@ impl Runtime {
     /// process rounds matrix products differently.
     ///
     /// ```
-    /// # use augnerf_nerf as augnerf;
+    /// # mod augnerf { pub use augnerf_base as base; pub use augnerf_nerf::*; }
     /// use augnerf::runtime::Runtime;
     ///
     /// let runtime = Runtime::new("cpu", Some(2))?;

@@ -179,7 +179,7 @@ fn typed(text: &str, setting: Option<&Setting>) -> Value {
 /// such as the attack's, are those of the new value. A preset's weight does not go to another term.
 ///
 /// ```
-/// # use augnerf_nerf as augnerf;
+/// # mod augnerf { pub use augnerf_base as base; pub use augnerf_nerf::*; }
 /// use augnerf::settings::{Preset, build, parse_assignment};
 ///
 /// let steps = parse_assignment("train.steps=20")?;
@@ -365,6 +365,13 @@ mod tests {
     fn set(texts: &[&str]) -> Result<Config> {
         let assignments: Result<Vec<_>> = texts.iter().map(|t| parse_assignment(t)).collect();
         build(None, None, &assignments?)
+    }
+
+    #[test]
+    fn every_format_names_a_preset() {
+        crate::data::FORMATS
+            .iter()
+            .for_each(|format| assert!(Preset::parse(format.preset).is_ok(), "{}", format.preset));
     }
 
     #[test]

@@ -124,7 +124,7 @@ impl Representation {
         self.lacks(Capability::Derivatives).is_none()
     }
 
-    /// Whether the method is a radiance field, which the core trains itself.
+    /// Whether the method is a radiance field, which `augnerf-nerf` trains itself.
     pub fn is_field(self) -> bool {
         match self {
             Representation::Nerf | Representation::MipNerf | Representation::HashNerf => true,

@@ -95,7 +95,9 @@ impl Config {
     /// Parses TOML text over the defaults. Errors name `origin` as the file.
     pub fn from_toml(text: &str, origin: &str) -> Result<Config> {
         let config: Config = toml::from_str(text).map_err(|e| Error::Config(format!("{origin}: {e}")))?;
-        let table = toml::from_str(text).expect("it was read");
+        // What it refuses besides is a whole number that is too large.
+        config.check_ranges()?;
+        let table = toml::from_str(text).map_err(|e| Error::Config(format!("{origin}: {e}")))?;
         check_levels(&table).map_err(|why| Error::Config(format!("{origin}: {why}")))?;
         config.validate()?;
         Ok(config)
@@ -106,16 +108,16 @@ impl Config {
     /// # Errors
     /// [`Error::Setting`] for the first setting out of its range.
     pub fn check_ranges(&self) -> Result<()> {
-        let table = self.check_whole_numbers()?;
+        let table = self.checked_table()?;
         for Setting { path, rule, .. } in &REGISTRY.settings {
             value_at(&table, path).map_or(Ok(()), |value| rule.check(path, value))?;
         }
         Ok(())
     }
 
-    /// Returns [`Config::to_table`], or an error for the first whole number above 2^63 - 1, which TOML does not have, and JSON
-    /// has.
-    pub(super) fn check_whole_numbers(&self) -> Result<toml::Table> {
+    /// Returns the configuration as a table of values, as [`Config::to_table`] does. A whole number above 2^63 - 1, which TOML
+    /// cannot hold, is an error.
+    pub(super) fn checked_table(&self) -> Result<toml::Table> {
         if let Ok(table) = toml::Table::try_from(self) {
             return Ok(table);
         }
@@ -125,7 +127,7 @@ impl Config {
         for Setting { path, rule, .. } in &REGISTRY.settings {
             value(path).map_or(Ok(()), |value| rule.check(path, value))?;
         }
-        unreachable!("a configuration is plain data")
+        unreachable!("only such a number keeps a configuration from being a table")
     }
 
     /// Returns the configuration as a table of values, without the open settings.

@@ -180,5 +180,7 @@ mod tests {
         check_flag("seed", "seed", i64::MAX as u64).unwrap();
         check_flag("seed", "seed", i64::MAX as u64 + 1).unwrap_err();
         check_flag("near", "data.near", f64::INFINITY).unwrap_err();
+        let refusal = Config::from_toml("seed = 9223372036854775808", "config.toml").unwrap_err().to_string();
+        assert!(refusal.contains("seed") && refusal.contains("2^63"), "{refusal}");
     }
 }

@@ -60,7 +60,7 @@ impl Config {
     pub fn locate(mut self, kind: DataKind) -> Result<Located> {
         self.data.kind = kind;
         self.regularizer.settle();
-        self.check_whole_numbers()?;
+        self.checked_table()?;
         let idle = self.idle();
         self = self.at_defaults(|setting| idle.at(&setting.path).any(|idle| idle.kind == IdleKind::Dropped));
         let forward = kind.forward_facing();

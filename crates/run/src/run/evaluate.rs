@@ -49,7 +49,7 @@ impl Viewer<'_> {
     /// Renders the view of a camera without any randomness, `config.eval.chunk` rays at a time.
     ///
     /// ```
-    /// # mod augnerf { pub use augnerf_nerf::*; pub use augnerf_run::*; pub use candle_core; }
+    /// # mod augnerf { pub use augnerf_base as base; pub use augnerf_nerf::*; pub use augnerf_run::*; pub use candle_core; }
     /// use augnerf::candle_core::DType;
     /// use augnerf::run::{Viewer, load_scene};
     /// use augnerf::runtime::Runtime;
@@ -244,7 +244,8 @@ impl Viewer<'_> {
         self.measure(EVALUATING, self.scene.test.iter().collect(), lpips, events, stop_check, each)
     }
 
-    /// Renders and measures the training views of [`Config::seen_views`](crate::settings::Config::seen_views) as the training saw them, corruption included.
+    /// Renders and measures the training views of [`Config::seen_views`](crate::settings::Config::seen_views) as the training
+    /// saw them, corruption included.
     pub fn evaluate_training_views(
         &self,
         lpips: &[Lpips],

@@ -63,7 +63,7 @@ fn find(mut config: Config) -> Result<Config> {
 /// Those of [`locate_scene`]; images or poses cannot be read.
 ///
 /// ```
-/// # mod augnerf { pub use augnerf_nerf::*; pub use augnerf_run::*; pub use candle_core; }
+/// # mod augnerf { pub use augnerf_base as base; pub use augnerf_nerf::*; pub use augnerf_run::*; pub use candle_core; }
 /// use augnerf::run::load_scene;
 /// use augnerf::settings::{Preset, build, parse_assignment};
 ///

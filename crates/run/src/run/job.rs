@@ -42,7 +42,7 @@ pub struct Setup<'a> {
 /// A training that is ready to start or resume.
 ///
 /// ```
-/// # mod augnerf { pub use augnerf_nerf::*; pub use augnerf_run::*; pub use candle_core; }
+/// # mod augnerf { pub use augnerf_base as base; pub use {augnerf_measure::metrics, augnerf_nerf::*}; pub use augnerf_run::*; pub use candle_core; }
 /// use std::sync::atomic::AtomicUsize;
 ///
 /// use augnerf::metrics::PSNR;

@@ -58,7 +58,7 @@ impl OpenOptions {
 /// [`OpenOptions::beside_training`]. A folder that this process cannot write is opened as well.
 ///
 /// ```
-/// # mod augnerf { pub use augnerf_nerf::*; pub use augnerf_run::*; pub use candle_core; }
+/// # mod augnerf { pub use augnerf_base as base; pub use augnerf_nerf::*; pub use augnerf_run::*; pub use candle_core; }
 /// use augnerf::run::Trained;
 /// use augnerf::runtime::Runtime;
 /// # use std::sync::atomic::AtomicUsize;

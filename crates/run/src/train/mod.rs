@@ -50,7 +50,7 @@ fn check_memory(config: &Resolved, scene: &Scene, runtime: &Runtime) -> Result<(
 /// State of a run in memory.
 ///
 /// ```
-/// # mod augnerf { pub use augnerf_nerf::*; pub use augnerf_run::*; pub use candle_core; }
+/// # mod augnerf { pub use augnerf_base as base; pub use augnerf_nerf::*; pub use augnerf_run::*; pub use candle_core; }
 /// use augnerf::candle_core::DType;
 /// use augnerf::run::load_scene;
 /// use augnerf::runtime::Runtime;

@@ -1,5 +1,17 @@
-//! One training step of fields, from top to bottom as the paper's algorithm 1. The [`Plan`](super::Plan) says which passes it
-//! has; numbers of lines are those of the algorithm.
+//! One training step of fields, from top to bottom as algorithm 1 of the Aug-NeRF paper. The [`Plan`](super::Plan) says which
+//! passes it has. Its lines, whose numbers stand below:
+//!
+//! | lines | what they do |
+//! |---|---|
+//! | 3 | draw rays |
+//! | 4 | search the deltas of all sites by PGD |
+//! | 6, 7 | place coarse samples evenly, fine ones by the coarse density |
+//! | 9 to 13 | query the field at each sample, and at perturbed ones with their deltas |
+//! | 16 to 20 | render both |
+//! | 22 | the loss: squared error of the clean colours, plus lambda times that of the perturbed ones |
+//! | 23 | update the parameters |
+//!
+//! No scalar holds the whole loss: the gradients of its parts are added.
 //!
 //! Rays are processed in chunks whose gradients are added. The chunk bounds memory, and small chunks stay in a CPU's cache.
 
@@ -42,7 +54,7 @@ pub fn parts(chunks: usize) -> usize {
 }
 
 /// Computes the loss of the step after `step` finished ones, and its gradients. Adam then updates the
-/// parameters (line 24).
+/// parameters (line 23).
 pub(super) fn step(learner: &mut FieldLearner, step: u64, log: bool, stop_check: &StopCheck) -> Result<StepResult> {
     learner.fields = learner.fields.at_step(&learner.config, step)?;
     // Line 3: rays with their colours, and all random numbers of their clean passes.
@@ -52,11 +64,12 @@ pub(super) fn step(learner: &mut FieldLearner, step: u64, log: bool, stop_check:
     let terms: Vec<WeightedTerm> = learner.terms.iter().map(|term| term.at(step)).collect();
     let mut values = TermValues::of(&terms);
 
-    // Lines 4 to 23.
+    // Lines 4 to 22.
     let passes = Passes {
         learner,
         clean: &plan.clean,
         second: &plan.second,
+        // Of the clean pass, and lambda of the second.
         weights: plan.loss_weights(step),
         terms: &terms,
         source: TermSource::TrainingRays,
@@ -66,7 +79,7 @@ pub(super) fn step(learner: &mut FieldLearner, step: u64, log: bool, stop_check:
     let Sums { mut gradients, losses, only_second, diagnostics, .. } = passes.over(&batch)?;
     values.fill(TermSource::TrainingRays, &losses.on_rays()?);
 
-    // Terms that the paper's line 23 has not: on rays without photographs, in space, and on tables.
+    // Terms that the paper's line 22 has not: on rays without photographs, in space, and on tables.
     for group in unseen_groups(&terms) {
         let unseen = on_unseen(passes, group, step)?;
         gradients.merge(unseen.gradients)?;
@@ -212,7 +225,7 @@ impl<'a> Passes<'a> {
         RayTerms::of(self.terms, self.source, plan)
     }
 
-    /// Runs a clean pass (lines 10, 11, 18 and 20), and adds the gradients of `weight` times its loss and of the terms on its
+    /// Runs a clean pass (lines 10, 11, 17 and 19), and adds the gradients of `weight` times its loss and of the terms on its
     /// rays, in one way back. Losses are added times the chunk's fraction, and those of terms unweighted.
     fn clean_pass(
         &self,
@@ -250,7 +263,7 @@ impl<'a> Passes<'a> {
         Ok(Rendered { weights: out.composite.weights.detach(), t_vals })
     }
 
-    /// Finds the deltas of a perturbed pass (line 4), runs it (lines 9 to 13, 19 and 21), and adds the gradients of its loss,
+    /// Finds the deltas of a perturbed pass (line 4), runs it (lines 9 to 13, 18 and 20), and adds the gradients of its loss,
     /// with its weight in the step.
     fn perturbed_pass(
         &self,

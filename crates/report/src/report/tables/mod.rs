@@ -45,7 +45,7 @@ use crate::settings::columns::{INACTIVE_BY, InactiveBy, is_per_seed};
 /// A table, ready to be rendered.
 ///
 /// ```
-/// # mod augnerf { pub use augnerf_nerf::*; pub use augnerf_report::*; }
+/// # mod augnerf { pub use augnerf_base as base; pub use augnerf_nerf::*; pub use augnerf_report::*; }
 /// use augnerf::report::tables::{Table, table_markdown};
 /// use augnerf::report::{PointResult, Record, RowSpec, Status, TableSpec};
 ///
