@@ -4,7 +4,8 @@ use std::io::ErrorKind;
 use std::path::Path;
 use std::process::Command;
 
-use crate::common::files::{ending, text};
+use crate::common::files::{copy, ending};
+use crate::common::program::Place;
 
 /// Sets tables on A4 with margins of 2 cm and returns the engine's log.
 fn set(tables: &str) -> String {
@@ -39,13 +40,17 @@ fn too_wide(log: &str) -> f64 {
 
 #[test]
 #[ignore = "needs a TeX engine"]
-fn every_committed_table_fits_the_page() {
+fn the_tables_of_every_committed_sweep_fit_the_page() {
     let results = Path::new(env!("CARGO_MANIFEST_DIR")).join("results");
-    let tables = ending(&results, "/table.tex");
-    assert!(tables.len() > 5);
-    for path in tables {
-        let log = set(&text(&path));
-        assert!(too_wide(&log) <= 1.0, "{}: {log}", path.display());
+    let sweeps = ending(&results, "/points.csv");
+    assert!(sweeps.len() > 20);
+    for points in sweeps {
+        let folder = points.parent().unwrap();
+        let place = Place::new();
+        copy(folder, &place.at("results"));
+        place.run("verify --update --all", 0);
+        let log = set(&place.text("results/table.tex"));
+        assert!(too_wide(&log) <= 1.0, "{}: {log}", folder.display());
     }
     // A cell too wide is noticed.
     assert!(too_wide(&set(&"x".repeat(200))) > 100.0);

@@ -6,6 +6,7 @@ use crate::base::{Image, Result};
 use crate::data::{Camera, Ndc, Scene};
 use crate::draw::{SOLID, depth_colour};
 use crate::run::RenderedView;
+use crate::settings::PixelOrigin;
 
 /// A picture of a rendered view.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -35,7 +36,8 @@ impl Layer {
     }
 }
 
-/// Draws one layer of a view that `camera` saw. `depths` is the range of the colours of depth.
+/// Draws one layer of a view that `camera` saw, whose rays go through the pixels at `origin`. `depths` is the range of the
+/// colours of depth.
 ///
 /// # Errors
 /// If the view has another size than the camera.
@@ -43,7 +45,7 @@ pub fn draw_layer<'a>(
     layer: Layer,
     view: &'a RenderedView,
     camera: &Camera,
-    scene: &Scene,
+    (scene, origin): (&Scene, PixelOrigin),
     depths: (f32, f32),
 ) -> Result<Cow<'a, Image>> {
     let (width, height) = (view.image.width, view.image.height);
@@ -54,19 +56,19 @@ pub fn draw_layer<'a>(
             let pixels = view.acc.iter().flat_map(|&acc| [acc.clamp(0.0, 1.0); 3]).collect();
             Image { width, height, channels: 3, pixels }
         }
-        Layer::Normals => normals(view, camera, scene.ndc.as_ref()),
+        Layer::Normals => normals(view, camera, scene.ndc.as_ref(), origin),
     };
     Ok(Cow::Owned(drawn))
 }
 
 /// Draws the normals of the surface through the rendered depths, towards the camera, by differences between neighbours. Grey
 /// where less than half of the light is stopped.
-fn normals(view: &RenderedView, camera: &Camera, ndc: Option<&Ndc>) -> Image {
+fn normals(view: &RenderedView, camera: &Camera, ndc: Option<&Ndc>, pixel: PixelOrigin) -> Image {
     let (width, height) = (view.image.width, view.image.height);
     let point = |x: usize, y: usize| -> Option<[f64; 3]> {
         let at = y * width + x;
         let depth = f64::from(view.depth[at]);
-        let (origin, direction) = camera.ray(x as f64 + 0.5, y as f64 + 0.5);
+        let (origin, direction) = camera.ray(x as f64 + pixel.shift(), y as f64 + pixel.shift());
         let t = if ndc.is_some() { Ndc::world_t(origin, direction, depth) } else { depth };
         (view.acc[at] >= SOLID && t.is_finite()).then(|| std::array::from_fn(|axis| origin[axis] + t * direction[axis]))
     };
@@ -106,9 +108,9 @@ mod tests {
             let depths = (0..width * height).map(|i| depth((i % width) as f64 + 0.5 - 4.0) as f32).collect();
             RenderedView { image: image.clone(), depth: depths, acc: vec![1.0; width * height] }
         };
-        let flat = normals(&view(&|_| 3.0), &camera, None);
+        let flat = normals(&view(&|_| 3.0), &camera, None, PixelOrigin::Centre);
         // The plane z = -3 - x: at pixel x the ray (x / 10, ., -1) t is in it where t = 3 + t x / 10.
-        let slanted = normals(&view(&|x| 3.0 / (1.0 - x / 10.0)), &camera, None);
+        let slanted = normals(&view(&|x| 3.0 / (1.0 - x / 10.0)), &camera, None, PixelOrigin::Centre);
         let close = |image: &Image, expected: [f64; 3]| {
             let expected = expected.map(|value| 0.5 + 0.5 * value);
             for pixel in image.pixels.chunks(3) {
@@ -119,6 +121,6 @@ mod tests {
         let half = std::f64::consts::FRAC_1_SQRT_2;
         close(&slanted, [half, 0.0, half]);
         let thin = RenderedView { acc: vec![0.1; width * height], ..view(&|_| 3.0) };
-        assert!(normals(&thin, &camera, None).pixels.iter().all(|&value| value == 0.5));
+        assert!(normals(&thin, &camera, None, PixelOrigin::Centre).pixels.iter().all(|&value| value == 0.5));
     }
 }

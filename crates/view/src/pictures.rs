@@ -99,7 +99,7 @@ impl Pictures {
         let spent = work.end();
         run.note_cost(attack.as_ref(), camera.width * camera.height, spent);
         let depths = runs[0].weights().map_or(weights.depths, |first| first.depths);
-        let image = draw_layer(layer, &view, &camera, &run.scene, depths)?;
+        let image = draw_layer(layer, &view, &camera, (&run.scene, run.config.data.origin_of_pixels()), depths)?;
         let mut reply = match arguments.get("moving") {
             Some(_) => Reply::new("image/jpeg", encode_jpeg(&image, MOVING_QUALITY)?),
             None => png(&image)?,

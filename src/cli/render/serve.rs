@@ -207,6 +207,7 @@ impl Server<'_> {
                 // As `--cameras` has it for a single camera.
                 let range = depth_range(&view.depth, Some(&view.acc));
                 let range = range.unwrap_or((scene.near as f32, scene.far as f32));
+                let scene = (scene, self.viewer.config.data.origin_of_pixels());
                 write_png8(path, &*draw_layer(layer, view, camera, scene, range)?)
             }
             Output::Colours => write_npy(path, &[size[0], size[1], 3], &view.image.pixels),

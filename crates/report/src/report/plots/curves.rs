@@ -52,16 +52,17 @@ impl Curve {
     }
 }
 
-/// Steps, with the spread of the values of all seeds.
+/// Steps, with the spread of the values of the seeds that have them.
 type Line = Vec<(f64, Spread)>;
 
 fn spreads(seeds: &[Vec<(f64, f64)>]) -> Line {
-    let Some(first) = seeds.first() else { return Vec::new() };
-    let at = |index: usize| {
-        let values: Vec<f64> = seeds.iter().filter_map(|seed| Some(seed.get(index)?.1)).collect();
-        Some((first[index].0, Spread::new(&values)?))
-    };
-    (0..first.len()).filter_map(at).collect()
+    let mut steps: Vec<f64> = seeds.iter().flatten().map(|(step, _)| *step).collect();
+    steps.sort_by(f64::total_cmp);
+    steps.dedup();
+    // A seed may lack a log point, of a value that is not finite.
+    let value = |seed: &Vec<(f64, f64)>, at: f64| seed.iter().find(|(step, _)| *step == at).map(|(_, value)| *value);
+    let values = |at: f64| seeds.iter().filter_map(|seed| value(seed, at)).collect::<Vec<f64>>();
+    steps.into_iter().filter_map(|step| Some((step, Spread::new(&values(step))?))).collect()
 }
 
 /// Returns a line without bands.
@@ -365,6 +366,13 @@ fn caption(all: usize, rows: &[Row], longer: &[String]) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn seeds_are_averaged_step_by_step() {
+        let seeds = [vec![(1.0, 10.0), (2.0, f64::NAN), (3.0, 30.0)], vec![(1.0, 20.0), (2.0, 7.0), (3.0, 40.0)]];
+        let means: Vec<(f64, f64)> = unsmoothed(&seeds).into_iter().map(|(step, spread)| (step, spread.mean)).collect();
+        assert_eq!(means, [(1.0, 15.0), (2.0, 7.0), (3.0, 35.0)]);
+    }
 
     #[test]
     fn a_row_that_trains_longer_does_not_squeeze_the_others() {

@@ -103,7 +103,7 @@ fn caption(lines: &[&Line], column: usize) -> String {
     let comparisons = lines.iter().filter_map(|line| line.cells[column].comparison);
     let margins = comparisons.filter_map(|comparison| comparison.equivalence).map(|equivalence| equivalence.margin);
     if let Some(margin) = margins.reduce(f64::max) {
-        text += &format!(" Equivalent (≈): within {margin} of the baseline, by two one-sided tests (Holm).");
+        text += &format!(" Equivalent: within {margin} of the baseline, by two one-sided tests (Holm).");
     }
     for by in InactiveBy::ALL {
         let sites = lines.iter().filter_map(|line| Some(format!("{} ({})", line.label, line.inactive_sites(by)?)));

@@ -246,9 +246,10 @@ fn baseline_notes(lines: &[&Line], most: usize) -> Vec<String> {
 
 /// Returns what a picture of one colour would have, beside which PSNR means something.
 fn floor_note(lines: &[&Line]) -> Option<String> {
-    let floors = distinct(lines.iter().filter_map(|line| line.floor_psnr).map(|floor| number(PSNR.key, floor)));
-    let (first, last) = (floors.iter().min()?, floors.iter().max()?);
-    let range = if first == last { first.clone() } else { format!("{first} to {last}") };
+    let floors = || lines.iter().filter_map(|line| line.floor_psnr);
+    let ends = [floors().reduce(f64::min)?, floors().reduce(f64::max)?];
+    let [first, last] = ends.map(|floor| number(PSNR.key, floor));
+    let range = if first == last { first } else { format!("{first} to {last}") };
     Some(format!("PSNR of the best single colour of the training views: {range} dB"))
 }
 
