@@ -199,6 +199,9 @@ fn what_slurm_cannot_take_is_refused_in_a_sentence() {
     assert_says(&submit("--device cudaa", 2), &["device cudaa", "cuda:N"]);
     submit("--device cuda:1", 0);
     submit("--device gpu:1", 0);
+    let half = "--set field.precision=f16 --name half";
+    assert_says(&submit(half, 2), &["field.precision", "--device gpu"]);
+    submit(&format!("{half} --device gpu"), 0);
     let seconds = TINY.to_string()
         + "\n[[row]]\nname = \"equal\"\nset = { \"regularizer.kind\" = \"tv\" }\nbudget = { kind = \"seconds\", like = \"NeRF\" }\n";
     place.write("tiny.toml", seconds);

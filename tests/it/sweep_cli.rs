@@ -146,7 +146,17 @@ fn a_scene_that_is_missing_and_a_definition_that_changed_are_said() {
         place.run(&format!("sweep run tiny.toml --set train.steps=5 --seeds 0 --quiet {further}"), code)
     };
     let message = quick("--scenes builtin,orchids", 8);
-    assert_says(&message, &["2 of 4 points have no data", "2 are done", "orchids", "AUGNERF_DATA"]);
+    let words = ["2 of 4 points have no data", "2 are done", "orchids", "AUGNERF_DATA"];
+    assert_says(&message, &words);
+    // A worker was killed at a point whose scene has gone since.
+    let away = points_of(&place.at("results/tiny")).into_iter().find(|row| row["status"] == "no data").unwrap();
+    let own = place.at("runs/tiny/points").join(&away["id"]);
+    std::fs::create_dir_all(&own).unwrap();
+    let note = r#"{ "host": "a", "pid": 1, "step": 2, "steps": 5, "seconds": 1.0, "first": 0 }"#;
+    std::fs::write(own.join("claim.json"), note).unwrap();
+    place.says("sweep status runs/tiny", 8, &["2 no data"]);
+    let zero = "--set sampling.spacing=disparity --set data.near=0 --name zero";
+    assert_says(&quick(zero, 2), &["rays that start beyond 0", "set data.near"]);
     // Without any scene there is no table.
     let message = quick("--scenes orchids,ferns --name gone", 8);
     assert_says(&message, &["4 of 4 points have no data", "scenes are missing: ferns, orchids", "--data-root"]);

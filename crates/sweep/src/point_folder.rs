@@ -225,7 +225,8 @@ impl PointFolder {
         let claim = Claim::look(&self.path);
         Ok(match (claim, &point.no_data) {
             (Some(claim), _) if claim.alive => state(Status::Running, String::new()),
-            (None, Some(reason)) => state(Status::NoData, reason.clone()),
+            // What a killed worker left here waits for the scene, too.
+            (_, Some(reason)) => state(Status::NoData, reason.clone()),
             _ => state(Status::Waiting, String::new()),
         })
     }

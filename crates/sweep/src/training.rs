@@ -14,7 +14,7 @@ use crate::metrics::Lpips;
 use crate::report::{PointResult, label};
 use crate::revision::revision;
 use crate::run::{
-    Existing, Finished, Job, Report, RunDir, SMOOTHNESS_SIDE, Setup, SmoothnessReport, Viewer, columns, locate_scene,
+    Existing, Finished, Job, Report, RunDir, SMOOTHNESS_SIDE, Setup, SmoothnessReport, Viewer, check_spacing, columns, locate_scene,
     smoothness_box, watch_memory,
 };
 use crate::runtime::{Host, Runtime};
@@ -124,6 +124,7 @@ impl<'a> Trainings<'a> {
             }
         };
         drop(scenes);
+        check_spacing(&config, &scene)?;
         Ok((config.resolve(scene.extent()), scene))
     }
 

@@ -1,6 +1,7 @@
 //! `augnerf sweep slurm`.
 
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
 use clap::Args;
 use serde_json::json;
@@ -9,8 +10,8 @@ use crate::base::{Error, Result, quoted};
 use crate::cli::LpipsWeights;
 use crate::cli::answer::Answer;
 use crate::cli::progress::Console;
-use crate::runtime::Runtime;
-use crate::settings::Config;
+use crate::runtime::{Accelerator, Runtime};
+use crate::settings::{Config, Resolved};
 use crate::sweep::slurm::Script;
 use crate::sweep::{Point, StepCosts, SweepFolder};
 
@@ -54,14 +55,17 @@ impl SlurmArguments {
         let (name, path) = (self.location.name()?, absolute(self.location.folder()?.path())?);
         let mut script = Script { name: &name, folder: &path, points: vec![], command: vec![] };
         script.check()?;
-        self.device.as_deref().map_or(Ok(()), Runtime::check_name)?;
+        let device = self.device.as_deref().unwrap_or("cpu");
         // Unreadable weights are an error here, not in every task.
-        let runtime = Runtime::new("cpu", Some(1))?;
+        let runtime = match Runtime::accelerator_index(device)? {
+            Some(_) => Runtime::with_accelerator(Arc::new(Elsewhere), device.into(), Some(1))?,
+            None => Runtime::new("cpu", Some(1))?,
+        };
         let trainings = trainings(&definition, &self.weights, &runtime, &console)?;
         let (folder, points) =
             begin_folder(&self.location, &definition, self.extend, (&trainings, &Elsewhere), &console)?;
         say_what_is_missing(&definition, &trainings, &console);
-        if !self.quiet && !self.answer.json {
+        if !self.quiet && !self.answer.json && device == "cpu" {
             say_how_long((&folder, &points), (&definition, &trainings), 1, &console)?;
         }
         script.points = self.left(&points, &folder)?;
@@ -130,8 +134,23 @@ fn absolute(path: &Path) -> Result<PathBuf> {
     std::path::absolute(path).map_err(|e| Error::unreadable(path, &e))
 }
 
-/// Step times on machines that train: they are unknown on this one.
+/// The machines that train: this one knows neither their step times nor their GPU.
+#[derive(Debug)]
 struct Elsewhere;
+
+impl Accelerator for Elsewhere {
+    fn description(&self) -> String {
+        "GPU of another machine".into()
+    }
+
+    fn synchronize(&self) -> Result<()> {
+        Ok(())
+    }
+
+    fn check(&self, _: &Resolved) -> Result<()> {
+        Ok(())
+    }
+}
 
 impl StepCosts for Elsewhere {
     fn seconds_per_step(&self, _: &Config) -> Result<f64> {

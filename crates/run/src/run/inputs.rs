@@ -114,7 +114,10 @@ fn load(located: &Located, photos: Photos, events: &dyn Listener) -> Result<Scen
 }
 
 /// Returns an error for samples that are even in disparity on rays that start at 0.
-fn check_spacing(config: &Config, scene: &Scene) -> Result<()> {
+///
+/// # Errors
+/// [`Error::Config`].
+pub fn check_spacing(config: &Config, scene: &Scene) -> Result<()> {
     if config.sampling.spacing == Spacing::Depth || scene.near > 0.0 {
         return Ok(());
     }

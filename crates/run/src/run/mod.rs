@@ -41,7 +41,7 @@ pub use evaluate::{EVALUATING, RenderedView, Viewer};
 pub use exchange::{Foreign, Networks, export};
 pub use first_view::{FirstView, read_picture};
 pub use folder::{Existing, RunDir};
-pub use inputs::{load_lpips, load_scene, load_scene_of, load_scene_with, locate_scene};
+pub use inputs::{check_spacing, load_lpips, load_scene, load_scene_of, load_scene_with, locate_scene};
 pub use job::watch_memory;
 pub use job::{Audience, Estimate, Finished, Job, Setup};
 pub use mesh::{MeshFormat, MeshOptions, MeshReport, MeshUnits};
