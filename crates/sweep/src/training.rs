@@ -14,8 +14,8 @@ use crate::metrics::Lpips;
 use crate::report::{PointResult, label};
 use crate::revision::revision;
 use crate::run::{
-    Existing, Finished, Job, Report, RunDir, SMOOTHNESS_SIDE, Setup, SmoothnessReport, Viewer, check_spacing, columns, locate_scene,
-    smoothness_box, watch_memory,
+    Existing, Finished, Job, Report, RunDir, SMOOTHNESS_SIDE, Setup, SmoothnessReport, Viewer, check_spacing, columns,
+    locate_scene, smoothness_box, watch_memory,
 };
 use crate::runtime::{Host, Runtime};
 use crate::settings::{Config, CorruptionConfig, CorruptionKind, DataConfig, Resolved, TrainConfig};
