@@ -8,7 +8,7 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 use tempfile::TempDir;
 
 use crate::common::assert_says;
-use crate::page::{ROW, page, page_of_axes};
+use crate::page::{ROW, page};
 use crate::view_browser::Browser;
 
 /// The page in a browser, and the folder that it lies in.
@@ -78,39 +78,11 @@ fn the_slider_uncovers_one_row_s_picture_over_another_s() {
         set(left, 2); set(right, 3); set(what, "error");
         said.push(over.src === cell(2, 2) && under.src === cell(3, 2) && over.src !== under.src);
         set(left, 0);
-        said.push(over.hasAttribute("src"));
-        const buttons = all("figure.switch button"), shown = () => all("figure.switch .drawn").map(drawn => !drawn.hidden).join();
-        said.push(shown());
-        buttons[1].click();
-        said.push(shown(), over.naturalWidth > 0 || under.naturalWidth > 0);
+        said.push(over.hasAttribute("src"), over.naturalWidth > 0 || under.naturalWidth > 0);
         return said.join("; ");
     "##;
-    let expected = "false; 4; inset(0px 75% 0px 0px); true; false; true,false; false,true; true";
+    let expected = "false; 4; inset(0px 75% 0px 0px); true; false; true";
     assert_eq!(said(&page(), script), expected);
-}
-
-#[test]
-#[ignore = "needs Chromium"]
-fn points_are_drawn_against_their_values_as_dots_and_as_lines() {
-    let script = r##"
-        const marks = () => all("svg.values .mark"), said = [marks().length], set = (part, value) => {
-          const control = document.querySelector(`#values [data-part="${part}"]`);
-          control.value = value; control.dispatchEvent(new Event("input"));
-        };
-        // The larger weight stands right, the larger PSNR above.
-        const sorted = [...marks()].sort((a, b) => a.getAttribute("cx") - b.getAttribute("cx"));
-        set("x", "weight");
-        const at = marks().map(mark => [Math.round(mark.getAttribute("cx")), Math.round(mark.getAttribute("cy"))]);
-        said.push(at[0][0] < at[2][0] && at[2][0] < at[4][0] && at[0][1] > at[4][1]);
-        // Logarithmic: the middle weight stands in the middle.
-        said.push(2 * at[2][0] === at[0][0] + at[4][0]);
-        set("as", "parallel");
-        said.push(marks().length, all("svg.values .line").length, document.querySelector("#values [data-only]").hidden);
-        said.push(document.querySelector("svg.values .line title").textContent.split("\n")[0]);
-        return said.join("; ");
-    "##;
-    let expected = "5; true; true; 0; 5; true; fern, NeRF, weight = 0.001, kind = l1, seed 0";
-    assert_eq!(said(&page_of_axes(), script), expected);
 }
 
 #[test]
@@ -122,7 +94,7 @@ fn the_page_s_policy_keeps_it_from_the_network_and_from_other_scripts() {
     let (_dir, kept) = opened(&with_foreign);
     assert_eq!(kept.value("document.title"), "Tiny & <b>bold</b>", "neither the script nor the row {ROW:?} ran");
     // The page's own script did.
-    assert_says(kept.value("document.body.innerHTML").as_str().unwrap(), &["inset(", "aria-pressed=\"true\""]);
+    assert_says(kept.value("document.body.innerHTML").as_str().unwrap(), &["inset("]);
     assert_eq!(fetched.load(Ordering::SeqCst), 0, "something was fetched");
     // Without the policy both happen: the test can fail.
     let (start, rest) = with_foreign.split_once("<meta http-equiv").unwrap();

@@ -46,20 +46,6 @@ fn spec_of(rows: Vec<RowSpec>) -> TableSpec {
     TableSpec { metrics: vec!["psnr".into()], rows, ..TableSpec::default() }
 }
 
-/// The page of points on two axes, one of words; PSNR rises with the weight.
-pub fn page_of_axes() -> String {
-    let places = ["0.001", "0.1", "10"].into_iter().flat_map(|weight| ["l1", "tv"].map(|kind| (weight, kind)));
-    let point = |(index, (weight, kind)): (usize, (&str, &str))| Record {
-        id: format!("p{index}"),
-        axes: vec![value("weight", weight), value("kind", kind)],
-        status: if index == 5 { Status::Failed } else { Status::Done },
-        ..record("fern", "NeRF", 0, &[("psnr", (index != 5).then_some(20.0 + index as f64))], &[])
-    };
-    let records: Vec<Record> = places.enumerate().map(point).collect();
-    let spec = TableSpec { varied: true, ..spec_of(vec![row_against("NeRF", None)]) };
-    page_without_pictures(&spec, &records)
-}
-
 fn page_without_pictures(spec: &TableSpec, records: &[Record]) -> String {
     let table = &Table::new(spec, records, false).unwrap();
     let logged = |column: &str| if column == "shift.view" { vec![0.1] } else { vec![] };
@@ -77,15 +63,7 @@ fn page_without_pictures(spec: &TableSpec, records: &[Record]) -> String {
     page.html().unwrap()
 }
 
-#[test]
-fn points_on_axes_have_their_values_and_others_have_none() {
-    let html = page_of_axes();
-    assert_says(&html, &["id=\"values\"", "data-axes=\"{", "&#34;kind&#34;:&#34;l1&#34;", "&#34;weight&#34;:0.001"]);
-    let plain = page();
-    assert!(!plain.contains("id=\"values\"") && !plain.contains("data-axes=\""));
-}
-
-/// The page of [`table`] with pictures of one view, curves against steps and seconds, and an attack.
+/// The page of [`table`] with pictures of one view, curves, and an attack.
 pub fn page() -> String {
     let (table, records) = table();
     let flat = |value: f32| Image { width: 8, height: 6, channels: 3, pixels: vec![value; 8 * 6 * 3] };
@@ -109,7 +87,6 @@ pub fn page() -> String {
     };
     let files = [
         ("curves_fern_psnr.svg".to_string(), svg("along steps")),
-        ("curves_fern_psnr_seconds.svg".into(), svg("time")),
         ("curves_fern_psnr.txt".into(), b"Training on fern\nLines are means.\n".to_vec()),
     ];
     let attack = AttackLine::of(&table.lines[1], |_, column| match column {
@@ -296,7 +273,7 @@ fn runs_become_a_page() {
     assert!(!page.contains("data-name=\"a0\"") && !page.contains("seconds training"));
     assert_eq!(page, report("a0 a1 b0").1, "the same bytes twice");
     let (_, timed) = report("a0 a1 b0 --with-timing --label NeRF --label NeRF --label Ours");
-    assert_says(&timed, &["seconds training", "data-name=\"NeRF\"", "data-name=\"Ours\"", "class=\"switch\""]);
+    assert_says(&timed, &["seconds training", "data-name=\"NeRF\"", "data-name=\"Ours\""]);
     // PSNR of one colour is the same for all rows: its figure says nothing.
     assert_says(&page, &["rows_builtin_psnr", "Below each mean: the difference"]);
     assert!(!page.contains("rows_builtin_floor_psnr"));

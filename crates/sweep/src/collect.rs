@@ -11,9 +11,8 @@ use super::folder::{DEFINITION, STEP_SECONDS, SweepFolder};
 use super::outputs::SweepOutputs;
 use super::points::Point;
 use super::provenance::Provenance;
-use crate::report::exporters::{Collected, EXPORTERS, File};
+use crate::report::exporters::{self, Comparable, File, is_made};
 use crate::report::plots::{Curve, Seeds};
-use crate::report::statistics::mean;
 use crate::report::tables::{AttackLine, Table};
 use crate::report::{RowSpec, Status, TableSpec};
 use crate::train::sha256;
@@ -111,7 +110,7 @@ impl Results {
     }
 
     fn delete_others(&self, written: &[File]) -> Result<()> {
-        let own = |name: &str| name == PAGE || EXPORTERS.iter().any(|exporter| exporter.owns(name));
+        let own = |name: &str| name == PAGE || is_made(name);
         for entry in fs::read_dir(&self.path).map_err(|e| Error::unreadable(&self.path, &e))? {
             let path = entry.map_err(|e| Error::unreadable(&self.path, &e))?.path();
             let Some(name) = path.file_name().map(|name| name.to_string_lossy()) else { continue };
@@ -124,7 +123,7 @@ impl Results {
 }
 
 impl Collector<'_> {
-    /// Writes the files of all exporters, the page, and the inputs that `augnerf verify` needs to make them again.
+    /// Writes all tables and figures, the page, and the inputs that `augnerf verify` needs to make them again.
     /// Files that show no rows side by side are written even if rows are not comparable. Returns the table.
     pub fn write(&self, results: &Results) -> Result<Table> {
         let (mut files, mut provenance) = (Vec::new(), Provenance::of(self.name, &self.outputs.records));
@@ -148,7 +147,7 @@ impl Collector<'_> {
         table
     }
 
-    /// Returns the table, and adds the files of all exporters to `files`. Files that show no rows side by side come first;
+    /// Returns the table, and adds all tables and figures to `files`. Files that show no rows side by side come first;
     /// the others are made only if rows are comparable.
     pub fn files(&self, files: &mut Vec<File>) -> Result<Table> {
         self.inputs(&self.spec()).files(files)
@@ -190,23 +189,19 @@ impl TableInputs<'_> {
     /// See [`Collector::files`].
     pub fn files(&self, files: &mut Vec<File>) -> Result<Table> {
         let records = &self.outputs.records;
-        let mut collected = Collected {
+        let points = exporters::Points {
             spec: self.spec,
             records,
             timing: &self.outputs.timing,
             with_timing: self.with_timing,
             constants: self.outputs.constants(),
-            table: None,
-            curves: &[],
-            attacks: &[],
         };
-        export(&collected, files)?;
+        files.extend(points.files());
         let table = Table::new(self.spec, records, self.force)?;
         let scenes: Vec<&str> = table.scenes().into_iter().map(|(scene, _)| scene).collect();
         let curves: Vec<_> = scenes.iter().map(|scene| (scene.to_string(), self.curves(scene))).collect();
         let attacks = self.attacks(&table);
-        (collected.table, collected.attacks, collected.curves) = (Some(&table), &attacks, &curves);
-        export(&collected, files)?;
+        files.extend(Comparable { points: &points, table: &table, curves: &curves, attacks: &attacks }.files());
         Ok(table)
     }
 
@@ -219,10 +214,7 @@ impl TableInputs<'_> {
             let seeds = of("psnr");
             if !seeds.is_empty() {
                 let (held_out, seen) = (of("test_psnr"), of("train_psnr"));
-                let per_step = |point: &&Point| Some(self.seconds_of(point)? / point.config.train.steps as f64);
-                let seconds: Vec<f64> = points.iter().filter_map(per_step).collect();
-                let seconds_per_step = mean(&seconds);
-                curves.push(Curve { label: row.name.clone(), seeds, held_out, seen, seconds_per_step });
+                curves.push(Curve { label: row.name.clone(), seeds, held_out, seen });
             }
         }
         curves
@@ -256,18 +248,4 @@ impl TableInputs<'_> {
         let scalars = points.iter().filter_map(|point| self.outputs.scalars.get(&point.id));
         scalars.map(|scalars| scalars.pairs("step", column)).filter(|curve| !curve.is_empty()).collect()
     }
-
-    /// Returns the seconds of a point's training steps, if clock times are shown.
-    fn seconds_of(&self, point: &Point) -> Option<f64> {
-        let (_, clocks) = self.outputs.timing.iter().filter(|_| self.with_timing).find(|(id, _)| *id == point.id)?;
-        clocks.iter().find(|(name, _)| name == "seconds_training").and_then(|(_, seconds)| *seconds)
-    }
-}
-
-/// Adds the files of the exporters that need a table, or of those that need none.
-fn export(collected: &Collected, files: &mut Vec<File>) -> Result<()> {
-    for exporter in EXPORTERS.into_iter().filter(|exporter| exporter.needs_table() == collected.table.is_some()) {
-        files.extend(exporter.export(collected)?);
-    }
-    Ok(())
 }

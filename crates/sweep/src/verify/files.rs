@@ -13,7 +13,7 @@ use crate::collect::{PAGE, TIMING};
 use crate::folder::{DEFINITION, PLAN, STEP_SECONDS};
 use crate::outputs::{SCALARS, optional};
 use crate::provenance::{Archived, PROVENANCE};
-use crate::report::exporters::{EXPORTERS, OF_LOGS};
+use crate::report::exporters::{is_made, is_made_of_logs};
 use crate::report::tables::{Constants, Table};
 use crate::report::{Record, Status};
 use crate::train::sha256;
@@ -284,13 +284,13 @@ fn pin(name: &str, list: &str, hash: &str, bytes: &[u8], findings: &mut Findings
 
 /// Why a file must not be pinned; none where it may be. What is made of logs is made of what a results' folder may lack.
 fn no_pin(sweep: &Collected, name: &str) -> Option<String> {
-    if !EXPORTERS.iter().any(|exporter| exporter.owns(name)) {
+    if !is_made(name) {
         return KEPT.contains(&name).then(|| "tables are made of it".into());
     }
     let provenance = &sweep.archive.provenance;
     let is_archived = provenance.archived.iter().any(|archived| archived.files.contains_key(SCALARS));
     let is_missing = provenance.missing.iter().any(|missing| missing.what.contains(SCALARS));
-    let of_logs = OF_LOGS.iter().any(|exporter| exporter.owns(name));
+    let of_logs = is_made_of_logs(name);
     match () {
         // With or without the logs, which one may get.
         () if of_logs && is_archived => None,
@@ -312,7 +312,7 @@ fn others(sweep: &Collected, update: bool, findings: &mut Findings) -> Result<()
         if accounted {
             continue;
         }
-        if !EXPORTERS.iter().any(|exporter| exporter.owns(&name)) {
+        if !is_made(&name) {
             findings.not_checked(format!("{name}: nothing here makes it, and {PROVENANCE} does not name it"));
         } else if update {
             let path = archive.path.join(&name);

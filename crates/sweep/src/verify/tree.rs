@@ -6,7 +6,7 @@ use super::files;
 use crate::base::{Error, Result};
 use crate::comparisons::{ACROSS, OVER_SCENES};
 use crate::folder::DEFINITION;
-use crate::report::exporters::EXPORTERS;
+use crate::report::exporters::is_made;
 use crate::view::VIEW;
 
 /// Deeper than anyone sorts results: most likely a link that leads up.
@@ -75,8 +75,8 @@ fn kind(path: &Path) -> Result<Kind> {
 /// Returns whether people wrote all that a folder holds: a page at least, and nothing that the program leaves in results.
 fn holds_pages_alone(path: &Path) -> Result<bool> {
     let names = names_in(path)?;
-    let is_made = |name: &String| files::is_kept(name) || EXPORTERS.iter().any(|exporter| exporter.owns(name));
-    Ok(names.iter().any(|name| name.ends_with(".md")) && !names.iter().any(is_made))
+    let is_results = |name: &String| files::is_kept(name) || is_made(name);
+    Ok(names.iter().any(|name| name.ends_with(".md")) && !names.iter().any(is_results))
 }
 
 /// Returns the folders in a folder, by name.

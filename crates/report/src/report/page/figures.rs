@@ -22,25 +22,18 @@ impl Drawn {
     }
 }
 
-const SECONDS: &str = "_seconds";
-
-/// Returns the figures among the files, in order, each with its version against seconds if there is one; without those of
-/// a metric that is the same for all rows.
-pub fn figures(table: &Table, files: &[(String, Vec<u8>)]) -> Result<Vec<Vec<Drawn>>> {
+/// Returns the figures among the files, in order, without those of a metric that is the same for all rows.
+pub fn figures(table: &Table, files: &[(String, Vec<u8>)]) -> Result<Vec<Drawn>> {
     let file = |file: String| files.iter().find(|(known, _)| *known == file).map(|(_, bytes)| bytes.as_slice());
     let svgs = files.iter().filter_map(|(name, bytes)| Some((name.strip_suffix(".svg")?, bytes)));
-    let mut figures: Vec<Vec<Drawn>> = Vec::new();
+    let mut figures = Vec::new();
     let same = same_for_all(table);
     for (name, bytes) in svgs {
         if same.iter().any(|place| name.split_once('_').is_some_and(|(_, rest)| rest == place)) {
             continue;
         }
         let caption = String::from_utf8_lossy(file(format!("{name}.txt")).unwrap_or_default());
-        let drawn = Drawn::new(name, bytes, &caption)?;
-        match figures.iter_mut().find(|figure| name.strip_suffix(SECONDS) == Some(figure[0].name.as_str())) {
-            Some(figure) => figure.push(drawn),
-            None => figures.push(vec![drawn]),
-        }
+        figures.push(Drawn::new(name, bytes, &caption)?);
     }
     Ok(figures)
 }

@@ -1,23 +1,15 @@
-//! Training curves: values of the baseline and the best rows, then differences to the baseline.
+//! Training curves: values of the baseline and the best rows, of the steps' rays and of whole views.
 
 use super::ends::{self, End};
 use super::{Figure, Spread, Stroke, Style, canvas};
-use crate::draw::canvas::{Anchor, BLACK, Canvas, GREY, LINE_HEIGHT, Panel, SIDE, TEXT, tick_texts, wrapped};
+use crate::draw::canvas::{Anchor, BLACK, Canvas, LINE_HEIGHT, Panel, SIDE, TEXT, tick_texts, wrapped};
 use crate::metrics::PSNR;
-use crate::report::statistics::mean;
 
 /// Log points in a curve's moving average.
 const WINDOW: usize = 5;
 /// Most rows that are all drawn. Of more, the baseline and the best [`BEST`] are.
 const MOST: usize = 6;
 const BEST: usize = 4;
-/// A row that trains for more than this multiple of the others' steps is cut off.
-const LONGER: f64 = 2.0;
-/// Share of the steps from which on differences are drawn.
-const FROM: f64 = 0.1;
-/// A row is far from the others if its last difference is this multiple of theirs, and at least [`FAR`] dB.
-const TIMES: f64 = 4.0;
-const FAR: f64 = 1.0;
 /// Room for numbers at the left, and for names at the right.
 const LEFT: f64 = 62.0;
 const NAMES: f64 = 190.0;
@@ -36,20 +28,6 @@ pub struct Curve {
     pub held_out: Seeds,
     /// The same for training views.
     pub seen: Seeds,
-    /// Mean seconds of a step over the seeds, or `None` if clock times are not shown.
-    pub seconds_per_step: Option<f64>,
-}
-
-impl Curve {
-    /// Returns the same against seconds of training, or `None` if they are unknown.
-    fn in_seconds(&self) -> Option<Curve> {
-        let seconds = self.seconds_per_step?;
-        let scaled = |seeds: &[Vec<(f64, f64)>]| -> Seeds {
-            seeds.iter().map(|seed| seed.iter().map(|(step, value)| (step * seconds, *value)).collect()).collect()
-        };
-        let [seeds, held_out, seen] = [&self.seeds, &self.held_out, &self.seen].map(|seeds| scaled(seeds));
-        Some(Curve { label: self.label.clone(), seeds, held_out, seen, seconds_per_step: None })
-    }
 }
 
 /// Steps, with the spread of the values of the seeds that have them.
@@ -98,27 +76,11 @@ fn range_of<'a>(lines: impl Iterator<Item = &'a Line>) -> Option<(f64, f64)> {
     )
 }
 
-/// Returns where the axis of steps ends: rows that train for much longer than the others do not squeeze them.
-fn axis_end(lasts: &[f64]) -> f64 {
-    let mut sorted = lasts.to_vec();
-    sorted.sort_by(f64::total_cmp);
-    let usual = sorted.get(sorted.len() / 2).copied().unwrap_or(1.0);
-    let end = sorted.into_iter().rfind(|last| *last <= LONGER * usual).unwrap_or(1.0);
-    if end > 0.0 { end } else { 1.0 }
-}
-
-/// Returns the part of a line up to the axis's end.
-fn cut(line: &Line, end: f64) -> Line {
-    line.iter().copied().filter(|(step, _)| *step <= end).collect()
-}
-
 /// A panel over steps.
 struct Plot {
     panel: Panel,
     /// The last step.
     end: f64,
-    /// Quantity of the x axis.
-    along: &'static str,
 }
 
 impl Plot {
@@ -132,7 +94,7 @@ impl Plot {
         for (mark, text) in tick_texts((0.0, self.end), panel.width) {
             drawing.text((self.x(mark), panel.bottom() + 12.0), &text, TEXT, Anchor::Middle, BLACK);
         }
-        drawing.text((panel.left + panel.width / 2.0, panel.bottom() + 29.0), self.along, TEXT, Anchor::Middle, BLACK);
+        drawing.text((panel.left + panel.width / 2.0, panel.bottom() + 29.0), "step", TEXT, Anchor::Middle, BLACK);
         for (index, line) in title.iter().enumerate() {
             let above = (title.len() - 1 - index) as f64;
             drawing.text((panel.left, panel.top - 11.0 - LINE_HEIGHT * above), line, TEXT, Anchor::Left, BLACK);
@@ -189,26 +151,11 @@ impl<'a> Row<'a> {
     fn score(&self) -> f64 {
         self.held_out.last().or(self.rays.last()).map_or(f64::NEG_INFINITY, |(_, spread)| spread.mean)
     }
-
-    /// Returns the line that is compared: of held-out views if all rows have them.
-    fn compared(&self, held_out: bool) -> &Line {
-        if held_out { &self.held_out } else { &self.rays }
-    }
 }
 
 /// Draws means over seeds against steps. If views were evaluated during training, a panel shows held-out and training
 /// views. Returns `None` without points.
 pub fn curves_figure(style: Style, scene: &str, curves: &[Curve]) -> Option<Figure> {
-    figure(style, scene, "step", curves)
-}
-
-/// Draws the same against seconds of training, for the curves whose seconds are known.
-pub fn seconds_figure(style: Style, scene: &str, curves: &[Curve]) -> Option<Figure> {
-    let curves: Vec<Curve> = curves.iter().filter_map(Curve::in_seconds).collect();
-    figure(style, scene, "seconds of training", &curves)
-}
-
-fn figure(style: Style, scene: &str, along: &'static str, curves: &[Curve]) -> Option<Figure> {
     let rows = curves.iter().map(|curve| Row::new(style, curve)).filter(|row| !row.rays.is_empty());
     let mut rows: Vec<Row> = rows.collect();
     let all = rows.len();
@@ -218,27 +165,17 @@ fn figure(style: Style, scene: &str, along: &'static str, curves: &[Curve]) -> O
     if !has_curve || range_of(rows.iter().map(|row| &row.rays)).is_none() {
         return None;
     }
-    let end = axis_end(&rows.iter().map(Row::last).collect::<Vec<f64>>());
-    let longer: Vec<String> = rows.iter().filter(|row| row.last() > end).map(|row| further(row, along)).collect();
-    for row in &mut rows {
-        [&mut row.rays, &mut row.held_out, &mut row.seen].into_iter().for_each(|line| *line = cut(line, end));
-    }
-    let curves = Curves { style, rows: &rows, end, along };
+    let end = rows.iter().map(Row::last).fold(1.0, f64::max);
     let mut drawing = canvas();
     let rays = rows.iter().map(|row| (row, vec![(row.rays.clone(), row.stroke)])).collect();
-    curves.draw(&mut drawing, "PSNR of the step's rays (dB)", rays, 210.0);
-    // Seconds of two rows do not fall together.
-    if along == "step" {
-        curves.draw_differences(&mut drawing);
-    }
+    draw(&mut drawing, "PSNR of the step's rays (dB)", end, rays, 210.0);
     let evaluated = rows.iter().filter(|row| !row.held_out.is_empty() || !row.seen.is_empty()).map(|row| {
         let line = |line: &Line, dashed| (line.clone(), Stroke { dashed, ..row.stroke });
         (row, vec![line(&row.held_out, false), line(&row.seen, true)])
     });
     let title = "PSNR of whole views (dB): held-out, and training (dashed)";
-    curves.draw(&mut drawing, title, evaluated.collect(), 190.0);
-    let against = if along == "step" { "" } else { ", against seconds" };
-    Some(style.finish(drawing, &format!("Training on {scene}{against}"), &caption(all, &rows, &longer)))
+    draw(&mut drawing, title, end, evaluated.collect(), 190.0);
+    Some(style.finish(drawing, &format!("Training on {scene}"), &caption(all, rows.len())))
 }
 
 /// Keeps the baseline and the best other rows, if there are many.
@@ -254,111 +191,38 @@ fn keep_best(style: Style, rows: &mut Vec<Row>) {
     rows.retain(|_| indices.next().is_some_and(|index| index == baseline || kept.contains(&index)));
 }
 
-/// Returns how far a row that is cut off goes on, and its last value.
-fn further(row: &Row, along: &str) -> String {
-    let (last, value) = row.rays.last().map_or((0.0, 0.0), |(step, spread)| (*step, spread.mean));
-    let at = if along == "step" { format!("step {last:.0}") } else { format!("{last:.0} s") };
-    format!("{} goes on to {at} (last {value:.2} dB)", row.label)
-}
-
-struct Curves<'f, 'a> {
-    style: Style<'f>,
-    rows: &'f [Row<'a>],
-    end: f64,
-    along: &'static str,
-}
-
-impl Curves<'_, '_> {
-    /// Draws a panel below everything: the lines of rows, the first of each named at its end; nothing without lines.
-    fn draw(&self, drawing: &mut Canvas, title: &str, rows: Vec<(&Row, Vec<(Line, Stroke)>)>, height: f64) {
-        let lines = rows.iter().flat_map(|(_, lines)| lines).map(|(line, _)| line);
-        let Some(range) = range_of(lines) else { return };
-        let title = wrapped(title, drawing.width - LEFT - SIDE, TEXT);
-        let panel = Panel {
-            left: LEFT,
-            top: drawing.height + LINE_HEIGHT * title.len() as f64 + 4.0,
-            width: drawing.width - LEFT - NAMES - SIDE,
-            height,
-            range,
-        };
-        let plot = Plot { panel, end: self.end, along: self.along };
-        plot.panel.frame(drawing, true);
-        let foot = plot.axis(drawing, &title);
-        if range.0 < 0.0 && range.1 > 0.0 {
-            let y = plot.panel.y(0.0);
-            drawing.line(&[(plot.panel.left, y), (plot.panel.right(), y)], GREY, 1.2);
-        }
-        let mut named = Vec::new();
-        for (row, own) in &rows {
-            own.iter().for_each(|(line, stroke)| plot.line(drawing, line, *stroke));
-            let end = own.iter().find_map(|(line, _)| plot.places(line).last().copied());
-            named.extend(end.map(|at| End { at, stroke: row.stroke, name: row.label }));
-        }
-        ends::draw(drawing, &plot.panel, NAMES, named);
-        drawing.height = foot;
-    }
-
-    /// Draws the differences to each baseline; rows far from the others have their own panel.
-    fn draw_differences(&self, drawing: &mut Canvas) {
-        let held_out = self.rows.iter().all(|row| row.held_out.len() > 1);
-        let of = |row: &Row| -> Option<Line> {
-            let name = self.style.baseline_of(row.label)?;
-            let baseline = self.rows.iter().find(|other| other.label == name)?;
-            let line = difference(row.compared(held_out), baseline.compared(held_out), FROM * self.end);
-            (line.len() > 1).then_some(line)
-        };
-        let compared: Vec<(&Row, Line)> = self.rows.iter().filter_map(|row| Some((row, of(row)?))).collect();
-        let lasts: Vec<f64> = compared.iter().map(|(_, line)| last(line)).collect();
-        let is_far = far(&lasts);
-        let what = if held_out { "PSNR of held-out views" } else { "PSNR of the step's rays" };
-        let names: Vec<&str> = compared.iter().filter_map(|(row, _)| self.style.baseline_of(row.label)).collect();
-        let baseline = if names.iter().all(|name| *name == names[0]) { names.first() } else { None };
-        for (group, far) in [("", false), (", rows far from the others", true)] {
-            let rows = compared.iter().zip(&is_far).filter(|(_, own)| **own == far);
-            let rows = rows.map(|((row, line), _)| (*row, vec![(line.clone(), row.stroke)])).collect();
-            let title = format!("{what} (dB), difference to {}{group}", baseline.unwrap_or(&"the baseline"));
-            self.draw(drawing, &title, rows, 150.0);
-        }
-    }
-}
-
-/// Returns the differences of two lines' means where both have a log point, from a step on.
-fn difference(line: &Line, baseline: &Line, from: f64) -> Line {
-    let at = |(step, own): &(f64, Spread)| {
-        let (_, other) = baseline.iter().find(|(known, _)| known == step)?;
-        Some((*step, Spread { mean: own.mean - other.mean, band: None }))
+/// Draws a panel below everything: the lines of rows, the first of each named at its end; nothing without lines.
+fn draw(drawing: &mut Canvas, title: &str, end: f64, rows: Vec<(&Row, Vec<(Line, Stroke)>)>, height: f64) {
+    let lines = rows.iter().flat_map(|(_, lines)| lines).map(|(line, _)| line);
+    let Some(range) = range_of(lines) else { return };
+    let title = wrapped(title, drawing.width - LEFT - SIDE, TEXT);
+    let panel = Panel {
+        left: LEFT,
+        top: drawing.height + LINE_HEIGHT * title.len() as f64 + 4.0,
+        width: drawing.width - LEFT - NAMES - SIDE,
+        height,
+        range,
     };
-    line.iter().filter(|(step, _)| *step >= from).filter_map(at).collect()
+    let plot = Plot { panel, end };
+    plot.panel.frame(drawing, true);
+    let foot = plot.axis(drawing, &title);
+    let mut named = Vec::new();
+    for (row, own) in &rows {
+        own.iter().for_each(|(line, stroke)| plot.line(drawing, line, *stroke));
+        let end = own.iter().find_map(|(line, _)| plot.places(line).last().copied());
+        named.extend(end.map(|at| End { at, stroke: row.stroke, name: row.label }));
+    }
+    ends::draw(drawing, &plot.panel, NAMES, named);
+    drawing.height = foot;
 }
 
-/// Returns the mean of the last fifth of a line.
-fn last(line: &Line) -> f64 {
-    let from = line.len() - line.len().div_ceil(5);
-    mean(&line[from..].iter().map(|(_, spread)| spread.mean).collect::<Vec<f64>>()).unwrap_or(0.0)
-}
-
-/// Returns which differences are far from the others.
-fn far(differences: &[f64]) -> Vec<bool> {
-    let mut sizes: Vec<f64> = differences.iter().map(|value| value.abs()).collect();
-    sizes.sort_by(f64::total_cmp);
-    let Some(usual) = sizes.len().checked_sub(1).map(|last| sizes[last / 2]) else { return Vec::new() };
-    let limit = (TIMES * usual).max(FAR);
-    differences.iter().map(|value| differences.len() > 1 && value.abs() > limit).collect()
-}
-
-fn caption(all: usize, rows: &[Row], longer: &[String]) -> String {
+fn caption(all: usize, drawn: usize) -> String {
     let mut text = format!(
         "Lines are means over seeds. The baseline has a band: mean ± standard deviation of three and more seeds, from end to \
          end of two. Curves of the step's rays are moving averages over {WINDOW} log points."
     );
-    if rows.len() > 1 {
-        text += " Differences are those of the means, from a tenth of the steps on.";
-    }
-    if rows.len() < all {
+    if drawn < all {
         text += &format!(" Of {all} rows: the baseline and the {BEST} with the highest last value.");
-    }
-    if !longer.is_empty() {
-        text += &format!(" Cut off: {}.", longer.join("; "));
     }
     text
 }
@@ -372,19 +236,5 @@ mod tests {
         let seeds = [vec![(1.0, 10.0), (2.0, f64::NAN), (3.0, 30.0)], vec![(1.0, 20.0), (2.0, 7.0), (3.0, 40.0)]];
         let means: Vec<(f64, f64)> = unsmoothed(&seeds).into_iter().map(|(step, spread)| (step, spread.mean)).collect();
         assert_eq!(means, [(1.0, 15.0), (2.0, 7.0), (3.0, 35.0)]);
-    }
-
-    #[test]
-    fn a_row_that_trains_longer_does_not_squeeze_the_others() {
-        assert_eq!(axis_end(&[2000.0, 2000.0, 8657.0, 2000.0]), 2000.0);
-        assert_eq!(axis_end(&[20.0, 80.0]), 80.0);
-        assert_eq!((axis_end(&[5.0]), axis_end(&[0.0]), axis_end(&[])), (5.0, 1.0, 1.0));
-    }
-
-    #[test]
-    fn a_row_far_from_the_others_is_told_apart() {
-        assert_eq!(far(&[0.1, -0.3, 8.0, 0.2]), [false, false, true, false]);
-        assert_eq!(far(&[0.1, 0.5]), [false, false], "less than a dB is near");
-        assert_eq!((far(&[9.0]), far(&[])), (vec![false], vec![]));
     }
 }

@@ -22,7 +22,7 @@ mod series;
 pub use crate::draw::Figure;
 pub use axes::axes_figure;
 pub use comparisons::comparisons_figure;
-pub use curves::{Curve, Seeds, curves_figure, seconds_figure};
+pub use curves::{Curve, Seeds, curves_figure};
 pub use rows::rows_figure;
 
 /// Free height above everything.
