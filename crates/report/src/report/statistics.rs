@@ -68,18 +68,6 @@ pub fn equivalence_p_value(differences: &[f64], margin: f64) -> Option<f64> {
     })
 }
 
-/// Returns the least mean difference that would be significant in Holm's first step among `tests` tests, at the pooled
-/// spread of these groups of differences. `None` if no group has two differences, none has a spread, or there is no
-/// test.
-pub fn least_provable(groups: &[&[f64]], tests: usize) -> Option<f64> {
-    let spread: Vec<&&[f64]> = groups.iter().filter(|group| group.len() > 1 && tests > 0).collect();
-    let pairs = spread.iter().map(|group| group.len()).min()?;
-    let squares: Vec<f64> = spread.iter().filter_map(|group| Some(standard_deviation(group)?.powi(2))).collect();
-    let error = (mean(&squares)? / pairs as f64).sqrt();
-    let quantile = student(pairs).inverse_cdf(1.0 - SIGNIFICANCE / (2.0 * tests as f64));
-    (error > 0.0).then_some(quantile * error)
-}
-
 /// Applies Holm's step-down correction: the k-th smallest of m is multiplied by m - k + 1, made monotone and cut at 1.
 /// Missing p values stay missing and do not count.
 pub fn holm(p_values: &[Option<f64>]) -> Vec<Option<f64>> {
@@ -208,14 +196,6 @@ mod tests {
         let exact = |values: &[f64]| equivalence_p_value(values, 0.3);
         assert_eq!((exact(&[0.1; 3]), exact(&[0.3; 3]), exact(&[-0.4; 3])), (Some(0.0), Some(1.0), Some(1.0)));
         assert_eq!((exact(&[0.1]), exact(&[])), (None, None));
-    }
-
-    #[test]
-    fn a_difference_of_the_least_provable_size_has_the_p_value_of_holm_s_first_step() {
-        let family = [-0.1, 0.0, 0.1];
-        let least = least_provable(&[&family, &family.map(|x| x + 5.0)], 2).unwrap();
-        close(p_value(&family.map(|x| x + least)), SIGNIFICANCE / 2.0);
-        assert_eq!((least_provable(&[&[1.0]], 1), least_provable(&[&[1.0; 3]], 1)), (None, None));
     }
 
     #[test]

@@ -1,12 +1,11 @@
 //! The paper's figure: a metric against the varied setting, one panel a level. If several axes are varied together,
 //! the first is the x axis, and each value of the others has its own line.
 
-use super::pairs::Tests;
 use super::places::Places;
 use super::series::{Series, absent, places, series};
 use super::{Figure, SPREAD_NOTE, Spread, Stroke, Style, canvas, legend, metric_label, range_of};
 use crate::draw::canvas::{
-    Anchor, BLACK, BLUE, Canvas, GREY, GRID, LINE_HEIGHT, PAPER, Panel, SIDE, TEXT, text_width, wrapped,
+    Anchor, BLACK, Canvas, GREY, GRID, LINE_HEIGHT, PAPER, Panel, SIDE, TEXT, text_width, wrapped,
 };
 use crate::draw::numbers::number;
 use crate::metrics::Metric;
@@ -35,15 +34,14 @@ pub fn axes_figure(style: Style, records: &[Record], scene: &str, metric: &str) 
     let drawn = range_of(metric, drawn(&all, baseline.as_ref()));
     let range = drawn.filter(|_| !all.is_empty())?;
     let range = with_label(range, metric);
-    let tests = Tests::new(&all);
-    let figure = Axes { style, all: &all, baseline: baseline.as_ref(), tests: &tests, metric, range };
+    let strokes = strokes(style, &all);
+    let figure = Axes { style, all: &all, strokes: &strokes, baseline: baseline.as_ref(), metric, range };
     let mut drawing = canvas();
     for axis in distinct(all.iter().map(|series| series.axis)) {
         figure.draw_axis(&mut drawing, axis);
     }
-    if let Some((name, _)) = &baseline {
-        legend::draw(&mut drawing, &[(name, BASELINE)]);
-    }
+    let baseline = baseline.as_ref().map(|(name, _)| (*name, BASELINE));
+    legend::draw(&mut drawing, &strokes.iter().copied().chain(baseline).collect::<Vec<_>>());
     Some(style.finish(drawing, &format!("{} on {scene}", metric_label(metric)), &figure.caption(&records)))
 }
 
@@ -61,8 +59,8 @@ fn with_label((low, high): (f64, f64), metric: &str) -> (f64, f64) {
 struct Axes<'f, 'a> {
     style: Style<'f>,
     all: &'f [Series<'a>],
+    strokes: &'f [(&'f str, Stroke)],
     baseline: Option<&'f (&'f str, Vec<f64>)>,
-    tests: &'f Tests<'f>,
     metric: &'f str,
     range: (f64, f64),
 }
@@ -73,8 +71,6 @@ struct Level<'f, 'a> {
     lines: Vec<(&'f Series<'a>, Stroke)>,
     places: Places<'a>,
     ticks: Vec<Vec<String>>,
-    /// Lines of each verdict.
-    verdicts: Vec<Vec<String>>,
 }
 
 impl<'f, 'a> Axes<'f, 'a> {
@@ -115,9 +111,8 @@ impl<'f, 'a> Axes<'f, 'a> {
                 self.draw_level(drawing, &panel, level, axis, parts(level.name));
             }
             let ticks = most(|level| level.ticks.iter().map(Vec::len).max().unwrap_or(1));
-            let verdicts = most(|level| level.verdicts.iter().map(Vec::len).sum());
             let named = wrapped(axis, width, TEXT).len() as f64;
-            drawing.height = top + HEIGHT + FIRST + LINE_HEIGHT * (ticks + named + verdicts) + 4.0;
+            drawing.height = top + HEIGHT + FIRST + LINE_HEIGHT * (ticks + named) + 4.0;
         }
     }
 
@@ -140,13 +135,13 @@ impl<'f, 'a> Axes<'f, 'a> {
             ticks =
                 ticks.iter().map(|lines| lines.iter().flat_map(|line| wrapped(line, room, TEXT)).collect()).collect();
         }
-        let strokes = strokes(self.style, &lines);
-        let verdict = |series: &&Series| match (lines.len(), self.tests.verdict(series, self.metric)) {
-            (1, verdict) => wrapped(&format!("{}: {verdict}", series.row), width, TEXT),
-            (_, verdict) => wrapped(&format!("{}: {verdict}", series.label), width - 24.0, TEXT),
-        };
-        let verdicts = lines.iter().map(verdict).collect();
-        Level { name, lines: lines.into_iter().zip(strokes).collect(), places, ticks, verdicts }
+        let stroke = |series: &Series| self.strokes.iter().find(|(label, _)| *label == series.label).map(|own| own.1);
+        Level {
+            name,
+            lines: lines.into_iter().filter_map(|series| Some((series, stroke(series)?))).collect(),
+            places,
+            ticks,
+        }
     }
 
     fn draw_level(&self, drawing: &mut Canvas, panel: &Panel, level: &Level, axis: &str, parts: &[String]) {
@@ -167,16 +162,6 @@ impl<'f, 'a> Axes<'f, 'a> {
         }
         for (series, stroke) in &level.lines {
             draw_series(drawing, panel, series, *stroke, &level.places);
-        }
-        for (verdict, (_, stroke)) in level.verdicts.iter().zip(&level.lines) {
-            let indent = if level.lines.len() > 1 { 24.0 } else { 0.0 };
-            if indent > 0.0 {
-                Stroke { width: 2.5, ..*stroke }.draw(drawing, &[(panel.left, y), (panel.left + 18.0, y)]);
-            }
-            for line in verdict {
-                drawing.text((panel.left + indent, y), line, TEXT, Anchor::Left, GREY);
-                y += LINE_HEIGHT;
-            }
         }
         if let Some((series, _)) = level.lines.first() {
             self.draw_best(drawing, panel, series, &x);
@@ -199,8 +184,7 @@ impl<'f, 'a> Axes<'f, 'a> {
         let Some((index, best)) = best(series, self.metric) else { return };
         let (value, _) = series.points[index];
         let (x, y) = (x(places(self.all, series.axis, series.panel).index(value)), panel.y(best.mean));
-        let colour = if self.tests.tells_apart(series, value) { BLUE } else { GREY };
-        drawing.dot((x, y), 5.0, colour, 1.0);
+        drawing.dot((x, y), 5.0, GREY, 1.0);
         let label = number(best.mean, (panel.range.1 - panel.range.0) / 50.0);
         let half = text_width(&label, TEXT) / 2.0;
         let x = x.clamp(panel.left + half + 2.0, panel.right() - half - 2.0);
@@ -209,16 +193,14 @@ impl<'f, 'a> Axes<'f, 'a> {
         // On a white plate, so that no line crosses it.
         let (left, right, top, bottom) = (x - half - 2.0, x + half + 2.0, y - 7.0, y + 7.0);
         drawing.area(vec![(left, top), (right, top), (right, bottom), (left, bottom)], PAPER, 0.75);
-        drawing.text((x, y), &label, TEXT, Anchor::Middle, colour);
+        drawing.text((x, y), &label, TEXT, Anchor::Middle, GREY);
     }
 
     fn caption(&self, records: &[&Record]) -> String {
         let mut text = SPREAD_NOTE.to_string();
         if self.all.iter().any(|series| best(series, self.metric).is_some()) {
-            text += " The best mean of each panel is marked with its value, in blue where it differs from another one.";
+            text += " The best mean of each panel is marked with its value, which shows no difference to the others.";
         }
-        text += " A difference is shown by paired t tests over seeds, with Holm's p below 0.05 over all pairs of values in the \
-                 figure; a panel without one names the smallest that would have been detected.";
         let places = || self.all.iter().map(|s| places(self.all, s.axis, s.panel));
         if places().any(|places| places.has_zero_apart()) {
             text += " On logarithmic axes 0 stands apart.";
@@ -283,12 +265,13 @@ fn draw_series(drawing: &mut Canvas, panel: &Panel, series: &Series, stroke: Str
     }
 }
 
-/// Returns the line of each series: the row's, or, where one row has several, one a series.
-fn strokes(style: Style, lines: &[&Series]) -> Vec<Stroke> {
-    let rows = distinct(lines.iter().map(|series| series.row));
-    let of = |(index, series): (usize, &&Series)| match rows.len() == lines.len() {
-        true => style.stroke(series.row),
-        false => Stroke::of(index + 1),
+/// Returns the line of each label: the row's, or, where one row has several, one a label.
+fn strokes<'f>(style: Style, all: &'f [Series]) -> Vec<(&'f str, Stroke)> {
+    let lines = distinct(all.iter().map(|series| (series.label.as_str(), series.row)));
+    let rows = distinct(lines.iter().map(|(_, row)| *row));
+    let of = |(index, (label, row)): (usize, &(&'f str, &str))| match rows.len() == lines.len() {
+        true => (*label, style.stroke(row)),
+        false => (*label, Stroke::of(index + 1)),
     };
     lines.iter().enumerate().map(of).collect()
 }
@@ -362,33 +345,12 @@ mod tests {
     }
 
     #[test]
-    fn the_words_follow_the_paired_differences() {
-        let verdict = |series: &Series, metric: &str| Tests::new(std::slice::from_ref(series)).verdict(series, metric);
-        let series = |points: Vec<(&'static str, Vec<f64>)>| Series {
-            axis: "steps",
-            panel: "",
-            row: "r",
-            label: "r".into(),
-            points: points.into_iter().map(|(value, seeds)| (value, (0..).zip(seeds).collect())).collect(),
-        };
-        // The seeds are further apart than the values, and agree on the difference.
-        let paired = series(vec![("1", vec![20.0, 22.0, 24.0]), ("3", vec![20.5, 22.51, 24.49])]);
-        assert_eq!(verdict(&paired, "psnr"), "3 seeds: 1 and 3 differ, p < 0.001");
-        let best_index = |metric: &str| best(&paired, metric).map(|(index, _)| index);
+    fn the_best_mean_is_that_of_the_metric_s_direction() {
+        let points = vec![("1", vec![(0, 20.0), (1, 22.0)]), ("3", vec![(0, 20.5), (1, 22.5)])];
+        let series = Series { axis: "steps", panel: "", row: "r", label: "r".into(), points };
+        let best_index = |metric: &str| best(&series, metric).map(|(index, _)| index);
         assert_eq!((best_index("psnr"), best_index("lpips_alex")), (Some(1), Some(0)));
         // For roughness of a reference, occupied space or variation of density, more is neither better nor worse.
         assert_eq!(["normal_roughness_truth", "occupied", "tv"].map(best_index), [None; 3]);
-        let same = series(vec![("1", vec![20.0, 20.5, 21.0]), ("3", vec![20.3, 20.4, 21.1])]);
-        // Pooled over one pair: t(0.975, 2) times the standard error of -0.3, 0.1, -0.1.
-        assert_eq!(verdict(&same, "psnr"), "3 seeds: no difference shown; detectable from 0.5 dB");
-        // Two seeds that differ by nearly the same: p 0.02 for one pair, and there are three.
-        let few = series(vec![("1", vec![20.0, 20.0]), ("3", vec![21.0, 21.06]), ("5", vec![20.5, 20.2])]);
-        assert!(verdict(&few, "psnr").starts_with("2 seeds: no difference shown"));
-        // A value that is the same training as another makes no further pair.
-        let twice =
-            series(vec![("1", vec![20.0, 20.0, 20.0]), ("3", vec![20.5, 20.52, 20.6]), ("5", vec![20.5, 20.52, 20.6])]);
-        assert_eq!(super::super::pairs::pairs(&twice).iter().map(|pair| pair.values).collect::<Vec<_>>(), [("1", "3")]);
-        assert_eq!(verdict(&series(vec![("1", vec![20.0]), ("3", vec![21.0])]), "psnr"), "one seed: no spread known");
-        assert_eq!(verdict(&series(vec![("1", vec![])]), "psnr"), "no data");
     }
 }

@@ -14,7 +14,6 @@ mod curves;
 mod differences;
 mod ends;
 mod legend;
-mod pairs;
 mod places;
 mod rows;
 mod series;

@@ -23,11 +23,6 @@ pub(super) struct Series<'a> {
 }
 
 impl Series<'_> {
-    /// Returns panel and line.
-    pub(super) fn place(&self) -> (&str, &str, &str) {
-        (self.axis, self.panel, &self.label)
-    }
-
     pub(super) fn means(&self) -> Vec<(usize, Spread)> {
         let spread = |index: usize| Some((index, Spread::new(&numbers(&self.points[index].1))?));
         (0..self.points.len()).filter_map(spread).collect()
