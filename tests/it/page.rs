@@ -5,7 +5,7 @@ use std::sync::OnceLock;
 use augnerf::base::Image;
 use augnerf::report::page::{Film, Page, ShownScene, ViewOfRow, ViewOfScene};
 use augnerf::report::tables::{AttackLine, Table};
-use augnerf::report::{AxisValue, Record, RowSpec, Status, TableSpec};
+use augnerf::report::{AxisValue, Record, RowSpec, TableSpec};
 
 use crate::common::program::{Place, set};
 use crate::common::{assert_says, record, row_against};
