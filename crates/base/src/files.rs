@@ -213,7 +213,8 @@ fn exchange(_: &Path, _: &Path) -> io::Result<()> {
 
 impl Drop for AtomicDir {
     fn drop(&mut self) {
-        let _ = fs::remove_dir_all(&self.temporary);
+        // After an exchange it is what had the name before, which may be a file.
+        let _ = remove(&self.temporary);
     }
 }
 
@@ -423,6 +424,7 @@ mod tests {
         drop(abandoned);
         assert!(names(dir.path()).is_empty());
 
+        fs::write(&target, "in its place").unwrap();
         for content in ["first", "second"] {
             let folder = AtomicDir::new(&target).unwrap();
             fs::write(folder.path().join("weights"), content).unwrap();

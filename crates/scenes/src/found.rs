@@ -8,8 +8,8 @@ use unicode_normalization::UnicodeNormalization;
 use super::images::{ENDINGS, Size, factor_of, is_image, list};
 use augnerf_base::{Event, Listener, first_names};
 
-/// Parts of the names of images that are no photos: masks, and the maps of depth and normals of Blender scenes.
-const NO_PHOTOS: [&str; 4] = ["mask", "depth", "normal", "alpha"];
+/// Words in the names of images that are no photos: masks, and the maps of depth and normals of Blender scenes.
+const NO_PHOTOS: [&str; 6] = ["mask", "depth", "normal", "alpha", "depthmap", "normalmap"];
 /// Largest number of unused photos that are named.
 const UNUSED_NAMED: usize = 5;
 
@@ -125,9 +125,10 @@ pub(super) fn note_unused<'a>(scene: &Path, used: impl Iterator<Item = &'a PathB
     }
 }
 
-/// Returns whether a path, in lower case, names no mask and no map of depth.
+/// Returns whether no word of a path, in lower case, names a mask or a map of depth.
 pub(super) fn is_photo(path: &str) -> bool {
-    !NO_PHOTOS.iter().any(|part| path.contains(part))
+    let mut words = path.split(|letter: char| !letter.is_alphabetic());
+    !words.any(|word| NO_PHOTOS.contains(&word.strip_suffix('s').unwrap_or(word)))
 }
 
 /// The images below a folder, among which photos are found that are not where they are named.
@@ -286,5 +287,20 @@ fn without_ending(text: String) -> String {
     match Path::new(&text) {
         path if is_image(path) => path.with_extension("").to_string_lossy().into_owned(),
         _ => text,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn masks_and_maps_are_known_by_complete_words() {
+        for photo in ["unmasked/1.png", "images/normalized_2.jpg", "alphabet.png"] {
+            assert!(is_photo(photo), "{photo}");
+        }
+        for other in ["masks/1.png", "r_0_depth_0001.png", "r_0_normal.png", "depthmaps/2.png", "mask001.png"] {
+            assert!(!is_photo(other), "{other}");
+        }
     }
 }

@@ -157,16 +157,16 @@ impl<'a> Object<'a> {
         self.value.get(key).and_then(Value::as_array).is_some_and(Vec::is_empty)
     }
 
-    /// Returns the first key that says that cameras are orthographic: by its name, such as `ortho_scale`, or by its text.
-    pub(super) fn orthographic(&self) -> Option<&'a str> {
-        let says = |text: &str| text.to_lowercase().contains("ortho");
-        let is_said = |(key, value): &(&'a String, &Value)| match value {
-            Value::String(text) => says(text) || says(key),
-            Value::Bool(yes) => *yes && says(key),
-            Value::Number(number) => says(key) && number.as_f64() != Some(0.0),
+    /// Returns the first key that says that cameras are orthographic: by its text, or because it is set.
+    pub(super) fn orthographic(&self) -> Option<&'static str> {
+        const KEYS: [&str; 5] = ["camera_model", "camera_type", "projection", "orthographic", "ortho_scale"];
+        let is_said = |key: &&str| match self.get(key) {
+            Some(Value::String(text)) => text.to_lowercase().contains("ortho"),
+            Some(Value::Bool(is)) => *is,
+            Some(Value::Number(number)) => number.as_f64() != Some(0.0),
             _ => false,
         };
-        self.value.as_object()?.iter().find(is_said).map(|(key, _)| &**key)
+        KEYS.into_iter().find(is_said)
     }
 
     /// Returns whether a key is there and null.
@@ -407,6 +407,17 @@ mod tests {
         assert_eq!(quoted(r#"[NaN, -Infinity,Infinity, -3]"#), r#"["NaN", "-Infinity","Infinity", -3]"#);
         for same in [r#"{"NaN": "a \" NaN", "b": null}"#, "", "N", "\"\\"] {
             assert_eq!(quoted(same), same);
+        }
+    }
+
+    #[test]
+    fn a_camera_is_orthographic_by_keys_of_cameras_alone() {
+        for (value, key) in [
+            (serde_json::json!({"file_path": "images/orthophoto_1.png", "ortho_scale": 0}), None),
+            (serde_json::json!({"camera_model": "ORTHOGRAPHIC"}), Some("camera_model")),
+            (serde_json::json!({"ortho_scale": 2.5}), Some("ortho_scale")),
+        ] {
+            assert_eq!(Object::document(Path::new("a"), &value).unwrap().orthographic(), key);
         }
     }
 

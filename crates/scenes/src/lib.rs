@@ -227,13 +227,13 @@ pub fn load_with(config: &DataConfig, seed: u64, photos: Photos, events: &dyn Li
     scene.near = config.near.unwrap_or(scene.near);
     scene.far = config.far.unwrap_or(scene.far);
     check(&scene, config)?;
+    views::keep_training_views(&mut scene, config)?;
     let folder = if config.dir.is_empty() { &scene.name } else { &config.dir };
     let remarks = remarks::of(&scene);
     remarks.iter().for_each(|remark| events.on(Event::Note(&format!("{folder}: {remark}"))));
     if !remarks.is_empty() {
         scene.space.note("remarks", remarks.join("; "));
     }
-    views::keep_training_views(&mut scene, config)?;
     corruption::corrupt(&mut scene, &config.corruption, seed)?;
     Ok(scene)
 }
