@@ -9,7 +9,7 @@ use std::sync::LazyLock;
 
 use clap::{Args, CommandFactory, FromArgMatches, Parser, Subcommand};
 
-use crate::base::{Class, Error, Result, features, revision, version};
+use crate::base::{EXIT_CODES, Error, Result, features, revision, version};
 use crate::runtime::{Runtime, instructions, open_runtime};
 use crate::settings::Config;
 
@@ -70,10 +70,10 @@ static LONG_VERSION: LazyLock<String> = LazyLock::new(|| {
 
 /// Describes the exit codes, for `--help`.
 fn exit_codes() -> String {
-    let classes = Class::ALL.map(|class| format!("{} {}", class.exit_code(), class.words()));
+    let codes = EXIT_CODES.map(|(code, words)| format!("{code} {words}"));
     format!(
         "Exit codes: 0 done, {}, 129, 130 or 143 stopped with a checkpoint by a hangup, Ctrl-C or SIGTERM.",
-        classes.join(", ")
+        codes.join(", ")
     )
 }
 

@@ -1,4 +1,4 @@
-//! The error type: a sentence for the user, and a class that becomes the exit code.
+//! The error type: a sentence for the user, and an exit code.
 
 use std::path::Path;
 
@@ -82,101 +82,42 @@ pub struct SettingError {
 /// The result of everything in this crate that can fail.
 pub type Result<T> = std::result::Result<T, Error>;
 
-/// The kinds of errors that a script can tell apart by the exit code.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Class {
-    /// See [`Error::Tensor`].
-    Internal,
-    /// See [`Error::Config`].
-    Config,
-    /// See [`Error::Data`].
-    Data,
-    /// See [`Error::Output`] and [`Error::InUse`].
-    Output,
-    /// See [`Error::Checkpoint`].
-    Checkpoint,
-    /// See [`Error::Diverged`].
-    Diverged,
-    /// See [`Error::PointsFailed`].
-    PointsFailed,
-    /// See [`Error::PointsWithoutData`].
-    PointsWithoutData,
-    /// See [`Error::NotComparable`].
-    NotComparable,
-    /// See [`Error::Mismatch`].
-    Mismatch,
-    /// See [`Error::PointsWaiting`].
-    PointsWaiting,
-}
-
-impl Class {
-    /// All classes, in the order of their codes.
-    pub const ALL: [Class; 11] = [
-        Class::Internal,
-        Class::Config,
-        Class::Data,
-        Class::Output,
-        Class::Checkpoint,
-        Class::Diverged,
-        Class::PointsFailed,
-        Class::PointsWithoutData,
-        Class::NotComparable,
-        Class::Mismatch,
-        Class::PointsWaiting,
-    ];
-
-    /// Returns the exit code and its meaning for the list of codes. There is no other such list.
-    const fn code(self) -> (u8, &'static str) {
-        match self {
-            Class::Internal => (1, "internal error"),
-            Class::Config => (2, "wrong setting or usage"),
-            Class::Data => (3, "bad input data"),
-            Class::Output => (4, "output cannot be written or is in the way"),
-            Class::Checkpoint => (5, "bad checkpoint or run folder"),
-            Class::Diverged => (6, "training collapsed or went non-finite"),
-            Class::PointsFailed => (7, "points of a sweep failed"),
-            Class::PointsWithoutData => (8, "points of a sweep have no data"),
-            Class::NotComparable => (9, "rows of a table are not comparable"),
-            Class::Mismatch => (10, "results do not verify"),
-            Class::PointsWaiting => (11, "points of a sweep are not done yet"),
-        }
-    }
-
-    /// Returns the program's exit code.
-    pub const fn exit_code(self) -> u8 {
-        self.code().0
-    }
-
-    /// Returns the code's meaning in a few words.
-    pub const fn words(self) -> &'static str {
-        self.code().1
-    }
-
-    /// Returns the class whose exit code this is.
-    pub fn of_exit_code(code: u8) -> Option<Class> {
-        Class::ALL.into_iter().find(|class| class.exit_code() == code)
-    }
-}
+/// The exit codes of errors, which a script can tell apart, and their meanings. There is no other such list.
+pub const EXIT_CODES: [(u8, &str); 11] = [
+    (INTERNAL, "internal error"),
+    (2, "wrong setting or usage"),
+    (3, "bad input data"),
+    (4, "output cannot be written or is in the way"),
+    (BAD_CHECKPOINT, "bad checkpoint or run folder"),
+    (6, "training collapsed or went non-finite"),
+    (7, "points of a sweep failed"),
+    (8, "points of a sweep have no data"),
+    (9, "rows of a table are not comparable"),
+    (10, "results do not verify"),
+    (11, "points of a sweep are not done yet"),
+];
+/// The exit code of [`Error::Tensor`].
+pub const INTERNAL: u8 = 1;
+/// The exit code of [`Error::Checkpoint`].
+pub const BAD_CHECKPOINT: u8 = 5;
 
 impl Error {
-    /// Returns the program's exit code (docs/exit-codes.md): the code of the error's class, or 128 plus the signal's
-    /// number, as in shells.
+    /// Returns the program's exit code ([`EXIT_CODES`], docs/exit-codes.md), or 128 plus a signal's number, as in shells.
     pub fn exit_code(&self) -> u8 {
-        let class = match self {
-            Error::Interrupted { signal, .. } => return 128 + *signal as u8,
-            Error::Tensor(_) => Class::Internal,
-            Error::Config(_) | Error::Setting(_) => Class::Config,
-            Error::Data(_) => Class::Data,
-            Error::Output(_) | Error::InUse(_) => Class::Output,
-            Error::Checkpoint(_) => Class::Checkpoint,
-            Error::Diverged(_) => Class::Diverged,
-            Error::PointsFailed(_) => Class::PointsFailed,
-            Error::PointsWithoutData(_) => Class::PointsWithoutData,
-            Error::NotComparable(_) => Class::NotComparable,
-            Error::Mismatch(_) => Class::Mismatch,
-            Error::PointsWaiting(_) => Class::PointsWaiting,
-        };
-        class.exit_code()
+        match self {
+            Error::Interrupted { signal, .. } => 128 + *signal as u8,
+            Error::Tensor(_) => INTERNAL,
+            Error::Config(_) | Error::Setting(_) => 2,
+            Error::Data(_) => 3,
+            Error::Output(_) | Error::InUse(_) => 4,
+            Error::Checkpoint(_) => BAD_CHECKPOINT,
+            Error::Diverged(_) => 6,
+            Error::PointsFailed(_) => 7,
+            Error::PointsWithoutData(_) => 8,
+            Error::NotComparable(_) => 9,
+            Error::Mismatch(_) => 10,
+            Error::PointsWaiting(_) => 11,
+        }
     }
 
     /// Returns whether the error is about settings.

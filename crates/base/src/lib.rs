@@ -17,7 +17,7 @@ pub mod tensors;
 mod text;
 
 pub use error::tensor_sentence;
-pub use error::{Class, Error, Result, SettingError};
+pub use error::{BAD_CHECKPOINT, EXIT_CODES, Error, INTERNAL, Result, SettingError};
 pub use events::{Event, Listener};
 pub use image::Image;
-pub use text::{first_names, line, quoted, short_hash, shown};
+pub use text::{first_names, line, number_text, quoted, short_hash, shown};

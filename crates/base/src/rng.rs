@@ -12,72 +12,46 @@ use rand_chacha::rand_core::{Rng, SeedableRng};
 
 use crate::Result;
 
-/// The purpose of a stream of random numbers.
+/// The purpose of a stream of random numbers. The number is a word of the generator's key, and does not change.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[repr(u64)]
 pub enum Stream {
     /// Initial weights.
-    Init,
+    Init = 1,
     /// The rays of a training step.
-    Batches,
+    Batches = 2,
     /// Sample jitter, inverse-CDF positions and density noise of the clean pass.
-    Jitter,
+    Jitter = 3,
     /// Random starts of PGD, random deltas, and the second clean pass.
-    Search,
+    Search = 4,
     /// The same for diagnostics at log steps, which must not change the search's numbers.
-    Diagnostics,
+    Diagnostics = 5,
     /// Corruption of training images and poses.
-    Corruption,
+    Corruption = 6,
     /// Cells of explicit regularizers, and points in them.
-    Regularizer,
+    Regularizer = 7,
     /// Points on meshes that are compared.
-    Surface,
+    Surface = 8,
     /// Starts of marched rays, and their steps.
-    March,
+    March = 9,
     /// Codes for decoders.
-    Code,
+    Code = 10,
     /// Choices among a scene's views.
-    Views,
+    Views = 12,
     /// Random displacements of weights.
-    Sharpness,
+    Sharpness = 13,
     /// Rays of cameras without photographs, with the random numbers of their passes.
-    Unseen,
+    Unseen = 14,
     /// Which ray gets which ray's deltas.
-    Permutation,
+    Permutation = 15,
     /// Built-in scenes by seed.
-    Scene,
+    Scene = 16,
     /// Rays to known points, with the random numbers of their passes.
-    Points,
+    Points = 17,
     /// Points in cells of empty space, and starts of PGD, on the page of a run.
-    View,
+    View = 18,
     /// Points of a sweep that are trained again.
-    Retrain,
-}
-
-impl Stream {
-    /// Returns the stream's word in a generator's key. It is written out, so that reordering the enum cannot change any
-    /// numbers.
-    pub fn key(self) -> u64 {
-        match self {
-            Stream::Init => 1,
-            Stream::Batches => 2,
-            Stream::Jitter => 3,
-            Stream::Search => 4,
-            Stream::Diagnostics => 5,
-            Stream::Corruption => 6,
-            Stream::Regularizer => 7,
-            Stream::Surface => 8,
-            Stream::March => 9,
-            Stream::Code => 10,
-            Stream::Views => 12,
-            Stream::Sharpness => 13,
-            Stream::Unseen => 14,
-            Stream::Permutation => 15,
-            Stream::Scene => 16,
-            Stream::Points => 17,
-            Stream::View => 18,
-            Stream::Retrain => 19,
-        }
-    }
+    Retrain = 19,
 }
 
 /// A generator at the start of one (seed, stream, index).
@@ -95,7 +69,7 @@ impl Random {
     pub fn part(seed: u64, stream: Stream, index: u64, part: u64) -> Random {
         let mut key = [0u8; 32];
         key[..8].copy_from_slice(&seed.to_le_bytes());
-        key[8..16].copy_from_slice(&stream.key().to_le_bytes());
+        key[8..16].copy_from_slice(&(stream as u64).to_le_bytes());
         key[16..24].copy_from_slice(&index.to_le_bytes());
         key[24..].copy_from_slice(&part.to_le_bytes());
         Random { chacha: ChaCha8Rng::from_seed(key) }

@@ -52,6 +52,12 @@ pub fn first_names(names: &[impl AsRef<str>], most: usize) -> String {
     shown.join(", ") + if names.len() > most { ", ..." } else { "" }
 }
 
+/// Returns a number as people write it: a very large or small one with an exponent, such as 1e30.
+pub fn number_text(number: f64) -> String {
+    let plain = number == 0.0 || !number.is_finite() || (1e-5..1e16).contains(&number.abs());
+    if plain { number.to_string() } else { format!("{number:e}") }
+}
+
 /// Quotes a word for a shell, and for Slurm's `#SBATCH` lines.
 pub fn quoted(word: &str) -> String {
     let plain = |c: char| c.is_ascii_alphanumeric() || "_-./:=,@%+".contains(c);

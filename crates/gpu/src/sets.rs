@@ -223,7 +223,7 @@ impl Recorder<'_> {
             return;
         }
         let blocks = (offset % 16 + count).div_ceil(16);
-        let words = Words::default().u(stream.key() as usize).u(part).u(part_step).u(chunks);
+        let words = Words::default().u(stream as usize).u(part).u(part_step).u(chunks);
         let words = words.u(count).u(offset).u(blocks).u(first);
         self.run(Kernel::new("random"), words, &[(1, now), (2, numbers)], groups(chunks * blocks));
     }

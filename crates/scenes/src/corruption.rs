@@ -8,10 +8,10 @@ use std::sync::Arc;
 use rayon::prelude::*;
 
 use super::pose::{Pose, Vec3, column, compose, from_columns};
-use super::{Camera, LARGEST, Scene, View, brief, camera_is_sound};
+use super::{Camera, LARGEST, Scene, View, camera_is_sound};
 use crate::settings::{CorruptionConfig, CorruptionKind};
 use augnerf_base::rng::{Random, Stream};
-use augnerf_base::{Error, Image, Result};
+use augnerf_base::{Error, Image, Result, number_text};
 
 /// The corruption of a scene's training views.
 #[derive(Clone, Debug, PartialEq)]
@@ -132,7 +132,7 @@ fn rotation([x, y, z]: [f64; 3]) -> Pose {
 /// `stood_before` it.
 fn check_places(views: &[View], config: &CorruptionConfig, stood_before: bool) -> Result<()> {
     let refuse = |View { name, camera, .. }: &View, why: String| {
-        let (offset, degrees, place) = (brief(config.offset), config.degrees, column(&camera.pose, 3));
+        let (offset, degrees, place) = (number_text(config.offset), config.degrees, column(&camera.pose, 3));
         Err(Error::Config(format!(
             "data.corruption.offset = {offset} with data.corruption.degrees = {degrees}: moved so far, training view {name} \
              stands at {place:?}, {why}"

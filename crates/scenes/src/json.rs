@@ -9,10 +9,10 @@ use serde_json::Value;
 use super::found::slashes;
 use super::images::{ENDINGS, is_image};
 use super::pose::{self, Pose};
-use super::{LARGEST, SMALLEST, brief, foreign};
+use super::{LARGEST, SMALLEST, foreign};
 use crate::settings::Axes;
 use augnerf_base::input::read_text;
-use augnerf_base::{Error, Result};
+use augnerf_base::{Error, Result, number_text};
 
 /// Largest size of a scene's poses in bytes: those of some ten thousand views.
 const MOST_BYTES: u64 = 32 << 20;
@@ -205,7 +205,7 @@ impl<'a> Object<'a> {
         match angle {
             Some(v) if !(SMALLEST..=PI - SMALLEST).contains(&v) => Err(self.error(&format!(
                 "\"{key}\" is {}, but a field of view must be between 0 and pi radians, {SMALLEST:e} away from both",
-                brief(v)
+                number_text(v)
             ))),
             angle => Ok(angle),
         }
@@ -226,7 +226,7 @@ impl<'a> Object<'a> {
         match self.scaled_pose(key)? {
             (pose, None) => Ok(pose),
             (_, Some(Scaled { by, .. })) => {
-                Err(self.error(&format!("\"{key}\" must be a rigid pose, but it is scaled by {}", brief(by))))
+                Err(self.error(&format!("\"{key}\" must be a rigid pose, but it is scaled by {}", number_text(by))))
             }
         }
     }

@@ -194,12 +194,6 @@ const LARGEST: f64 = 1e12;
 /// The smallest length or angle in a scene.
 const SMALLEST: f64 = 1e-6;
 
-/// Returns a number as people write it: `0.5`, `5e-324`.
-fn brief(number: f64) -> String {
-    let plain = number == 0.0 || (1e-5..1e15).contains(&number.abs());
-    if plain { number.to_string() } else { format!("{number:e}") }
-}
-
 /// Returns whether [`load`] may find a box that most cameras look at, which a hash grid then fills.
 pub fn may_have_box(config: &DataConfig) -> bool {
     let is_in_ndc = config.kind.forward_facing() && config.ndc;

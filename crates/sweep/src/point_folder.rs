@@ -9,7 +9,7 @@ use crate::base::files::{
     check_own, clean_temporaries, discard, is_temporary, read_json, remove, write_atomic, write_json,
 };
 use crate::base::input::{TEXT_BYTES, read_text};
-use crate::base::{Class, Error, Result};
+use crate::base::{BAD_CHECKPOINT, Error, Result};
 use crate::metrics::{Metric, Scope};
 use crate::report::{PointResult, Status};
 use crate::run::RunDir;
@@ -37,15 +37,8 @@ struct Stops {
 pub struct Failure {
     /// The error's sentence.
     pub reason: String,
-    /// The exit code of its class.
+    /// Its exit code.
     pub exit_code: u8,
-}
-
-impl Failure {
-    /// The error's class; none for a code that no version of this program has.
-    pub fn class(&self) -> Option<Class> {
-        Class::of_exit_code(self.exit_code)
-    }
 }
 
 /// What the files of a point say.
@@ -186,7 +179,7 @@ impl PointFolder {
         self.check_entries()?;
         self.forget_stops()?;
         let run = self.run();
-        if failure.class() == Some(Class::Checkpoint) && self.finished_at().is_none() {
+        if failure.exit_code == BAD_CHECKPOINT && self.finished_at().is_none() {
             discard(&run).map_err(|e| Error::unwritable(&run, &e))?;
         }
         let path = self.failure_file();

@@ -6,7 +6,7 @@ use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::sync::{Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant, SystemTime};
 
-use crate::base::{Class, Error, Event, Listener, Result};
+use crate::base::{Error, Event, INTERNAL, Listener, Result};
 use crate::metrics::PSNR;
 use crate::report::PointResult;
 use crate::run::RunDir;
@@ -312,7 +312,7 @@ impl Runner<'_> {
                 "the training is done, and {stops} turns were stopped before its evaluation was: give a turn more time \
                  (sbatch --time) and try again with --retry-failed"
             ),
-            exit_code: Class::Internal.exit_code(),
+            exit_code: INTERNAL,
         }))
     }
 

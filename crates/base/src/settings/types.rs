@@ -4,6 +4,8 @@ use serde::de::{DeserializeOwned, DeserializeSeed, Deserializer, SeqAccess, Visi
 use serde::{Deserialize, Serialize};
 use toml::Value;
 
+use crate::number_text;
+
 /// The values that a setting may have by itself. In a list each value counts.
 #[derive(Clone, Copy, Debug)]
 pub enum Range {
@@ -38,12 +40,6 @@ impl Range {
             other => other.to_string(),
         })
     }
-}
-
-/// Returns a number as people write it: a very large or small one with an exponent, such as 1e30.
-pub fn number_text(number: f64) -> String {
-    let plain = number == 0.0 || !number.is_finite() || (1e-5..1e16).contains(&number.abs());
-    if plain { number.to_string() } else { format!("{number:e}") }
 }
 
 /// Returns whether a value is a box: two corners, with each number of the first below that of the second.

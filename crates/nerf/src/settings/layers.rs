@@ -8,8 +8,8 @@ use super::identity::value_at;
 use super::registry::{REGISTRY, Setting, meant};
 use super::{Config, DataConfig, Encoding, Method, REGULARIZERS, over_run};
 use crate::base::input::{TEXT_BYTES, read_named};
-use crate::base::settings::{number_text, word};
-use crate::base::{Error, Result};
+use crate::base::settings::word;
+use crate::base::{Error, Result, number_text};
 use crate::perturb::settings::{check_levels, forget_passes};
 
 /// A named set of settings.

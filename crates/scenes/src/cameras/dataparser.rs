@@ -4,8 +4,8 @@ use std::path::Path;
 
 use super::super::json::{self, Object};
 use super::super::pose::{self, Pose};
-use super::super::{SMALLEST, WorldToScene, brief};
-use augnerf_base::Result;
+use super::super::{SMALLEST, WorldToScene};
+use augnerf_base::{Result, number_text};
 
 /// nerfstudio's transform of a capture's poses, from the `dataparser_transforms.json` next to its checkpoints:
 /// `x_nerfstudio = scale * transform * x`, where `x` is in the units before the capture's `applied_transform`.
@@ -33,7 +33,7 @@ impl Dataparser {
         let scale = match document.number("scale")? {
             Some(scale) if scale >= SMALLEST => scale,
             Some(scale) => {
-                let found = brief(scale);
+                let found = number_text(scale);
                 return Err(
                     document.error(&format!("\"scale\" is {found}, but it must be positive, at least {SMALLEST:e}"))
                 );

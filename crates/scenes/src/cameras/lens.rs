@@ -2,8 +2,8 @@
 
 use super::super::formats::transforms::{Keys, check_model};
 use super::super::json::Object;
-use super::super::{Camera, brief};
-use augnerf_base::Result;
+use super::super::Camera;
+use augnerf_base::{Result, number_text};
 
 /// Largest side of a rendered image in pixels.
 pub const MOST_PIXELS: usize = 16_384;
@@ -12,7 +12,7 @@ pub const MOST_PIXELS: usize = 16_384;
 fn side(keys: &Keys, key: &str) -> Result<Option<usize>> {
     match keys.number(key)? {
         Some(value) if value.fract() != 0.0 || !(1.0..=MOST_PIXELS as f64).contains(&value) => {
-            let found = brief(value);
+            let found = number_text(value);
             Err(keys.frame.error(&format!("\"{key}\" is {found}, but it must be whole, 1 to {MOST_PIXELS} pixels")))
         }
         value => Ok(value.map(|value| value as usize)),
@@ -57,7 +57,7 @@ pub fn of_camera_path(object: Object, document: Object, like: &Camera) -> Result
     let camera = match object.number("fov")? {
         None => like.with_size(width, height),
         Some(fov) if !(1e-3..=180.0 - 1e-3).contains(&fov) => {
-            let found = brief(fov);
+            let found = number_text(fov);
             return Err(object.error(&format!("\"fov\" is {found}, but it must be between 0 and 180 degrees")));
         }
         Some(fov) => {

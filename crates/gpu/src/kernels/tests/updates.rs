@@ -10,7 +10,7 @@ fn random_numbers_have_the_hosts_bits() {
     let (chunks, count, offset) = (3, 50, 21);
     let out = gpu.numbers(chunks * count);
     let blocks = (offset % 16 + count).div_ceil(16);
-    let words = Words::default().u(Stream::Search.key() as usize).u(5).u(2).u(chunks).u(count).u(offset).u(blocks).u(0);
+    let words = Words::default().u(Stream::Search as usize).u(5).u(2).u(chunks).u(count).u(offset).u(blocks).u(0);
     run(&gpu, Kernel::new("random"), words, &[(1, &now), (2, &out)], groups(chunks * blocks));
     let expected = (0..chunks).flat_map(|chunk| {
         let mut random = Random::part(seed, Stream::Search, step, 5 + 2 * chunk as u64);

@@ -4,7 +4,8 @@ use std::collections::HashMap;
 
 use crate::formats::transforms::distortion::{Distortion, Intrinsics};
 use crate::pose::{self, Pose, Vec3};
-use crate::{LARGEST, SMALLEST, brief};
+use crate::{LARGEST, SMALLEST};
+use augnerf_base::number_text;
 
 /// Longest name of an image.
 pub(super) const MOST_NAME: usize = 1024;
@@ -125,7 +126,7 @@ pub(super) fn lens(model: &'static str, size: [f64; 2], values: &[f64]) -> std::
     if let Some(value) = values.iter().find(|value| value.is_nan() || value.abs() > LARGEST) {
         return Err(format!(
             "it has the parameter {}: every number must be finite, of at most {LARGEST:e}",
-            brief(*value)
+            number_text(*value)
         ));
     }
     let at = |i: usize| values.get(i).copied().unwrap_or(0.0);
@@ -160,7 +161,7 @@ pub(super) fn pose(quaternion: [f64; 4], shift: Vec3) -> std::result::Result<Pos
         ));
     }
     if (length - 1.0).abs() > LENGTH_TOLERANCE {
-        return Err(format!("its quaternion has length {}, and that of a rotation is 1", brief(length)));
+        return Err(format!("its quaternion has length {}, and that of a rotation is 1", number_text(length)));
     }
     let [w, x, y, z] = quaternion.map(|v| v / length);
     // Rows: the camera's right, down and forward axes in the world.

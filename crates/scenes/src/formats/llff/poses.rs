@@ -4,8 +4,8 @@ use std::path::Path;
 
 use super::paths::{circle, spiral};
 use crate::pose::{self, Pose, Vec3};
-use crate::{LARGEST, SMALLEST, WorldToScene, brief, npy};
-use augnerf_base::{Error, Result};
+use crate::{LARGEST, SMALLEST, WorldToScene, npy};
+use augnerf_base::{Error, Result, number_text};
 
 /// Numbers per row: a 3x5 matrix `[down | right | back | origin | (height, width, focal)]` and two bounds.
 const COLUMNS: usize = 17;
@@ -202,7 +202,7 @@ impl Lens {
             return Err(Error::Data(format!(
                 "{} has {}: every number must be from {SMALLEST:e} to {LARGEST:e}",
                 file.display(),
-                brief(*wrong)
+                number_text(*wrong)
             )));
         }
         Ok(lens)
@@ -232,7 +232,7 @@ fn pose_of(row: &[f64]) -> Pose {
 
 fn check_row(row: &[f64], first: &[f64]) -> std::result::Result<(), String> {
     if let Some(at) = row.iter().position(|v| v.is_nan() || v.abs() > LARGEST) {
-        let found = brief(row[at]);
+        let found = number_text(row[at]);
         return Err(format!(
             "has {found} in column {at}: every number must be finite, from -{LARGEST:e} to {LARGEST:e}"
         ));
@@ -241,17 +241,17 @@ fn check_row(row: &[f64], first: &[f64]) -> std::result::Result<(), String> {
     if !(near >= SMALLEST && near < far) {
         return Err(format!(
             "has the depth bounds {} and {}, but 0 < near < far is needed, near at least {SMALLEST:e}",
-            brief(near),
-            brief(far)
+            number_text(near),
+            number_text(far)
         ));
     }
     let [height, width, focal] = intrinsics(row);
     if [height, width, focal].iter().any(|v| *v < SMALLEST) {
         return Err(format!(
             "has height {}, width {}, focal length {}: all must be positive, at least {SMALLEST:e}",
-            brief(height),
-            brief(width),
-            brief(focal)
+            number_text(height),
+            number_text(width),
+            number_text(focal)
         ));
     }
     let same = intrinsics(row).iter().zip(intrinsics(first)).all(|(a, b)| (a - b).abs() <= 1e-3 * b);

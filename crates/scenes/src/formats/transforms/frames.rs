@@ -4,7 +4,6 @@ use std::collections::HashMap;
 use std::path::{Path, PathBuf};
 
 use super::lens::{self, Lens};
-use crate::brief;
 use crate::found::{self, Below};
 use crate::frame::{Frame, named};
 use crate::images::{self, Header, Size};
@@ -12,7 +11,7 @@ use crate::json::{Object, Picture, Scaled};
 use crate::mask::{self, MaskFile, Masks};
 use crate::pose::Pose;
 use crate::settings::DataConfig;
-use augnerf_base::{Event, Listener, Result, first_names};
+use augnerf_base::{Event, Listener, Result, first_names, number_text};
 
 /// The key of a frame's pose.
 const POSE: &str = "transform_matrix";
@@ -137,7 +136,7 @@ fn note_scaled(scaled: &[Scaled], note: &dyn Fn(&str)) {
         let mut by: Vec<f64> = scaled.iter().filter(|scaled| scaled.whole == whole).map(|scaled| scaled.by).collect();
         by.sort_by(f64::total_cmp);
         let (Some(least), Some(most)) = (by.first(), by.last()) else { continue };
-        let short = |number: f64| brief((number * 1e9).round() / 1e9);
+        let short = |number: f64| number_text((number * 1e9).round() / 1e9);
         let by_one = most - least <= 1e-3 * most.abs();
         let range = if by_one { short(*least) } else { format!("{} to {}", short(*least), short(*most)) };
         let count = by.len();

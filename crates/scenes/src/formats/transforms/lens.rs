@@ -3,8 +3,8 @@
 use super::distortion::{Distortion, Intrinsics};
 use crate::foreign::FOCAL;
 use crate::json::Object;
-use crate::{SMALLEST, brief};
-use augnerf_base::Result;
+use crate::SMALLEST;
+use augnerf_base::{Result, number_text};
 
 /// Names of pinhole models, with or without OpenCV's radial and tangential distortion.
 const MODELS: [&str; 6] = ["OPENCV", "FULL_OPENCV", "PINHOLE", "SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL"];
@@ -70,7 +70,7 @@ impl Keys<'_> {
         match self.number(key)? {
             Some(v) if v < SMALLEST => Err(self
                 .frame
-                .error(&format!("\"{key}\" is {}, but it must be positive, at least {SMALLEST:e}", brief(v)))),
+                .error(&format!("\"{key}\" is {}, but it must be positive, at least {SMALLEST:e}", number_text(v)))),
             number => Ok(number),
         }
     }
