@@ -157,27 +157,6 @@ fn field_of(path: &str, name: &str) -> Option<String> {
 mod tests {
     use super::*;
 
-    #[test]
-    fn the_file_reads_back() {
-        let dir = tempfile::tempdir().unwrap();
-        let path = dir.path().join("timing.json");
-        let timing = Timing {
-            seconds_training: 12.5,
-            seconds_evaluation: 0.1,
-            rays_per_second: None,
-            peak_memory_mib: peak_memory_mib(),
-            device: "cpu".to_string(),
-            threads: 2,
-            host: Host::current(),
-            started_unix: unix_seconds() as u64,
-            finished_unix: unix_seconds() as u64,
-            sessions: 1,
-        };
-        timing.write(&path).unwrap();
-        let back: Timing = serde_json::from_slice(&std::fs::read(&path).unwrap()).unwrap();
-        assert_eq!(back, timing);
-    }
-
     #[cfg(target_os = "linux")]
     #[test]
     fn peak_memory_counts_what_is_held() {

@@ -240,48 +240,6 @@ fn settings_that_make_no_scene_are_refused_in_words() {
 }
 
 #[test]
-fn alpha_is_coverage() {
-    let camera = views::around(Split::Test, 48)[1].1;
-    let picture = blender_stage(None).render(&camera, crate::settings::PixelOrigin::Corner);
-    let alphas: Vec<f32> = picture.image.pixels.iter().skip(3).step_by(4).copied().collect();
-    assert!(alphas.iter().all(|a| (0.0..=1.0).contains(a)));
-    assert!(alphas.contains(&0.0) && alphas.contains(&1.0));
-    assert!(alphas.iter().any(|a| (0.2..0.8).contains(a)), "edges are antialiased");
-}
-
-/// Glossy, mirror and matte points seen from two sides: only the first two change colour.
-#[test]
-fn colour_depends_on_the_view_where_the_surface_is_glossy() {
-    let stage = blender_stage(None);
-    let glossy = |solid: &Solid| solid.material.gloss > 0.0;
-    let (mut changing, mut steady) = (0, 0);
-    for i in 0..3000 {
-        let from = scale(on_unit_sphere(0.5 + 0.5 * spread(i, 0), spread(i, 1)), 4.0);
-        let target = scale(on_unit_sphere(spread(i, 2), spread(i, 3)), 0.6);
-        let Some(hit) = stage.first_hit(from, sub(target, from)) else { continue };
-        let point = along(from, sub(target, from), hit.t);
-        let away = unit(sub(from, point));
-        let mirrored = sub(scale(hit.normal, 2.0 * dot(hit.normal, away)), away);
-        let other = add(point, scale(unit(add(mirrored, scale(hit.normal, 0.1))), 3.0));
-        let back = sub(point, other);
-        // The same point must be what the other view sees.
-        let Some(again) = stage.first_hit(other, back) else { continue };
-        if again.solid != hit.solid || (again.t - 1.0).abs() > 1e-9 {
-            continue;
-        }
-        let seen = |o, d| stage.colour(o, d, 3).unwrap();
-        let change = length(sub(seen(from, sub(point, from)), seen(other, back)));
-        if glossy(&stage.solids()[hit.solid]) {
-            changing += usize::from(change > 0.05);
-        } else {
-            assert!(change < 1e-2, "a matte point changes by {change}");
-            steady += 1;
-        }
-    }
-    assert!(changing > 30 && steady > 30, "{changing} changing, {steady} steady");
-}
-
-#[test]
 fn the_number_of_threads_changes_nothing() {
     let camera = views::around(Split::Test, 40)[2].1;
     let render = |threads: usize| {
