@@ -11,7 +11,7 @@ use std::path::Path;
 
 use augnerf::base::{Error, Image, Result};
 use augnerf::candle_core::DType;
-use augnerf::data::{Camera, Capture, Scene, SceneSpace};
+use augnerf::data::{Camera, Capture, Scene, SceneSpace, View};
 use augnerf::metrics::{PSNR, measure};
 use augnerf::run::{Viewer, load_scene};
 use augnerf::runtime::Runtime;
@@ -22,24 +22,22 @@ use augnerf::train::Trainer;
 fn load(dir: &Path, near: f64, far: f64) -> Result<Scene> {
     let list = dir.join("cameras.txt");
     let text = fs::read_to_string(&list).map_err(|error| Error::unreadable(&list, &error))?;
-    let (mut names, mut cameras, mut images) = (Vec::new(), Vec::new(), Vec::new());
+    let mut views = Vec::new();
     for line in text.lines() {
         let broken = || Error::Data(format!("{}: not an image and 13 numbers: {line}", list.display()));
         let (file, numbers) = line.split_once(' ').ok_or_else(broken)?;
         let numbers: Option<Vec<f64>> = numbers.split(' ').map(|number| number.parse().ok()).collect();
         let numbers: [f64; 13] = numbers.and_then(|numbers| numbers.try_into().ok()).ok_or_else(broken)?;
         let image = read_ppm(&dir.join(file))?;
-        cameras.push(Camera {
+        let camera = Camera {
             width: image.width,
             height: image.height,
             focal: [numbers[0]; 2],
             centre: [image.width as f64 / 2.0, image.height as f64 / 2.0],
             pose: std::array::from_fn(|row| std::array::from_fn(|column| numbers[1 + 4 * row + column])),
-        });
-        names.push(file.trim_end_matches(".ppm").to_string());
-        images.push(image);
+        };
+        views.push(View::new(file.trim_end_matches(".ppm"), camera, image));
     }
-    let views = Capture::views(names, cameras, images);
     // Scene units are those of the files, and the region of the objects is unknown.
     let space = SceneSpace::default();
     let capture = Capture { views, path: Vec::new(), near, far, ndc: None, background: Some([1.0; 3]), space };

@@ -33,11 +33,6 @@ pub fn write_named(path: &Path, bytes: &[u8]) -> Result<()> {
     try_write_named(path, bytes).map_err(|error| Error::unwritable(path, &error))
 }
 
-/// Writes `value` with [`write_named`], as indented JSON with a newline at the end.
-pub fn write_named_json<T: Serialize>(path: &Path, value: &T) -> Result<()> {
-    write_named(path, &json_bytes(value).map_err(|error| Error::unwritable(path, &error))?)
-}
-
 /// Checks that an entry of a folder that the program writes into is what it would have made: a file, or a folder. It may
 /// not be there. A link would lead writes, and deletions, out of the folder.
 ///

@@ -209,7 +209,10 @@ mod tests {
             assert!((mean - 0.5).abs() < 5.0 * std / ((SIDE * SIDE * 3) as f64).sqrt(), "{severity}: {mean}");
             // Poisson at 0.1: hardly ever above 1.
             let (mean, var) = of(CorruptionKind::ShotNoise, severity, 0.1);
-            assert!((mean / 0.1 - 1.0).abs() < 0.03 && (var * photons / 0.1 - 1.0).abs() < 0.03, "{severity}: {mean}, {var}");
+            assert!(
+                (mean / 0.1 - 1.0).abs() < 0.03 && (var * photons / 0.1 - 1.0).abs() < 0.03,
+                "{severity}: {mean}, {var}"
+            );
             assert_eq!(of(CorruptionKind::ShotNoise, severity, 0.0), (0.0, 0.0), "no light, no photons");
         }
     }

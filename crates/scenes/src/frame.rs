@@ -10,7 +10,7 @@ use image::metadata::Orientation;
 
 use super::formats::transforms::distortion::{self, Distortion, Intrinsics};
 use super::images::{self, Header};
-use super::mask::{MaskFile, Masked};
+use super::mask::MaskFile;
 use super::pose::Pose;
 use super::{Camera, SceneSpace, View, depth, resample};
 use augnerf_base::{Error, Event, Image, Listener, Result, first_names};
@@ -130,7 +130,7 @@ impl Frame {
     }
 
     /// Returns the pinhole camera's image from one of the photo's size.
-    fn rectified(&self, image: Image) -> Image {
+    pub(super) fn rectified(&self, image: Image) -> Image {
         match self.is_bent() {
             true => distortion::rectify(&image, self.lens, &self.distortion, self.pinhole),
             false => image,
@@ -139,8 +139,7 @@ impl Frame {
 
     /// Returns which pixels count at the working resolution, if there is a mask.
     fn read_mask(&self, size: (usize, usize)) -> Result<Option<Vec<bool>>> {
-        let photograph = Masked { path: &self.path, size: self.size() };
-        self.mask.as_ref().map(|mask| mask.read(&photograph, |mask| self.rectified(mask), size)).transpose()
+        self.mask.as_ref().map(|mask| mask.read(self, size)).transpose()
     }
 
     fn view(&self, name: &str, camera: Camera, background: [f32; 3]) -> Result<(View, Alpha)> {

@@ -127,11 +127,6 @@ impl<'a> Object<'a> {
         Error::Data(format!("{}: {place}{what}", self.file.display()))
     }
 
-    /// Returns the elements of `frames`, at least one.
-    pub(super) fn frames(&self) -> Result<Vec<Object<'a>>> {
-        self.objects("frames")
-    }
-
     /// Returns the elements of a list of views, at least one.
     pub(super) fn objects(&self, key: &'a str) -> Result<Vec<Object<'a>>> {
         let frames = self.required(key)?;

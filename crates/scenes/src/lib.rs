@@ -56,7 +56,7 @@ use sha2::{Digest, Sha256};
 use augnerf_base::{Error, Event, Image, Listener, Result, short_hash};
 use load_notes::LoadNotes;
 
-use settings::{Background, DataConfig, scene_name};
+use settings::{Background, DataConfig};
 
 /// One photo with its pose.
 #[derive(Clone, Debug)]
@@ -306,8 +306,4 @@ fn background(config: &DataConfig) -> [f32; 3] {
         Background::White => [1.0; 3],
         Background::Black => [0.0; 3],
     }
-}
-
-fn name_of(config: &DataConfig) -> String {
-    scene_name(config)
 }

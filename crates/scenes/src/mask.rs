@@ -5,6 +5,7 @@ use std::collections::{BTreeMap, BTreeSet, HashMap};
 use std::path::{Path, PathBuf};
 
 use crate::found;
+use crate::frame::Frame;
 use crate::json::Object;
 use crate::settings::DataConfig;
 use crate::{images, resample};
@@ -25,7 +26,7 @@ pub(crate) const KEY: &str = "mask_path";
 const WHOLE: f32 = 1.0 - 1e-4;
 
 /// Returns the mask that a frame names, or the document for all frames.
-pub(crate) fn file_of(frame: Object, document: Object) -> Result<Option<PathBuf>> {
+pub(crate) fn named_in(frame: Object, document: Object) -> Result<Option<MaskFile>> {
     let Some(owner) = [frame, document].into_iter().find(|object| object.get(KEY).is_some()) else { return Ok(None) };
     let picture = owner.picture(KEY)?;
     let missing = || {
@@ -35,15 +36,8 @@ pub(crate) fn file_of(frame: Object, document: Object) -> Result<Option<PathBuf>
         );
         owner.error(&what)
     };
-    picture.path.clone().map(Some).ok_or_else(missing)
-}
-
-/// A masked photo.
-pub(crate) struct Masked<'a> {
-    /// Its file.
-    pub(crate) path: &'a Path,
-    /// Its width and height.
-    pub(crate) size: (usize, usize),
+    let path = picture.path.clone().ok_or_else(missing)?;
+    Ok(Some(MaskFile { path, inverted: false }))
 }
 
 /// A mask's file.
@@ -54,64 +48,35 @@ pub(crate) struct MaskFile {
     inverted: bool,
 }
 
-impl MaskFile {
-    /// A mask that leaves black out.
-    pub(crate) fn of_black(path: PathBuf) -> MaskFile {
-        MaskFile { path, inverted: false }
-    }
-
-    /// Reads which pixels of the photo's view of `width` x `height` count, row by row. `rectified` removes the photo's
-    /// distortion.
-    pub(crate) fn read(
-        &self,
-        photograph: &Masked,
-        rectified: impl Fn(Image) -> Image,
-        size: (usize, usize),
-    ) -> Result<Vec<bool>> {
-        read(self, photograph, rectified, size)
-    }
-}
-
-/// The masks of photos that no file names, by `data.masks`.
-pub(crate) struct Masks {
-    /// The mask of each photo.
-    pub(crate) files: Vec<Option<MaskFile>>,
-}
-
-impl Masks {
-    /// Finds the photos' masks. Masks that lie there and are not asked for are noted.
-    ///
-    /// # Errors
-    /// `data.masks` names a folder that has none of them.
-    pub(crate) fn of<'a>(
-        config: &DataConfig,
-        photos: impl Iterator<Item = &'a Path>,
-        events: &dyn Listener,
-    ) -> Result<Masks> {
-        let finder = Finder::new(Path::new(&config.dir), photos.collect());
-        let (dir, all) = (finder.dir.display(), finder.photos.len());
-        let count = |files: &[Option<MaskFile>]| files.iter().flatten().count();
-        match config.masks.as_str() {
-            "" => {
-                finder.note_unused(events);
-                Ok(Masks { files: vec![None; all] })
-            }
-            NONE => Ok(Masks { files: vec![None; all] }),
-            name => {
-                let files = finder.find(name);
-                let found = count(&files);
-                if found == 0 {
-                    return Err(Error::Data(format!(
-                        "data.masks = \"{name}\": {dir} has no mask of its {all} photos there; a mask is called like its photo, with \
-                         the ending .png"
-                    )));
-                }
-                events
-                    .on(Event::Note(&format!("{dir}: {found} of {all} photos have masks, by data.masks = \"{name}\"")));
-                Ok(Masks { files })
-            }
+/// Finds the masks of photos by `data.masks`. Masks that lie there and are not asked for are noted.
+///
+/// # Errors
+/// `data.masks` names a folder that has none of them.
+pub(crate) fn find<'a>(
+    config: &DataConfig,
+    photos: impl Iterator<Item = &'a Path>,
+    events: &dyn Listener,
+) -> Result<Vec<Option<MaskFile>>> {
+    let finder = Finder::new(Path::new(&config.dir), photos.collect());
+    let (dir, all) = (finder.dir.display(), finder.photos.len());
+    let name = match config.masks.as_str() {
+        "" => {
+            finder.note_unused(events);
+            return Ok(vec![None; all]);
         }
+        NONE => return Ok(vec![None; all]),
+        name => name,
+    };
+    let files = finder.find(name);
+    let found = files.iter().flatten().count();
+    if found == 0 {
+        return Err(Error::Data(format!(
+            "data.masks = \"{name}\": {dir} has no mask of its {all} photos there; a mask is called like its photo, with the ending \
+             .png"
+        )));
     }
+    events.on(Event::Note(&format!("{dir}: {found} of {all} photos have masks, by data.masks = \"{name}\"")));
+    Ok(files)
 }
 
 /// Finds masks of photos by their names.
@@ -225,57 +190,47 @@ fn named(images: &Images, photo: &Path, prefix: &Path, beside: bool) -> Option<M
     let dynamic = [format!("{DYNAMIC}{stem}"), format!("{DYNAMIC}{name}")];
     let get = |base: &String| images.get(&found::name_key(&prefix.join(base)));
     let path = plain.into_iter().chain(marked).find_map(|base| get(&base)).filter(|path| **path != *photo);
-    let inverted = || dynamic.iter().find_map(get);
-    match path {
-        Some(path) => Some(MaskFile::of_black(path.clone())),
-        None => inverted().map(|path| MaskFile { path: path.clone(), inverted: true }),
-    }
+    let inverted = path.is_none();
+    let path = path.or_else(|| dynamic.iter().find_map(get))?.clone();
+    Some(MaskFile { path, inverted })
 }
 
-/// Reads which pixels of the photo's view of `width` x `height` count, row by row: those without any black of the mask.
-/// `rectified` removes the photo's distortion.
-fn read(
-    mask_file: &MaskFile,
-    photograph: &Masked,
-    rectified: impl Fn(Image) -> Image,
-    (width, height): (usize, usize),
-) -> Result<Vec<bool>> {
-    let file = &*mask_file.path;
-    let mask = counting(mask_file)?;
-    let (columns, rows) = photograph.size;
-    let shape = (mask.width as f64 * rows as f64 / columns as f64 - mask.height as f64).abs();
-    if mask.width < columns || mask.height < rows || shape > 1.0 {
-        return Err(Error::Data(format!(
-            "{} is {}x{} pixels, but its photo {} is {columns}x{rows}; a mask must have the photo's size, or be larger and of \
-             the same shape",
-            file.display(),
-            mask.width,
-            mask.height,
-            photograph.path.display()
-        )));
+impl MaskFile {
+    /// Reads which pixels of the photo's view of `width` x `height` count, row by row: those without any black of the mask.
+    pub(crate) fn read(&self, photo: &Frame, (width, height): (usize, usize)) -> Result<Vec<bool>> {
+        let file = self.path.display();
+        let mask = self.counting()?;
+        let (columns, rows) = photo.size();
+        let shape = (mask.width as f64 * rows as f64 / columns as f64 - mask.height as f64).abs();
+        if mask.width < columns || mask.height < rows || shape > 1.0 {
+            return Err(Error::Data(format!(
+                "{file} is {}x{} pixels, but its photo {} is {columns}x{rows}; a mask must have the photo's size, or be larger and of \
+                 the same shape",
+                mask.width,
+                mask.height,
+                photo.path.display()
+            )));
+        }
+        let mask = photo.rectified(resample::shrink(&mask, columns, rows));
+        let mask = resample::shrink(&mask, width, height);
+        let kept: Vec<bool> = mask.pixels.iter().map(|&share| share >= WHOLE).collect();
+        if !kept.contains(&true) {
+            return Err(Error::Data(format!(
+                "{file} leaves no pixel of {} at {width}x{height} (all of it is masked): remove the frame, or correct the mask",
+                photo.path.display()
+            )));
+        }
+        Ok(kept)
     }
-    let mask = rectified(resample::shrink(&mask, columns, rows));
-    let kept: Vec<bool> = resample::shrink(&mask, width, height).pixels.iter().map(|&share| share >= WHOLE).collect();
-    if !kept.contains(&true) {
-        return Err(Error::Data(format!(
-            "{} leaves no pixel of {} at {width}x{height} (all of it is masked): remove the frame, or correct the mask",
-            file.display(),
-            photograph.path.display()
-        )));
-    }
-    Ok(kept)
-}
 
-/// Returns 1 where a mask counts, and 0 where it is black or transparent. In a lossy format such as JPEG, black has
-/// dark artefacts around it; there everything brighter than half counts.
-fn counting(MaskFile { path: file, inverted }: &MaskFile) -> Result<Image> {
-    let darkest = if images::may_be_lossy(file)? { u16::MAX / 2 } else { 0 };
-    let mask = images::decode(file)?.into_luma_alpha16();
-    let (width, height) = (mask.width() as usize, mask.height() as usize);
-    let counts = |[grey, alpha]: [u16; 2]| match inverted {
-        false => grey > darkest && alpha > 0,
-        true => grey <= darkest || alpha == 0,
-    };
-    let pixels = mask.pixels().map(|pixel| f32::from(u8::from(counts(pixel.0)))).collect();
-    Ok(Image { width, height, channels: 1, pixels })
+    /// Returns 1 where a mask counts, and 0 where it is black or transparent. In a lossy format such as JPEG, black has
+    /// dark artefacts around it; there everything brighter than half counts.
+    fn counting(&self) -> Result<Image> {
+        let darkest = if images::may_be_lossy(&self.path)? { u16::MAX / 2 } else { 0 };
+        let mask = images::decode(&self.path)?.into_luma_alpha16();
+        let (width, height) = (mask.width() as usize, mask.height() as usize);
+        let counts = |[grey, alpha]: [u16; 2]| (grey > darkest && alpha > 0) != self.inverted;
+        let pixels = mask.pixels().map(|pixel| f32::from(u8::from(counts(pixel.0)))).collect();
+        Ok(Image { width, height, channels: 1, pixels })
+    }
 }

@@ -1,4 +1,4 @@
-//! NumPy's `.npy` files: reads tables of floating-point numbers, and writes arrays of any shape.
+//! NumPy's `.npy` files: reads arrays of floating-point numbers, and writes the header of any array.
 
 use std::path::Path;
 
@@ -17,27 +17,10 @@ pub struct Array {
     pub values: Vec<f64>,
 }
 
-/// A two-dimensional array, row-major.
-#[derive(Clone, Debug, PartialEq)]
-pub struct Table {
-    /// Rows.
-    pub rows: usize,
-    /// Columns.
-    pub columns: usize,
-    /// `rows * columns` values.
-    pub values: Vec<f64>,
-}
-
-/// Reads a C-ordered 2-D array of little-endian float64 or float32.
-pub fn read_table(path: &Path) -> Result<Table> {
-    let bytes = read_bytes(path, MOST_BYTES).map_err(|e| Error::unreadable(path, &e))?;
-    parse(&bytes).map_err(|what| Error::Data(format!("{}: {what}", path.display())))
-}
-
 /// Reads a C-ordered array of little-endian float64 or float32.
 pub fn read_array(path: &Path) -> Result<Array> {
     let bytes = read_bytes(path, MOST_BYTES).map_err(|e| Error::unreadable(path, &e))?;
-    parse_array(&bytes).map_err(|what| Error::Data(format!("{}: {what}", path.display())))
+    parse(&bytes).map_err(|what| Error::Data(format!("{}: {what}", path.display())))
 }
 
 /// Returns what precedes the values of a C-ordered array of `kind`, such as little-endian float32 (`<f4`): format
@@ -56,15 +39,7 @@ pub fn header(kind: &str, shape: &[usize]) -> Vec<u8> {
     bytes
 }
 
-fn parse(bytes: &[u8]) -> std::result::Result<Table, String> {
-    let Array { shape, values } = parse_array(bytes)?;
-    match shape[..] {
-        [rows, columns] => Ok(Table { rows, columns, values }),
-        _ => Err(format!("the array's shape is {shape:?}, but two dimensions are needed")),
-    }
-}
-
-fn parse_array(bytes: &[u8]) -> std::result::Result<Array, String> {
+fn parse(bytes: &[u8]) -> std::result::Result<Array, String> {
     let (header, data) = split_header(bytes)?;
     let width = match field(header, "descr")?.trim_matches(['\'', '"']) {
         "<f8" => 8,
@@ -155,7 +130,7 @@ mod tests {
     fn both_widths_are_read() {
         let wide: Vec<u8> = [1.5f64, -2.0].iter().flat_map(|v| v.to_le_bytes()).collect();
         let narrow: Vec<u8> = [1.5f32, -2.0].iter().flat_map(|v| v.to_le_bytes()).collect();
-        let expected = Table { rows: 1, columns: 2, values: vec![1.5, -2.0] };
+        let expected = Array { shape: vec![1, 2], values: vec![1.5, -2.0] };
         assert_eq!(parse(&file("<f8", "False", "(1, 2)", &wide)), Ok(expected.clone()));
         assert_eq!(parse(&file("<f4", "False", "(1, 2)", &narrow)), Ok(expected));
     }
@@ -166,7 +141,6 @@ mod tests {
             (b"PK\x03\x04".to_vec(), "NUMPY"),
             (file("<i8", "False", "(1, 2)", &[0; 16]), "<i8"),
             (file("<f8", "True", "(1, 2)", &[0; 16]), "Fortran"),
-            (file("<f8", "False", "(2,)", &[0; 16]), "[2]"),
             (file("<f8", "False", "(-2, 1)", &[0; 16]), "(-2, 1)"),
             (file("<f8", "False", "(1, 2)", &[0; 15]), "15 bytes"),
             (file("<f8", "False", "(18446744073709551615, 2)", &[0; 15]), "15 bytes"),

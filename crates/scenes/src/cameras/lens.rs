@@ -1,8 +1,8 @@
 //! Lenses and image sizes in a file of cameras.
 
+use super::super::Camera;
 use super::super::formats::transforms::{Keys, check_model};
 use super::super::json::Object;
-use super::super::Camera;
 use augnerf_base::{Result, number_text};
 
 /// Largest side of a rendered image in pixels.

@@ -176,7 +176,7 @@ fn read_json(file: &Path, like: &Camera, axes: Axes) -> Result<CameraFile> {
         let lens = lens::of_transforms(frame, document, like)?;
         Ok(Camera { pose: frame.pose(axes)?.0, ..lens.with_height(like.height) })
     };
-    Ok(CameraFile { cameras: document.frames()?.into_iter().map(camera).collect::<Result<_>>()?, fps: None })
+    Ok(CameraFile { cameras: document.objects("frames")?.into_iter().map(camera).collect::<Result<_>>()?, fps: None })
 }
 
 fn read_camera_path(document: Object, like: &Camera) -> Result<CameraFile> {

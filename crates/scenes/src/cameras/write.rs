@@ -7,7 +7,7 @@ use serde_json::{Map, Value, json};
 use super::super::pose::{self, Pose};
 use super::super::{Camera, WorldToScene, npy};
 use augnerf_base::Result;
-use augnerf_base::files::{write_named, write_named_json};
+use augnerf_base::files::write_named;
 
 /// Distance in pixels from the lens of a field of view above which a lens is written out.
 const ROUNDING: f64 = 1e-9;
@@ -25,7 +25,7 @@ pub fn write(file: &Path, cameras: &[Camera], world: &WorldToScene, fps: f64) ->
         bytes.extend(poses.flatten().flat_map(|value| value.to_le_bytes()));
         return write_named(file, &bytes);
     }
-    write_named_json(file, &camera_path(cameras, world, fps))
+    write_named(file, format!("{:#}\n", camera_path(cameras, world, fps)).as_bytes())
 }
 
 /// Returns the contents of a `camera_path.json` with these cameras.

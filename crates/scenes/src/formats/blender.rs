@@ -10,8 +10,8 @@ use crate::found;
 use crate::frame::{self, Frame, Reading};
 use crate::json::{self, Object};
 use crate::pose::{self, Pose};
-use crate::settings::{DataConfig, DataKind, EvalSplit};
-use crate::{Camera, Photos, Rig, Scene, SceneSpace, Subject, View, background, depth, name_of, path};
+use crate::settings::{DataConfig, DataKind, EvalSplit, scene_name};
+use crate::{Camera, Photos, Rig, Scene, SceneSpace, Subject, View, background, depth, path};
 use augnerf_base::{Error, Event, Listener, Result};
 
 /// Start and end of a ray, as for all of NeRF's synthetic scenes, and range of the values of depth maps.
@@ -66,7 +66,7 @@ pub fn load(config: &DataConfig, photos: Photos, events: &dyn Listener) -> Resul
     let train = read(&train, &train_names, of_train, "train")?;
     let [near, far] = bounds(config, of_train, &train, &mut space, events)?;
     Ok(Scene {
-        name: name_of(config),
+        name: scene_name(config),
         kind: DataKind::Blender.name(),
         path: path_for(&of_train.iter().map(|camera| camera.pose).collect::<Vec<_>>())
             .into_iter()

@@ -3,7 +3,6 @@
 use crate::settings::DataConfig;
 use crate::views::split;
 use crate::{Camera, Ndc, Scene, SceneSpace, View};
-use augnerf_base::Image;
 
 /// Posed photos in their order, before any is held out.
 pub struct Capture {
@@ -24,12 +23,6 @@ pub struct Capture {
 }
 
 impl Capture {
-    /// Creates views without reference depth from names, cameras and images in one order.
-    pub fn views(names: Vec<String>, cameras: Vec<Camera>, images: Vec<Image>) -> Vec<View> {
-        let view = |((name, camera), image): ((String, Camera), Image)| View::new(name, camera, image);
-        names.into_iter().zip(cameras).zip(images).map(view).collect()
-    }
-
     /// Returns the scene. Every `config.holdout`-th view is held out, starting with that of `config.holdout_offset`.
     /// The middle one of every `config.validation` others becomes a validation view. Of the evaluated views every
     /// `config.test_skip`-th is kept. `kind` is the format's name in files and tables.

@@ -36,17 +36,6 @@ pub enum DataKind {
 }
 
 impl DataKind {
-    /// All kinds, in their fixed order.
-    pub const ALL: [DataKind; 7] = [
-        DataKind::Auto,
-        DataKind::Llff,
-        DataKind::Blender,
-        DataKind::Transforms,
-        DataKind::Colmap,
-        DataKind::BuiltinBlender,
-        DataKind::BuiltinForward,
-    ];
-
     /// Returns the format, which knows all else of its scenes. `None` for `auto`.
     pub fn format(self) -> Option<&'static Format> {
         Format::of(self)
@@ -207,7 +196,7 @@ pub enum TrainViews {
 
 /// A number of training views and the rule that chooses them.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(try_from = "RuledInFile", into = "String")]
+#[serde(try_from = "String", into = "String")]
 pub struct RuledViews {
     /// Number of views.
     pub count: usize,
@@ -225,22 +214,10 @@ pub enum ViewsRule {
     Disjoint,
 }
 
-/// The two forms in which a file may have them.
-#[derive(Deserialize)]
-#[serde(untagged)]
-enum RuledInFile {
-    Text(String),
-    Table { count: usize, rule: ViewsRule },
-}
-
-impl TryFrom<RuledInFile> for RuledViews {
+impl TryFrom<String> for RuledViews {
     type Error = String;
 
-    fn try_from(written: RuledInFile) -> Result<RuledViews, String> {
-        let text = match written {
-            RuledInFile::Table { count, rule } => return Ok(RuledViews { count, rule }),
-            RuledInFile::Text(text) => text,
-        };
+    fn try_from(text: String) -> Result<RuledViews, String> {
         let read = text.split_once(' ').and_then(|(count, rule)| {
             let rule = [ViewsRule::Even, ViewsRule::Disjoint].into_iter().find(|known| known.name() == rule.trim())?;
             Some(RuledViews { count: count.parse().ok()?, rule })

@@ -21,10 +21,10 @@ use crate::formats::transforms::{BOUNDS, by_ratio};
 use crate::found;
 use crate::frame::{self, Frame, Reading};
 use crate::images::{self, Header, Size};
-use crate::mask::Masks;
+use crate::mask;
 use crate::pose::Pose;
-use crate::settings::{DataConfig, DataKind};
-use crate::{Camera, Photos, Scene, SceneSpace, WorldToScene, background, name_of, path};
+use crate::settings::{DataConfig, DataKind, scene_name};
+use crate::{Camera, Photos, Scene, SceneSpace, WorldToScene, background, path};
 use augnerf_base::{Error, Event, Listener, Result, first_names};
 use folder::Source;
 use model::{Lens, Model, Photograph};
@@ -75,8 +75,8 @@ pub fn load(config: &DataConfig, photos: Photos, events: &dyn Listener) -> Resul
     let path = path::around(&poses);
     let there: Vec<bool> = source.files.iter().map(Option::is_some).collect();
     let (mut frames, names) = frames(dir, &model, &source, &poses)?;
-    let masks = Masks::of(config, frames.iter().map(|frame| &*frame.path), events)?;
-    frames.iter_mut().zip(masks.files).for_each(|(frame, mask)| frame.mask = mask);
+    let masks = mask::find(config, frames.iter().map(|frame| &*frame.path), events)?;
+    frames.iter_mut().zip(masks).for_each(|(frame, mask)| frame.mask = mask);
     let targets = targets(config, &source, &frames)?;
     let cameras: Vec<Camera> =
         frames.iter().zip(targets).map(|(frame, target)| frame.camera(target, by_ratio)).collect();
@@ -98,7 +98,7 @@ pub fn load(config: &DataConfig, photos: Photos, events: &dyn Listener) -> Resul
         path: path.into_iter().map(|pose| Camera { pose, ..first }).collect(),
         space,
     };
-    Ok(capture.hold_out_listed(name_of(config), DataKind::Colmap.name(), config, &there))
+    Ok(capture.hold_out_listed(scene_name(config), DataKind::Colmap.name(), config, &there))
 }
 
 /// Notes missing photos.

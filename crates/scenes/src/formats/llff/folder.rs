@@ -23,13 +23,6 @@ pub(super) struct Source {
     pub(super) reduced: Option<String>,
 }
 
-impl Source {
-    /// Describes which files are read and how they are resized.
-    pub(super) fn words(&self) -> String {
-        images::folder_words(&self.paths, self.stored, self.target)
-    }
-}
-
 /// Finds the images of `poses` poses. For a factor: `images_{factor}` as it is, `images` averaged down, or a folder
 /// whose factor divides it, or the largest that is there. For a width: the smallest folder that is at least as wide. A folder without an image per
 /// pose is not used if another has them.

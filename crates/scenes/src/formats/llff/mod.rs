@@ -17,10 +17,10 @@ use crate::formats::{Capture, colmap};
 use crate::found;
 use crate::frame::{self, Frame, Reading};
 use crate::images::{self, Header, Size};
-use crate::mask::{MaskFile, Masks};
+use crate::mask::{self, MaskFile};
 use crate::pose::Pose;
-use crate::settings::{DataConfig, DataKind};
-use crate::{Camera, Ndc, Photos, Rig, Scene, SceneSpace, background, name_of, path};
+use crate::settings::{DataConfig, DataKind, scene_name};
+use crate::{Camera, Ndc, Photos, Rig, Scene, SceneSpace, background, path};
 use augnerf_base::input::{TEXT_BYTES, read_text};
 use augnerf_base::{Error, Event, Listener, Result};
 use folder::{Source, is_of_shape};
@@ -67,13 +67,13 @@ pub fn load(config: &DataConfig, photos: Photos, events: &dyn Listener) -> Resul
         check_facing(&cameras, &names, &file)?;
     }
     found::note_twins(dir, source.paths.iter(), events);
-    let masks = Masks::of(config, source.paths.iter().map(|path| &**path), events)?;
+    let masks = mask::find(config, source.paths.iter().map(|path| &**path), events)?;
     let lens = Intrinsics { focal: camera.focal, centre: camera.centre };
     let frame = |((path, header), mask): ((&PathBuf, &Header), Option<MaskFile>)| {
         let frame = Frame::new(path.clone(), *header, lens, Distortion::default()).expect("nothing to undo");
         Frame { mask, ..frame }
     };
-    let frames: Vec<Frame> = source.paths.iter().zip(&source.headers).zip(masks.files).map(frame).collect();
+    let frames: Vec<Frame> = source.paths.iter().zip(&source.headers).zip(masks).map(frame).collect();
     let background = background(config);
     let how = Reading { scene: dir, background: (background, false), photos, what: "photos", events };
     let (views, clear) = frame::views(&frames, &names, &cameras, how)?;
@@ -87,7 +87,7 @@ pub fn load(config: &DataConfig, photos: Photos, events: &dyn Listener) -> Resul
         path: path.into_iter().map(|pose| Camera { pose, ..camera }).collect(),
         space: space(&poses, &cameras, &source, config),
     };
-    Ok(capture.hold_out(name_of(config), DataKind::Llff.name(), config))
+    Ok(capture.hold_out(scene_name(config), DataKind::Llff.name(), config))
 }
 
 /// Returns units, box and notes. For forward-facing cameras only NDC tell where objects are.
@@ -96,7 +96,7 @@ fn space(poses: &Poses, cameras: &[Camera], source: &Source, config: &DataConfig
     if config.spherify {
         space.domain = Rig::of(cameras).subject.map(|subject| subject.domain());
     }
-    space.note("images", source.words());
+    space.note("images", images::folder_words(&source.paths, source.stored, source.target));
     if !source.passed.is_empty() {
         space.note("passed over", source.passed.join("; "));
     }
@@ -117,7 +117,7 @@ fn normalize(poses: &mut Poses, config: &DataConfig) -> Result<Vec<Pose>> {
         return if path::goes_around(&poses.poses) { poses.circle() } else { Ok(path::around(&poses.poses)) };
     }
     // A spiral is for forward-facing cameras.
-    let goes_around = !config.ndc && orbit::is_around(&poses.poses);
+    let goes_around = !config.ndc && orbit::around(&poses.poses).is_some();
     if goes_around { Ok(path::around(&poses.poses)) } else { poses.spiral() }
 }
 

@@ -34,13 +34,8 @@ fn why_around(config: &DataConfig) -> Option<String> {
     around(&poses.poses)
 }
 
-/// Returns whether recentred and scaled poses go around an object, or do not face forward.
-pub(super) fn is_around(poses: &[Pose]) -> bool {
-    around(poses).is_some()
-}
-
 /// Returns why recentred and scaled poses do not face forward, or `None` if they do.
-fn around(poses: &[Pose]) -> Option<String> {
+pub(super) fn around(poses: &[Pose]) -> Option<String> {
     let turn = |p: &Pose| pose::column(p, 2)[2].clamp(-1.0, 1.0).acos().to_degrees();
     let turn = poses.iter().map(turn).fold(0.0, f64::max);
     let beyond = poses.iter().filter(|p| p[2][3] < NEAR_PLANE).count();

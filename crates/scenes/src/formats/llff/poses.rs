@@ -2,7 +2,6 @@
 
 use std::path::Path;
 
-use super::paths::{circle, spiral};
 use crate::pose::{self, Pose, Vec3};
 use crate::{LARGEST, SMALLEST, WorldToScene, npy};
 use augnerf_base::{Error, Result, number_text};
@@ -36,34 +35,31 @@ pub struct Poses {
 impl Poses {
     /// Reads `poses_bounds.npy`, in the file's own units.
     pub fn read(file: &Path) -> Result<Poses> {
-        let table = npy::read_table(file)?;
-        let fail = |what: String| Err(Error::Data(format!("{}: {what}", file.display())));
-        if table.columns == NEX_COLUMNS && table.rows > 0 {
-            return Poses::read_nex(file, &table);
+        let npy::Array { shape, values } = npy::read_array(file)?;
+        match shape[..] {
+            [1..=usize::MAX, NEX_COLUMNS] => return Poses::read_nex(file, &values),
+            [1..=usize::MAX, COLUMNS] => {}
+            _ => {
+                return Err(Error::Data(format!(
+                    "{}: the array's shape is {shape:?}, but LLFF's is [N, {COLUMNS}]: a 3x5 matrix and two bounds per view",
+                    file.display()
+                )));
+            }
         }
-        if table.columns != COLUMNS || table.rows == 0 {
-            return fail(format!(
-                "the array is {} x {}, but LLFF's is N x {COLUMNS}: a 3x5 matrix and two bounds per view",
-                table.rows, table.columns
-            ));
-        }
-        check_rows(file, &table.values)?;
-        let [height, width, focal] = intrinsics(&table.values);
-        Ok(Poses::of_rows(
-            &table.values,
-            Lens { width, height, focal: [focal; 2], centre: [width / 2.0, height / 2.0] },
-        ))
+        check_rows(file, &values)?;
+        let [height, width, focal] = intrinsics(&values);
+        Ok(Poses::of_rows(&values, Lens { width, height, focal: [focal; 2], centre: [width / 2.0, height / 2.0] }))
     }
 
     /// Reads NeX's rows, whose lens is a file of its own.
-    fn read_nex(file: &Path, table: &npy::Table) -> Result<Poses> {
+    fn read_nex(file: &Path, values: &[f64]) -> Result<Poses> {
         let lens = file.with_file_name(NEX_LENS);
         if !lens.is_file() {
             return Err(Error::Data(format!(
-                "{}: the array is {} x {NEX_COLUMNS}, as in NeX's scenes, but {NEX_LENS}, which has their focal length, is not \
-                 beside it; LLFF's is N x {COLUMNS}",
+                "{}: the array's shape is [{}, {NEX_COLUMNS}], as in NeX's scenes, but {NEX_LENS}, which has their focal length, is not \
+                 beside it; LLFF's is [N, {COLUMNS}]",
                 file.display(),
-                table.rows
+                values.len() / NEX_COLUMNS
             )));
         }
         let lens = Lens::read_nex(&lens)?;
@@ -71,7 +67,7 @@ impl Poses {
             let line = |i: usize| [&row[4 * i..4 * i + 4], &[[lens.height, lens.width, lens.focal[0]][i]]].concat();
             [line(0), line(1), line(2), row[12..].to_vec()].concat()
         };
-        let rows: Vec<f64> = table.values.chunks_exact(NEX_COLUMNS).flat_map(row).collect();
+        let rows: Vec<f64> = values.chunks_exact(NEX_COLUMNS).flat_map(row).collect();
         check_rows(file, &rows)?;
         Ok(Poses::of_rows(&rows, lens))
     }
@@ -129,16 +125,6 @@ impl Poses {
         let square = self.poses.iter().map(|p| pose::dot(pose::column(p, 3), pose::column(p, 3))).sum::<f64>();
         self.scale((self.poses.len() as f64 / square).sqrt());
         Ok(())
-    }
-
-    /// Returns nerf-pytorch's video path: a spiral around the average pose.
-    pub fn spiral(&self) -> Result<Vec<Pose>> {
-        spiral(&self.poses, self.nearest(), self.farthest())
-    }
-
-    /// Returns nerf-pytorch's video path of spherified poses: a circle at the cameras' mean height.
-    pub fn circle(&self) -> Result<Vec<Pose>> {
-        circle(&self.poses)
     }
 
     /// Returns the smallest bound of all views.
@@ -301,7 +287,7 @@ mod tests {
         let (pose, bounds) = ([0.0, 1.0, 0.0, 5.0, -1.0, 0.0, 0.0, 6.0, 0.0, 0.0, 1.0, 7.0], [2.0, 9.0]);
         let nex = array("poses_bounds.npy", &[1, 14], &[&pose[..], &bounds].concat());
         let said = Poses::read(&nex).unwrap_err().to_string();
-        assert!(said.contains("hwf_cxcy.npy") && said.contains("1 x 14"), "{said}");
+        assert!(said.contains("hwf_cxcy.npy") && said.contains("[1, 14]"), "{said}");
         array("hwf_cxcy.npy", &[6, 1], &[30.0, 40.0, 50.0, 51.0, 19.0, 16.0]);
         let read = Poses::read(&nex).unwrap();
         let with = |row: usize, last: f64| [&pose[4 * row..4 * row + 4], &[last]].concat();

@@ -8,7 +8,7 @@ use crate::found::{self, Below};
 use crate::frame::{Frame, named};
 use crate::images::{self, Header, Size};
 use crate::json::{Object, Picture, Scaled};
-use crate::mask::{self, MaskFile, Masks};
+use crate::mask;
 use crate::pose::Pose;
 use crate::settings::DataConfig;
 use augnerf_base::{Event, Listener, Result, first_names, number_text};
@@ -77,7 +77,7 @@ pub fn has_no_photos(document: Object) -> Result<bool> {
     if document.is_empty("frames") {
         return Ok(true);
     }
-    for object in document.frames()? {
+    for object in document.objects("frames")? {
         let picture = object.picture("file_path")?;
         if picture.path.is_some() || there.by_end(&picture.written).is_some() {
             return Ok(false);
@@ -228,7 +228,7 @@ fn find(Entry { object, picture, reduced, .. }: Entry, document: Object) -> Resu
             distortion.radial, distortion.tangential
         )));
     };
-    Ok(Some(Frame { mask: mask::file_of(object, document)?.map(MaskFile::of_black), reduced, ..frame }))
+    Ok(Some(Frame { mask: mask::named_in(object, document)?, reduced, ..frame }))
 }
 
 /// Returns the frames of a list whose photos exist, each with its pose and its name among all.
@@ -248,8 +248,8 @@ pub fn find_masks<'a>(
     if frames.iter().any(|frame| frame.mask.is_some()) && config.masks.is_empty() {
         return Ok(());
     }
-    let masks = Masks::of(config, frames.iter().map(|frame| &*frame.path), events)?;
-    for (frame, mask) in frames.iter_mut().zip(masks.files) {
+    let masks = mask::find(config, frames.iter().map(|frame| &*frame.path), events)?;
+    for (frame, mask) in frames.iter_mut().zip(masks) {
         frame.mask = if config.masks == mask::NONE { None } else { mask.or(frame.mask.take()) };
     }
     Ok(())

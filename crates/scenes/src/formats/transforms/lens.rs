@@ -1,9 +1,9 @@
 //! The intrinsics in a `transforms.json`, for all frames or per frame.
 
 use super::distortion::{Distortion, Intrinsics};
+use crate::SMALLEST;
 use crate::foreign::FOCAL;
 use crate::json::Object;
-use crate::SMALLEST;
 use augnerf_base::{Result, number_text};
 
 /// Names of pinhole models, with or without OpenCV's radial and tangential distortion.

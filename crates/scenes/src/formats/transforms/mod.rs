@@ -23,8 +23,8 @@ use crate::formats::Capture;
 use crate::found;
 use crate::frame::{self, Frame, Reading};
 use crate::pose::Pose;
-use crate::settings::{DataConfig, DataKind, EvalSplit, Split};
-use crate::{Camera, Photos, Scene, SceneSpace, WorldToScene, background, name_of, path};
+use crate::settings::{DataConfig, DataKind, EvalSplit, Split, scene_name};
+use crate::{Camera, Photos, Scene, SceneSpace, WorldToScene, background, path};
 use augnerf_base::{Error, Event, Listener, Result};
 use frames::Listed;
 use split::{Listing, Roles, Uses};
@@ -75,7 +75,7 @@ pub fn load(config: &DataConfig, photos: Photos, events: &dyn Listener) -> Resul
         path: path.into_iter().map(|pose| Camera { pose, ..first }).collect(),
         space,
     };
-    let (name, kind) = (name_of(config), DataKind::Transforms.name());
+    let (name, kind) = (scene_name(config), DataKind::Transforms.name());
     if !by_author {
         return Ok(capture.hold_out_listed(name, kind, config, &there));
     }

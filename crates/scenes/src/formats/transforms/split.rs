@@ -187,7 +187,7 @@ fn of_one_file(file: &Path, config: &DataConfig, events: &dyn Listener) -> Resul
 fn listed(document: Object) -> Result<Vec<Option<Vec<String>>>> {
     let mut known = HashSet::new();
     let is_there = |role: &Role| names_of(document, *role).is_some();
-    let frames = if Role::ALL.iter().any(is_there) { document.frames()? } else { Vec::new() };
+    let frames = if Role::ALL.iter().any(is_there) { document.objects("frames")? } else { Vec::new() };
     for frame in frames {
         known.insert(frame.picture("file_path")?.written);
     }
