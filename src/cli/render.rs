@@ -7,7 +7,7 @@ use serde_json::json;
 
 use crate::base::files::AtomicDir;
 use crate::base::{Error, Event, Listener, Result};
-use crate::data::cameras::{self, Dataparser, MOST_PIXELS};
+use crate::data::cameras::{self, MOST_PIXELS};
 use crate::data::{Camera, View};
 use crate::draw::write_mp4;
 use crate::run::{OpenOptions, PathPictures, Pictures, RunDir, Trained, Viewer};
@@ -43,12 +43,9 @@ pub struct RenderArguments {
     /// Views to render
     #[arg(long, value_enum, default_value_t = What::Path)]
     what: What,
-    /// Render the cameras of a file: camera_path.json (nerfstudio), transforms.json or poses as .npy
+    /// Render the cameras of a file: camera_path.json (nerfstudio) or transforms.json
     #[arg(long, value_name = "FILE")]
     cameras: Option<PathBuf>,
-    /// dataparser_transforms.json of the nerfstudio run whose viewer saved the camera_path.json
-    #[arg(long, value_name = "FILE", requires = "cameras")]
-    dataparser: Option<PathBuf>,
     #[command(flatten)]
     sources: Moved,
     /// Frames of the path, evenly spaced [default: all]
@@ -63,7 +60,7 @@ pub struct RenderArguments {
     /// Output folder [default: RUN/renders/path or RUN/renders/views]
     #[arg(long, value_name = "DIR", help_heading = "Output")]
     out: Option<PathBuf>,
-    /// Write the cameras to a file (camera_path.json, or [N,3,4] poses as .npy) and render nothing
+    /// Write the cameras to a file (camera_path.json) and render nothing
     #[arg(long, value_name = "FILE", conflicts_with = "out", help_heading = "Output")]
     write_cameras: Option<PathBuf>,
     /// Render each camera that a line of JSON on standard input asks for, and answer with a line of JSON
@@ -84,7 +81,7 @@ enum What {
 }
 
 /// Flags of cameras that are known before the start.
-const NOT_SERVED: [&str; 8] = ["what", "cameras", "dataparser", "frames", "resolution", "fps", "write_cameras", "json"];
+const NOT_SERVED: [&str; 7] = ["what", "cameras", "frames", "resolution", "fps", "write_cameras", "json"];
 
 /// The cameras to render, in order.
 struct Shots {
@@ -106,15 +103,6 @@ impl RenderArguments {
                 "--what views: renders all held-out views at their size; omit it to use --cameras, --resolution, --frames or --fps"
                     .into(),
             ));
-        }
-        if let Some(file) = self.write_cameras.as_deref().filter(|file| holds_poses_alone(file)) {
-            let of_lens = [("--resolution", size.is_some()), ("--fps", self.fps.is_some())];
-            if let Some((flag, _)) = of_lens.into_iter().find(|(_, given)| *given) {
-                return Err(Error::Config(format!(
-                    "{flag}: {} holds poses alone; choose a name that ends in .json, or omit {flag}",
-                    file.display()
-                )));
-            }
         }
         self.compute.run(|runtime, console| self.render(size, runtime, console))
     }
@@ -185,11 +173,8 @@ impl RenderArguments {
         let like = scene.test.first().or(scene.train.first()).map(|view: &View| view.camera);
         let (all, fps) = match (&self.cameras, self.what, like) {
             (Some(file), _, Some(like)) => {
-                let transforms = Path::new(&trained.config.data.dir).join("transforms.json");
-                let dataparser =
-                    self.dataparser.as_ref().map(|file| Dataparser::read(file, &transforms)).transpose()?;
                 let (world, axes) = (&scene.space.world, trained.config.data.axes);
-                let read = cameras::read(file, &like, world, axes, dataparser.as_ref())?;
+                let read = cameras::read(file, &like, world, axes)?;
                 (read.cameras, read.fps)
             }
             (_, What::Views, _) => (scene.test.iter().map(|view| view.camera).collect(), None),
@@ -276,11 +261,6 @@ fn path(viewer: Viewer, shots: &Shots, folder: &Path, console: &Console) -> Resu
         }
     }
     Ok(format!("videos: {written}"))
-}
-
-/// Returns whether a file of cameras keeps neither their size nor frames per second.
-fn holds_poses_alone(file: &Path) -> bool {
-    file.extension().is_some_and(|ending| ending.eq_ignore_ascii_case("npy"))
 }
 
 /// Parses columns and rows of an image, such as `320x240`.

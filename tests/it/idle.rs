@@ -18,16 +18,14 @@ fn flags_that_extract_a_mesh_are_refused_for_one_that_is_there() {
     assert!(!place.at("mesh.png").exists() && !place.at("out").exists());
 }
 
-/// Cameras that are written are not rendered, and poses alone have no size.
+/// Cameras that are written are not rendered.
 #[test]
 fn flags_of_images_are_refused_where_cameras_are_written() {
     let place = Place::new();
     let words = ["--write-cameras", "cannot be used with", "--out"];
     place.says("render none --write-cameras p.json --out DIR", 2, &words);
     for flag in ["--resolution 8x8", "--fps 2"] {
-        let words = format!("{}: p.npy holds poses alone", flag.split(' ').next().unwrap());
-        place.says(&format!("render none --write-cameras p.npy {flag}"), 2, &[&words, ".json"]);
-        // The other file has both, so that only the run is missing.
+        // The file has both, so that only the run is missing.
         place.says(&format!("render none --write-cameras p.json {flag}"), 5, &["none"]);
     }
 }

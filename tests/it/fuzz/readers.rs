@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use std::sync::atomic::AtomicUsize;
 
 use augnerf::base::{Error, Result};
-use augnerf::data::cameras::{self, Dataparser};
+use augnerf::data::cameras;
 use augnerf::data::{self, WorldToScene, images};
 use augnerf::mesh::{read_mesh, sample};
 use augnerf::methods::SiteSummary;
@@ -52,17 +52,9 @@ pub fn all(folder: &Path) -> Vec<Reader> {
         ("mesh", |file| sample(&read_mesh(file)?, 16, 0).map(drop)),
         ("picture", read_picture),
         ("cameras", |file| {
-            cameras::read(file, &tiny_scene().train[0].camera, &WorldToScene::default(), Axes::Opengl, None).map(drop)
+            cameras::read(file, &tiny_scene().train[0].camera, &WorldToScene::default(), Axes::Opengl).map(drop)
         }),
         ("import", read_foreign),
-        ("dataparser", |file| {
-            let to_capture = |dataparser: Dataparser| _ = dataparser.to_capture(&tiny_scene().train[0].camera.pose);
-            Dataparser::read(
-                &file.with_file_name("dataparser_transforms.json"),
-                &file.with_file_name("transforms.json"),
-            )
-            .map(to_capture)
-        }),
         ("weights", |file| Lpips::load(file.parent().unwrap(), Backbone::Squeeze, &Device::Cpu).map(drop)),
         ("config", |file| {
             // What is read can be written and hashed.

@@ -1,14 +1,12 @@
-//! Files of cameras to render: a nerfstudio `camera_path.json`, a `transforms.json`, or poses as `.npy`.
+//! Files of cameras to render: a nerfstudio `camera_path.json`, or a `transforms.json`.
 //!
 //! A file's poses are camera-to-world matrices in the coordinates of the capture's files, with columns right, up, back
 //! (OpenGL). A `transforms.json`, which may be the capture's own, has the axes of `data.axes` instead. The scene's
 //! [`WorldToScene`] maps poses to the scene: `x_scene = scale * R x_file + t` for points, `R` only for directions. The
-//! inverse is used for writing. Paths from nerfstudio's viewer are in its own units; its `dataparser_transforms.json`
-//! maps them to the capture's ([`Dataparser`]).
+//! inverse is used for writing.
 //!
 //! A field of view, or focal lengths and principal point, are read from the file. Lens distortion is not.
 
-mod dataparser;
 mod lens;
 mod write;
 
@@ -18,11 +16,10 @@ use serde_json::{Map, Value};
 
 use super::json::{self, Object};
 use super::pose::{self, Pose};
-use super::{Camera, LARGEST, WorldToScene, npy};
+use super::{Camera, LARGEST, WorldToScene};
 use crate::settings::Axes;
 use augnerf_base::{Error, Result};
 
-pub use dataparser::Dataparser;
 pub use lens::MOST_PIXELS;
 pub use write::{camera_path, write};
 
@@ -32,8 +29,6 @@ const MOST_CAMERAS: usize = 90_000;
 pub const CAMERA_KEYS: [&str; 9] = [POSE, "fov", "fl_x", "fl_y", "cx", "cy", "w", "h", "aspect"];
 /// The key of its pose.
 const POSE: &str = "camera_to_world";
-/// The extensions of NumPy's files, and of the others.
-const ENDINGS: [&str; 2] = ["npy", "json"];
 
 /// The cameras of a file, in scene units.
 #[derive(Clone, Debug, PartialEq)]
@@ -45,26 +40,17 @@ pub struct CameraFile {
 }
 
 /// Reads a file of cameras for a scene. `like` is one of the scene's own cameras, and fills what the file leaves open.
-/// Images of a `transforms.json` or `.npy`, which state no size, have its height. `axes` are those of the matrices in a
-/// `transforms.json`; the other files have right, up, back.
+/// Images of a `transforms.json` have its height. `axes` are those of the matrices in a `transforms.json`; a
+/// `camera_path.json` has right, up, back.
 ///
 /// # Errors
-/// If the file is none of the three, or its poses or lenses are invalid.
-pub fn read(
-    file: &Path,
-    like: &Camera,
-    world: &WorldToScene,
-    axes: Axes,
-    dataparser: Option<&Dataparser>,
-) -> Result<CameraFile> {
-    let mut read = match ending(file)? {
-        "npy" => CameraFile { cameras: read_npy(file, like)?, fps: None },
-        _ => read_json(file, like, axes)?,
-    };
+/// If the file is none of the two, or its poses or lenses are invalid.
+pub fn read(file: &Path, like: &Camera, world: &WorldToScene, axes: Axes) -> Result<CameraFile> {
+    check_ending(file)?;
+    let mut read = read_json(file, like, axes)?;
     check_count(file, read.cameras.len())?;
     for camera in &mut read.cameras {
-        let capture = dataparser.map_or(camera.pose, |dataparser| dataparser.to_capture(&camera.pose));
-        camera.pose = world.camera(&capture);
+        camera.pose = world.camera(&camera.pose);
     }
     for (index, camera) in read.cameras.iter().enumerate() {
         check_position(camera, || format!("{}: camera {index} (counted from 0)", file.display()))?;
@@ -115,51 +101,15 @@ fn check_count(file: &Path, cameras: usize) -> Result<()> {
     Err(Error::Data(format!("{}: it has {cameras} cameras, but at most {MOST_CAMERAS} are rendered", file.display())))
 }
 
-/// Returns one of [`ENDINGS`].
-fn ending(file: &Path) -> Result<&'static str> {
-    let found = file.extension().map(|ending| ending.to_string_lossy().to_lowercase()).unwrap_or_default();
-    ENDINGS.into_iter().find(|known| *known == found).ok_or_else(|| {
-        Error::Config(format!(
-            "{}: a file of cameras ends in .json (nerfstudio's camera_path.json, transforms.json) or .npy (poses, [N, 3, 4] \
-             or [N, 4, 4])",
-            file.display()
-        ))
-    })
-}
-
-/// Reads poses, `[N, 3, 4]` or `[N, 4, 4]`, or one of them.
-fn read_npy(file: &Path, like: &Camera) -> Result<Vec<Camera>> {
-    let array = npy::read_array(file)?;
-    let rows = match array.shape[..] {
-        [_, rows @ (3 | 4), 4] | [rows @ (3 | 4), 4] => rows,
-        _ => {
-            return Err(Error::Data(format!(
-                "{}: the array's shape is {:?}, but camera-to-world matrices are [N, 3, 4] or [N, 4, 4]",
-                file.display(),
-                array.shape
-            )));
-        }
-    };
-    let poses = array.values.chunks_exact(4 * rows).enumerate();
-    poses
-        .map(|(index, values)| {
-            let wrong = |what: String| Error::Data(format!("{}: pose {index} (counted from 0) {what}", file.display()));
-            let pose: Pose = std::array::from_fn(|row| std::array::from_fn(|column| values[4 * row + column]));
-            if pose.iter().flatten().any(|value| value.is_nan() || value.abs() > LARGEST) {
-                return Err(wrong(format!("has numbers that are not finite or beyond {LARGEST:e}")));
-            }
-            pose::check_rotation(&pose).map_err(|what| wrong(format!("has no rotation in its matrix but {what}")))?;
-            Ok(Camera { pose, ..*like })
-        })
-        .collect::<Result<Vec<_>>>()
-        .and_then(|cameras| some(cameras, file))
-}
-
-fn some(cameras: Vec<Camera>, file: &Path) -> Result<Vec<Camera>> {
-    match cameras.is_empty() {
-        false => Ok(cameras),
-        true => Err(Error::Data(format!("{}: it has no camera, but at least one is needed", file.display()))),
+/// Returns an error for a name that no file of cameras has, for reading and for writing.
+fn check_ending(file: &Path) -> Result<()> {
+    if file.extension().is_some_and(|ending| ending.eq_ignore_ascii_case("json")) {
+        return Ok(());
     }
+    Err(Error::Config(format!(
+        "{}: a file of cameras ends in .json (nerfstudio's camera_path.json, transforms.json)",
+        file.display()
+    )))
 }
 
 fn read_json(file: &Path, like: &Camera, axes: Axes) -> Result<CameraFile> {

@@ -35,16 +35,14 @@ fn what_is_written_is_read_back() {
     let dir = tempfile::tempdir().unwrap();
     let off = Camera { focal: [33.0, 31.0], centre: [19.0, 16.5], ..like() };
     let portrait = Camera { width: 30, height: 40, centre: [15.0, 20.0], ..like() };
-    for (name, cameras) in [("a.json", vec![like(), off, portrait]), ("b.npy", vec![like(); 2])] {
-        let file = dir.path().join(name);
-        write(&file, &cameras, &world(), 12.0).unwrap();
-        // What is asked back of a camera that is nothing like those.
-        let other = Camera { pose: [[0.0; 4]; 3], ..like() };
-        for axes in [Axes::Opengl, Axes::Opencv] {
-            let read = read(&file, &other, &world(), axes, None).unwrap();
-            assert_alike(&read.cameras, &cameras);
-            assert_eq!(read.fps, (name == "a.json").then_some(12.0));
-        }
+    let (file, cameras) = (dir.path().join("a.json"), [like(), off, portrait]);
+    write(&file, &cameras, &world(), 12.0).unwrap();
+    // What is asked back of a camera that is nothing like those.
+    let other = Camera { pose: [[0.0; 4]; 3], ..like() };
+    for axes in [Axes::Opengl, Axes::Opencv] {
+        let read = read(&file, &other, &world(), axes).unwrap();
+        assert_alike(&read.cameras, &cameras);
+        assert_eq!(read.fps, Some(12.0));
     }
 }
 
@@ -59,7 +57,7 @@ fn what_is_written_can_be_asked_for() {
     assert!(others.is_empty(), "{others:?}");
 }
 
-/// A `transforms.json` has the axes of its capture. A path and an array have right, up, back, whatever these are.
+/// A `transforms.json` has the axes of its capture. A path has right, up, back, whatever these are.
 #[test]
 fn frames_have_the_axes_of_their_capture() {
     let dir = tempfile::tempdir().unwrap();
@@ -68,14 +66,10 @@ fn frames_have_the_axes_of_their_capture() {
     let ahead = [[1.0, 0.0, 0.0, 2.0], [0.0, 1.0, 0.0, 4.0], [0.0, 0.0, 1.0, 6.0]];
     let frames = file(&dir, "t.json", &format!("{{\"frames\": [{{\"transform_matrix\": {matrix}}}]}}"));
     let path = file(&dir, "p.json", &format!("{{\"camera_path\": [{{\"camera_to_world\": {matrix}}}]}}"));
-    let array = dir.path().join("a.npy");
     let world = WorldToScene::default();
-    write(&array, &[Camera { pose, ..like() }], &world, 12.0).unwrap();
-    let read = |file: &Path, axes: Axes| read(file, &like(), &world, axes, None).unwrap().cameras[0].pose;
+    let read = |file: &Path, axes: Axes| read(file, &like(), &world, axes).unwrap().cameras[0].pose;
     assert_eq!((read(&frames, Axes::Opengl), read(&frames, Axes::Opencv)), (pose, ahead));
-    for file in [path, array] {
-        assert_eq!((read(&file, Axes::Opengl), read(&file, Axes::Opencv)), (pose, pose));
-    }
+    assert_eq!((read(&path, Axes::Opengl), read(&path, Axes::Opencv)), (pose, pose));
 }
 
 /// By hand: a place (2, 4, 6) of the file under scale 0.5 and a shift.
@@ -86,7 +80,7 @@ fn places_follow_the_scene_s_transform() {
     let shift = [[1.0, 0.0, 0.0, 1.0], [0.0, 1.0, 0.0, 1.0], [0.0, 0.0, 1.0, 1.0]];
     let world = WorldToScene::default().scaled(0.5).moved(&shift);
     let text = format!("{{\"w\": 80, \"h\": 40, \"fl_x\": 100, \"frames\": [{{\"transform_matrix\": {matrix}}}]}}");
-    let cameras = read(&file(&dir, "t.json", &text), &like(), &world, Axes::Opengl, None).unwrap().cameras;
+    let cameras = read(&file(&dir, "t.json", &text), &like(), &world, Axes::Opengl).unwrap().cameras;
     assert_eq!(pose::column(&cameras[0].pose, 3), [2.0, 3.0, 4.0]);
     // The scene's height, the file's aspect and field of view.
     assert_eq!((cameras[0].width, cameras[0].height, cameras[0].focal), (60, 30, [75.0; 2]));
@@ -95,38 +89,10 @@ fn places_follow_the_scene_s_transform() {
         "{{\"render_width\": 80, \"render_height\": 40, \"fps\": 24, \"camera_path\": [{{\"camera_to_world\": {flat}, \
          \"fov\": 90}}]}}"
     );
-    let read = read(&file(&dir, "p.json", &text), &like(), &world, Axes::Opengl, None).unwrap();
+    let read = read(&file(&dir, "p.json", &text), &like(), &world, Axes::Opengl).unwrap();
     assert_eq!((read.fps, read.cameras[0].width, read.cameras[0].height), (Some(24.0), 80, 40));
     assert!((read.cameras[0].focal[1] - 20.0).abs() < 1e-12);
     assert_eq!(read.cameras[0].pose, cameras[0].pose);
-}
-
-/// nerfstudio: x_ns = scale * transform * x, and the capture is applied_transform * x.
-#[test]
-fn nerfstudio_s_units_are_undone() {
-    let dir = tempfile::tempdir().unwrap();
-    let transform = pose::look_along([0.2, 0.7, 0.1], [0.0, 0.1, 1.0], [0.3, -0.6, 0.9]).unwrap();
-    let applied = [[1.0, 0.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0], [0.0, -1.0, 0.0, 0.5]];
-    let parser =
-        file(&dir, "dataparser_transforms.json", &format!("{{\"transform\": {transform:?}, \"scale\": 0.25}}"));
-    let transforms = file(&dir, "transforms.json", &format!("{{\"applied_transform\": {applied:?}, \"frames\": []}}"));
-    let parser = Dataparser::read(&parser, &transforms).unwrap();
-    let original = like().pose;
-    let scaled = pose::compose(&transform, &original).map(|[a, b, c, t]| [a, b, c, 0.25 * t]);
-    let same = |applied: &Pose, found: Pose| {
-        let expected = pose::compose(applied, &original);
-        found.iter().flatten().zip(expected.iter().flatten()).all(|(a, b)| (a - b).abs() < 1e-12)
-    };
-    assert!(same(&applied, parser.to_capture(&scaled)));
-
-    // A folder with COLMAP's model has its axes turned where nothing is said; an applied_scale is refused.
-    let named = dir.path().join("dataparser_transforms.json");
-    std::fs::create_dir_all(dir.path().join("colmap/sparse/0")).unwrap();
-    let transforms = file(&dir, "transforms.json", "{\"frames\": []}");
-    let turned = [[0.0, 1.0, 0.0, 0.0], [1.0, 0.0, 0.0, 0.0], [0.0, 0.0, -1.0, 0.0]];
-    assert!(same(&turned, Dataparser::read(&named, &transforms).unwrap().to_capture(&scaled)));
-    let transforms = file(&dir, "transforms.json", "{\"applied_scale\": 0.5, \"frames\": []}");
-    assert!(Dataparser::read(&named, &transforms).unwrap_err().to_string().contains("applied_scale"));
 }
 
 #[test]
@@ -134,7 +100,7 @@ fn what_is_no_camera_is_named() {
     let dir = tempfile::tempdir().unwrap();
     let flat = "[1,0,0,2, 0,1,0,4, 0,0,1,6, 0,0,0,1]";
     for (name, text, words) in [
-        ("a.txt", "", ".npy"),
+        ("a.npy", "", "ends in .json"),
         ("a.json", "{}", "camera_path"),
         ("a.json", "{\"camera_path\": []}", "empty"),
         ("a.json", "{\"camera_path\": [{\"fov\": 50}]}", "camera_to_world"),
@@ -145,9 +111,8 @@ fn what_is_no_camera_is_named() {
         ("a.json", "{\"fps\": 0, \"camera_path\": [{}]}", "fps"),
         ("a.json", &format!("{{\"render_width\": 1e6, \"camera_path\": [{{\"camera_to_world\": {flat}}}]}}"), "16384"),
         ("a.json", "{\"fl_x\": 9, \"frames\": [{}]}", "\"w\""),
-        ("a.npy", "text", "NUMPY"),
     ] {
-        let error = read(&file(&dir, name, text), &like(), &world(), Axes::Opengl, None).unwrap_err().to_string();
+        let error = read(&file(&dir, name, text), &like(), &world(), Axes::Opengl).unwrap_err().to_string();
         assert!(error.contains(words) && error.contains(name), "{text}: {error}");
     }
 }
@@ -160,7 +125,7 @@ fn fisheye_cameras_are_refused() {
         [("\"camera_model\": \"OPENCV_FISHEYE\"", "OPENCV_FISHEYE"), ("\"is_fisheye\": true", "is_fisheye")]
     {
         let file = file(&dir, "t.json", &format!("{{{key}, {frame}}}"));
-        let said = read(&file, &like(), &world(), Axes::Opengl, None).unwrap_err().to_string();
+        let said = read(&file, &like(), &world(), Axes::Opengl).unwrap_err().to_string();
         assert!(said.contains(word), "{said}");
     }
 }

@@ -5,26 +5,21 @@ use std::path::Path;
 use serde_json::{Map, Value, json};
 
 use super::super::pose::{self, Pose};
-use super::super::{Camera, WorldToScene, npy};
+use super::super::{Camera, WorldToScene};
 use augnerf_base::Result;
 use augnerf_base::files::write_named;
 
 /// Distance in pixels from the lens of a field of view above which a lens is written out.
 const ROUNDING: f64 = 1e-9;
 
-/// Writes cameras of a scene in the units of its capture: as nerfstudio's `camera_path.json`, or as `.npy`, float64
-/// `[N, 3, 4]`, which keeps only poses. [`read`](super::read) restores the same cameras.
+/// Writes cameras of a scene in the units of its capture, as nerfstudio's `camera_path.json`. [`read`](super::read) restores
+/// the same cameras.
 ///
 /// # Errors
 /// If the name has another extension, there are too many cameras, or the file cannot be written.
 pub fn write(file: &Path, cameras: &[Camera], world: &WorldToScene, fps: f64) -> Result<()> {
     super::check_count(file, cameras.len())?;
-    if super::ending(file)? == "npy" {
-        let mut bytes = npy::header("<f8", &[cameras.len(), 3, 4]);
-        let poses = cameras.iter().flat_map(|camera| to_capture(world, &camera.pose));
-        bytes.extend(poses.flatten().flat_map(|value| value.to_le_bytes()));
-        return write_named(file, &bytes);
-    }
+    super::check_ending(file)?;
     write_named(file, format!("{:#}\n", camera_path(cameras, world, fps)).as_bytes())
 }
 
@@ -68,7 +63,7 @@ fn unsaid(camera: &Camera, size: (usize, usize)) -> Vec<(&'static str, Value)> {
 }
 
 /// Maps a camera of the scene to the capture's units.
-pub(super) fn to_capture(world: &WorldToScene, camera: &Pose) -> Pose {
+fn to_capture(world: &WorldToScene, camera: &Pose) -> Pose {
     let [right, up, back] = [0, 1, 2].map(|axis| world.direction_to_capture(pose::column(camera, axis)));
     pose::from_columns([right, up, back, world.to_capture(pose::column(camera, 3))])
 }
