@@ -50,20 +50,12 @@ fn refused_within_memory(arguments: &[&str], code: i32, words: &[&str]) {
 }
 
 #[test]
-fn poses_of_millions_of_values_are_refused_as_they_are_read() {
+fn poses_of_more_bytes_than_a_scene_has_are_refused_as_they_are_read() {
     let dir = scene();
-    let many = "more than 2097152 commas, colons and opening brackets";
-    for (open, value, close, mib, words) in [
-        ("[", r#"{"a":0},"#, "0]", 31, many),
-        ("[", "[],", "0]", 31, many),
-        (r#"[{"frames":["#, "0,", "0]}]", 31, many),
-        ("[", "[],", "0]", 33, "more than 32 MiB"),
-    ] {
-        let values = value.repeat((mib << 20) / value.len());
-        let text = format!(r#"{{"camera_angle_x": 0.7, "frames": {open}{values}{close}}}"#);
-        fs::write(dir.path().join("transforms.json"), text).unwrap();
-        refused_within_memory(&["data", "check", dir.path().to_str().unwrap()], 3, &["transforms.json", words]);
-    }
+    let text = format!(r#"{{"camera_angle_x": 0.7, "frames": [{}0]}}"#, "[],".repeat(11 << 20));
+    fs::write(dir.path().join("transforms.json"), text).unwrap();
+    let words = ["transforms.json", "more than 32 MiB"];
+    refused_within_memory(&["data", "check", dir.path().to_str().unwrap()], 3, &words);
 }
 
 #[test]

@@ -103,7 +103,6 @@ fn what_is_repaired_is_named() {
         (pruned, as_it_is, "7 | 0 8", "images/6.png. These are most of them: check"),
         (twice, as_it_is, same, "9 photos are there again with another ending and are not used, such as 0.jpg"),
         (plain().with("camera_angle_x", json!(0.4)), as_it_is, same, angle),
-        (plain().with("sk_x", json!(3.5)), as_it_is, same, "\"sk_x\" is 3.5, a skew of the pixels"),
     ];
     let plain = plain().load(|_| {});
     for (folder, change, views, words) in cases {

@@ -55,18 +55,17 @@ struct Entry<'a> {
 pub fn read<'a>(document: Object<'a>, key: &'a str, config: &DataConfig, events: &dyn Listener) -> Result<Vec<Listed>> {
     let note = |what: &str| events.on(Event::Note(&document.error(what).to_string()));
     let mut listed: Vec<Listed> = Vec::new();
-    let mut doubts: [Vec<String>; 2] = Default::default();
+    let mut doubts: Vec<String> = Vec::new();
     for entry in distinct(entries(document, key, config, &note)?, document, &note)? {
         let Picture { place, written, .. } = entry.picture.clone();
         let (object, pose, frame) = (entry.object, entry.pose, find(entry, document)?);
         if let Some(frame) = &frame {
-            let of_frame = lens::doubts(object, document, frame.size())?;
-            doubts.iter_mut().zip(of_frame).for_each(|(all, doubt)| all.extend(doubt));
+            doubts.extend(lens::doubt(object, document, frame.size())?);
         }
         listed.push(Listed { place, written, pose, frame });
     }
-    for all in doubts.iter().filter(|all| !all.is_empty()) {
-        note(&format!("{} (in {} frames)", all[0], all.len()));
+    if let Some(first) = doubts.first() {
+        note(&format!("{first} (in {} frames)", doubts.len()));
     }
     Ok(listed)
 }

@@ -13,9 +13,6 @@ const UNSUPPORTED: [&str; 3] = ["k4", "k5", "k6"];
 
 /// Difference of two focal lengths, as a fraction, that contradict each other.
 const CONTRADICTION: f64 = 0.05;
-/// Keys of a skew in pixels, and the largest skew of which nothing is said, as a fraction of the focal length.
-const SKEW: [&str; 3] = ["sk_x", "sk_y", "skew"];
-const LEAST_SKEW: f64 = 1e-3;
 
 /// The keys that are read from a document or a frame here.
 pub(super) const KEYS: [&str; 18] = [
@@ -133,26 +130,17 @@ fn focal(keys: &Keys, stated: [f64; 2]) -> Result<[f64; 2]> {
     Ok([x, y.unwrap_or(x)])
 }
 
-/// Returns what of a frame's lens is not read although it would change the camera: a field of view that contradicts the
-/// focal length, and a skew.
-pub(super) fn doubts(frame: Object, document: Object, stored: (usize, usize)) -> Result<[Option<String>; 2]> {
+/// Says of a frame's field of view that it contradicts the focal length, which is read.
+pub(super) fn doubt(frame: Object, document: Object, stored: (usize, usize)) -> Result<Option<String>> {
     let keys = Keys { frame, document };
     let (stated, focal) = (keys.stated([stored.0 as f64, stored.1 as f64])?, keys.positive(FOCAL)?);
     let from_angle = keys.angle("camera_angle_x")?.map(|angle| 0.5 * stated[0] / (0.5 * angle).tan());
     let other = focal.zip(from_angle).filter(|(focal, other)| (other / focal - 1.0).abs() > CONTRADICTION);
-    let angle = other.map(|(focal, other)| {
+    Ok(other.map(|(focal, other)| {
         format!(
             "\"fl_x\" is {focal:.1} and is used, but \"camera_angle_x\" would make it {other:.1}: one of them is wrong"
         )
-    });
-    let mut skew = None;
-    for key in SKEW {
-        let is_much = |skew: &f64| skew.abs() > LEAST_SKEW * focal.unwrap_or(stated[0]);
-        skew = skew.or(keys.number(key).ok().flatten().filter(is_much).map(|skew| {
-            format!("\"{key}\" is {skew}, a skew of the pixels, which is not read: remove it from the images with the program that found it")
-        }));
-    }
-    Ok([angle, skew])
+    }))
 }
 
 fn distortion(keys: &Keys) -> Result<Distortion> {
