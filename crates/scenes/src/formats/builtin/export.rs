@@ -16,19 +16,17 @@ use super::{MAX_WIDTH, blender_stage};
 use crate::settings::PixelOrigin;
 use crate::{Camera, npy};
 use augnerf_base::files::AtomicDir;
-use augnerf_base::{Error, Result};
+use augnerf_base::{Error, Image, Result};
 
 /// Default width of exported images in pixels.
 pub const DEFAULT_WIDTH: usize = 200;
-/// Grey levels of the 16-bit depth images per scene unit: depth = level / 8192, 0 = nothing hit.
-pub const DEPTH_LEVELS: f64 = 8192.0;
 
 /// What [`export`] wrote.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Exported {
     /// Number of RGBA images in all splits.
     pub pictures: usize,
-    /// Number of depth maps, each as PNG and as NPY.
+    /// Number of depth maps.
     pub depths: usize,
     /// Number of vertices of `mesh.ply`.
     pub vertices: usize,
@@ -40,8 +38,7 @@ pub struct Exported {
 ///
 /// `transforms_{train,val,test}.json` and RGBA PNGs are as in NeRF-synthetic. A pixel's ray passes through its integer
 /// coordinates (`data.pixel_origin = corner`). `depth/` has the z-depth of each test view: `r_0.npy` (32-bit floats
-/// `[rows, columns]`, scene units, infinite for nothing) and `r_0.png` (16 bit, [`DEPTH_LEVELS`] per unit, 0 for
-/// nothing). `mesh.ply` has the surfaces.
+/// `[rows, columns]`, scene units, infinite for nothing). `mesh.ply` has the surfaces.
 pub fn export(dir: &Path, width: usize, seed: Option<u64>) -> Result<Exported> {
     if !(4..=MAX_WIDTH).contains(&width) {
         return Err(Error::Config(format!(
@@ -79,8 +76,9 @@ fn export_split(dir: &Path, stage: &Stage, split: Split, width: usize) -> Result
     let cameras = around(split, width);
     cameras.par_iter().try_for_each(|(name, camera)| {
         let picture = stage.render(camera, PixelOrigin::Corner);
-        write_rgba(&dir.join(split.name()).join(format!("{name}.png")), &picture)?;
-        if split == Split::Test { write_depth(&dir.join("depth"), name, &picture) } else { Ok(()) }
+        write_rgba(&dir.join(split.name()).join(format!("{name}.png")), &picture.image)?;
+        let depth = dir.join("depth").join(format!("{name}.npy"));
+        if split == Split::Test { write_depth(&depth, &picture) } else { Ok(()) }
     })?;
     let path = dir.join(format!("transforms_{}.json", split.name()));
     write(&path, transforms(split, &cameras).as_bytes())?;
@@ -105,37 +103,23 @@ fn depth_notes() -> String {
     let notes = json!({
         "quantity": "distance along the camera's viewing axis to the first surface, in scene units",
         "npy": "32-bit floats [rows, columns]; inf = nothing hit",
-        "png": "16-bit grey; depth = level / png_levels_per_unit; 0 = nothing hit",
-        "png_levels_per_unit": DEPTH_LEVELS,
         "pixel_origin": "corner",
     });
     format!("{notes:#}\n")
 }
 
-fn write_rgba(path: &Path, picture: &Picture) -> Result<()> {
-    let image = &picture.image;
-    let bytes: Vec<u8> = image.pixels.iter().map(|v| (255.0 * v).round() as u8).collect();
-    write_png(path, &bytes, [image.width, image.height], ExtendedColorType::Rgba8)
-}
-
-fn write_depth(dir: &Path, name: &str, picture: &Picture) -> Result<()> {
-    let size = [picture.image.width, picture.image.height];
-    let level = |depth: f32| if depth.is_finite() { (DEPTH_LEVELS * f64::from(depth)).round() as u16 } else { 0 };
-    let levels: Vec<u8> = picture.depth.iter().flat_map(|&depth| level(depth).to_ne_bytes()).collect();
-    write_png(&dir.join(format!("{name}.png")), &levels, size, ExtendedColorType::L16)?;
-    write(&dir.join(format!("{name}.npy")), &npy_file(&picture.depth, size))
-}
-
-/// Returns a 32-bit float array `[height, width]` in NumPy's format.
-fn npy_file(values: &[f32], [width, height]: [usize; 2]) -> Vec<u8> {
-    let mut bytes = npy::header("<f4", &[height, width]);
-    bytes.extend(values.iter().flat_map(|v| v.to_le_bytes()));
-    bytes
-}
-
-fn write_png(path: &Path, bytes: &[u8], [width, height]: [usize; 2], colour: ExtendedColorType) -> Result<()> {
-    image::save_buffer_with_format(path, bytes, width as u32, height as u32, colour, ImageFormat::Png)
+fn write_rgba(path: &Path, Image { width, height, pixels, .. }: &Image) -> Result<()> {
+    let bytes: Vec<u8> = pixels.iter().map(|v| (255.0 * v).round() as u8).collect();
+    let (width, height) = (*width as u32, *height as u32);
+    image::save_buffer_with_format(path, &bytes, width, height, ExtendedColorType::Rgba8, ImageFormat::Png)
         .map_err(|e| Error::Output(format!("cannot write {}: {e}", path.display())))
+}
+
+/// Writes 32-bit floats `[height, width]` in NumPy's format.
+fn write_depth(path: &Path, Picture { image, depth }: &Picture) -> Result<()> {
+    let mut bytes = npy::header("<f4", &[image.height, image.width]);
+    bytes.extend(depth.iter().flat_map(|v| v.to_le_bytes()));
+    write(path, &bytes)
 }
 
 fn write(path: &Path, bytes: &[u8]) -> Result<()> {
