@@ -13,10 +13,8 @@ use super::images::{self, Header};
 use super::mask::MaskFile;
 use super::pose::Pose;
 use super::{Camera, SceneSpace, View, depth, resample};
-use augnerf_base::{Error, Event, Image, Listener, Result, first_names};
+use augnerf_base::{Event, Image, Listener, Result, first_names};
 
-/// A photo of which no pixel is less transparent (0 to 1, alpha) shows nothing.
-const HIDDEN: f32 = 0.02;
 /// Most names in a note.
 const NAMES: usize = 8;
 
@@ -48,16 +46,6 @@ pub struct Frame {
     pub(super) distortion: Distortion,
     /// The camera without distortion, at the photo's size.
     pub(super) pinhole: Intrinsics,
-}
-
-/// What a photo's alpha shows.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Alpha {
-    Opaque,
-    /// Something is transparent.
-    Clear,
-    /// Everything is.
-    Hidden,
 }
 
 /// Where a view's pixels come from, until they are asked for.
@@ -142,23 +130,17 @@ impl Frame {
         self.mask.as_ref().map(|mask| mask.read(self, size)).transpose()
     }
 
-    fn view(&self, name: &str, camera: Camera, background: [f32; 3]) -> Result<(View, Alpha)> {
+    /// Returns the view, and whether anything of its photo is transparent.
+    fn view(&self, name: &str, camera: Camera, background: [f32; 3]) -> Result<(View, bool)> {
         let size = (camera.width, camera.height);
-        let image = self.image(size)?;
-        let hidden = image.channels == 4 && image.pixels.chunks_exact(4).all(|texel| texel[3] <= HIDDEN);
-        let (image, clear) = resample::composite(image, background);
-        let alpha = match (hidden, clear) {
-            (true, _) => Alpha::Hidden,
-            (false, true) => Alpha::Clear,
-            (false, false) => Alpha::Opaque,
-        };
+        let (image, clear) = resample::composite(self.image(size)?, background);
         let mask: Option<Arc<[bool]>> = self.read_mask(size)?.map(Into::into);
         let map = self.depth.as_ref().filter(|_| !self.is_bent() && !self.header.turned);
         let mut depth = map.map(|(map, bounds)| depth::read(map, &camera, *bounds)).transpose()?.flatten();
         if let (Some(depth), Some(mask)) = (&mut depth, &mask) {
             depth.iter_mut().zip(mask.iter()).filter(|(_, counts)| !**counts).for_each(|(depth, _)| *depth = f32::NAN);
         }
-        Ok((View { depth, mask, ..View::new(name, camera, image) }, alpha))
+        Ok((View { depth, mask, ..View::new(name, camera, image) }, clear))
     }
 
     /// Returns the view without its pixels.
@@ -218,71 +200,37 @@ pub(super) struct Reading<'a> {
 /// Returns the views of frames with these names, through their cameras. The flag says whether anything is transparent.
 ///
 /// # Errors
-/// A file cannot be read; all photos are wholly transparent; memory is missing.
+/// A file cannot be read; memory is missing.
 pub(super) fn views(frames: &[Frame], names: &[String], cameras: &[Camera], how: Reading) -> Result<(Vec<View>, bool)> {
     let ((background, known), label) = (how.background, format!("reading {}", how.what));
     let view = |i: usize| frames[i].view(&names[i], cameras[i], background);
-    let mut alphas = vec![Alpha::Opaque; frames.len()];
-    let views = match how.photos {
+    let (views, clear) = match how.photos {
         Photos::Read => {
             images::check_memory_of(&cameras.iter().map(|camera| (camera.width, camera.height)).collect::<Vec<_>>())?;
             let bytes = frames.iter().map(|frame| (&*frame.path, frame.bytes()));
             let read = images::each(&bytes.collect::<Vec<_>>(), &label, how.events, view)?;
-            let (views, found): (Vec<View>, Vec<Alpha>) = read.into_iter().unzip();
-            alphas = found;
-            views
+            let (views, clear): (Vec<View>, Vec<bool>) = read.into_iter().unzip();
+            (views, clear.contains(&true))
         }
         Photos::Later => {
             let mut rest = (0..frames.len()).filter(|i| frames[*i].header.has_alpha);
-            let mut first = None;
-            while first.is_none_or(|alpha| alpha == Alpha::Hidden)
-                && let Some(i) = rest.next()
-            {
-                alphas[i] = view(i)?.1;
-                first = Some(alphas[i]);
-            }
+            let mut clear = rest.next().map(&view).transpose()?.is_some_and(|(_, clear)| clear);
             // An opaque one tells nothing of the others.
-            if first == Some(Alpha::Opaque) && !known {
+            if !clear && !known {
                 let rest: Vec<usize> = rest.collect();
                 let files: Vec<_> = rest.iter().map(|i| (&*frames[*i].path, frames[*i].bytes())).collect();
-                let found = images::each(&files, &label, how.events, |at| Ok(view(rest[at])?.1))?;
-                rest.iter().zip(found).for_each(|(i, alpha)| alphas[*i] = alpha);
+                clear = images::each(&files, &label, how.events, |at| Ok(view(rest[at])?.1))?.contains(&true);
             }
             // A mask that hides everything is an error; so are often all.
             let masked = frames.iter().zip(cameras).find(|(frame, _)| frame.mask.is_some());
             masked.map(|(frame, camera)| frame.read_mask((camera.width, camera.height))).transpose()?;
             let unread =
                 |((frame, name), camera): ((&Frame, &String), &Camera)| frame.unread(name, *camera, background);
-            frames.iter().zip(names).zip(cameras).map(unread).collect()
+            (frames.iter().zip(names).zip(cameras).map(unread).collect(), clear)
         }
     };
     note_turned(frames, how);
-    note_hidden(frames, &alphas, how)?;
-    Ok((views, alphas.iter().any(|alpha| *alpha != Alpha::Opaque)))
-}
-
-/// Notes photos that are wholly transparent.
-///
-/// # Errors
-/// All are.
-fn note_hidden(frames: &[Frame], alphas: &[Alpha], how: Reading) -> Result<()> {
-    let hidden: Vec<&Frame> =
-        frames.iter().zip(alphas).filter(|(_, alpha)| **alpha == Alpha::Hidden).map(|(frame, _)| frame).collect();
-    let (count, all, scene, what) = (hidden.len(), frames.len(), how.scene.display(), how.what);
-    if count > 0 && count == all {
-        return Err(Error::Data(format!(
-            "{scene}: all {all} {what} are wholly transparent (alpha is 0 everywhere), such as {}, so only their background would be \
-             trained on; their alpha channel is probably unused: remove it from a copy, for example with ImageMagick's mogrify -alpha off",
-            hidden[0].path.display()
-        )));
-    }
-    if count > 0 {
-        let names = named(how.scene, &hidden.iter().map(|frame| &*frame.path).collect::<Vec<_>>());
-        how.events.on(Event::Note(&format!(
-            "{scene}: {count} of {all} {what} are wholly transparent (alpha is 0 everywhere) and show the background alone: {names}"
-        )));
-    }
-    Ok(())
+    Ok((views, clear))
 }
 
 /// Notes which photos are turned by their EXIF orientation, and which are not in spite of it.

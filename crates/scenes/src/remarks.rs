@@ -47,7 +47,8 @@ fn one_colour(scene: &Scene) -> Option<String> {
     let (what, views) =
         [("held-out", &scene.test), ("training", &scene.train)].into_iter().find(|(_, views)| is_flat(views))?;
     Some(format!(
-        "all {} {what} views are of one and the same colour: they show nothing, and metrics mean nothing",
+        "all {} {what} views are of one and the same colour: they show nothing, and metrics mean nothing; if their photos have an \
+         alpha channel that is 0 everywhere, remove it",
         views.len()
     ))
 }
