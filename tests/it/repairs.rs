@@ -81,7 +81,7 @@ fn what_is_repaired_is_named() {
     let names_alone = plain().with("test_frames", json!(["images/6.png", "images/7.png", "images/8.png"]));
     let scale = "9 matrices are scaled as a whole (their last number is 0.004, not 1)";
     let angle = "\"fl_x\" is 20.0 and is used, but \"camera_angle_x\" would make it 39.5";
-    let cases: [(Folder, Change, &str, &str); 22] = [
+    let cases: [(Folder, Change, &str, &str); 21] = [
         (lists("6 7 8"), as_it_is, own, "3 of 3 test views are validation views, too"),
         (lists("6 7 8"), val, own, "3 of 3 test views"),
         (listed(&["train", "val", "test"].map(|role| format!("{role} 0 1 2 3 4 5 6 7 8")).join(", ")), every, same, ""),

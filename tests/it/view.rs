@@ -302,7 +302,7 @@ fn a_recorded_path_is_what_render_reads() {
         let dir = tempfile::tempdir().unwrap();
         let file = dir.path().join("camera_path.json");
         std::fs::write(&file, &reply.body).unwrap();
-        let read = cameras::read(&file, &run.scene.test[0].camera, &run.scene.space.world, Axes::Opengl, None).unwrap();
+        let read = cameras::read(&file, &run.scene.test[0].camera, &run.scene.space.world, Axes::Opengl).unwrap();
         assert_eq!((read.cameras.len(), read.fps), (2, Some(15.0)));
         let first = read.cameras[0];
         assert_eq!((first.width, first.height, first.pose[0][3]), (32, 24, 0.5));

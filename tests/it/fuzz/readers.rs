@@ -48,7 +48,7 @@ pub fn all(folder: &Path) -> Vec<Reader> {
     for name in ["colmap_split", "masks_llff", "masks_dynamic"] {
         copy(&fixtures().join("captures3").join(name), &folder.join("scenes").join(name));
     }
-    let kinds: [Kind; 9] = [
+    let kinds: [Kind; 8] = [
         ("mesh", |file| sample(&read_mesh(file)?, 16, 0).map(drop)),
         ("picture", read_picture),
         ("cameras", |file| {
