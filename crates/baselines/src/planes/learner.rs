@@ -125,8 +125,8 @@ impl Learner for PlanesLearner {
         let value = number(&loss)?;
         let described = "loss of the view that is left out".to_string();
         let terms = vec![Term { name: LOSS.into(), described, value, weight: 1.0 }];
-        let extremes = Extremes::tensor(&blended.acc, &blended.rgb, &target)?.to_vec1::<f64>()?;
-        let report = StepReport::new(terms, value, number(&square)?, Extremes::read(&extremes));
+        let extremes = Extremes::of(&blended.acc, &blended.rgb, &target)?;
+        let report = StepReport::new(terms, value, number(&square)?, extremes);
         Ok(StepResult { gradients, report })
     }
 }

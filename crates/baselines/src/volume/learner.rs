@@ -170,8 +170,8 @@ impl Learner for VolumeLearner {
         // With a plain background, volumes first become empty, and may stay so. This is a diagnostic, not part of the
         // loss.
         terms.push(term("mean_acc", "mean accumulation", &losses.acc.mean_all()?, 0.0)?);
-        let extremes = Extremes::tensor(&losses.acc, &(losses.rgb / WHITE)?, &target)?.to_vec1::<f64>()?;
-        let report = StepReport::new(terms, loss, mse, Extremes::read(&extremes));
+        let extremes = Extremes::of(&losses.acc, &(losses.rgb / WHITE)?, &target)?;
+        let report = StepReport::new(terms, loss, mse, extremes);
         Ok(StepResult { gradients, report })
     }
 }

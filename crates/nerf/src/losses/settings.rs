@@ -248,10 +248,13 @@ impl RegularizerConfig {
         low.iter().zip(high).map(|(low, high)| high - low).product()
     }
 
-    /// Fills empty weights, and removes terms of weight 0.
+    /// Fills empty weights, and removes terms of weight 0. Lists of unequal length stay, for [`RegularizerConfig::validate`].
     pub(crate) fn settle(&mut self) {
         if self.weight.is_empty() {
             self.weight = self.kind.iter().map(|kind| LossTerm::default_weight(*kind)).collect();
+        }
+        if self.weight.len() != self.kind.len() || ![0, self.kind.len()].contains(&self.schedule.len()) {
+            return;
         }
         let counts = |(_, weight): &(Regularizer, f64), schedule: &WeightSchedule| {
             *weight != 0.0 || matches!(schedule, WeightSchedule::Linear { from, .. } if *from != 0.0)

@@ -174,63 +174,35 @@ pub(super) struct SiteEffect {
     pub(super) at_bound: Option<f64>,
 }
 
-/// Sums over chunks and passes.
+/// Sums over chunks and passes, by site: of gain, gain over random, shift, share at the bound, and of the fractions behind
+/// the last two.
 #[derive(Default)]
-pub(super) struct Sums(Vec<SiteSums>);
-
-struct SiteSums {
-    site: String,
-    gain: f64,
-    gain_over_random: f64,
-    shift: f64,
-    /// Sum of the fractions behind `shift`: 1 per pass.
-    passes: f64,
-    at_bound: f64,
-    /// Sum of the fractions behind `at_bound`.
-    bounded: f64,
-}
+pub(super) struct Sums(Vec<(String, [f64; 6])>);
 
 impl Sums {
     pub(super) fn add(&mut self, site: &str, effect: SiteEffect) {
         let SiteEffect { share, gain, gain_over_random, shift, at_bound } = effect;
-        let index = self.index(site);
-        let sums = &mut self.0[index];
-        sums.gain += share * gain;
-        sums.gain_over_random += share * gain_over_random;
-        sums.shift += share * shift;
-        sums.passes += share;
-        if let Some(at_bound) = at_bound {
-            sums.at_bound += share * at_bound;
-            sums.bounded += share;
-        }
+        let bounded = if at_bound.is_some() { share } else { 0.0 };
+        let weighted = [share * gain, share * gain_over_random, share * shift, share * at_bound.unwrap_or(0.0)];
+        self.add_sums(site, &[&weighted[..], &[share, bounded]].concat());
     }
 
     pub(super) fn merge(&mut self, other: Sums) {
-        for sums in other.0 {
-            let index = self.index(&sums.site);
-            let mine = &mut self.0[index];
-            mine.gain += sums.gain;
-            mine.gain_over_random += sums.gain_over_random;
-            mine.shift += sums.shift;
-            mine.passes += sums.passes;
-            mine.at_bound += sums.at_bound;
-            mine.bounded += sums.bounded;
-        }
+        other.0.iter().for_each(|(site, sums)| self.add_sums(site, sums));
     }
 
-    fn index(&mut self, site: &str) -> usize {
-        self.0.iter().position(|sums| sums.site == site).unwrap_or_else(|| {
-            let [gain, gain_over_random, shift, passes, at_bound, bounded] = [0.0; 6];
-            self.0.push(SiteSums { site: site.to_string(), gain, gain_over_random, shift, passes, at_bound, bounded });
+    fn add_sums(&mut self, site: &str, sums: &[f64]) {
+        let index = self.0.iter().position(|(known, _)| known == site).unwrap_or_else(|| {
+            self.0.push((site.to_string(), [0.0; 6]));
             self.0.len() - 1
-        })
+        });
+        self.0[index].1.iter_mut().zip(sums).for_each(|(sum, value)| *sum += value);
     }
 
     pub(super) fn finish(self, clean_loss: f64) -> Vec<SiteDiagnostics> {
-        let finish = |sums: SiteSums| {
-            let effect = [sums.gain, sums.gain_over_random, sums.shift / sums.passes];
-            let share = (sums.bounded > 0.0).then(|| sums.at_bound / sums.bounded);
-            SiteDiagnostics::new(&sums.site, effect, share, clean_loss)
+        let finish = |(site, [gain, gain_over_random, shift, at_bound, passes, bounded]): (String, [f64; 6])| {
+            let share_at_bound = (bounded > 0.0).then(|| at_bound / bounded);
+            SiteDiagnostics::new(&site, [gain, gain_over_random, shift / passes], share_at_bound, clean_loss)
         };
         self.0.into_iter().map(finish).collect()
     }

@@ -19,7 +19,7 @@ pub struct Extremes {
 }
 
 impl Extremes {
-    /// Numbers in [`Extremes::tensor`].
+    /// Numbers that [`Extremes::read`] takes.
     const LENGTH: usize = 1 + 4 * RGB;
 
     /// Returns the extremes of no ray, with an accumulation for methods that accumulate nothing.
@@ -28,12 +28,11 @@ impl Extremes {
         Extremes { largest_acc, rendered: none, target: none }
     }
 
-    /// Returns the extremes of rays as one tensor `[13]` of f64: the elementwise maximum of two is that of both parts.
-    /// Takes accumulations `[rays, ...]`, and rendered and true colours `[rays, 3]`.
+    /// Returns the extremes of rays, of accumulations `[rays, ...]`, and rendered and true colours `[rays, 3]`.
     ///
     /// # Errors
     /// Errors of candle.
-    pub fn tensor(acc: &Tensor, rendered: &Tensor, target: &Tensor) -> Result<Tensor> {
+    pub fn of(acc: &Tensor, rendered: &Tensor, target: &Tensor) -> Result<Extremes> {
         let highest = |colours: &Tensor| colours.max(0);
         let parts = [
             acc.flatten_all()?.max_keepdim(0)?,
@@ -42,10 +41,11 @@ impl Extremes {
             highest(target)?,
             highest(&target.neg()?)?,
         ];
-        Ok(Tensor::cat(&parts, 0)?.detach().to_dtype(DType::F64)?)
+        Ok(Extremes::read(&Tensor::cat(&parts, 0)?.detach().to_dtype(DType::F64)?.to_vec1()?))
     }
 
-    /// Reads the numbers of [`Extremes::tensor`].
+    /// Reads 13 numbers: the largest accumulation, and the largest of each channel of rendered colours, of their negatives,
+    /// of true colours and of theirs.
     ///
     /// # Panics
     /// If there are not 13.
@@ -94,7 +94,7 @@ mod tests {
     use super::*;
     use candle_core::Device;
 
-    /// The tensor, the same by parts, and single additions agree with each other and with a case worked out by hand.
+    /// The extremes of all rays, the same by parts, and single additions agree with each other and with a case worked out by hand.
     #[test]
     fn extremes_of_parts_join_into_those_of_the_whole() {
         let rendered = [[0.1f64, 0.5, 0.9], [0.2, 0.5, 0.4], [0.1, 0.75, 0.4]];
@@ -104,14 +104,12 @@ mod tests {
             let tensor =
                 |colours: &[[f64; 3]]| Tensor::from_vec(colours.concat(), (colours.len(), 3), &Device::Cpu).unwrap();
             let acc = Tensor::new(&acc[rays.clone()], &Device::Cpu).unwrap();
-            Extremes::tensor(&acc, &tensor(&rendered[rays.clone()]), &tensor(&target[rays])).unwrap()
+            Extremes::of(&acc, &tensor(&rendered[rays.clone()]), &tensor(&target[rays])).unwrap()
         };
-        let read = |tensor: &Tensor| Extremes::read(&tensor.to_vec1::<f64>().unwrap());
-        let whole = read(&of(0..3));
+        let whole = of(0..3);
         assert_eq!(whole.largest_acc, 0.75);
         assert_eq!((whole.rendered_spread(), whole.target_spread()), (0.9 - 0.4, 0.25));
-        assert_eq!(read(&of(0..1).maximum(&of(1..3)).unwrap()), whole);
-        assert_eq!(read(&of(0..1)).join(read(&of(1..3))), whole);
+        assert_eq!(of(0..1).join(of(1..3)), whole);
         let mut added = Extremes::none(0.75);
         for (rendered, target) in rendered.iter().zip(&target) {
             (0..3).for_each(|channel| added.add(channel, rendered[channel], target[channel]));

@@ -1,12 +1,11 @@
 //! Sample positions along rays: stratified and inverse-CDF.
 //!
 //! `t_vals` are points, `[rays, samples]`, or edges of intervals (MipNeRF), sorted, in units of the ray direction's
-//! length. Nothing here has gradients.
+//! length. Nothing here has gradients. A CDF is inverted in f64 on the host; tensors of other devices come there and go back.
 
-use candle_core::{DType, Tensor};
+use candle_core::{DType, Device, Tensor};
 
 use crate::base::Result;
-use crate::base::place::is_host;
 use crate::render::settings::Spacing;
 
 /// Returns stratified samples: `samples` points evenly spaced from near to far (in t or in 1 / t). Each is moved
@@ -36,11 +35,22 @@ pub fn stratified(
 /// the piecewise-constant density that the coarse pass's interior weights put on the midpoints between coarse samples.
 /// `weights` `[rays, coarse]`; `u` `[rays, fine]` in 0..1.
 pub fn importance(t_vals: &Tensor, weights: &Tensor, u: &Tensor) -> Result<Tensor> {
-    if is_host(t_vals.device()) {
-        importance_on_host(t_vals, weights, u)
-    } else {
-        importance_on_device(t_vals, weights, u)
+    let (rays, coarse) = t_vals.dims2()?;
+    let (_, fine) = u.dims2()?;
+    let (t, w, u) = (host_rows(t_vals)?, host_rows(weights)?, host_rows(u)?);
+    let mut merged = vec![0f64; rays * (coarse + fine)];
+    for (ray, out) in merged.chunks_mut(coarse + fine).enumerate() {
+        let t = &t[ray * coarse..][..coarse];
+        let bins: Vec<f64> = t.windows(2).map(|pair| 0.5 * (pair[0] + pair[1])).collect();
+        let interior = &w[ray * coarse + 1..][..coarse - 2];
+        out[..coarse].copy_from_slice(t);
+        inverse_cdf(&bins, interior, &u[ray * fine..][..fine], &mut out[coarse..]);
+        // total_cmp also orders NaN: a broken weight must be reported, not panic here.
+        out.sort_unstable_by(f64::total_cmp);
     }
+    Ok(Tensor::from_vec(merged, (rays, coarse + fine), &Device::Cpu)?
+        .to_dtype(t_vals.dtype())?
+        .to_device(t_vals.device())?)
 }
 
 /// Returns the edges of MipNeRF's fine pass: `fine + 1` new edges of intervals, `[rays, fine + 1]`, drawn from the
@@ -48,9 +58,6 @@ pub fn importance(t_vals: &Tensor, weights: &Tensor, u: &Tensor) -> Result<Tenso
 /// `u` `[rays, fine + 1]` in 0..=1, sorted. A blurred weight is the mean of the larger of itself and either neighbour, plus `padding`
 /// (Barron et al. 2021, equation 18).
 pub fn resample_intervals(edges: &Tensor, weights: &Tensor, u: &Tensor, padding: f64) -> Result<Tensor> {
-    if !is_host(edges.device()) {
-        return resample_intervals_on_device(edges, weights, u, padding);
-    }
     let (rays, coarse) = weights.dims2()?;
     let (_, new) = u.dims2()?;
     let (t, w, u) = (host_rows(edges)?, host_rows(weights)?, host_rows(u)?);
@@ -62,22 +69,7 @@ pub fn resample_intervals(edges: &Tensor, weights: &Tensor, u: &Tensor, padding:
         // Rounding may have exchanged two equal edges.
         out.sort_unstable_by(f64::total_cmp);
     }
-    Ok(Tensor::from_vec(drawn, (rays, new), edges.device())?.to_dtype(edges.dtype())?)
-}
-
-fn resample_intervals_on_device(edges: &Tensor, weights: &Tensor, u: &Tensor, padding: f64) -> Result<Tensor> {
-    let w = wide(weights)?;
-    let coarse = w.dim(1)?;
-    let left = Tensor::cat(&[&w.narrow(1, 0, 1)?, &w.narrow(1, 0, coarse - 1)?], 1)?;
-    let right = Tensor::cat(&[&w.narrow(1, 1, coarse - 1)?, &w.narrow(1, coarse - 1, 1)?], 1)?;
-    let blurred = (((left.maximum(&w)? + w.maximum(&right)?)? * 0.5)? + padding)?;
-    let drawn = invert_on_device(&wide(edges)?, &blurred, &wide(u)?, f64::MIN_POSITIVE)?;
-    Ok(drawn.sort_last_dim(true)?.0.to_dtype(edges.dtype())?)
-}
-
-/// Detached, in f64: a CDF is summed by a matrix product, which some devices round to ten bits.
-fn wide(tensor: &Tensor) -> Result<Tensor> {
-    Ok(tensor.detach().to_dtype(DType::F64)?)
+    Ok(Tensor::from_vec(drawn, (rays, new), &Device::Cpu)?.to_dtype(edges.dtype())?.to_device(edges.device())?)
 }
 
 fn blur(weights: &[f64], padding: f64) -> Vec<f64> {
@@ -93,52 +85,6 @@ pub fn stratified_u(u: &Tensor) -> Result<Tensor> {
     let lower: Vec<f64> = (0..count).map(|i| i as f64 / count as f64).collect();
     let lower = Tensor::from_vec(lower, (1, count), u.device())?.to_dtype(u.dtype())?;
     Ok((u / count as f64)?.broadcast_add(&lower)?)
-}
-
-fn importance_on_host(t_vals: &Tensor, weights: &Tensor, u: &Tensor) -> Result<Tensor> {
-    let (rays, coarse) = t_vals.dims2()?;
-    let (_, fine) = u.dims2()?;
-    let (t, w, u) = (host_rows(t_vals)?, host_rows(weights)?, host_rows(u)?);
-    let mut merged = vec![0f64; rays * (coarse + fine)];
-    for (ray, out) in merged.chunks_mut(coarse + fine).enumerate() {
-        let t = &t[ray * coarse..][..coarse];
-        let bins: Vec<f64> = t.windows(2).map(|pair| 0.5 * (pair[0] + pair[1])).collect();
-        let interior = &w[ray * coarse + 1..][..coarse - 2];
-        out[..coarse].copy_from_slice(t);
-        inverse_cdf(&bins, interior, &u[ray * fine..][..fine], &mut out[coarse..]);
-        // total_cmp also orders NaN: a broken weight must be reported, not panic here.
-        out.sort_unstable_by(f64::total_cmp);
-    }
-    Ok(Tensor::from_vec(merged, (rays, coarse + fine), t_vals.device())?.to_dtype(t_vals.dtype())?)
-}
-
-/// The same without leaving the device.
-fn importance_on_device(t_vals: &Tensor, weights: &Tensor, u: &Tensor) -> Result<Tensor> {
-    let t = wide(t_vals)?;
-    let coarse = t.dim(1)?;
-    let bins = ((t.narrow(1, 0, coarse - 1)? + t.narrow(1, 1, coarse - 1)?)? * 0.5)?;
-    let floored = (wide(weights)?.narrow(1, 1, coarse - 2)? + FLOOR)?;
-    let samples = invert_on_device(&bins, &floored, &wide(u)?, FLOOR)?;
-    let (merged, _) = Tensor::cat(&[t, samples], 1)?.sort_last_dim(true)?;
-    Ok(merged.to_dtype(t_vals.dtype())?)
-}
-
-/// Maps `u` through the inverse of the CDF of positive `weights [rays, n]` on the edges `bins [rays, n + 1]` with
-/// [`invert`], all in f64.
-fn invert_on_device(bins: &Tensor, weights: &Tensor, u: &Tensor, narrowest: f64) -> Result<Tensor> {
-    let (rays, n) = weights.dims2()?;
-    let shares = weights.broadcast_div(&weights.sum_keepdim(1)?)?;
-    let cdf = Tensor::cat(&[&Tensor::zeros((rays, 1), DType::F64, bins.device())?, &shares.cumsum(1)?], 1)?;
-    // Number of edges at or below u, as f64 [rays, fine].
-    let above = cdf.unsqueeze(1)?.broadcast_le(&u.unsqueeze(2)?)?.to_dtype(DType::F64)?.sum(2)?;
-    let lower = (&above - 1.0)?.maximum(0f64)?.to_dtype(DType::U32)?;
-    let upper = above.minimum(n as f64)?.to_dtype(DType::U32)?;
-    let at = |values: &Tensor, index: &Tensor| values.contiguous()?.gather(index, 1);
-    let below = at(&cdf, &lower)?;
-    let share = (at(&cdf, &upper)? - &below)?;
-    let width = share.lt(narrowest)?.where_cond(&share.ones_like()?, &share)?;
-    let from = at(bins, &lower)?;
-    Ok((&from + ((u - below)? / width)? * (at(bins, &upper)? - &from)?)?)
 }
 
 /// Returns `fine` equally spaced u in 0..=1 for each ray, for sampling at test time.
@@ -187,13 +133,12 @@ fn invert(bins: &[f64], cdf: &[f64], u: &[f64], narrowest: f64, out: &mut [f64])
 }
 
 fn host_rows(tensor: &Tensor) -> Result<Vec<f64>> {
-    Ok(tensor.detach().to_dtype(DType::F64)?.flatten_all()?.to_vec1()?)
+    Ok(tensor.detach().to_device(&Device::Cpu)?.to_dtype(DType::F64)?.flatten_all()?.to_vec1()?)
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use candle_core::Device;
 
     #[test]
     fn stratified_samples_stay_in_their_bins_and_are_sorted() {
@@ -234,10 +179,6 @@ mod tests {
         for (a, b) in found.to_vec2::<f64>().unwrap()[0].iter().zip(expected) {
             assert!((a - b).abs() < 1e-9, "{a} {b}");
         }
-        let on_device = resample_intervals_on_device(&tensor(&edges), &tensor(&weights), &tensor(&u), 0.01).unwrap();
-        for (a, b) in on_device.to_vec2::<f64>().unwrap()[0].iter().zip(expected) {
-            assert!((a - b).abs() < 1e-9, "{a} {b}");
-        }
         let nothing = resample_intervals(&tensor(&edges), &tensor(&[0.0; 4]), &tensor(&[0.0, 0.5, 1.0]), 0.01).unwrap();
         assert_eq!(
             nothing.to_vec2::<f64>().unwrap()[0],
@@ -257,22 +198,5 @@ mod tests {
         let share = |lo: f64, hi: f64| out.iter().filter(|t| **t >= lo && **t < hi).count();
         assert!(share(0.0, 1.0).abs_diff(250) <= 1 && share(2.0, 3.1).abs_diff(750) <= 1);
         assert!(out.windows(2).all(|pair| pair[0] <= pair[1]));
-    }
-
-    #[test]
-    fn the_device_places_samples_as_the_host_does() {
-        let mut random = crate::base::rng::Random::new(3, crate::base::rng::Stream::Jitter, 0);
-        let mut draw = |shape: &[usize]| random.uniform_tensor(shape, DType::F64, &Device::Cpu).unwrap();
-        let (rays, coarse, fine) = (40, 16, 24);
-        let t_vals =
-            stratified((2.0, 6.0), Spacing::Depth, rays, coarse, Some(&draw(&[rays, coarse])), &draw(&[1])).unwrap();
-        // Empty rays, and rays with all weight in one place, among the others.
-        let weights = draw(&[rays, coarse]).powf(8.0).unwrap();
-        let scale = Tensor::from_vec((0..rays).map(|i| (i % 3) as f64).collect(), (rays, 1), &Device::Cpu).unwrap();
-        let (weights, u) = (weights.broadcast_mul(&scale).unwrap(), draw(&[rays, fine]));
-        let host = importance_on_host(&t_vals, &weights, &u).unwrap();
-        let device = importance_on_device(&t_vals, &weights, &u).unwrap();
-        let worst = (host - device).unwrap().abs().unwrap().flatten_all().unwrap().max(0).unwrap();
-        assert!(worst.to_scalar::<f64>().unwrap() < 1e-12, "{worst:?}");
     }
 }

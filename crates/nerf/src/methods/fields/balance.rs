@@ -53,8 +53,11 @@ impl FieldLearner {
         let of_photos = photometric(self, &clean).over(&batch)?.gradients;
         let photometric_norm = of_photos.norm()?;
         let field = self.config.field.clone();
-        let has_unseen = UnseenCameras::of(self.batches.cameras(), self.config.unseen_poses).is_ok();
-        let unseen_rays = self.config.unseen_rays;
+        let (unseen, unseen_rays) =
+            (UnseenCameras::of(self.batches.cameras(), self.config.unseen_poses).ok(), self.config.unseen_rays);
+        let sees = |group: RayGroup| {
+            unseen_rays >= group.rays() && unseen.as_ref().is_some_and(|cameras| cameras.check(group).is_ok())
+        };
         // A moved camera sees them elsewhere than its photo does.
         let is_moved = self.config.data.corruption.kind == CorruptionKind::Poses;
         let has_points = self.points.count() > 0 && !is_moved;
@@ -65,8 +68,8 @@ impl FieldLearner {
             TermNeeds::Slopes if !has_slopes => false,
             TermNeeds::Samples(RayGroup::One) | TermNeeds::Slopes if config.rays == TermRays::Training => true,
             TermNeeds::Samples(RayGroup::Point) => has_points,
-            TermNeeds::Samples(group) => has_unseen && unseen_rays >= group.rays(),
-            TermNeeds::Slopes => has_unseen,
+            TermNeeds::Samples(group) => sees(group),
+            TermNeeds::Slopes => sees(RayGroup::One),
             TermNeeds::Density(_) => true,
         };
         let mut alone = |term: LossTerm| -> Result<Balance> {

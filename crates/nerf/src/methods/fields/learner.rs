@@ -8,6 +8,7 @@ use crate::base::machine::over_parts;
 use crate::base::place::is_host;
 use crate::base::{Error, Result};
 use crate::data::{Camera, PointRays, RayGroup, RayParts, Scene, UnseenCameras};
+use crate::field::Order;
 use crate::field::settings::Encoding;
 use crate::losses::{LossTerm, WeightedTerm};
 use crate::methods::batches::Batches;
@@ -120,6 +121,13 @@ impl Learner for FieldLearner {
                 "the term '{}' needs density's derivatives at points, which method {} lacks; use nerf or aug-nerf",
                 term.name(),
                 self.config.method.name()
+            )));
+        }
+        let reads_laplacian = matches!(&term, LossTerm::InSpace(term) if term.order() == Order::Laplacian);
+        if reads_laplacian && !self.config.field.has_laplacian() {
+            let name = term.name();
+            return Err(Error::Config(format!(
+                "the term '{name}' needs density's Laplacian, which a linear hash grid lacks; set field.hash.interpolation = \"smoothstep\""
             )));
         }
         if matches!(term, LossTerm::OnTables(_)) && self.config.field.encoding != Encoding::Hash {

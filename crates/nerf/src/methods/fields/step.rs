@@ -20,7 +20,6 @@ use candle_core::{DType, Tensor};
 use crate::base::Result;
 use crate::base::machine::over_parts;
 use crate::base::rng::{Random, Stream};
-use crate::base::tensors::sum;
 use crate::data::RayGroup;
 use crate::field::Field;
 use crate::losses::{LossTerm, TermSource, WeightedTerm};
@@ -42,7 +41,7 @@ use super::networks::Fields;
 use super::plan::{PassPlan, Plan, SampleSource, Search};
 use super::report::StepLosses;
 use super::space::{decay, integrate};
-use super::sums::Sums;
+use super::sums::{Losses, Sums, plus};
 use super::terms::{RayTerms, TermValues, in_space, unseen_groups};
 
 /// Number of parts of a step, which threads share. Each sums its gradients in place.
@@ -77,13 +76,13 @@ pub(super) fn step(learner: &mut FieldLearner, step: u64, log: bool, stop_check:
         stop_check,
     };
     let Sums { mut gradients, losses, only_second, diagnostics, .. } = passes.over(&batch)?;
-    values.fill(TermSource::TrainingRays, &losses.on_rays()?);
+    values.fill(TermSource::TrainingRays, &losses.on_rays);
 
     // Terms that the paper's line 22 has not: on rays without photographs, in space, and on tables.
     for group in unseen_groups(&terms) {
         let unseen = on_unseen(passes, group, step)?;
         gradients.merge(unseen.gradients)?;
-        values.fill(TermSource::UnseenRays(group), &unseen.losses.on_rays()?);
+        values.fill(TermSource::UnseenRays(group), &unseen.losses.on_rays);
     }
     if let Some((found, of_space)) = integrate(learner, &in_space(&terms), &config.regularizer, step, stop_check)? {
         gradients.merge(of_space)?;
@@ -97,7 +96,8 @@ pub(super) fn step(learner: &mut FieldLearner, step: u64, log: bool, stop_check:
         }
     }
 
-    let ([coarse, fine, perturbed], extremes) = losses.read()?;
+    let Losses { coarse, fine, perturbed, extremes, .. } = losses;
+    let extremes = extremes.expect("every chunk has a pass that is evaluated");
     let losses = StepLosses { coarse, fine, perturbed, further: values.finish() };
     let sites = |clean| diagnostics.map_or_else(Vec::new, |sums| sums.finish(clean));
     let mut report = losses.report(plan, step, extremes, sites);
@@ -189,8 +189,7 @@ impl<'a> Passes<'a> {
         }
         fields.mark_second_pass(&of_clean_passes);
         sums.gradients.merge(control.gradients)?;
-        let of_control = control.losses.clean(self.clean[0].weight)?;
-        sums.losses.perturbed = sum(sums.losses.perturbed.take(), of_control)?;
+        sums.losses.perturbed = plus(sums.losses.perturbed, control.losses.clean(self.clean[0].weight));
         Ok(sums)
     }
 
@@ -254,11 +253,11 @@ impl<'a> Passes<'a> {
             sums.gradients.add(&learner.variables, &(&out.loss * weight)?.backward()?)?;
             out
         };
-        let loss = (out.loss.detach().to_dtype(DType::F64)? * draws.share)?;
+        let loss = out.loss.to_dtype(DType::F64)?.to_scalar::<f64>()? * draws.share;
         *(if plan.is_coarse { &mut sums.losses.coarse } else { &mut sums.losses.fine }) = Some(loss);
         if plan.is_evaluated {
             let acc = noiseless_acc(field, &out, pass)?;
-            sums.losses.extremes = Some(Extremes::tensor(&acc, &out.composite.rgb, target)?);
+            sums.losses.extremes = Some(Extremes::of(&acc, &out.composite.rgb, target)?);
         }
         Ok(Rendered { weights: out.composite.weights.detach(), t_vals })
     }
@@ -292,8 +291,8 @@ impl<'a> Passes<'a> {
         };
         let share = draws.share * plan.weight;
         sums.gradients.add(&learner.variables, &(&out.loss * (self.weights.1 * share))?.backward()?)?;
-        let loss = (out.loss.detach().to_dtype(DType::F64)? * share)?;
-        sums.losses.perturbed = sum(sums.losses.perturbed.take(), Some(loss))?;
+        let loss = out.loss.to_dtype(DType::F64)?.to_scalar::<f64>()? * share;
+        sums.losses.perturbed = plus(sums.losses.perturbed, Some(loss));
         Ok(Rendered { t_vals: out.t_vals, weights: out.composite.weights.detach() })
     }
 }

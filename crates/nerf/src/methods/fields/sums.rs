@@ -1,9 +1,6 @@
 //! What the chunks of a step add up to.
 
-use candle_core::Tensor;
-
 use crate::base::Result;
-use crate::base::tensors::sum;
 use crate::field::TableRecord;
 use crate::methods::Extremes;
 use crate::methods::diagnostics::Sums as SiteSums;
@@ -21,17 +18,15 @@ pub(super) struct Sums {
     pub(super) diagnostics: Option<SiteSums>,
 }
 
-/// Losses weighted with the chunk's fraction, and extremes of the rays. They are f64 tensors that stay on the device
-/// until the step is over.
+/// Losses weighted with the chunk's fraction, and extremes of the rays.
 #[derive(Default)]
 pub(super) struct Losses {
-    pub(super) coarse: Option<Tensor>,
-    pub(super) fine: Option<Tensor>,
-    pub(super) perturbed: Option<Tensor>,
-    /// Terms on rays, unweighted, `[terms]`.
-    pub(super) on_rays: Option<Tensor>,
-    /// [`Extremes::tensor`].
-    pub(super) extremes: Option<Tensor>,
+    pub(super) coarse: Option<f64>,
+    pub(super) fine: Option<f64>,
+    pub(super) perturbed: Option<f64>,
+    /// Values of the terms on rays, unweighted, in their order.
+    pub(super) on_rays: Vec<f64>,
+    pub(super) extremes: Option<Extremes>,
 }
 
 impl Sums {
@@ -57,7 +52,7 @@ impl Sums {
 
     pub(super) fn add(&mut self, other: Sums) -> Result<()> {
         self.gradients.merge(other.gradients)?;
-        self.losses.add(other.losses)?;
+        self.losses.add(other.losses);
         self.tables.resize_with(other.tables.len().max(self.tables.len()), Vec::new);
         self.tables.iter_mut().zip(other.tables).for_each(|(records, more)| records.extend(more));
         if let Some(other) = other.diagnostics {
@@ -68,37 +63,30 @@ impl Sums {
 }
 
 impl Losses {
-    fn add(&mut self, other: Losses) -> Result<()> {
-        self.coarse = sum(self.coarse.take(), other.coarse)?;
-        self.fine = sum(self.fine.take(), other.fine)?;
-        self.perturbed = sum(self.perturbed.take(), other.perturbed)?;
-        self.on_rays = sum(self.on_rays.take(), other.on_rays)?;
-        self.extremes = match (self.extremes.take(), other.extremes) {
-            (Some(a), Some(b)) => Some(a.maximum(&b)?),
+    fn add(&mut self, other: Losses) {
+        self.coarse = plus(self.coarse, other.coarse);
+        self.fine = plus(self.fine, other.fine);
+        self.perturbed = plus(self.perturbed, other.perturbed);
+        self.add_on_rays(&other.on_rays);
+        self.extremes = match (self.extremes, other.extremes) {
+            (Some(a), Some(b)) => Some(a.join(b)),
             (a, b) => a.or(b),
         };
-        Ok(())
     }
 
-    /// Returns the values of the terms on rays, in their order.
-    pub(super) fn on_rays(&self) -> Result<Vec<f64>> {
-        Ok(self.on_rays.as_ref().map(Tensor::to_vec1).transpose()?.unwrap_or_default())
+    /// Adds values of the terms on rays. Those of no rays yet are 0.
+    pub(super) fn add_on_rays(&mut self, values: &[f64]) {
+        self.on_rays.resize(self.on_rays.len().max(values.len()), 0.0);
+        self.on_rays.iter_mut().zip(values).for_each(|(sum, value)| *sum += value);
     }
 
     /// Returns the loss of the clean passes, with the coarse one weighted.
-    pub(super) fn clean(&self, coarse_weight: f64) -> Result<Option<Tensor>> {
-        let coarse = self.coarse.as_ref().map(|loss| loss * coarse_weight).transpose()?;
-        sum(coarse, self.fine.clone())
+    pub(super) fn clean(&self, coarse_weight: f64) -> Option<f64> {
+        plus(self.coarse.map(|loss| loss * coarse_weight), self.fine)
     }
+}
 
-    /// Reads coarse, fine and perturbed loss and the extremes in one transfer.
-    pub(super) fn read(&self) -> Result<([Option<f64>; 3], Extremes)> {
-        let losses = [&self.coarse, &self.fine, &self.perturbed];
-        let mut there =
-            losses.into_iter().flatten().map(|loss| loss.reshape(1)).collect::<candle_core::Result<Vec<_>>>()?;
-        there.push(self.extremes.clone().expect("every chunk has a pass that is evaluated"));
-        let values = Tensor::cat(&there, 0)?.to_vec1::<f64>()?;
-        let (mut scalars, extremes) = (values[..there.len() - 1].iter(), &values[there.len() - 1..]);
-        Ok((losses.map(|loss| loss.as_ref().and_then(|_| scalars.next().copied())), Extremes::read(extremes)))
-    }
+/// Returns the sum of numbers that may be absent.
+pub(super) fn plus(a: Option<f64>, b: Option<f64>) -> Option<f64> {
+    a.zip(b).map(|(a, b)| a + b).or(a).or(b)
 }

@@ -98,12 +98,12 @@ impl<'a> RayTerms<'a> {
         let (mut total, mut values) = (Tensor::zeros((), DType::F64, &learner.device)?, Vec::new());
         for (term, weight, counts) in &self.0 {
             if !counts {
-                values.push(Tensor::zeros((), DType::F64, &learner.device)?);
+                values.push(0.0);
                 continue;
             }
             let mean = term.per_group(&seen)?.mean_all()?.to_dtype(DType::F64)?;
             total = (total + (&mean * (weight * draws.share))?)?;
-            values.push((mean.detach() * draws.share)?);
+            values.push(mean.to_scalar::<f64>()? * draws.share);
         }
         if let Some(loss) = loss {
             total = (loss + total.to_dtype(loss.dtype())?)?;
@@ -113,7 +113,7 @@ impl<'a> RayTerms<'a> {
         if let Some(slopes) = slopes {
             slopes.descend(field, &learner.variables, &store, &mut sums.gradients)?;
         }
-        sums.losses.on_rays = sum(sums.losses.on_rays.take(), Some(Tensor::stack(&values, 0)?))?;
+        sums.losses.add_on_rays(&values);
         Ok(())
     }
 }
