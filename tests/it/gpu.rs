@@ -118,7 +118,7 @@ fn what_it_does_not_do_is_refused() {
         assert!(said.contains(words) && said.contains("--device cpu"), "{said}");
     }
     let said = demand(&mut augnerf(&train(out, "gpu:99", &[])), 2);
-    assert!(said.contains("augnerf devices"), "{said}");
+    assert!(said.contains("augnerf bench --devices"), "{said}");
     let said = demand(&mut augnerf(&train(out, "cpu", &["field.precision=f16"])), 2);
     assert!(said.contains("field.precision = \"f16\" needs --device gpu"), "{said}");
 }

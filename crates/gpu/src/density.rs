@@ -50,7 +50,7 @@ impl GpuDensity {
     fn record(gpu: &Gpu, field: &Field) -> Result<GpuDensity> {
         let shape = Shape::of(field.config());
         let most = if gpu.adapter().is_software { MOST_POINTS_IN_SOFTWARE } else { MOST_POINTS };
-        let chunk = samples_at_once(gpu, &shape, Scratch::bytes_per_sample(&shape)).clamp(4, most) / 4 * 4;
+        let chunk = samples_at_once(gpu, &shape, 0, 0).clamp(4, most) / 4 * 4;
         let field_buffers = FieldBuffers::of(gpu, &shape, field)?;
         let scratch = Scratch::new(gpu, &shape, chunk, 1, false);
         let (points, rays, at) = (gpu.numbers(3 * chunk), gpu.numbers(RAY * chunk), gpu.numbers(4 * chunk));

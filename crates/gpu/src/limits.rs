@@ -8,7 +8,7 @@ use augnerf_nerf::settings::{
 
 use crate::device::Gpu;
 use crate::network::Shape;
-use crate::record::{ON_RAYS, Scratch};
+use crate::record::{ON_RAYS, Scratch, most_rows};
 
 /// Samples that the groups of one dispatch of a product reach.
 const MOST_POINTS: usize = 64 * 65_535;
@@ -104,10 +104,12 @@ fn refused(what: &str) -> Error {
     Error::Config(format!("device gpu does not compute {what} yet; use --device cpu"))
 }
 
-/// Returns the samples whose numbers, so many bytes each, fit into the device's memory at once.
-pub(crate) fn samples_at_once(gpu: &Gpu, shape: &Shape, bytes: usize) -> usize {
-    let widest = 4 * (shape.width + 4).max(shape.channels);
-    (gpu.budget() / bytes).min(gpu.largest_buffer() / widest).min(MOST_POINTS)
+/// Returns the samples whose numbers fit into the device's memory at once: those of [`Scratch`], `more` bytes beside them,
+/// and the parts of gradients of `weights`.
+pub(crate) fn samples_at_once(gpu: &Gpu, shape: &Shape, more: usize, weights: usize) -> usize {
+    let (bytes, widest) = (Scratch::bytes_per_sample(shape) + more, 4 * (shape.width + 4).max(shape.channels));
+    let of_buffer = most_rows(gpu.largest_buffer(), widest, 4 * weights);
+    most_rows(gpu.budget(), bytes, 4 * weights).min(of_buffer).min(MOST_POINTS)
 }
 
 /// Returns the rays whose samples fit into the device's memory at once: whole chunks of the host, an even number.
@@ -117,8 +119,7 @@ pub(crate) fn samples_at_once(gpu: &Gpu, shape: &Shape, bytes: usize) -> usize {
 pub(crate) fn rays_of_chunk(gpu: &Gpu, config: &Resolved, shape: &Shape, samples: usize) -> Result<usize> {
     // Deltas of both passes, random ones, and the numbers that they are drawn from.
     let deltas = 4 * 5 * (shape.width + 8) * usize::from(config.method.is_augmented());
-    let bytes = Scratch::bytes_per_sample(shape) + deltas;
-    let fits = samples_at_once(gpu, shape, bytes) / samples;
+    let fits = samples_at_once(gpu, shape, deltas, shape.weights()) / samples;
     let unit = config.train.chunk.min(config.train.rays).next_multiple_of(2);
     if fits < unit {
         return Err(Error::Config(format!(

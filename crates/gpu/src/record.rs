@@ -15,6 +15,7 @@ mod products;
 mod scratch;
 mod space;
 
+pub(crate) use products::most_rows;
 pub(crate) use scratch::Scratch;
 pub(crate) use space::{Integrand, SpaceAt};
 

@@ -43,7 +43,7 @@ impl GpuRenderer {
         let (coarse, fine) = config.samples();
         let samples = coarse.max(fine);
         let most = if gpu.adapter().is_software { MOST_RAYS_IN_SOFTWARE } else { MOST_RAYS };
-        let fits = samples_at_once(gpu, &shape, Scratch::bytes_per_sample(&shape));
+        let fits = samples_at_once(gpu, &shape, 0, 0);
         let chunk = (fits / samples).clamp(1, most);
         gpu.checked("making a renderer", || GpuRenderer::record(gpu, fields, config, scene, &shape, chunk))?
     }

@@ -212,11 +212,16 @@ fn rays_in_parts_have_the_numbers_of_all_at_once() {
         let difference = norm(all.iter().zip(&parts).map(|(a, b)| a - b));
         assert!(difference < 1e-4 * norm(all.iter().copied()), "{settings:?}: {difference:.1e}");
     }
-    let (config, scene) = (config(&["method=nerf"]), scene());
-    let (learner, _) = FieldLearner::start(&config, &scene, DType::F32, &Device::Cpu).unwrap();
-    let refused = Steps::new(&gpu().with_budget(1000), &config, &scene, learner.fields(), None);
-    let error = refused.err().unwrap().to_string();
-    assert!(error.contains("lower train.chunk (16)"), "{error}");
+    // The gradient of a wide layer's weights has parts as large as the weights.
+    for (settings, budget, chunk) in
+        [(&["method=nerf"][..], 1000, 16), (&["method=nerf", "field.width=512", "train.chunk=32"][..], 1 << 24, 32)]
+    {
+        let (config, scene) = (config(settings), scene());
+        let (learner, _) = FieldLearner::start(&config, &scene, DType::F32, &Device::Cpu).unwrap();
+        let refused = Steps::new(&gpu().with_budget(budget), &config, &scene, learner.fields(), None);
+        let error = refused.err().unwrap().to_string();
+        assert!(error.contains(&format!("lower train.chunk ({chunk}) or field.width")), "{error}");
+    }
 }
 
 /// By matrix units, where a device has them.

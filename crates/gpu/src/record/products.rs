@@ -91,6 +91,12 @@ pub(super) fn most_parts(rows: usize) -> usize {
     rows.div_ceil(PART).min(MOST_PARTS)
 }
 
+/// Returns the most rows of `bytes` each that fit into so much `memory` together with their parts of `part` bytes.
+pub(crate) fn most_rows(memory: usize, bytes: usize, part: usize) -> usize {
+    let with_all_parts = memory.saturating_sub(MOST_PARTS * part) / bytes;
+    with_all_parts.max(memory.saturating_sub(part) / (bytes + part.div_ceil(PART)))
+}
+
 impl<'a> Recorder<'a> {
     /// Returns the tile and the kernel of a product with so many columns. Derivatives are computed in f32.
     fn tiled(&self, name: &'static str, columns: usize, rows: Rows) -> (Tile, Kernel) {
@@ -194,5 +200,16 @@ mod tests {
                 assert!(count <= most_parts(most) && of_part * count >= rows && of_part % 16 == 0, "{rows} of {most}");
             }
         }
+    }
+
+    #[test]
+    fn rows_fit_with_their_parts() {
+        let (small, large) = (2_400_000, 37_000_000);
+        for (memory, bytes, part) in [(6 << 30, 15_700, small), (1 << 28, 60_000, large), (1 << 31, 1, large)] {
+            let takes = |rows: usize| rows * bytes + most_parts(rows) * part;
+            let rows = most_rows(memory, bytes, part);
+            assert!(takes(rows) <= memory && takes(rows + rows / 4) > memory, "{rows}");
+        }
+        assert_eq!([most_rows(100, 7, 0), most_rows(100, 7, 200)], [14, 0]);
     }
 }
