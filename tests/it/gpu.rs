@@ -90,17 +90,13 @@ fn a_run_goes_on_on_another_device() {
 }
 
 #[test]
-fn devices_and_kernels_are_listed() {
+fn devices_are_listed_and_timed() {
     let listed = printed(&["bench", "--devices"]);
     assert!(listed.starts_with("cpu ") && listed.contains("\ngpu:0 "), "{listed}");
     let arguments =
         ["bench", "--device", "gpu", "--rays", "64", "--coarse", "8", "--fine", "8", "--width", "32", "--steps", "1"];
     let timed: serde_json::Value = serde_json::from_str(&printed(&arguments)).unwrap();
-    let work = &timed["on_device"];
-    assert!(work["dispatches"].as_u64().unwrap() > 20 && work["multiply_adds"].as_f64().unwrap() > 1e6, "{timed}");
-    assert!(work["tiles"].as_str().unwrap().contains(" x "), "{timed}");
-    let kernels = work["kernels"].as_array().unwrap();
-    assert!(kernels.iter().any(|kernel| kernel["kernel"] == "product"), "{timed}");
+    assert!(timed["device"] == "gpu" && timed["seconds_per_step"].as_f64().unwrap() > 0.0, "{timed}");
 }
 
 #[test]

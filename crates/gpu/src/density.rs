@@ -4,7 +4,6 @@ use std::sync::{Mutex, PoisonError};
 
 use augnerf_base::Result;
 use augnerf_nerf::field::{Density, Field};
-use augnerf_nerf::settings::Precision;
 use candle_core::{DType, Device, Tensor};
 use wgpu::Buffer;
 
@@ -12,7 +11,7 @@ use crate::device::{Dispatch, Gpu};
 use crate::limits::{check_field, samples_at_once};
 use crate::network::{FieldBuffers, Shape};
 use crate::rays::RAY;
-use crate::record::{DeltaBuffers, OUT, Outputs, PassAt, Recorder, Scratch, SpaceAt, Work};
+use crate::record::{DeltaBuffers, OUT, PassAt, Recorder, Scratch, SpaceAt};
 
 /// Points that are queried at once, at most.
 const MOST_POINTS: usize = 1 << 16;
@@ -55,22 +54,7 @@ impl GpuDensity {
         let scratch = Scratch::new(gpu, &shape, chunk, 1, false);
         let (points, rays, at) = (gpu.numbers(3 * chunk), gpu.numbers(RAY * chunk), gpu.numbers(4 * chunk));
         let (t_vals, out, flags) = (gpu.numbers(2 * chunk), gpu.numbers(OUT * chunk), gpu.numbers(1));
-        let tiles = gpu.tiles(Precision::F32)?;
-        let recorder = || Recorder {
-            gpu,
-            shape: &shape,
-            outputs: Outputs::of(field.config()),
-            scratch: &scratch,
-            rays: &rays,
-            flags: &flags,
-            bounds: (0.0, 1.0),
-            background: None,
-            tiles,
-            jet_tiles: tiles,
-            loss_scale: 1.0,
-            dispatches: Vec::new(),
-            work: Work::default(),
-        };
+        let recorder = || Recorder::new(gpu, &shape, field.config(), &scratch, &rays, &flags);
         let space = |count: usize, has_gradient: bool| {
             let mut recorder = recorder();
             let points = &points;

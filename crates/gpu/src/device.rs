@@ -2,7 +2,7 @@
 
 use std::collections::HashMap;
 use std::fmt;
-use std::sync::{Arc, Mutex, OnceLock, PoisonError, mpsc};
+use std::sync::{Arc, Mutex, PoisonError, mpsc};
 use std::time::Duration;
 
 use augnerf_base::{Error, Result};
@@ -17,7 +17,6 @@ use wgpu::{
 };
 
 use crate::kernels::{Kernel, Tiles};
-use crate::tune::fastest;
 
 /// After a wait a device answers at once.
 const ANSWERS_WITHIN: Duration = Duration::from_secs(60);
@@ -57,9 +56,8 @@ struct Opened {
     adapter: Adapter,
     limits: Limits,
     pipelines: Mutex<HashMap<Kernel, ComputePipeline>>,
-    timestamps: bool,
-    /// Tiles of wide layers in f32, measured when they are first needed.
-    tiles: OnceLock<Tiles>,
+    /// Tiles of wide layers in f32.
+    tiles: Tiles,
 }
 
 impl fmt::Debug for Gpu {
@@ -139,7 +137,6 @@ fn has_matrices(adapter: &wgpu::Adapter) -> bool {
 
 /// A dispatch that is recorded once and submitted many times.
 pub(crate) struct Dispatch {
-    pub(crate) label: &'static str,
     pipeline: ComputePipeline,
     group: wgpu::BindGroup,
     size: [u32; 3],
@@ -180,11 +177,6 @@ impl Gpu {
         if !known.lacks.is_empty() {
             return Err(refuse(format!("{} lacks {}; use --device cpu", known.name, known.lacks.join(", "))));
         }
-        let timestamps = adapter.features().contains(Features::TIMESTAMP_QUERY);
-        let mut features = if timestamps { Features::TIMESTAMP_QUERY } else { Features::empty() };
-        if known.has_matrices {
-            features |= MATRICES;
-        }
         let required = Limits {
             max_storage_buffer_binding_size: limits.max_storage_buffer_binding_size,
             max_buffer_size: limits.max_buffer_size,
@@ -194,7 +186,7 @@ impl Gpu {
         };
         let descriptor = DeviceDescriptor {
             required_limits: required.clone(),
-            required_features: features,
+            required_features: if known.has_matrices { MATRICES } else { Features::empty() },
             // SAFETY: kernels with matrix units run only if field.precision = "f16" asks for them.
             experimental_features: match known.has_matrices {
                 true => unsafe { wgpu::ExperimentalFeatures::enabled() },
@@ -205,23 +197,13 @@ impl Gpu {
         let (device, queue) = block_on(adapter.request_device(&descriptor))
             .map_err(|e| refuse(format!("{} cannot be opened: {e}", known.name)))?;
         let pipelines = Mutex::default();
-        let budget = match info.device_type {
-            DeviceType::DiscreteGpu => 6 << 30,
-            DeviceType::Cpu => 1 << 28,
-            _ => 1 << 30,
+        // Large tiles need the registers of a card; an H200's step of NeRF takes two thirds of the time with them.
+        let (budget, tiles) = match info.device_type {
+            DeviceType::DiscreteGpu => (6 << 30, Tiles::Large),
+            DeviceType::Cpu => (1 << 28, Tiles::Small),
+            _ => (1 << 30, Tiles::Small),
         };
-        Ok(Gpu(
-            Arc::new(Opened {
-                device,
-                queue,
-                adapter: known,
-                limits: required,
-                pipelines,
-                timestamps,
-                tiles: OnceLock::new(),
-            }),
-            budget,
-        ))
+        Ok(Gpu(Arc::new(Opened { device, queue, adapter: known, limits: required, pipelines, tiles }), budget))
     }
 
     /// Returns its adapter.
@@ -240,25 +222,9 @@ impl Gpu {
         Gpu(self.0.clone(), bytes)
     }
 
-    /// Returns the tiles of wide layers: in f32 the fastest ones, which the first call measures. Large ones take a software
-    /// device long to compile, so that it is not asked.
-    ///
-    /// # Errors
-    /// The device was lost.
-    pub(crate) fn tiles(&self, precision: Precision) -> Result<Tiles> {
-        if precision == Precision::F16 {
-            return Ok(Tiles::Matrices);
-        }
-        if let Some(tiles) = self.0.tiles.get() {
-            return Ok(*tiles);
-        }
-        let candidates: &[Tiles] =
-            if self.0.adapter.is_software { &[Tiles::Small] } else { &[Tiles::Small, Tiles::Large] };
-        let tiles = match candidates {
-            [only] => *only,
-            _ => fastest(self, candidates)?,
-        };
-        Ok(*self.0.tiles.get_or_init(|| tiles))
+    /// Returns the tiles of wide layers. All tiles of f32 give the same bits.
+    pub(crate) fn tiles(&self, precision: Precision) -> Tiles {
+        if precision == Precision::F16 { Tiles::Matrices } else { self.0.tiles }
     }
 
     pub(crate) fn largest_buffer(&self) -> usize {
@@ -364,7 +330,7 @@ impl Gpu {
         let layout = pipeline.get_bind_group_layout(0);
         let descriptor = BindGroupDescriptor { label: Some(kernel.name), layout: &layout, entries: &entries };
         let group = self.0.device.create_bind_group(&descriptor);
-        Dispatch { label: kernel.name, pipeline, group, size }
+        Dispatch { pipeline, group, size }
     }
 
     fn encoder(&self) -> CommandEncoder {
@@ -376,7 +342,7 @@ impl Gpu {
         let mut encoder = self.encoder();
         {
             let mut pass = encoder.begin_compute_pass(&ComputePassDescriptor::default());
-            for Dispatch { pipeline, group, size: [x, y, z], .. } in work {
+            for Dispatch { pipeline, group, size: [x, y, z] } in work {
                 pass.set_pipeline(pipeline);
                 pass.set_bind_group(0, group, &[]);
                 pass.dispatch_workgroups(*x, *y, *z);
@@ -442,54 +408,6 @@ impl Gpu {
     pub(crate) fn read_f32(&self, buffer: &Buffer, count: usize) -> Result<Vec<f32>> {
         let bytes = self.read(&[buffer])?.remove(0);
         Ok(bytemuck::pod_collect_to_vec(&bytes[..4 * count]))
-    }
-
-    /// Whether it measures the time of kernels.
-    pub(crate) fn has_timestamps(&self) -> bool {
-        self.0.timestamps
-    }
-
-    /// Measures each dispatch in nanoseconds, one after another.
-    pub(crate) fn time(&self, work: &[Dispatch]) -> Result<Vec<f64>> {
-        let count = work.len() as u32;
-        let mut nanoseconds = Vec::new();
-        // A set of queries holds 4,096.
-        for part in work.chunks(2000) {
-            let queries = self.0.device.create_query_set(&wgpu::QuerySetDescriptor {
-                label: None,
-                ty: wgpu::QueryType::Timestamp,
-                count: 2 * part.len() as u32,
-            });
-            let size = 16 * part.len() as u64;
-            let resolved = self.0.device.create_buffer(&BufferDescriptor {
-                label: None,
-                size,
-                usage: BufferUsages::QUERY_RESOLVE | BufferUsages::COPY_SRC,
-                mapped_at_creation: false,
-            });
-            let mut encoder = self.encoder();
-            for (i, Dispatch { pipeline, group, size: [x, y, z], .. }) in part.iter().enumerate() {
-                let mut pass = encoder.begin_compute_pass(&ComputePassDescriptor {
-                    label: None,
-                    timestamp_writes: Some(wgpu::ComputePassTimestampWrites {
-                        query_set: &queries,
-                        beginning_of_pass_write_index: Some(2 * i as u32),
-                        end_of_pass_write_index: Some(2 * i as u32 + 1),
-                    }),
-                });
-                pass.set_pipeline(pipeline);
-                pass.set_bind_group(0, group, &[]);
-                pass.dispatch_workgroups(*x, *y, *z);
-            }
-            encoder.resolve_query_set(&queries, 0..2 * part.len() as u32, &resolved, 0);
-            self.0.queue.submit([encoder.finish()]);
-            let bytes = self.read(&[&resolved])?.remove(0);
-            let ticks: Vec<u64> = bytemuck::pod_collect_to_vec(&bytes);
-            let period = f64::from(self.0.queue.get_timestamp_period());
-            nanoseconds.extend(ticks.chunks(2).map(|pair| pair[1].wrapping_sub(pair[0]) as f64 * period));
-        }
-        debug_assert_eq!(nanoseconds.len(), count as usize);
-        Ok(nanoseconds)
     }
 }
 

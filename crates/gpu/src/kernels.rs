@@ -144,16 +144,6 @@ pub(crate) enum Tiles {
     Matrices,
 }
 
-impl Tiles {
-    pub(crate) fn name(self) -> &'static str {
-        match self {
-            Tiles::Small => "64 x 64",
-            Tiles::Large => "128 x 128",
-            Tiles::Matrices => "matrix units",
-        }
-    }
-}
-
 /// Rows and columns of a tile, and those of a thread.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct Tile {

@@ -8,7 +8,7 @@ use augnerf_base::Result;
 use augnerf_nerf::field::{Density, Field};
 use augnerf_nerf::methods::{DeviceSteps, Fields, Renderer};
 use augnerf_nerf::optimizer::Moments;
-use augnerf_nerf::runtime::{Accelerator, DeviceWork};
+use augnerf_nerf::runtime::Accelerator;
 use augnerf_nerf::settings::{Config, Resolved};
 use augnerf_scenes::Scene;
 
@@ -22,7 +22,6 @@ mod record;
 mod renderer;
 mod sets;
 mod step;
-mod tune;
 
 pub use device::{Adapter, Gpu, adapters};
 pub use limits::check;
@@ -50,10 +49,6 @@ impl Accelerator for Gpu {
         moments: Option<&[Moments]>,
     ) -> Result<Box<dyn DeviceSteps>> {
         Ok(Box::new(Steps::new(self, config, scene, fields, moments)?))
-    }
-
-    fn work(&self, config: &Resolved, scene: &Scene, fields: &Fields) -> Result<DeviceWork> {
-        Steps::new(self, config, scene, fields, None)?.work()
     }
 
     fn renderer(&self, fields: &Fields, config: &Config, scene: &Scene) -> Result<Box<dyn Renderer>> {

@@ -1,7 +1,7 @@
 //! Records the dispatches of passes through a field: forward, and back to what is asked for.
 
 use augnerf_nerf::perturb::PaperSite;
-use augnerf_nerf::settings::{DensityActivation, FieldConfig, Regularizer};
+use augnerf_nerf::settings::{DensityActivation, FieldConfig, Precision, Regularizer};
 use wgpu::Buffer;
 
 use crate::device::{Dispatch, Gpu, rows};
@@ -162,13 +162,6 @@ pub(crate) struct PassLoss {
 /// Where a gradient of a delta is: buffer, numbers between two vectors, place of the first.
 pub(crate) type GradientAt<'a> = (&'a Buffer, usize, usize);
 
-/// What dispatches do, by counting.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub(crate) struct Work {
-    pub(crate) dispatches: usize,
-    pub(crate) multiply_adds: f64,
-}
-
 /// Records dispatches.
 pub(crate) struct Recorder<'a> {
     pub(crate) gpu: &'a Gpu,
@@ -185,16 +178,40 @@ pub(crate) struct Recorder<'a> {
     /// Factor of all gradients up to Adam, which keeps them in the range of f16.
     pub(crate) loss_scale: f64,
     pub(crate) dispatches: Vec<Dispatch>,
-    pub(crate) work: Work,
 }
 
 impl<'a> Recorder<'a> {
+    /// Starts a record, in f32 until other tiles are set, of rays from 0 to 1 without a background.
+    pub(crate) fn new(
+        gpu: &'a Gpu,
+        shape: &'a Shape,
+        config: &FieldConfig,
+        scratch: &'a Scratch,
+        rays: &'a Buffer,
+        flags: &'a Buffer,
+    ) -> Recorder<'a> {
+        let tiles = gpu.tiles(Precision::F32);
+        Recorder {
+            gpu,
+            shape,
+            outputs: Outputs::of(config),
+            scratch,
+            rays,
+            flags,
+            bounds: (0.0, 1.0),
+            background: None,
+            tiles,
+            jet_tiles: tiles,
+            loss_scale: 1.0,
+            dispatches: Vec::new(),
+        }
+    }
+
     /// Records a kernel with parameters at binding 0.
     pub(crate) fn run(&mut self, kernel: Kernel, words: Words, buffers: &[(u32, &Buffer)], size: [u32; 3]) {
         let uniform = self.gpu.uniform(&words.0);
         let bound: Vec<(u32, &Buffer)> = std::iter::once((0, &uniform)).chain(buffers.iter().copied()).collect();
         self.dispatches.push(self.gpu.dispatch(&kernel, &bound, size));
-        self.work.dispatches += 1;
     }
 
     /// Records the sums over all rays of a pass.

@@ -4,7 +4,7 @@ use std::sync::{Mutex, PoisonError};
 
 use augnerf_base::Result;
 use augnerf_nerf::methods::{Fields, RenderedRays, Renderer};
-use augnerf_nerf::settings::{Config, Precision};
+use augnerf_nerf::settings::Config;
 use augnerf_scenes::{Rays, Scene};
 use candle_core::{DType, Device, Tensor};
 use wgpu::Buffer;
@@ -14,7 +14,7 @@ use crate::kernels::Kernel;
 use crate::limits::{check_fields, samples_at_once};
 use crate::network::{FieldBuffers, Shape};
 use crate::rays::{RAY, bins};
-use crate::record::{DeltaBuffers, OUT, Outputs, PassAt, Recorder, Resampling, Scratch, Words, Work};
+use crate::record::{DeltaBuffers, OUT, PassAt, Recorder, Resampling, Scratch, Words};
 
 /// Rays that are rendered at once, at most.
 const MOST_RAYS: usize = 2048;
@@ -58,27 +58,20 @@ impl GpuRenderer {
     ) -> Result<GpuRenderer> {
         let coarse_field = FieldBuffers::of(gpu, shape, fields.coarse())?;
         let fine_field = fields.get("fine").map(|field| FieldBuffers::of(gpu, shape, field)).transpose()?;
-        let buffers = PassBuffers::new(gpu, config, scene, shape, chunk);
-        let PassBuffers { scratch, rays, out, rows, jitter, t_coarse, t_fine, flags } = &buffers;
+        let (encoding, (coarse, fine)) = (config.field.encoding, config.samples());
+        let (columns, samples) = (encoding.t_vals(coarse), coarse.max(fine));
+        let scratch = Scratch::new(gpu, shape, chunk, samples, false);
+        let [rays, out, jitter, flags] = [RAY * chunk, OUT * chunk, chunk * columns, 1].map(|count| gpu.numbers(count));
+        let [t_coarse, t_fine] = [(); 2].map(|()| gpu.numbers(chunk * (samples + 1)));
+        let rows = gpu.storage(&bins(config.sampling.spacing, scene.bounds(), columns, false));
         let mut recorder = Recorder {
-            gpu,
-            shape,
-            outputs: Outputs::of(&config.field),
-            scratch,
-            rays,
-            flags,
             bounds: scene.bounds(),
             background: scene.background,
-            tiles: gpu.tiles(Precision::F32)?,
-            jet_tiles: gpu.tiles(Precision::F32)?,
-            loss_scale: 1.0,
-            dispatches: Vec::new(),
-            work: Work::default(),
+            ..Recorder::new(gpu, shape, &config.field, &scratch, &rays, &flags)
         };
-        let (encoding, (coarse, fine)) = (config.field.encoding, config.samples());
-        let columns = encoding.t_vals(coarse);
         let words = Words::default().u(chunk).u(columns).u(0).u(0);
-        recorder.run(Kernel::new("sample"), words, &[(1, rows), (2, jitter), (3, t_coarse)], groups(chunk * columns));
+        let buffers = [(1, &rows), (2, &jitter), (3, &t_coarse)];
+        recorder.run(Kernel::new("sample"), words, &buffers, groups(chunk * columns));
         let deltas = DeltaBuffers::default();
         let field = &coarse_field;
         let pass = PassAt {
@@ -87,10 +80,10 @@ impl GpuRenderer {
             rays: chunk,
             samples: coarse,
             columns,
-            t_vals: t_coarse,
+            t_vals: &t_coarse,
             noise: None,
             deltas,
-            out,
+            out: &out,
         };
         if config.sampling.fine == 0 {
             recorder.forward(&pass, None);
@@ -105,13 +98,12 @@ impl GpuRenderer {
                 padding: config.sampling.resample_padding,
                 mode: 2,
             };
-            recorder.resample(at, t_coarse, jitter, t_fine);
+            recorder.resample(at, &t_coarse, &jitter, &t_fine);
             let field = fine_field.as_ref().unwrap_or(&coarse_field);
-            let fine = PassAt { field, samples: fine, columns: encoding.t_vals(fine), t_vals: t_fine, ..pass };
+            let fine = PassAt { field, samples: fine, columns: encoding.t_vals(fine), t_vals: &t_fine, ..pass };
             recorder.forward(&fine, None);
         }
         let work = recorder.dispatches;
-        let PassBuffers { rays, out, .. } = buffers;
         Ok(GpuRenderer { gpu: gpu.clone(), rays, out, work, chunk, turn: Mutex::default() })
     }
 
@@ -121,37 +113,6 @@ impl GpuRenderer {
         self.gpu.write(&self.rays, bytemuck::cast_slice(packed));
         self.gpu.submit(&self.work);
         self.gpu.read_f32(&self.out, packed.len() / RAY * OUT)
-    }
-}
-
-/// The buffers of the passes of a chunk of rays.
-struct PassBuffers {
-    scratch: Scratch,
-    rays: Buffer,
-    out: Buffer,
-    rows: Buffer,
-    jitter: Buffer,
-    t_coarse: Buffer,
-    t_fine: Buffer,
-    flags: Buffer,
-}
-
-impl PassBuffers {
-    fn new(gpu: &Gpu, config: &Config, scene: &Scene, shape: &Shape, chunk: usize) -> PassBuffers {
-        let (coarse, fine) = config.samples();
-        let columns = config.field.encoding.t_vals(coarse);
-        let samples = coarse.max(fine);
-        let t_vals = || gpu.numbers(chunk * (samples + 1));
-        PassBuffers {
-            scratch: Scratch::new(gpu, shape, chunk, samples, false),
-            rays: gpu.numbers(chunk * RAY),
-            out: gpu.numbers(chunk * OUT),
-            rows: gpu.storage(&bins(config.sampling.spacing, scene.bounds(), columns, false)),
-            jitter: gpu.numbers(chunk * columns),
-            t_coarse: t_vals(),
-            t_fine: t_vals(),
-            flags: gpu.numbers(1),
-        }
     }
 }
 

@@ -6,18 +6,17 @@ use augnerf_nerf::methods::{
 };
 use augnerf_nerf::optimizer::Moments;
 use augnerf_nerf::perturb::PaperSite;
-use augnerf_nerf::runtime::{DeviceWork, KernelTime};
 use augnerf_nerf::settings::{Precision, Regularizer, Resolved};
 use augnerf_scenes::{RayParts, Scene};
 use candle_core::Tensor;
 use wgpu::Buffer;
 
 use crate::device::{Dispatch, Gpu, groups};
-use crate::kernels::{Kernel, Tiles};
+use crate::kernels::Kernel;
 use crate::limits::{check, check_precision, rays_of_chunk};
 use crate::network::{FieldBuffers, Shape};
 use crate::rays::{bins, packed};
-use crate::record::{FIXED_SCALE, Integrand, Outputs, Recorder, SpaceAt, Words, Work};
+use crate::record::{FIXED_SCALE, Integrand, Recorder, SpaceAt, Words};
 use crate::sets::PassSets;
 
 use self::buffers::StepBuffers;
@@ -52,16 +51,10 @@ pub struct Steps {
     roles: Vec<&'static str>,
     sets: [Option<PassSets>; 2],
     buffers: StepBuffers,
-    tiles: Tiles,
-    jet_tiles: Tiles,
     /// The work of a step, and that of a step with diagnostics.
     plain: Vec<Dispatch>,
     logged: Option<Vec<Dispatch>>,
     update: Vec<Dispatch>,
-    /// What a step does, by counting.
-    work: Work,
-    /// Bytes that the last step sent.
-    sent: usize,
     /// Steps whose reports are on the device, and whether they were diagnosed.
     waiting: Vec<(u64, bool)>,
     /// Reports that were read and not asked for.
@@ -122,40 +115,22 @@ impl Steps {
             roles: fields.by_role().map(|(role, _)| role).collect(),
             sets,
             buffers,
-            tiles: gpu.tiles(config.field.precision)?,
-            jet_tiles: gpu.tiles(Precision::F32)?,
             plain: Vec::new(),
             logged: None,
             update: Vec::new(),
-            work: Work::default(),
-            sent: 0,
             waiting: Vec::new(),
             reports: Vec::new(),
         };
         gpu.write(&steps.buffers.flags, bytemuck::cast_slice(&no_flags()));
-        (steps.plain, steps.work) = gpu.checked("compiling the kernels", || steps.record(false))?;
+        steps.plain = gpu.checked("compiling the kernels", || steps.record(false))?;
         steps.update = gpu.checked("compiling Adam", || steps.record_update())?;
         Ok(steps)
     }
 
-    /// Takes a step without its update, and counts and measures what it does.
-    ///
-    /// # Errors
-    /// Those of a step.
-    pub fn work(&mut self) -> Result<DeviceWork> {
-        self.try_step(0, false)?;
-        let of_kernel = |(kernel, milliseconds, dispatches): (&str, f64, usize)| KernelTime {
-            kernel: kernel.into(),
-            dispatches,
-            milliseconds,
-        };
-        Ok(DeviceWork {
-            dispatches: self.work.dispatches + self.update.len(),
-            multiply_adds: self.work.multiply_adds,
-            bytes_sent: self.sent,
-            tiles: self.tiles.name().into(),
-            kernels: self.profile(0)?.into_iter().map(of_kernel).collect(),
-        })
+    /// Returns the number of dispatches of a step, for tests.
+    #[doc(hidden)]
+    pub fn dispatches(&self) -> usize {
+        self.plain.len() + self.update.len()
     }
 
     fn wait_for_reports(&mut self) -> Result<()> {
@@ -180,8 +155,7 @@ impl Steps {
         let gpu = self.gpu.clone();
         let diagnoses = log && self.sets.iter().any(Option::is_some);
         if diagnoses && self.logged.is_none() {
-            let (logged, _) = gpu.checked("compiling the kernels", || self.record(true))?;
-            self.logged = Some(logged);
+            self.logged = Some(gpu.checked("compiling the kernels", || self.record(true))?);
         }
         if diagnoses {
             gpu.write(&self.buffers.counts, bytemuck::cast_slice(&[0u32; COUNTS]));
@@ -215,39 +189,34 @@ impl Steps {
         let rays = packed(&self.batches.batch(step), has_tangents(&self.config));
         self.gpu.write(&self.buffers.now, bytemuck::cast_slice(words.words()));
         self.gpu.write(&self.buffers.rays, bytemuck::cast_slice(&rays));
-        let of_points = match &self.buffers.space {
-            Some(space) => space.send(&self.gpu, &self.config, step)?,
-            None => 0,
-        };
-        self.sent =
-            4 * (words.words().len() + rays.len()) + of_points + self.send_opening(step)? + self.send_bins(step);
-        Ok(())
+        if let Some(space) = &self.buffers.space {
+            space.send(&self.gpu, &self.config, step)?;
+        }
+        self.send_bins(step);
+        self.send_opening(step)
     }
 
-    /// Sends the bins of samples that spread, and returns their bytes.
-    fn send_bins(&self, step: u64) -> usize {
+    /// Sends the bins of samples that spread.
+    fn send_bins(&self, step: u64) {
         let sampling = &self.config.sampling;
         if sampling.anneal_steps == 0 || step > sampling.anneal_steps {
-            return 0;
+            return;
         }
         let columns = self.config.field.encoding.t_vals(sampling.coarse);
         let bins = bins(sampling.spacing, sampling.annealed(self.scene_bounds, step), columns, sampling.jitter);
         self.gpu.write(&self.buffers.rows, bytemuck::cast_slice(&bins));
-        4 * bins.len()
     }
 
-    /// Sends the factors of an opening if they changed, and returns their bytes.
-    fn send_opening(&mut self, step: u64) -> Result<usize> {
-        let Some((factors, known)) = &mut self.opening else { return Ok(0) };
+    /// Sends the factors of an opening if they changed.
+    fn send_opening(&mut self, step: u64) -> Result<()> {
+        let Some((factors, known)) = &mut self.opening else { return Ok(()) };
         let field = &self.config.field;
         let share = step.min(field.frequency_steps) as f64 / field.frequency_steps as f64;
-        if share == *known {
-            return Ok(0);
+        if share != *known {
+            *known = share;
+            self.gpu.write(factors, bytemuck::cast_slice(&self.shape.opening(field, share)?));
         }
-        *known = share;
-        let values = self.shape.opening(field, share)?;
-        self.gpu.write(factors, bytemuck::cast_slice(&values));
-        Ok(4 * values.len())
+        Ok(())
     }
 
     /// Computes a step without an update, and returns its gradients in the host's order, for tests.
@@ -263,26 +232,6 @@ impl Steps {
         }
         self.clear_gradients();
         Ok((report, gradients))
-    }
-
-    /// Measures each kernel of a step, summed by name: milliseconds and dispatches. Empty if the device has no timestamps.
-    fn profile(&mut self, step: u64) -> Result<Vec<(&'static str, f64, usize)>> {
-        if !self.gpu.has_timestamps() {
-            return Ok(Vec::new());
-        }
-        self.send(step, 1, 0.0)?;
-        let work = &self.plain;
-        let times = self.gpu.time(work)?;
-        self.clear_gradients();
-        let mut sums: Vec<(&'static str, f64, usize)> = Vec::new();
-        for (dispatch, nanoseconds) in work.iter().zip(times) {
-            match sums.iter_mut().find(|(name, ..)| *name == dispatch.label) {
-                Some((_, sum, count)) => (*sum, *count) = (*sum + 1e-6 * nanoseconds, *count + 1),
-                None => sums.push((dispatch.label, 1e-6 * nanoseconds, 1)),
-            }
-        }
-        sums.sort_by(|a, b| b.1.total_cmp(&a.1));
-        Ok(sums)
     }
 }
 
@@ -331,20 +280,13 @@ impl DeviceSteps for Steps {
 
 impl Steps {
     fn recorder(&self) -> Recorder<'_> {
+        let StepBuffers { scratch, rays, flags, .. } = &self.buffers;
         Recorder {
-            gpu: &self.gpu,
-            shape: &self.shape,
-            outputs: Outputs::of(&self.config.field),
-            scratch: &self.buffers.scratch,
-            rays: &self.buffers.rays,
-            flags: &self.buffers.flags,
             bounds: self.scene_bounds,
             background: self.background,
-            tiles: self.tiles,
-            jet_tiles: self.jet_tiles,
+            tiles: self.gpu.tiles(self.config.field.precision),
             loss_scale: loss_scale(&self.config),
-            dispatches: Vec::new(),
-            work: Work::default(),
+            ..Recorder::new(&self.gpu, &self.shape, &self.config.field, scratch, rays, flags)
         }
     }
 
@@ -354,7 +296,7 @@ impl Steps {
     }
 
     /// Records the work of a step up to its gradients.
-    fn record(&self, log: bool) -> (Vec<Dispatch>, Work) {
+    fn record(&self, log: bool) -> Vec<Dispatch> {
         let mut recorder = self.recorder();
         let (rays, chunk) = (self.config.train.rays, self.buffers.chunk);
         self.record_opening(&mut recorder, true);
@@ -370,7 +312,7 @@ impl Steps {
         if log {
             self.record_shifts(&mut recorder);
         }
-        (recorder.dispatches, recorder.work)
+        recorder.dispatches
     }
 
     /// Records what the opening of the encodings multiplies: before passes the weights that they read, and after them their

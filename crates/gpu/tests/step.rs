@@ -202,9 +202,8 @@ fn rays_in_parts_have_the_numbers_of_all_at_once() {
         let step = |budget: usize| {
             let gpu = gpu().with_budget(budget);
             let mut steps = Steps::new(&gpu, &config, &scene, learner.fields(), None).unwrap();
-            let dispatches = steps.work().unwrap().dispatches;
             let (report, gradients) = steps.gradients(3).unwrap();
-            (dispatches, report.loss, gradients.iter().flat_map(flat).collect::<Vec<f64>>())
+            (steps.dispatches(), report.loss, gradients.iter().flat_map(flat).collect::<Vec<f64>>())
         };
         let ((few, loss, all), (many, same, parts)) = (step(1 << 28), step(900_000));
         assert!(2 * many > 3 * few, "{many} dispatches in parts, {few} at once");

@@ -9,7 +9,7 @@ use crate::base::{Error, Image, Result};
 use crate::data::{Camera, Scene, View};
 use crate::field::peak_gflops;
 use crate::revision::revision;
-use crate::runtime::{DeviceWork, Runtime, peak_memory_mib};
+use crate::runtime::{Runtime, peak_memory_mib};
 use crate::settings::{DataKind, Extent, Method, Preset, REGULARIZERS, Regularizer, Resolved, parse_assignment};
 use crate::train::Trainer;
 
@@ -85,9 +85,6 @@ pub struct Timed {
     pub share_of_peak: Option<f64>,
     /// Highest resident memory of the process.
     pub peak_memory_mib: Option<f64>,
-    /// What a step does on an accelerator, or `None` on other devices.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub on_device: Option<DeviceWork>,
 }
 
 /// Extent of [`scene`].
@@ -245,10 +242,6 @@ impl Workload {
         let multiply_adds = done.multiply_adds as f64 / self.steps as f64;
         let gflops = 2e-9 * multiply_adds / median;
         let peak = fused.then(peak_gflops);
-        let on_device = runtime.accelerator().map(|accelerator| {
-            let fields = trainer.model()?.fields_on_accelerator(&config)?;
-            accelerator.work(&config, &scene_of(config.method), fields)
-        });
         Ok(Timed {
             peer: format!("augnerf {}", revision()),
             workload,
@@ -264,7 +257,6 @@ impl Workload {
             gemm_peak_gflops: peak,
             share_of_peak: peak.map(|peak| gflops / peak),
             peak_memory_mib: memory,
-            on_device: on_device.transpose()?,
         })
     }
 }

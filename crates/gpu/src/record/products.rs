@@ -136,7 +136,6 @@ impl<'a> Recorder<'a> {
         }
         let size = [rows.count().div_ceil(tile.rows) as u32, n.div_ceil(tile.columns) as u32, 1];
         self.run(kernel, words, &buffers, size);
-        self.work.multiply_adds += (rows.count() * n * layer.inputs) as f64;
     }
 
     /// Records C = D W^T over some of a layer's inputs.
@@ -162,7 +161,6 @@ impl<'a> Recorder<'a> {
         buffers.extend(open.map(|open| (6, open)));
         let size = [rows.count().div_ceil(tile.rows) as u32, n.div_ceil(tile.columns) as u32, 1];
         self.run(kernel, words, &buffers, size);
-        self.work.multiply_adds += (rows.count() * n * layer.outputs) as f64;
     }
 
     /// Records the parts of a layer's gradient.
@@ -177,7 +175,6 @@ impl<'a> Recorder<'a> {
         let tiles = |size: usize, tile: usize| size.div_ceil(tile) as u32;
         let size = [tiles(layer.inputs, tile.rows), tiles(layer.outputs, tile.columns), parts as u32];
         self.run(kernel, words, &buffers, size);
-        self.work.multiply_adds += (rows.count() * layer.inputs * layer.outputs) as f64;
     }
 
     /// Records the sum of the parts of a field's gradient, up to this number of weights.

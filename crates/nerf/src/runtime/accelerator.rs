@@ -2,8 +2,6 @@
 
 use std::fmt::Debug;
 
-use serde::Serialize;
-
 use crate::base::{Error, Result};
 use crate::data::Scene;
 use crate::field::{Density, Field};
@@ -45,14 +43,6 @@ pub trait Accelerator: Debug + Send + Sync {
         Err(unsupported(self))
     }
 
-    /// Counts and measures what a step does.
-    ///
-    /// # Errors
-    /// Those of [`Accelerator::steps`] and of a step.
-    fn work(&self, _config: &Resolved, _scene: &Scene, _fields: &Fields) -> Result<DeviceWork> {
-        Err(unsupported(self))
-    }
-
     /// Returns what renders fields with their current weights.
     ///
     /// # Errors
@@ -73,30 +63,4 @@ pub trait Accelerator: Debug + Send + Sync {
 fn unsupported<A: Accelerator + ?Sized>(accelerator: &A) -> Error {
     let description = accelerator.description();
     Error::Config(format!("device gpu: this program cannot train or render on {description}; use --device cpu"))
-}
-
-/// What a step does on an accelerator.
-#[derive(Clone, Debug, Default, PartialEq, Serialize)]
-pub struct DeviceWork {
-    /// Dispatches of kernels.
-    pub dispatches: usize,
-    /// Multiply-adds of matrix products.
-    pub multiply_adds: f64,
-    /// Bytes sent to the device.
-    pub bytes_sent: usize,
-    /// The tiles in which wide layers are multiplied.
-    pub tiles: String,
-    /// Each kind of kernel, the longest first, measured one after another. Empty if the device has no timestamps.
-    pub kernels: Vec<KernelTime>,
-}
-
-/// The dispatches of a kernel in a step.
-#[derive(Clone, Debug, PartialEq, Serialize)]
-pub struct KernelTime {
-    /// The kernel.
-    pub kernel: String,
-    /// Their number.
-    pub dispatches: usize,
-    /// Their time together.
-    pub milliseconds: f64,
 }

@@ -77,6 +77,23 @@ fn large_tiles_compile() {
     }
 }
 
+#[test]
+#[ignore = "a software device compiles large tiles for long"]
+fn all_tiles_of_f32_have_the_same_bits() {
+    let gpu = gpu();
+    let (m, k, n) = (200, 256, 256);
+    let [a, w] = [numbers(m * k, 1.0, 177), numbers((k + 1) * n, 1.0, 178)].map(|values| gpu.storage(&values));
+    let [small, large] = [Tiles::Small, Tiles::Large].map(|tiles| {
+        let (tile, c) = (Tile::of(n, tiles), gpu.numbers(m * n));
+        let words = Words::default().u(m).u(n).u(k).u(0).u(k).u(1).u(1).u(n).u(0).u(n).u(0).u(1).u(n).u(0).u(0).u(0);
+        let size = [m.div_ceil(tile.rows) as u32, n.div_ceil(tile.columns) as u32, 1];
+        run(&gpu, tile.kernel("product"), words, &[(1, &a), (3, &w), (4, &c)], size);
+        gpu.read_f32(&c, m * n).unwrap()
+    });
+    assert_eq!(small, large);
+    assert!(small.iter().any(|x| *x > 1.0) && small.iter().all(|x| *x >= 0.0));
+}
+
 /// A product of two inputs, the second shared by rows, with a delta on the way to the next layer; and the way back
 /// through a ReLU, added to what is there, and kept before the ReLU.
 #[test]
