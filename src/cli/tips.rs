@@ -7,40 +7,6 @@ use clap::error::{ContextKind, ContextValue, ErrorKind};
 
 use crate::settings::registry::settings_called;
 
-/// Commands that left, and what to type now.
-const LEFT: [(&str, &str); 13] = [
-    ("profile", "'augnerf compare A B --ray X,Y'"),
-    ("measure", "'augnerf eval RUN --smoothness'"),
-    ("balance", "'augnerf train --balance'"),
-    ("chamfer", "'augnerf mesh A --chamfer B'"),
-    ("devices", "'augnerf bench --devices'"),
-    ("completions", "'augnerf --completions bash'"),
-    ("begin", "'augnerf sweep run FILE --create'"),
-    ("submit", "'augnerf sweep slurm FILE' and sbatch"),
-    ("cancel", "scancel"),
-    ("best", "pandas on table.csv (docs/scripting.md)"),
-    ("power", "a notebook over points.csv"),
-    ("prune", "rm on the folders of points"),
-    ("man", "'augnerf --help' of each command"),
-];
-
-/// Commands with flags that left, and what does their work now.
-const LEFT_FLAGS: [(&str, &str, &str); 13] = [
-    ("run", "--then", "use the shell: 'augnerf sweep run FILE && COMMAND'"),
-    ("run", "--keep-going", "a sweep always goes on after a failed point"),
-    ("run", "--max-deaths", "'--retry-failed' runs failed points again"),
-    ("collect", "--results", "use '--out DIR'"),
-    ("score", "--into", "use a few lines of pandas (docs/scripting.md)"),
-    ("train", "--yes", "no question is asked"),
-    ("status", "--watch", "use 'watch -n 10 augnerf sweep status runs/NAME'"),
-    ("compare", "--gif", "use a notebook over the images in renders/"),
-    ("compare", "--spread", "use a notebook over the images in renders/"),
-    ("compare", "--row", "use '--rows'"),
-    ("slurm", "--time", "use 'sbatch --time ... runs/NAME/slurm/points.sbatch'"),
-    ("slurm", "--mem", "use 'sbatch --mem ... runs/NAME/slurm/points.sbatch'"),
-    ("slurm", "--cpus", "use 'sbatch --cpus-per-task ... runs/NAME/slurm/points.sbatch'"),
-];
-
 /// Adds tips to an error: a setting that an unknown flag names, or a flag for a stray word.
 /// `words` is the command line without the program.
 pub fn with_tips(mut error: clap::Error, words: &[OsString]) -> clap::Error {
@@ -55,12 +21,6 @@ pub fn with_tips(mut error: clap::Error, words: &[OsString]) -> clap::Error {
     {
         return clap::Error::raw(ErrorKind::ValueValidation, wrong);
     }
-    if let Some(ContextValue::String(name)) = error.get(ContextKind::InvalidSubcommand).cloned()
-        && let Some((_, now)) = LEFT.iter().find(|(left, _)| *left == name)
-    {
-        error.remove(ContextKind::SuggestedSubcommand);
-        return with_suggestions(error, [format!("it was removed; use {now}")]);
-    }
     if error.kind() != ErrorKind::UnknownArgument {
         return error;
     }
@@ -69,9 +29,7 @@ pub fn with_tips(mut error: clap::Error, words: &[OsString]) -> clap::Error {
     let Some(ContextValue::String(unknown)) = error.get(ContextKind::InvalidArg).cloned() else { return error };
     let command = meant_command(words);
     let has = |flag: &str| command.get_arguments().any(|argument| argument.get_long() == Some(flag));
-    let left = LEFT_FLAGS.iter().find(|(of, left, _)| *of == command.get_name() && *left == unknown);
     let tips = match unknown.strip_prefix("--") {
-        Some(_) if left.is_some() => left.iter().map(|(.., now)| format!("it was removed; {now}")).collect(),
         Some(name) if command.get_name() == super::command().get_name() => after_subcommand(name, words),
         Some(name) if has("set") => setting_tips(name, &value_of(&unknown, words)),
         None if has("data") && !unknown.starts_with('-') => vec![format!("'--data {unknown}' names a scene")],
@@ -82,10 +40,6 @@ pub fn with_tips(mut error: clap::Error, words: &[OsString]) -> clap::Error {
     }
     // A similar flag that clap found, such as '--set' for '--steps', is a worse guess.
     error.remove(ContextKind::SuggestedArg);
-    with_suggestions(error, tips)
-}
-
-fn with_suggestions(mut error: clap::Error, tips: impl IntoIterator<Item = String>) -> clap::Error {
     let tips = tips.into_iter().map(Into::into).collect();
     error.insert(ContextKind::Suggested, ContextValue::StyledStrs(tips));
     error

@@ -16,7 +16,6 @@ fn a_flag_that_is_a_setting_is_told_how_it_is_set() {
         ("train --train.steps", "'--set train.steps=VALUE'"),
         ("sweep run a.toml --width --seeds 1", "'--set data.width=VALUE'"),
         ("train fern", "'--data fern'"),
-        ("sweep run a.toml --then ls", "it was removed; use the shell"),
         ("--threads 1 train", "it belongs after the command: 'augnerf train --threads'"),
     ] {
         let said = said(line);
