@@ -5,15 +5,11 @@ use std::path::PathBuf;
 use clap::{Args, ValueEnum};
 use serde_json::json;
 
-use crate::base::csv::csv_text;
 use crate::base::settings::numbers;
 use crate::base::{Error, Result};
-use crate::data::Camera;
-use crate::draw::write_png8;
-use crate::mesh::{self, Normals, Paint, Score};
+use crate::mesh::{Normals, Paint};
 use crate::run::{
-    Coverage, MeshFormat, MeshOptions, MeshPicture, MeshReport, MeshUnits, OpenOptions, RunDir, Trained, Viewpoint,
-    builtin_surface, columns, mesh_picture, named_mesh, reference_mesh,
+    MeshFormat, MeshOptions, MeshPicture, MeshReport, MeshUnits, OpenOptions, RunDir, Trained, Viewpoint,
 };
 use crate::runtime::Runtime;
 use crate::settings::MESH_SIDES;
@@ -23,13 +19,13 @@ use crate::space::Lattice;
 use super::answer::Answer;
 use super::compare::pictures_folder;
 use super::measure::parse_box;
-use super::progress::{Console, open_next, print, report};
+use super::progress::{Console, open_next};
 use super::{Compute, whole};
 
 #[derive(Args)]
 #[command(next_help_heading = "Experiment")]
 pub struct MeshArguments {
-    /// Run folder (newest checkpoint); with --picture or --chamfer also a .ply or .obj file, or `builtin`
+    /// Run folder (newest checkpoint)
     run: PathBuf,
     /// Scene folder, if it has moved [default: the run's]
     #[arg(long, value_name = "DIR")]
@@ -71,8 +67,6 @@ pub struct MeshArguments {
     #[command(flatten)]
     picture: PictureArguments,
     #[command(flatten)]
-    chamfer: ChamferArguments,
-    #[command(flatten)]
     answer: Answer,
     #[command(flatten)]
     compute: Compute,
@@ -107,7 +101,7 @@ struct PictureArguments {
     /// Held-out views whose cameras the image uses, from 0 [default: 0]
     #[arg(long, value_name = "N,...", value_delimiter = ',', requires = "picture", conflicts_with = "at")]
     view: Vec<usize>,
-    /// Positions on the scene's camera path, or on a circle around a mesh file, 0 to 1 [default: 0.1]
+    /// Positions on the scene's camera path, 0 to 1
     #[arg(long, value_name = "SHARE,...", value_delimiter = ',', requires = "picture")]
     at: Vec<f64>,
     /// Colours of the image
@@ -161,10 +155,6 @@ impl PictureArguments {
     }
 }
 
-/// Width of an image of a mesh file in pixels, and its position on the circle.
-const FILE_COLUMNS: u16 = 400;
-const FILE_EYE: f64 = 0.1;
-
 #[derive(Clone, Copy, ValueEnum)]
 enum MeshPreset {
     /// The paper's for the chair: 512 cells per side of [-1,1]^3, density 25
@@ -181,66 +171,8 @@ enum Format {
 
 impl MeshArguments {
     pub fn run(self) -> Result<()> {
-        if let Some(other) = &self.chamfer.chamfer {
-            let name = self.run.to_string_lossy();
-            if let Some(flag) = self.extraction_flag() {
-                return Err(Error::Config(format!(
-                    "{flag}: --chamfer compares meshes that exist; omit {flag}, or extract the mesh first"
-                )));
-            }
-            return self.chamfer.measure(&name, other, self.answer, self.compute.quiet);
-        }
         let options = self.options()?;
-        if self.run.is_file() || self.run.to_str().is_some_and(|name| builtin_surface(name).is_some()) {
-            return self.compute.run(|_, _| self.picture_of_file(options.picture));
-        }
         self.compute.run(|runtime, console| self.draw(&options, runtime, console))
-    }
-
-    /// Draws an image of an existing mesh.
-    fn picture_of_file(&self, picture: Option<MeshPicture>) -> Result<()> {
-        let name = self.run.to_string_lossy();
-        let picture = picture.ok_or_else(|| {
-            Error::Config(format!("{name}: already a mesh; draw it with --picture FILE.png, or name a run folder"))
-        })?;
-        if !self.picture.view.is_empty() {
-            return Err(Error::Config(format!("--view: the mesh {name} has no held-out views; use --at 0.1,0.6")));
-        }
-        if let Some(flag) = self.extraction_flag() {
-            return Err(Error::Config(format!(
-                "{flag}: {name} is already a mesh, of which only an image is drawn; omit {flag}, or name a run folder"
-            )));
-        }
-        let mesh = reference_mesh(&name)?.whole();
-        if picture.paint == Paint::Colours && mesh.colours.is_empty() {
-            return Err(Error::Config(format!("--paint colours: {name} has no colours that are read; omit --paint")));
-        }
-        let columns = usize::from(self.picture.columns.unwrap_or(FILE_COLUMNS));
-        let shares = if self.picture.at.is_empty() { vec![FILE_EYE] } else { self.picture.at.clone() };
-        let cameras: Vec<Camera> = shares.iter().map(|share| mesh::around(&mesh, *share, columns)).collect();
-        write_png8(&picture.file, &mesh_picture(&mesh, &cameras, picture.paint)?)?;
-        let file = picture.file.display().to_string();
-        self.answer.give_place(&json!({ "of": name, "folder": null, "picture": file, "mesh": null }), &picture.file)
-    }
-
-    /// Returns the first given flag that only a mesh of a run reads.
-    fn extraction_flag(&self) -> Option<&'static str> {
-        let given = [
-            ("--data", self.data.is_some()),
-            ("--resolution", self.resolution.is_some()),
-            ("--threshold", self.threshold.is_some()),
-            ("--bbox", self.bbox.is_some()),
-            ("--preset", self.preset.is_some()),
-            ("--cap", self.cap),
-            ("--largest", self.largest),
-            ("--out", self.out.is_some()),
-            ("--format", !self.format.is_empty()),
-            ("--units", self.units.is_some()),
-            ("--normals", self.normals.is_some()),
-            ("--density", self.density),
-            ("--memory", self.memory.is_some()),
-        ];
-        given.into_iter().find(|(_, given)| *given).map(|(flag, _)| flag)
     }
 
     fn draw(&self, options: &MeshOptions, runtime: &Runtime, console: &Console) -> Result<()> {
@@ -252,7 +184,6 @@ impl MeshArguments {
         let report = trained.draw_mesh_into(files, options, console)?;
         console.say(&describe(&report));
         offset_words(&report).iter().for_each(|words| console.say(words));
-        report.coverage.iter().for_each(|coverage| console.say(&covers(coverage)));
         let picture = options.picture.as_ref().map(|picture| picture.file.display().to_string());
         let (run, named) = (self.run.display().to_string(), folder.display().to_string());
         self.answer.give_place(&json!({ "of": run, "folder": named, "picture": picture, "mesh": report }), &folder)?;
@@ -340,82 +271,4 @@ fn offset_words(MeshReport { offset: [x, y, z], .. }: &MeshReport) -> Option<Str
              add it for the capture's own"
         )
     })
-}
-
-/// Says what the surface shows, and how it shows more.
-fn covers(Coverage { view, covered, better_threshold }: &Coverage) -> String {
-    let covered = format!("the surface covers {:.0} % of the solid pixels of view {view}", 100.0 * covered);
-    match better_threshold {
-        Some(better) => format!("{covered}; --threshold {better:.2} covers nine of ten"),
-        None => covered,
-    }
-}
-
-/// Flags for the distance to another mesh.
-#[derive(Args)]
-#[command(next_help_heading = "Distance")]
-struct ChamferArguments {
-    /// Measure the distance to another mesh instead, as CSV: a .ply or .obj file, a run folder, builtin, or builtin:17 by
-    /// number
-    #[arg(long, value_name = "MESH", conflicts_with_all = ["picture", "threads", "device"])]
-    chamfer: Option<String>,
-    /// Points sampled on each surface, uniformly over its area
-    #[arg(long, value_name = "N", default_value_t = 200_000, requires = "chamfer")]
-    points: usize,
-    /// Seed of the points
-    #[arg(long, value_name = "N", default_value_t = 0, requires = "chamfer")]
-    seed: u64,
-    /// Distances of the F-scores, in the meshes' units
-    #[arg(long, value_name = "D,D,...", value_delimiter = ',', default_value = "0.01,0.02,0.05", requires = "chamfer")]
-    within: Vec<f64>,
-}
-
-impl ChamferArguments {
-    /// Measures and prints the distance between two meshes.
-    fn measure(&self, name: &str, other: &str, answer: Answer, quiet: bool) -> Result<()> {
-        check_flag("--points", "eval.mesh.points", self.points)?;
-        for distance in &self.within {
-            check_flag("--within", "eval.mesh.at", distance)?;
-        }
-        let draw = |name: &str, other: &str| named_mesh(name, other)?.sample(self.points, self.seed);
-        let (mesh, reference) = (draw(name, other)?, draw(other, name)?);
-        let compared = mesh::chamfer(&mesh, &reference, &self.within)?;
-        let report = json!({
-            "mesh": name,
-            "reference": other,
-            "points_mesh": mesh.points.len(),
-            "points_reference": reference.points.len(),
-            "seed": self.seed,
-            "distance": compared,
-            "scores": compared.scores,
-        });
-        answer.give(&report, || {
-            let mut cells = vec![
-                ("mesh".into(), name.to_string()),
-                ("reference".into(), other.to_string()),
-                ("points_mesh".into(), mesh.points.len().to_string()),
-                ("points_reference".into(), reference.points.len().to_string()),
-                ("seed".into(), self.seed.to_string()),
-            ];
-            cells.extend(columns(&compared));
-            for Score { at, precision, recall, f_score } in &compared.scores {
-                let scores = [("precision", precision), ("recall", recall), ("f_score", f_score)];
-                cells.extend(scores.map(|(name, value)| (format!("{name}_{at}"), value.to_string())));
-            }
-            let (names, values): (Vec<_>, Vec<_>) = cells.into_iter().unzip();
-            print(csv_text([names, values]).trim_end())
-        })?;
-        if !quiet && !answer.json {
-            report_distance(&compared);
-        }
-        Ok(())
-    }
-}
-
-fn report_distance(compared: &mesh::Chamfer) {
-    report(&format!(
-        "Chamfer {:.5}: {:.5} from the mesh to the reference, {:.5} back; two samples of one surface with as many points \
-         have {:.5}",
-        compared.chamfer, compared.mesh_to_reference, compared.reference_to_mesh, compared.floor
-    ));
 }

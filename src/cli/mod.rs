@@ -95,14 +95,10 @@ ray.csv (coarse, fine and even samples of the pixel's ray) instead.";
 const MESH_EXAMPLES: &str = "Examples:
   augnerf mesh runs/builtin-nerf-*                # 256 cells per side of the scene's box
   augnerf mesh RUN --resolution 400 --threshold 5 --bbox -1,-1,-0.5,1,1,1 --format ply,obj
-  augnerf mesh RUN --chamfer builtin              # distance to the built-in scene, as CSV
+  augnerf mesh RUN --largest --picture mesh.png   # an image, too
 
 The mesh is the level set where density equals the threshold. If a run uses normalized device coordinates, --bbox, \
---resolution and --threshold are in those, and the files are in scene units.
-
---chamfer: the column chamfer is the sum of both mean distances (Euclidean) to the other surface's nearest point. The column \
-floor is the same for two samples of one surface. Surfaces that no camera sees count, but for the inside of the built-in \
-scene.";
+--resolution and --threshold are in those, and the files are in scene units.";
 
 #[derive(Subcommand)]
 enum Command {

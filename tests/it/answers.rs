@@ -95,7 +95,6 @@ fn every_answer_as_json_is_one_object_with_the_keys_of_its_page() {
         ("eval a --smoothness --lattice 8", "fields"),
         ("train --balance=2 --set regularizer.points_per_step=64 TINY", "scene steps weights"),
         ("compare a --ray 2,2", "folder ray"),
-        ("mesh a --chamfer builtin --points 2000", "mesh reference points_mesh points_reference seed distance scores"),
         ("bench --devices", "devices"),
         ("sweep run tiny.toml --create", "folder points"),
     ] {

@@ -514,13 +514,6 @@ fn a_built_in_scene_has_a_number() {
     assert!((0..4).all(|i| hashes[..i].iter().all(|other| *other != hashes[i])), "{hashes:?}");
     let names = ["a", "b", "still"].map(|name| of(name, "scene"));
     assert_eq!(names, ["\"builtin-3\"", "\"builtin-4\"", "\"builtin\""]);
-    for run in ["a", "b"] {
-        place.run(&format!("mesh {run} --resolution 24 --threshold 0.1 --quiet"), 0);
-    }
-    place.run("mesh a --chamfer builtin:3", 0);
-    place.says("mesh a --chamfer builtin:4", 2, &["builtin-3", "builtin:4", "another scene"]);
-    let both = ["builtin-3 (builtin-blender)", "builtin-4 (builtin-blender)", "one scene"];
-    place.says("mesh a --chamfer b", 2, &both);
     place.run("data export-builtin files --scene 3 --width 16", 0);
     assert_says(&place.printed("data check files --json"), &["blender"]);
     place.says(&tiny("d", "--data builtin:x"), 3, &["builtin:x", "no such folder"]);

@@ -343,10 +343,6 @@ fn a_colmap_folder_is_checked_drawn_trained_and_meshed() {
         let back = pose::transform(&matrix, capture.map(f64::from));
         assert!(pose::length(pose::sub(back, scene.map(f64::from))) < 1e-5);
     }
-    // Whatever their names are, the files are known to have other units.
-    let both = "mesh scene/mesh.ply --chamfer capture/mesh.ply";
-    place.says(both, 2, &["different coordinates", "--units capture"]);
-    place.run("mesh capture/mesh.ply --chamfer capture/mesh.ply --points 200", 0);
 }
 
 /// Draws a mesh at a threshold that has a level set, which the refusal of one that has none names, and returns what is said.

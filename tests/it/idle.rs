@@ -3,21 +3,6 @@
 use crate::common::assert_says;
 use crate::common::program::{Place, set};
 
-/// A mesh that is there is drawn as it is, and nothing else is written.
-#[test]
-fn flags_that_extract_a_mesh_are_refused_for_one_that_is_there() {
-    let place = Place::new();
-    for flags in
-        "--data /nope|--resolution 16|--threshold 1|--bbox -1,-1,-1,1,1,1|--preset paper|--cap|--largest|--out out|\
-        --format ply|--units scene|--normals triangles|--density|--memory 5"
-            .split('|')
-    {
-        let words = format!("{}: builtin is already a mesh", flags.split(' ').next().unwrap());
-        place.says(&format!("mesh builtin --picture mesh.png {flags}"), 2, &[&words, "name a run folder"]);
-    }
-    assert!(!place.at("mesh.png").exists() && !place.at("out").exists());
-}
-
 /// Cameras that are written are not rendered.
 #[test]
 fn flags_of_images_are_refused_where_cameras_are_written() {

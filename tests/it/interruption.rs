@@ -101,7 +101,6 @@ fn a_full_standard_output_is_an_error() {
     for line in [
         "eval --smoothness run --lattice 4",
         "eval run",
-        "mesh builtin --chamfer builtin --points 100",
         "sweep collect sweep",
         "sweep status sweep",
         "sweep plan tiny.toml --out sweep",

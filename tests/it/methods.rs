@@ -216,7 +216,6 @@ fn runs_without_fields_refuse_what_needs_them() {
         if let Some(why) = no_density {
             let words = ["a mesh of this run with method", method, why, "augnerf compare"];
             place.says(&format!("mesh {method}"), 2, &words);
-            place.says(&format!("mesh {method} --chamfer builtin"), 2, &[why]);
         }
         let words = [method, "no l1, TV or Laplacian", no_density.unwrap_or("trilinear")];
         place.says(&format!("eval --smoothness {method}"), 2, &words);

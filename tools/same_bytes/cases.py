@@ -350,8 +350,7 @@ def use_cases():
     yield Case("ray", uses + "augnerf compare nerf aug mip --ray 8,8\naugnerf compare nerf --out figure --ray 3,5 --view 1\n")
     yield Case("mesh", uses + "augnerf mesh nerf --resolution 24 --threshold 0.5 --format ply,obj --density\n"
                "augnerf mesh aug --resolution 20 --threshold 0.5 --cap --largest --bbox -1,-1,-0.5,1,1,1\n"
-               "augnerf mesh mip --resolution 16 --threshold 0.5 --quiet\n"
-               "augnerf mesh nerf --chamfer builtin --points 2000\naugnerf mesh nerf/mesh/mesh.obj --chamfer aug --points 1000 --within 0.01,0.1 --seed 3\n")
+               "augnerf mesh mip --resolution 16 --threshold 0.5 --quiet\n")
     yield Case("balance", f"augnerf train --balance=5 --preset smoke {TINY} --set regularizer.points_per_step=256")
     yield Case("bench", "\n".join(f"augnerf bench --method {method} --rays 8 --coarse 4 --fine 4 --width 8 --steps 1"
                                   for method in ("nerf", "aug", "mip", "tv", "laplacian")))

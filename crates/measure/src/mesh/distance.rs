@@ -90,17 +90,6 @@ impl Reference {
         Reference::Builtin(Box::new(builtin::blender_stage(seed)))
     }
 
-    /// Returns the complete mesh. For the built-in scene these are the surfaces of all solids, with their colours.
-    pub fn whole(self) -> Mesh {
-        match self {
-            Reference::Mesh(mesh) => mesh,
-            Reference::Builtin(stage) => {
-                let builtin::Mesh { vertices, colours, triangles, .. } = builtin::Mesh::of(&stage);
-                Mesh { vertices, colours, triangles, ..Mesh::default() }
-            }
-        }
-    }
-
     /// Returns at most `count` points. For the built-in scene it removes points with another solid directly in front.
     /// Its objects stand on and in one another, and where they touch or overlap there is no surface. The underside of
     /// its board, which no camera sees, stays.

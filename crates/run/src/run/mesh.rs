@@ -15,7 +15,6 @@ use crate::revision::version;
 use crate::settings::Capability;
 use crate::space::Lattice;
 
-use super::coverage::Coverage;
 use super::mesh_picture::{MeshPicture, mesh_picture};
 use super::scene_file::WorldMatrix;
 use super::{Protocol, Trained, folder::free_bytes, most_memory_mib, surface_box, surface_threshold};
@@ -114,9 +113,6 @@ pub enum MeshFormat {
 }
 
 impl MeshFormat {
-    /// All formats.
-    pub const ALL: [MeshFormat; 2] = [MeshFormat::Ply, MeshFormat::Obj];
-
     /// Returns the file's name in a run's `mesh` folder.
     pub fn file(self) -> &'static str {
         match self {
@@ -166,8 +162,6 @@ pub struct MeshReport {
     pub cap: bool,
     /// Distribution of densities over the cells' midpoints.
     pub density: DensityRange,
-    /// What the surface shows of a view; empty without a solid pixel.
-    pub coverage: Option<Coverage>,
     /// Number of vertices.
     pub vertices: usize,
     /// Number of triangles.
@@ -230,9 +224,8 @@ impl Trained {
             format.write(&files.path().join(format.file()), &finished.mesh)?;
         }
         let dropped = if options.largest { components.len() - 1 } else { 0 };
-        let coverage = Coverage::of(&*density, &self.scene, &drawing.lattice, drawing.threshold)?;
         let counts = [components.len(), dropped];
-        let report = MeshReport { coverage, ..MeshReport::new(self, &drawing, range, &finished, options, counts) };
+        let report = MeshReport::new(self, &drawing, range, &finished, options, counts);
         write_json(&files.path().join(REPORT), &report)?;
         files.commit()?;
         Ok(report)
@@ -281,7 +274,6 @@ impl MeshReport {
             variance: config.field.encoding.queries_gaussians().then(|| drawing.lattice.cell_variance()),
             cap: drawing.cap,
             density,
-            coverage: None,
             vertices: mesh.vertices.len(),
             faces: mesh.triangles.len(),
             closed: open_edges == 0,

@@ -7,7 +7,6 @@
 mod balance;
 mod columns;
 mod corruption;
-mod coverage;
 mod depth_errors;
 mod evaluate;
 mod exchange;
@@ -19,7 +18,6 @@ mod lock;
 mod mesh;
 mod mesh_picture;
 mod metrics;
-mod named_mesh;
 mod pictures;
 mod preview;
 mod protocol;
@@ -35,7 +33,6 @@ mod trained;
 pub use balance::{BalancedWeight, balance};
 pub use columns::{cell, columns};
 pub use corruption::write_corrupted;
-pub use coverage::Coverage;
 pub use depth_errors::DepthErrors;
 pub use evaluate::{EVALUATING, RenderedView, Viewer};
 pub use exchange::{Foreign, Networks, export};
@@ -47,7 +44,6 @@ pub use job::{Audience, Estimate, Finished, Job, Setup};
 pub use mesh::{MeshFormat, MeshOptions, MeshReport, MeshUnits};
 pub use mesh_picture::{MeshPicture, Viewpoint, mesh_picture};
 pub use metrics::Report;
-pub use named_mesh::named_mesh;
 pub use pictures::{PathPictures, Pictures};
 pub use protocol::Protocol;
 pub use protocol::split_name;
@@ -57,9 +53,7 @@ pub use scene_picture::scene_picture;
 pub use score::{Matching, Picture, Score, Truth, pictures, score};
 pub use session::{Between, EVALUATION_COLUMNS, Session, TRAINING_VIEW_COLUMNS, interrupted};
 pub use smoothness::{FieldSmoothness, SMOOTHNESS_SIDE, SmoothnessReport, check_measurable, smoothness_box};
-pub use surface::{
-    BUILTIN, Surface, builtin_surface, most_memory_mib, reference_mesh, surface_box, surface_reference,
-    surface_threshold,
-};
+use surface::builtin_surface;
+pub use surface::{Surface, most_memory_mib, surface_box, surface_reference, surface_threshold};
 use trained::Measurement;
 pub use trained::{OpenOptions, Split, Trained};

@@ -180,3 +180,15 @@ fn difference(then: &[String], now: &[String]) -> Option<String> {
         (true, true) => None,
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Captures in small units have small matrices.
+    #[test]
+    fn coordinates_are_told_apart_by_their_scale() {
+        let world = |scale: f64| WorldMatrix::of(&WorldToScene::default().scaled(scale));
+        assert!(world(1e-9).is_close(&world(1e-9 * (1.0 + 1e-9))) && !world(1e-9).is_close(&world(2e-9)));
+    }
+}

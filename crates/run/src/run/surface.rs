@@ -13,7 +13,7 @@ use super::mesh_picture::surface_picture;
 use super::{RenderedView, Viewer};
 
 /// Name of the built-in scene's own mesh as a reference.
-pub const BUILTIN: &str = "builtin";
+const BUILTIN: &str = "builtin";
 /// Fraction of the free memory that a surface may take.
 const MEMORY_SHARE: f64 = 0.5;
 /// Memory limit in MiB if the system does not report the free memory.
@@ -55,12 +55,12 @@ pub fn surface_threshold(config: &Config, scene: &Scene) -> f64 {
 }
 
 /// Returns the built-in scene whose surface a name means: `builtin`, or `builtin:17`.
-pub fn builtin_surface(name: &str) -> Option<BuiltinScene> {
+pub(super) fn builtin_surface(name: &str) -> Option<BuiltinScene> {
     BuiltinScene::named(name).filter(|scene| scene.kind == DataKind::BuiltinBlender)
 }
 
 /// Reads a reference mesh: `builtin`, `builtin:17`, or a file.
-pub fn reference_mesh(name: &str) -> Result<Reference> {
+fn reference_mesh(name: &str) -> Result<Reference> {
     match builtin_surface(name) {
         Some(scene) => Ok(Reference::builtin(scene.seed)),
         None => read_mesh(Path::new(name)).map(Reference::Mesh),
