@@ -1,6 +1,5 @@
-//! Finished sweeps looked at again: chosen rows, another baseline, two sweeps in one table, the best row, names for points.
+//! Finished sweeps looked at again: two sweeps in one table, results and their folders, shipped sweeps.
 
-use std::collections::HashMap;
 use std::path::{Path, PathBuf};
 
 use crate::common::assert_says;
@@ -69,73 +68,38 @@ fn finished(dir: &Path, name: &str, definition: &str, fields: &[(&str, &str)]) -
     (path, points)
 }
 
-/// A line of a CSV file by its columns.
-type Cells = HashMap<String, String>;
-
-fn number(row: &Cells, column: &str) -> f64 {
-    row[column].parse().unwrap_or_else(|_| panic!("{column}: {row:?}"))
-}
-
 #[test]
-fn chosen_rows_have_the_statistics_of_what_is_shown() {
+fn a_table_of_several_sweeps_has_a_folder_of_its_own() {
     let place = Place::new();
     finished(place.path(), "one", BASE, &[]);
+    finished(place.path(), "two", &BASE.replace("[0, 1, 2]", "[3]"), &[]);
     place.run("sweep collect runs/one", 0);
-    let table = |folder: &str| rows(&place.text(&format!("{folder}/table.csv")));
-    let whole = table("results/one");
-    assert_eq!(whole.len(), 4);
+    let whole = place.text("results/one/table.csv");
     let notes = place.text("results/one/table.md");
     assert_says(&notes, &["lpips_squeeze: empty, no LPIPS weights were given", "--remeasure"]);
 
-    let collect = |further: &str, code: i32| place.run(&format!("sweep collect runs/one {further}"), code);
-    // The row's name has a comma of its own.
-    collect("--rows 'B,A, long,NeRF' --metrics psnr --out view", 0);
-    let chosen = table("view");
-    assert_eq!(chosen.iter().map(|row| row["row"].as_str()).collect::<Vec<_>>(), ["B", "A, long", "NeRF"]);
-    assert!(!chosen[0].contains_key("ssim_mean"), "{chosen:?}");
-    let of = |table: &[Cells], name: &str| table.iter().find(|row| row["row"] == name).unwrap().clone();
-    // One comparison instead of three: nothing is left to correct.
-    collect("--rows 'NeRF,A, long' --out pair", 0);
-    let (pair, whole_p) = (of(&table("pair"), "A, long"), of(&whole, "A, long"));
-    assert_eq!(number(&pair, "psnr_p"), number(&whole_p, "psnr_p"));
-    assert_eq!(number(&pair, "psnr_p_holm"), number(&pair, "psnr_p"));
-    assert!(number(&whole_p, "psnr_p_holm") > number(&whole_p, "psnr_p"), "{whole_p:?}");
-    let markdown = place.text("view/table.md");
-    assert_says(&markdown, &["a view of one; rows, metrics chosen after the points were run", "Holm's correction"]);
-    assert!(place.text("view/view.toml").contains("points_sha256"));
-
-    collect("--baseline 'A, long' --out other", 0);
-    let other = table("other");
-    assert_eq!(of(&other, "A, long")["baseline"], "");
-    let turned = number(&of(&other, "NeRF"), "psnr_difference");
-    assert!((turned + number(&of(&whole, "A, long"), "psnr_difference")).abs() < 1e-9);
-    collect("--rows B,C --baseline none --out none", 0);
-    assert!(table("none").iter().all(|row| !row.contains_key("psnr_difference")));
-
-    assert_says(&collect("--rows B", 2), &["--out"]);
-    assert_says(&collect("--rows B --out x", 2), &["lacks 'NeRF'", "the baseline of 'B'", "--baseline"]);
-    assert_says(&collect("--rows Nerf --out x", 2), &["'Nerf' is not a row", "A, long"]);
-    assert_says(&collect("--baseline D --out x", 2), &["--baseline D", "NeRF"]);
-    assert_says(&collect("--metrics psnrr --out x", 2), &["unknown metric 'psnrr'", "psnr"]);
-    assert_says(&collect("--rows NeRF --out results/one", 4), &["complete tables", "--out"]);
+    let collect = |further: &str, code: i32| place.run(&format!("sweep collect {further}"), code);
+    let merge = |out: &str, code: i32| collect(&format!("runs/one --merge runs/two --out {out}"), code);
+    assert_says(&collect("runs/one --merge runs/two", 2), &["--out"]);
+    assert_says(&merge("results/one", 4), &["complete tables", "--out"]);
     // Somebody's own figures, some of which have names of ours.
     place.write("paper/rows_overview.svg", "mine");
-    assert_says(&collect("--rows NeRF --out paper", 4), &["paper holds files that are not a view", "--out"]);
+    assert_says(&merge("paper", 4), &["paper holds files that are not a view", "--out"]);
     assert_eq!(place.text("paper/rows_overview.svg"), "mine");
-    collect("--rows NeRF --out pair", 0);
-    collect("--rows 'NeRF,A, long' --out pair", 0);
+    merge("both", 0);
+    merge("both", 0);
     // Of results alone, without the points, the same comes out; their own tables are left to `verify`.
-    collect("--rows 'NeRF,A, long' --out again", 0);
-    place.run("sweep collect results/one --rows 'NeRF,A, long' --out kept", 0);
-    assert_eq!(place.text("kept/table.csv"), place.text("again/table.csv"));
+    collect("results/one --merge runs/two --out kept", 0);
+    assert_eq!(place.text("kept/table.csv"), place.text("both/table.csv"));
+    assert!(place.text("both/view.toml").contains("points_sha256"));
     place.says("sweep collect results/one", 2, &["results, not points", "verify --update"]);
     // A point that several lines show counts once.
     let shared = format!("{}/results/paper/fig_embedded", env!("CARGO_MANIFEST_DIR"));
     assert_eq!(rows(&text(&Path::new(&shared).join("points.csv"))).len(), 117);
     place.says(&format!("sweep status {shared}"), 0, &["results, 99 done"]);
     // The sweep's own tables are what they were, and a view beside them does not disturb their check.
-    assert_eq!(table("results/one"), whole);
-    collect("--rows NeRF,B --out results/view", 0);
+    assert_eq!(place.text("results/one/table.csv"), whole);
+    merge("results/view", 0);
     place.says("verify results/view", 0, &["a view of sweeps"]);
 }
 
@@ -157,8 +121,8 @@ fn results_replace_only_those_of_their_sweep() {
     assert_says(&said, &["paper holds files that are not results of a sweep", "--out"]);
     assert_eq!(entries(&at("paper")), [at("paper/curves_mine.svg")]);
     assert_eq!(text(&at("paper/curves_mine.svg")), "mine");
-    // A view takes the place of chosen rows alone.
-    collect("runs/one --rows NeRF,B --out view", 0);
+    // A view takes the place of a view alone.
+    collect("runs/one --merge runs/two --out view", 0);
     assert_says(&collect("runs/one --out view", 4), &["view holds files that are not results of a sweep"]);
     collect("runs/one --out tables", 0);
     assert!(files(&at("tables"), &[]) == before, "the same files with the same bytes");
@@ -196,14 +160,12 @@ fn two_sweeps_stand_in_one_table_where_they_agree() {
     let other = &table[4];
     assert_eq!((other["baseline"].as_str(), other["psnr_pairs"].as_str()), ("NeRF", "2"));
     assert!(place.text("both/table.md").contains("a view of monday and tuesday"));
-    // What is left to do of the rows shown decides the exit code, by the names that these rows have here.
+    // What is left to do of any sweep decides the exit code.
     let later_points = expand(&Definition::parse(&later, "tuesday").unwrap(), None, &Costs).unwrap();
     let of_b = later_points.iter().find(|point| point.places[0].row == "B").unwrap();
     let tuesday = SweepFolder::new(&place.at("runs/tuesday"));
     std::fs::remove_file(tuesday.point(&of_b.id).path().join("result.json")).unwrap();
-    let shown = |rows: &str, code: i32| place.run(&format!("{merge} --rows '{rows}'"), code);
-    shown("NeRF,B", 0);
-    assert_says(&shown("NeRF,B (tuesday)", 11), &["6 of 7 points are done", "1 are waiting"]);
+    assert_says(&place.run(merge, 11), &["19 of 20 points are done", "1 are waiting"]);
 
     finished(place.path(), "wednesday", &later, &[("code_revision", "def"), ("width", "32")]);
     let refused = "sweep collect runs/monday --merge runs/wednesday --out third";

@@ -108,10 +108,6 @@ fn a_sweep_says_how_long_it_takes_and_how_it_ended() {
     let place = workplace();
     place.run("sweep run --create sweeps/tiny.toml", 0);
     place.run("sweep run-point runs/tiny --index 0", 0);
-    // Chosen rows are judged alone.
-    place.run("sweep collect runs/tiny --rows NeRF --out nerf", 0);
-    place.run("sweep collect runs/tiny --rows 'NeRF,TV, weak' --out both", 11);
-    place.says("sweep collect runs/tiny --rows TV --out both", 2, &["the rows are 'NeRF', 'TV, weak'"]);
     place.says("sweep run sweeps/tiny.toml", 0, &["1 of 2 points are left: about ", "here, one after the other"]);
     let first = entries(&place.at("runs/tiny/points")).remove(0);
     fs::remove_file(first.join("result.json")).unwrap();

@@ -16,7 +16,7 @@ use crate::settings::value_at;
 use super::collect::holds_files;
 use super::folder::DEFINITION;
 use super::points::Point;
-use super::view::{Origin, Selection, Source, VIEW, View};
+use super::view::{Origin, Source, VIEW, View};
 use super::words::{check_name, check_text, quoted};
 
 /// The file that a folder of a comparison over sweeps has instead of a sweep's definition.
@@ -83,7 +83,7 @@ impl ComparisonRequest {
                 return Err(Error::Config(format!("sweep '{}' is named twice: each is one block", source.name)));
             }
             [row, &self.baseline].into_iter().try_for_each(|name| has_row(source, name))?;
-            let view = self.view(source, vec![self.baseline.clone(), row.into()])?;
+            let view = self.view(source, &[self.baseline.clone(), row.into()])?;
             tables.push(of_sweep(source, view.table())?);
         }
         for (name, label) in labels {
@@ -106,7 +106,7 @@ impl ComparisonRequest {
         if !rows.is_empty() {
             rows.insert(0, self.baseline.clone());
         }
-        let views = sources.iter().map(|source| self.view(source, rows.clone())).collect::<Result<Vec<View>>>()?;
+        let views = sources.iter().map(|source| self.view(source, &rows)).collect::<Result<Vec<View>>>()?;
         let (baseline, metric) = (&self.baseline, &self.metric);
         check_alike(sources, &distinct(views.iter().flat_map(View::rows)))?;
         if distinct(views.iter().map(|view| view.margin(metric))).len() > 1 {
@@ -132,11 +132,8 @@ impl ComparisonRequest {
     }
 
     /// Returns rows of one sweep; all, if none is named.
-    fn view(&self, source: &Source, rows: Vec<String>) -> Result<View> {
-        let selection = Selection { baseline: Some(self.baseline.clone()), rows, metrics: vec![self.metric.clone()] };
-        // Metrics over common pixels are the sweep's own, of all its rows: its results have no others.
-        let source = Source { folder: None, ..source.clone() };
-        of_sweep(&source, View::new(&source.name, std::slice::from_ref(&source), selection))
+    fn view(&self, source: &Source, rows: &[String]) -> Result<View> {
+        of_sweep(source, View::compared(source, &self.baseline, rows, &self.metric))
     }
 
     fn check_chosen(&self, records: &[Vec<Record>]) -> Result<()> {

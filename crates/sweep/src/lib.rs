@@ -69,6 +69,6 @@ pub use runner::{Options, Runner, Unmeasured, Work};
 pub use shipped::{SHIPPED, TEMPLATE, template, write_new};
 pub use step_seconds::PublishedCosts;
 pub use training::{Cost, Trainings};
-pub use view::{Origin, Selection, Source, View, split_names};
+pub use view::{Origin, Source, View, split_names};
 pub use words::{check_name, check_text};
 pub use worker::last_words;

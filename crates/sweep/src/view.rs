@@ -1,5 +1,5 @@
-//! Tables of finished sweeps with chosen rows, metrics or baseline, or of several sweeps together. Nothing is run, and
-//! the statistics are of the rows shown.
+//! Finished sweeps looked at again: several in one table, or rows of one for a comparison. Nothing is run, and the statistics are
+//! of the rows shown.
 
 use std::collections::{BTreeMap, HashMap, HashSet};
 use std::path::Path;
@@ -26,9 +26,6 @@ use super::words::quoted;
 
 /// File that a view's folder has in place of a sweep's definition.
 pub const VIEW: &str = "view.toml";
-/// Value of `--baseline` for no comparison.
-const NO_BASELINE: &str = "none";
-
 /// A sweep that was run, or is running.
 #[derive(Clone)]
 pub struct Source<'a> {
@@ -44,35 +41,13 @@ pub struct Source<'a> {
     pub outputs: SweepOutputs,
 }
 
-/// The part of sweeps that a view shows.
-#[derive(Clone, Debug, Default, Serialize)]
-pub struct Selection {
-    /// The row that all others are compared with, in place of the definitions'; `none` compares nothing.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub baseline: Option<String>,
-    /// Rows in the order of the table; empty for all.
-    #[serde(skip_serializing_if = "Vec::is_empty")]
-    pub rows: Vec<String>,
-    /// Metrics in the order of the columns; empty for all.
-    #[serde(skip_serializing_if = "Vec::is_empty")]
-    pub metrics: Vec<String>,
-}
-
-impl Selection {
-    /// Returns whether everything is shown, as the definitions say.
-    pub fn is_all(&self) -> bool {
-        self.baseline.is_none() && self.rows.is_empty() && self.metrics.is_empty()
-    }
-}
-
-/// Chosen rows of one or several sweeps in one table.
+/// Rows of one or several sweeps in one table.
 pub struct View {
     /// Definition of the first sweep.
     first: Definition,
     spec: TableSpec,
     outputs: SweepOutputs,
     points: Vec<Point>,
-    selection: Selection,
     sweeps: Vec<Origin>,
 }
 
@@ -97,29 +72,70 @@ impl Origin {
 }
 
 impl View {
-    /// Builds a view of one sweep or several. Rows of one name are one row unless their settings differ. In that case
-    /// the later sweep's row gets that sweep's name in brackets.
+    /// Joins sweeps in one table. Rows of one name are one row unless their settings differ. In that case the later
+    /// sweep's row gets that sweep's name in brackets.
     ///
     /// # Errors
-    /// A row or metric does not exist; a baseline is not among the rows.
-    pub fn new(name: &str, sources: &[Source], selection: Selection) -> Result<View> {
+    /// The depth errors of a run cannot be read.
+    pub fn merged(name: &str, sources: &[Source]) -> Result<View> {
         let (first, others) = sources.split_first().expect("at least one sweep");
-        let mut view = View {
-            first: first.definition.clone(),
-            spec: TableSpec { name: name.into(), ..table_of(first) },
-            outputs: first.outputs.clone(),
-            points: first.points.to_vec(),
-            selection: selection.clone(),
-            sweeps: sources.iter().map(Origin::of).collect(),
-        };
+        let mut view = View::of(name, first);
         others.iter().for_each(|source| view.merge(source));
-        if !others.is_empty() {
-            view.match_all(sources);
-        }
-        view.choose(&selection)?;
+        view.match_all(sources);
+        let ids: HashSet<&str> = view.outputs.records.iter().map(|record| record.id.as_str()).collect();
+        view.points.retain(|point| ids.contains(point.id.as_str()));
+        view.outputs.timing.retain(|(id, _)| ids.contains(id.as_str()));
+        view.sweeps = sources.iter().map(Origin::of).collect();
         view.measure_common(sources)?;
-        view.spec.notes = view.notes();
+        let names: Vec<&str> = view.sweeps.iter().map(|sweep| sweep.name.as_str()).collect();
+        view.spec.notes = vec![format!("a view of {}", names.join(" and "))];
         Ok(view)
+    }
+
+    /// Keeps some rows of a sweep, or all if `rows` is empty, compared with `baseline` in one metric. Metrics over
+    /// common pixels stay those over all rows.
+    ///
+    /// # Errors
+    /// A row, the baseline or the metric does not exist.
+    pub(super) fn compared(source: &Source, baseline: &str, rows: &[String], metric: &str) -> Result<View> {
+        let mut view = View::of(&source.name, source);
+        let names: Vec<&str> = view.rows().collect();
+        if !rows.is_empty() {
+            let chosen = split_names("--rows", rows, &names)?;
+            let row = |name: &String| view.spec.rows.iter().find(|row| row.name == *name).expect("split").clone();
+            view.spec.rows = chosen.iter().map(row).collect();
+            view.outputs.records.retain(|record| chosen.contains(&record.row));
+        }
+        if view.spec.rows.iter().find(|row| row.name == baseline).is_none_or(|row| row.quoted) {
+            let names: Vec<&str> = view.rows().collect();
+            return Err(Error::Config(format!(
+                "--baseline {baseline}: no shown row with measured numbers has this name; the rows are {}",
+                quoted(&names)
+            )));
+        }
+        let others = view.spec.rows.iter_mut().filter(|row| !row.quoted);
+        others.for_each(|row| row.baseline = (row.name != baseline).then(|| baseline.to_string()));
+        if !Metric::in_tables().any(|known| known.key == metric) {
+            let known: Vec<&str> = Metric::in_tables().map(|metric| metric.key).collect();
+            return Err(Error::Config(format!(
+                "--metric: unknown metric '{metric}'; choose from {}",
+                known.join(", ")
+            )));
+        }
+        view.spec.metrics = vec![metric.into()];
+        view.spec.equivalence.retain(|(name, _)| name == metric);
+        Ok(view)
+    }
+
+    /// Returns all rows of a sweep.
+    fn of(name: &str, source: &Source) -> View {
+        View {
+            first: source.definition.clone(),
+            spec: TableSpec { name: name.into(), ..table_of(source) },
+            outputs: source.outputs.clone(),
+            points: source.points.to_vec(),
+            sweeps: Vec::new(),
+        }
     }
 
     /// Adds another sweep's rows, points and files.
@@ -206,28 +222,6 @@ impl View {
         self.spec.by_seed = distinct(by_seed);
     }
 
-    fn choose(&mut self, selection: &Selection) -> Result<()> {
-        if !selection.rows.is_empty() {
-            let names = self.spec.rows.iter().map(|row| row.name.as_str()).collect::<Vec<&str>>();
-            let chosen = split_names("--rows", &selection.rows, &names)?;
-            let row = |name: &String| self.spec.rows.iter().find(|row| row.name == *name).expect("split").clone();
-            self.spec.rows = chosen.iter().map(row).collect();
-            self.selection.rows = chosen;
-        }
-        let shown = |name: &str| self.spec.rows.iter().any(|row| row.name == name);
-        self.outputs.records.retain(|record| shown(&record.row));
-        let ids: HashSet<&str> = self.outputs.records.iter().map(|record| record.id.as_str()).collect();
-        self.points.retain(|point| ids.contains(point.id.as_str()));
-        self.outputs.timing.retain(|(id, _)| ids.contains(id.as_str()));
-        self.choose_baseline(selection.baseline.as_deref())?;
-        if !selection.metrics.is_empty() {
-            self.spec.metrics = metrics(&selection.metrics)?;
-        }
-        let TableSpec { equivalence, metrics, .. } = &mut self.spec;
-        equivalence.retain(|(metric, _)| metrics.contains(metric));
-        Ok(())
-    }
-
     /// Iterates over the names of the rows that are shown.
     pub fn rows(&self) -> impl Iterator<Item = &str> {
         self.spec.rows.iter().map(|row| row.name.as_str())
@@ -238,47 +232,10 @@ impl View {
         &self.outputs.records
     }
 
-    fn choose_baseline(&mut self, baseline: Option<&str>) -> Result<()> {
-        let names: Vec<String> = self.spec.rows.iter().map(|row| row.name.clone()).collect();
-        let listed = || quoted(&names);
-        match baseline {
-            Some(NO_BASELINE) => self.spec.rows.iter_mut().for_each(|row| row.baseline = None),
-            Some(name) => {
-                let known = self.spec.rows.iter().find(|row| row.name == name);
-                if known.is_none_or(|row| row.quoted) {
-                    return Err(Error::Config(format!(
-                        "--baseline {name}: no shown row with measured numbers has this name; the rows are {}, and \
-                         {NO_BASELINE} compares nothing",
-                        listed()
-                    )));
-                }
-                let others = self.spec.rows.iter_mut().filter(|row| !row.quoted);
-                others.for_each(|row| row.baseline = (row.name != name).then(|| name.to_string()));
-            }
-            None => {
-                let lost = self.spec.rows.iter().find_map(|row| {
-                    let baseline = row.baseline.as_ref().filter(|baseline| !names.contains(baseline))?;
-                    Some((row.name.clone(), baseline.clone()))
-                });
-                if let Some((row, baseline)) = lost {
-                    return Err(Error::Config(format!(
-                        "--rows lacks '{baseline}', the baseline of '{row}'; add it, or choose another row with \
-                         --baseline, or --baseline {NO_BASELINE}"
-                    )));
-                }
-            }
-        }
-        Ok(())
-    }
-
-    /// Recomputes metrics over common pixels for the rows shown. If only the results of a single sweep are available,
-    /// its numbers stay those over all its rows.
+    /// Recomputes metrics over the pixels that all rows show.
     fn measure_common(&mut self, sources: &[Source]) -> Result<()> {
         let is_common = |name: &str| Metric::find(name).is_some_and(|metric| metric.scope == Scope::Common);
         let folders: Vec<&SweepFolder> = sources.iter().filter_map(|source| source.folder).collect();
-        if folders.is_empty() && sources.len() == 1 {
-            return Ok(());
-        }
         let records = &mut self.outputs.records;
         records.iter_mut().for_each(|record| record.result.metrics.retain(|(name, _)| !is_common(name)));
         if !wants_depth(&self.spec.metrics) {
@@ -290,27 +247,6 @@ impl View {
             found.unwrap_or(Ok(None))
         };
         add_common_depth(records, errors)
-    }
-
-    /// Returns notes that name the selection; without them a reader of the table would take it for the complete sweep.
-    fn notes(&self) -> Vec<String> {
-        let names: Vec<&str> = self.sweeps.iter().map(|sweep| sweep.name.as_str()).collect();
-        let Selection { baseline, rows, metrics } = &self.selection;
-        let chosen = [
-            (!rows.is_empty()).then_some("rows"),
-            (!metrics.is_empty()).then_some("metrics"),
-            baseline.is_some().then_some("the baseline"),
-        ];
-        let chosen: Vec<&str> = chosen.into_iter().flatten().collect();
-        let chosen = match chosen.is_empty() {
-            true => String::new(),
-            false => format!(
-                "; {} chosen after the points were run: intervals, p values and Holm's correction are those of the rows \
-                 shown here",
-                chosen.join(", ")
-            ),
-        };
-        vec![format!("a view of {}{chosen}", names.join(" and "))]
     }
 
     /// Returns the table.
@@ -344,7 +280,7 @@ impl View {
     pub fn write(&self, results: &Path, force: bool, with_timing: bool) -> Result<Table> {
         let refuse = |holds: &str| {
             Err(Error::Output(format!(
-                "{} holds {holds}; name another folder for chosen rows with --out",
+                "{} holds {holds}; name another folder for several sweeps with --out",
                 results.display()
             )))
         };
@@ -368,13 +304,11 @@ impl View {
     fn to_toml(&self) -> String {
         #[derive(Serialize)]
         struct File<'a> {
-            #[serde(flatten)]
-            selection: &'a Selection,
             sweep: &'a [Origin],
             constants: toml::Table,
         }
         let constants = toml_of(&self.outputs.constants());
-        toml::to_string(&File { selection: &self.selection, sweep: &self.sweeps, constants }).expect("plain data")
+        toml::to_string(&File { sweep: &self.sweeps, constants }).expect("plain data")
     }
 }
 
@@ -443,21 +377,6 @@ pub fn split_names(flag: &str, texts: &[String], known: &[&str]) -> Result<Vec<S
         }
     }
     Ok(names)
-}
-
-fn metrics(names: &[String]) -> Result<Vec<String>> {
-    let mut chosen: Vec<String> = Vec::new();
-    for name in names {
-        if !Metric::in_tables().any(|metric| metric.key == name) {
-            let known: Vec<&str> = Metric::in_tables().map(|metric| metric.key).collect();
-            return Err(Error::Config(format!("--metrics: unknown metric '{name}'; choose from {}", known.join(", "))));
-        }
-        if chosen.contains(name) {
-            return Err(Error::Config(format!("--metrics: '{name}' is named twice")));
-        }
-        chosen.push(name.clone());
-    }
-    Ok(chosen)
 }
 
 #[cfg(test)]

@@ -9,34 +9,25 @@ use crate::cli::answer::Answer;
 use crate::cli::progress::print;
 use crate::report::Record;
 use crate::report::tables::{Table, table_terminal};
-use crate::sweep::{Selection, View, check_name};
+use crate::sweep::{View, check_name};
 
 use super::opened::Opened;
 use super::{How, RESULTS, RUNS, check_any_data, check_done, collect, name_of, table_json, terminal_width};
 
 pub const EXAMPLES: &str = "Examples:
   augnerf sweep collect runs/tab4_fern  # tables and figures, in results/
-  augnerf sweep collect runs/tab4_fern --rows NeRF,Aug-NeRF --metrics psnr,ssim --out figures/two
   augnerf sweep collect runs/a --merge runs/b --out figures/both
 
---rows, --metrics, --baseline and --merge need --out. Intervals and corrected p values are over the chosen rows.
+--merge needs --out. Other rows, metrics or another baseline need a sweep file that says so: `augnerf sweep run FILE --name NAME \
+--extend` trains no point again.
 Exit codes: 0 all points are done; else the tables are written, and 7 points failed, 11 points are not done yet, 8 scenes are \
 missing, 9 rows are not comparable.";
 
 #[derive(Args)]
 #[command(next_help_heading = "Experiment")]
 pub struct CollectArguments {
-    /// Folder of a sweep: runs/NAME, or that of --out; with --rows or the like also results/NAME
+    /// Folder of a sweep: runs/NAME, or that of --out; with --merge also results/NAME
     folder: PathBuf,
-    /// Rows, in the order of the table [default: all]
-    #[arg(long, value_name = "ROW,...")]
-    rows: Vec<String>,
-    /// Metrics, in the order of the columns [default: the sweep's]
-    #[arg(long, value_delimiter = ',', value_name = "METRIC,...")]
-    metrics: Vec<String>,
-    /// Row that all others are compared with, or none [default: the sweep's]
-    #[arg(long, value_name = "ROW")]
-    baseline: Option<String>,
     /// Folder of another sweep, whose rows are appended; repeatable
     #[arg(long, value_name = "FOLDER")]
     merge: Vec<PathBuf>,
@@ -61,14 +52,12 @@ pub struct CollectArguments {
 
 impl CollectArguments {
     pub fn run(self) -> Result<()> {
-        let selection =
-            Selection { baseline: self.baseline.clone(), rows: self.rows.clone(), metrics: self.metrics.clone() };
         let mut sweep = self.open(&self.folder)?;
         if let Some(name) = &self.name {
             check_name("the sweep's name", name).map_err(Error::Config)?;
             sweep.name.clone_from(name);
         }
-        let (table, results, records) = match selection.is_all() && self.merge.is_empty() {
+        let (table, results, records) = match self.merge.is_empty() {
             true => {
                 sweep.check_runs()?;
                 let results = self.results(&sweep.name)?;
@@ -81,7 +70,7 @@ impl CollectArguments {
                     records,
                 )
             }
-            false => self.view(sweep, selection)?,
+            false => self.merged(sweep)?,
         };
         self.answer.give(&table_json(&table, &results), || {
             print(&table_terminal(&table, terminal_width()))?;
@@ -104,17 +93,15 @@ impl CollectArguments {
         }))
     }
 
-    /// Writes the chosen rows, and returns the records of their points.
-    fn view(&self, first: Opened, selection: Selection) -> Result<(Table, PathBuf, Vec<Record>)> {
+    /// Writes one table of several sweeps, and returns the records of its points.
+    fn merged(&self, first: Opened) -> Result<(Table, PathBuf, Vec<Record>)> {
         let Some(results) = self.out.clone() else {
-            return Err(Error::Config(
-                "--baseline, --rows, --metrics and --merge need a folder of their own; name it with --out".into(),
-            ));
+            return Err(Error::Config("--merge needs a folder of its own; name it with --out".into()));
         };
         let others = self.merge.iter().map(|path| self.open(path)).collect::<Result<Vec<_>>>()?;
         let sweeps: Vec<Opened> = std::iter::once(first).chain(others).collect();
         let sources = sweeps.iter().map(Opened::source).collect::<Result<Vec<_>>>()?;
-        let view = View::new(&name_of(&results)?, &sources, selection)?;
+        let view = View::merged(&name_of(&results)?, &sources)?;
         let records = view.point_records().to_vec();
         Ok((view.write(&results, self.force, self.with_timing)?, results, records))
     }

@@ -45,8 +45,8 @@ impl Opened {
             return Ok(());
         }
         Err(Error::Config(format!(
-            "{}: results, not points; choose --rows, --metrics, --baseline or --merge with --out, or write its tables again \
-             with `augnerf verify --update`",
+            "{}: results, not points; join it with others by --merge and --out, or write its tables again with \
+             `augnerf verify --update`",
             self.folder.path().display()
         )))
     }
