@@ -1,4 +1,4 @@
-//! `augnerf export` and `augnerf import`.
+//! `augnerf import`.
 
 use std::path::{Path, PathBuf};
 
@@ -7,48 +7,26 @@ use serde_json::json;
 
 use crate::base::files::AtomicDir;
 use crate::base::{Error, Result};
-use crate::run::{Existing, Foreign, Job, Networks, Setup, export, load_lpips, load_scene};
+use crate::run::{Existing, Foreign, Job, Setup, load_lpips, load_scene};
 use crate::runtime::Runtime;
 use crate::settings::Preset;
 use crate::train::Origin;
 
 use super::answer::Answer;
-use super::experiment::{Base, Experiment, say_without_effect, settings_file};
+use super::experiment::{Base, Experiment, say_without_effect};
 use super::progress::Console;
 use super::train::default_folder;
 use super::{Compute, LpipsWeights};
 
-pub const EXPORT_EXAMPLES: &str = "Examples:
-  augnerf export RUN lego.safetensors  # all weights, with networks, encodings and settings
-  augnerf export RUN lego.safetensors --data ~/data/lego
-
-Python reads such a file with safetensors.torch.load_file.";
-
 pub const IMPORT_EXAMPLES: &str = "Examples:
-  augnerf import lego.safetensors --data nerf_synthetic/lego --out runs/lego
   augnerf import 200000.tar --data nerf_synthetic/lego --preset paper-blender --out runs/lego
-  augnerf import lego.safetensors --data nerf_synthetic/lego --overwrite
+  augnerf import 200000.tar --data nerf_synthetic/lego --overwrite
 
 A nerf-pytorch checkpoint says nothing about reading and sampling the scene; --preset and --set do.";
 
 #[derive(Args)]
-pub struct ExportArguments {
-    /// Run folder (newest checkpoint)
-    run: PathBuf,
-    /// Output file: .safetensors
-    file: PathBuf,
-    /// Scene folder, if it has moved [default: the run's]
-    #[arg(long, value_name = "DIR")]
-    data: Option<PathBuf>,
-    #[command(flatten)]
-    answer: Answer,
-    #[command(flatten)]
-    compute: Compute,
-}
-
-#[derive(Args)]
 pub struct ImportArguments {
-    /// Checkpoint of nerf-pytorch (.tar, .pth, .pt), or .safetensors from `export`
+    /// Checkpoint of nerf-pytorch (.tar, .pth, .pt)
     file: PathBuf,
     #[command(flatten)]
     experiment: Experiment,
@@ -66,20 +44,6 @@ pub struct ImportArguments {
     compute: Compute,
 }
 
-impl ExportArguments {
-    pub fn run(self) -> Result<()> {
-        let step = self.compute.run(|runtime, console| {
-            let step = export(&self.run, &self.file, self.data.as_deref(), runtime, console)?;
-            console.say(&format!("weights of step {step}"));
-            Ok(step)
-        })?;
-        self.answer.give_place(
-            &json!({ "run": self.run.display().to_string(), "step": step, "file": self.file.display().to_string() }),
-            &self.file,
-        )
-    }
-}
-
 impl ImportArguments {
     pub fn run(self) -> Result<()> {
         self.compute.run(|runtime, console| self.import(runtime, console))
@@ -87,18 +51,14 @@ impl ImportArguments {
 
     fn import(&self, runtime: &Runtime, console: &Console) -> Result<()> {
         let foreign = Foreign::open(&self.file)?;
-        let own = match foreign.networks() {
-            Networks::Own { config } => Some(settings_file(config)?),
-            Networks::NerfPytorch { .. } => None,
-        };
         let mut first = foreign.settings()?;
         first.push((path("train.steps"), toml::Value::Integer(foreign.step().max(1) as i64)));
         let base = Base {
-            file: own.as_ref().map(|file| file.path()),
             first,
             last: vec![(path("train.parent"), foreign.parent().into())],
             // The weights are of the paper's networks, not of a hash grid.
             preset: |preset| if preset == Preset::Fast { Preset::Cpu } else { preset },
+            ..Base::default()
         };
         let config = self.experiment.config_over(base, &self.weights, console)?;
         // A run that names unreadable weights could not be measured.

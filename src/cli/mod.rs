@@ -129,10 +129,7 @@ enum Command {
     /// Look at runs live, on a page that this program serves
     #[command(after_help = view::EXAMPLES)]
     View(view::ViewArguments),
-    /// Export a run's weights as safetensors
-    #[command(after_help = exchange::EXPORT_EXAMPLES)]
-    Export(exchange::ExportArguments),
-    /// Create a run from weights that nerf-pytorch or `export` wrote
+    /// Create a run from a checkpoint of nerf-pytorch
     #[command(after_help = exchange::IMPORT_EXAMPLES)]
     Import(exchange::ImportArguments),
     /// Draw one held-out view of several runs, or plot along one ray
@@ -165,7 +162,6 @@ impl Command {
             Command::Bench(arguments) => arguments.run(),
             Command::Render(arguments) => arguments.run(),
             Command::View(arguments) => arguments.run(),
-            Command::Export(arguments) => arguments.run(),
             Command::Import(arguments) => arguments.run(),
             Command::Compare(arguments) => arguments.run(),
             Command::Mesh(arguments) => arguments.run(),

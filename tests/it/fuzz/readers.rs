@@ -12,7 +12,7 @@ use augnerf::mesh::{read_mesh, sample};
 use augnerf::methods::SiteSummary;
 use augnerf::metrics::{Backbone, Lpips};
 use augnerf::report::tables::{Table, points_csv};
-use augnerf::run::{DepthErrors, Foreign, Matching, Networks, RunDir, Scalars, Truth, pictures, score};
+use augnerf::run::{DepthErrors, Foreign, Matching, RunDir, Scalars, Truth, pictures, score};
 use augnerf::settings::{Axes, Config, DataConfig, Method, build, parse_assignment};
 use augnerf::sweep::verify::{Archive, Outcome, Verifier};
 use augnerf::sweep::{Definition, PublishedCosts, StepCosts, SweepFolder, SweepOutputs, Trainings, expand};
@@ -40,6 +40,7 @@ fn fixtures() -> PathBuf {
 /// All readers, their files in folders below `folder`.
 pub fn all(folder: &Path) -> Vec<Reader> {
     copy(&fixtures().join("sound"), folder);
+    fs::create_dir(folder.join("import")).unwrap();
     fs::write(folder.join("config/defaults.toml"), Config::default().to_toml()).unwrap();
     for name in ["nerf_pytorch.tar", "hostile/short_storage.tar", "hostile/missing_storage.tar"] {
         let from = fixtures().join(name);
@@ -132,13 +133,9 @@ fn read_picture(file: &Path) -> Result<()> {
     score(&pictures(folder.path(), "_rgb")?, &truth, Matching::Name, Some([1.0; 3]), &[], &()).map(drop)
 }
 
-/// Weights of other programs and of this one, as far as to the settings that they ask for.
+/// Weights of another program, as far as to the settings that they ask for.
 fn read_foreign(file: &Path) -> Result<()> {
-    let foreign = Foreign::open(file)?;
-    if let Networks::Own { config } = foreign.networks() {
-        Config::from_toml(config, "its configuration")?;
-    }
-    foreign.settings().map(drop)
+    Foreign::open(file)?.settings().map(drop)
 }
 
 /// The files of a run's folder, with a checkpoint whose sums are those of its files.

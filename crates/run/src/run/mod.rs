@@ -35,7 +35,7 @@ pub use columns::{cell, columns};
 pub use corruption::write_corrupted;
 pub use depth_errors::DepthErrors;
 pub use evaluate::{EVALUATING, RenderedView, Viewer};
-pub use exchange::{Foreign, Networks, export};
+pub use exchange::Foreign;
 pub use first_view::{FirstView, read_picture};
 pub use folder::{Existing, RunDir};
 pub use inputs::{check_spacing, load_lpips, load_scene, load_scene_of, load_scene_with, locate_scene};

@@ -31,8 +31,6 @@ struct Contents {
     tensors: HashMap<String, Parsed<Stored>>,
     /// Numbers beside them, such as the step of a checkpoint.
     integers: HashMap<String, i64>,
-    /// What a safetensors file says of itself.
-    metadata: HashMap<String, String>,
 }
 
 /// A tensor's contiguous values in a file.
@@ -73,11 +71,6 @@ impl Weights {
     /// An integer that stands beside the tensors.
     pub fn integer(&self, name: &str) -> Option<i64> {
         self.contents.integers.get(name).copied()
-    }
-
-    /// What a safetensors file says of itself under a key.
-    pub fn metadata(&self, key: &str) -> Option<&str> {
-        self.contents.metadata.get(key).map(String::as_str)
     }
 
     /// The first of `names` in the file, as `f32` on `device`; its shape must be `shape`.

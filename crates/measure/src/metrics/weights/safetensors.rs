@@ -31,9 +31,9 @@ pub(super) fn read(file: &mut BufReader<&File>) -> Parsed<Contents> {
         return Err(format!("a header of {header} bytes in a file of {whole}"));
     };
     let mut entries: HashMap<String, Value> = serde_json::from_reader(file.take(header)).map_err(text)?;
-    let said = entries.remove("__metadata__").and_then(|said| HashMap::deserialize(said).ok());
+    entries.remove("__metadata__");
     let tensors = entries.into_iter().map(|(name, entry)| (name, place(entry, data, whole))).collect();
-    Ok(Contents { tensors, metadata: said.unwrap_or_default(), ..Contents::default() })
+    Ok(Contents { tensors, ..Contents::default() })
 }
 
 fn place(entry: Value, data: u64, whole: u64) -> Parsed<Stored> {

@@ -1,15 +1,13 @@
-//! Imports a file of weights as the start of a run.
+//! Imports a checkpoint of nerf-pytorch as the start of a run.
 
 use std::io::Read;
 use std::path::{Path, PathBuf};
 
 use candle_core::{Device, Tensor};
-use serde_json::Value as Json;
 use sha2::{Digest, Sha256};
 use toml::Value;
 
 use super::nerf_pytorch::{NETWORKS, STEP, name};
-use super::{Format, METADATA};
 use crate::base::input::open_regular;
 use crate::base::{Error, Result};
 use crate::metrics::Weights;
@@ -22,90 +20,56 @@ const MOST_STEPS: u64 = 1_000_000_000;
 /// Limit on octaves of an encoding, and on layers.
 const MOST: usize = 64;
 
-/// A file of weights.
+/// A checkpoint of nerf-pytorch.
 pub struct Foreign {
     path: PathBuf,
     weights: Weights,
-    networks: Networks,
+    prefixes: Prefixes,
     step: u64,
     hash: String,
 }
 
-/// The program whose tensor names the file has.
-#[derive(Clone, Debug, PartialEq)]
-pub enum Networks {
-    /// Our own, with the configuration of the training.
-    Own {
-        /// The text of its `config.toml`.
-        config: String,
-    },
-    /// nerf-pytorch, with the prefix of the names of each role.
-    NerfPytorch {
-        /// Role and prefix, `coarse` first.
-        prefixes: Vec<(&'static str, String)>,
-    },
-}
+/// Roles of networks and prefixes of their tensors' names, `coarse` first.
+type Prefixes = Vec<(&'static str, String)>;
 
-impl Networks {
-    /// Returns whether a tensor is one of the networks.
-    fn have(&self, name: &str) -> bool {
-        match self {
-            Networks::Own { .. } => true,
-            Networks::NerfPytorch { prefixes } => prefixes
-                .iter()
-                .any(|(_, prefix)| name.strip_prefix(&**prefix).is_some_and(|rest| rest.contains("_linear"))),
-        }
-    }
+/// Returns whether a tensor is one of the networks.
+fn is_own(prefixes: &[(&str, String)], name: &str) -> bool {
+    prefixes.iter().any(|(_, prefix)| name.strip_prefix(&**prefix).is_some_and(|rest| rest.contains("_linear")))
 }
 
 impl Foreign {
-    /// Opens a file of [`export`](super::export) or nerf-pytorch.
+    /// Opens a checkpoint.
     ///
     /// # Errors
-    /// The file cannot be read, or has the networks of neither.
+    /// The file cannot be read, or has no networks of nerf-pytorch.
     pub fn open(path: &Path) -> Result<Foreign> {
-        let format = Format::of(path)?;
+        let ending = path.extension().map(|ending| ending.to_string_lossy().to_lowercase()).unwrap_or_default();
+        if !["tar", "pth", "pt"].contains(&ending.as_str()) {
+            return Err(Error::Config(format!(
+                "{}: unknown file type; checkpoints of nerf-pytorch are .tar, .pth or .pt (a run of augnerf is copied as its folder)",
+                path.display()
+            )));
+        }
         let weights = Weights::open(path)?;
         let wrong = |what: String| Error::Data(format!("{}: {what}", path.display()));
-        let (networks, step) = match format {
-            Format::Safetensors => {
-                let said = weights.metadata(METADATA).and_then(|said| serde_json::from_str::<Json>(said).ok());
-                let said = said.ok_or_else(|| {
-                    wrong(format!("its metadata has no \"{METADATA}\", so it is not an export of augnerf"))
-                })?;
-                let config = said.get("config").and_then(Json::as_str).map(String::from);
-                let config = config.ok_or_else(|| wrong("its metadata lacks the configuration (\"config\")".into()))?;
-                Config::from_toml(&config, "its configuration").map_err(|error| wrong(error.to_string()))?;
-                (Networks::Own { config }, said.get("step").and_then(Json::as_u64))
-            }
-            Format::Torch => {
-                let networks = nerf_pytorch(&weights).ok_or_else(|| {
-                    let mut names: Vec<&str> = weights.names().collect();
-                    names.sort_unstable();
-                    let some = names.iter().take(3).copied().collect::<Vec<&str>>().join(", ");
-                    wrong(format!(
-                        "it has no network of nerf-pytorch (network_fn_state_dict with pts_linears.0.weight); the first of its {} tensors \
-                         are: {some}",
-                        names.len()
-                    ))
-                })?;
-                let step = weights.integer(STEP).map(|step| u64::try_from(step).ok());
-                (networks, step.unwrap_or(Some(0)))
-            }
-        };
+        let prefixes = nerf_pytorch(&weights).ok_or_else(|| {
+            let mut names: Vec<&str> = weights.names().collect();
+            names.sort_unstable();
+            let some = names.iter().take(3).copied().collect::<Vec<&str>>().join(", ");
+            wrong(format!(
+                "it has no network of nerf-pytorch (network_fn_state_dict with pts_linears.0.weight); the first of its {} tensors \
+                 are: {some}",
+                names.len()
+            ))
+        })?;
         // A tensor that cannot be read would otherwise count as one that is not there.
-        let own = |name: &str| networks.have(name);
-        if let Some((name, reason)) = weights.unreadable().into_iter().find(|(name, _)| own(name)) {
+        if let Some((name, reason)) = weights.unreadable().into_iter().find(|(name, _)| is_own(&prefixes, name)) {
             return Err(wrong(format!("{name} cannot be read ({reason}); get the complete file")));
         }
-        let step = step.filter(|step| *step <= MOST_STEPS);
+        let step = weights.integer(STEP).unwrap_or(0);
+        let step = u64::try_from(step).ok().filter(|step| *step <= MOST_STEPS);
         let step = step.ok_or_else(|| wrong(format!("its step is not an integer from 0 to {MOST_STEPS}")))?;
-        Ok(Foreign { hash: hash(path)?, path: path.to_path_buf(), weights, networks, step })
-    }
-
-    /// Returns the program of the networks.
-    pub fn networks(&self) -> &Networks {
-        &self.networks
+        Ok(Foreign { hash: hash(path)?, path: path.to_path_buf(), weights, prefixes, step })
     }
 
     /// Returns the step of the weights.
@@ -118,13 +82,12 @@ impl Foreign {
         format!("weights {}", self.hash)
     }
 
-    /// Returns the settings that follow from the shapes of nerf-pytorch's tensors, as `(path, value)`. Our own files
-    /// contain the configuration, so there are none.
+    /// Returns the settings that follow from the shapes of tensors, as `(path, value)`.
     ///
     /// # Errors
     /// This program does not have the networks.
     pub fn settings(&self) -> Result<Vec<(Vec<String>, Value)>> {
-        let Networks::NerfPytorch { prefixes } = &self.networks else { return Ok(Vec::new()) };
+        let prefixes = &self.prefixes;
         let mut settings = self.shapes(&prefixes[0].1)?;
         for (role, prefix) in &prefixes[1..] {
             let other = self.shapes(prefix)?;
@@ -210,7 +173,7 @@ impl Foreign {
         };
         let names = Model::parameter_names(config);
         let taken: Vec<String> = names.iter().filter_map(|(ours, _)| self.name(ours)).collect();
-        let mut left: Vec<&str> = self.weights.names().filter(|name| self.networks.have(name)).collect();
+        let mut left: Vec<&str> = self.weights.names().filter(|name| is_own(&self.prefixes, name)).collect();
         left.retain(|name| !taken.iter().any(|taken| taken == name));
         left.sort_unstable();
         if let Some(first) = left.first() {
@@ -225,9 +188,8 @@ impl Foreign {
 
     /// Returns a parameter's name in the file.
     fn name(&self, ours: &str) -> Option<String> {
-        let Networks::NerfPytorch { prefixes } = &self.networks else { return Some(ours.to_string()) };
         let (role, layer) = ours.split_once('.')?;
-        let (_, prefix) = prefixes.iter().find(|(known, _)| *known == role)?;
+        let (_, prefix) = self.prefixes.iter().find(|(known, _)| *known == role)?;
         Some(format!("{prefix}{}", name(layer)?))
     }
 }
@@ -246,16 +208,16 @@ fn hash(path: &Path) -> Result<String> {
 }
 
 /// Returns the networks of a checkpoint, or of a bare state dictionary with one network.
-fn nerf_pytorch(weights: &Weights) -> Option<Networks> {
+fn nerf_pytorch(weights: &Weights) -> Option<Prefixes> {
     // Networks that were trained on several devices have the prefix `module.`.
     let prefix = |outer: &str| {
         let prefixes = ["", "module."].map(|inner| format!("{outer}{inner}"));
         prefixes.into_iter().find(|prefix| weights.shape(&format!("{prefix}pts_linears.0.weight")).is_some())
     };
-    let mut prefixes: Vec<(&str, String)> =
+    let mut prefixes: Prefixes =
         NETWORKS.into_iter().filter_map(|(role, key)| Some((role, prefix(&format!("{key}."))?))).collect();
     if prefixes.is_empty() {
         prefixes.push(("coarse", prefix("")?));
     }
-    (prefixes[0].0 == "coarse").then_some(Networks::NerfPytorch { prefixes })
+    (prefixes[0].0 == "coarse").then_some(prefixes)
 }
