@@ -1,15 +1,12 @@
 //! How much memory the program takes of files that are made to take more, and of trainings: watched from outside.
 
 use std::fs;
-use std::path::Path;
 use std::process::Command;
 use std::time::Duration;
 
-use crate::common::files::json;
 use crate::common::program::{Place, augnerf, set};
 use crate::common::{assert_says, built};
 use crate::hostile::scene;
-use crate::verify::results;
 use augnerf::settings::{DataKind, Preset};
 
 /// Runs a command to its end and returns its exit code, what it said and the most MiB that it had.
@@ -56,23 +53,6 @@ fn poses_of_more_bytes_than_a_scene_has_are_refused_as_they_are_read() {
     fs::write(dir.path().join("transforms.json"), text).unwrap();
     let words = ["transforms.json", "more than 32 MiB"];
     refused_within_memory(&["data", "check", dir.path().to_str().unwrap()], 3, &words);
-}
-
-#[test]
-fn plans_of_more_points_than_a_sweep_has_are_refused_as_they_are_read() {
-    let (_place, folder) = results("smoke");
-    let plan = json(&folder.join("points.json"));
-    let point = plan["points"][0].to_string();
-    let points = vec![point.as_str(); 10_001].join(",");
-    let text = format!(r#"{{"data_root": null, "points": [{points}]}}"#);
-    assert!(text.len() < 64 << 20, "{}", text.len());
-    fs::write(folder.join("points.json"), text).unwrap();
-    let folder = folder.to_str().unwrap();
-    let (code, said, most) = watched(&mut augnerf(&["verify", folder]));
-    assert!(code == 5 && most < 1024.0, "{most} MiB: {said}");
-    assert_says(&said, &["points.json", "more than 10000 points"]);
-    fs::write(Path::new(folder).join("points.json"), vec![b' '; 65 << 20]).unwrap();
-    refused_within_memory(&["verify", folder], 10, &["points.json", "more than 64 MiB"]);
 }
 
 /// What a training of the plain core is said to take is near what it takes: neither is more than one and a half times the

@@ -4,32 +4,7 @@ use std::fs;
 
 use crate::common::assert_says;
 use crate::common::files::{edit, rows, text};
-use crate::fuzz::damage::packed;
 use crate::verify::results;
-use augnerf::run::DepthErrors;
-
-/// A hundredth of its size is there: 120 kB that came to six gigabytes.
-#[test]
-#[ignore = "slow"]
-fn packed_files_take_no_more_memory_than_large_ones() {
-    let (place, folder) = results("geometry");
-    fs::write(folder.join("scalars.csv.gz"), packed(&[&b"id,loss\n"[..], &b",\n".repeat(60_000_000)].concat()))
-        .unwrap();
-    place.says("verify", 5, &["scalars.csv.gz", "take more than 512 MiB of memory"]);
-    let path = place.at("depth_errors.gz");
-    // Fifty million views without a pixel.
-    fs::write(&path, packed(&vec![0; 200_000_000])).unwrap();
-    let error = DepthErrors::read(&path).unwrap_err().to_string();
-    assert_says(&error, &["depth_errors.gz is damaged", "more than 512 MiB"]);
-}
-
-/// Twenty thousand rows that run back and forth were a curve that took 13 seconds to draw.
-#[test]
-fn a_log_whose_steps_fall_is_damaged() {
-    let (place, folder) = results("geometry");
-    fs::write(folder.join("scalars.csv.gz"), packed(b"id,step,psnr\na,10,5\na,20,6\nb,10,5\na,15,7\n")).unwrap();
-    place.says("verify", 5, &["scalars.csv.gz", "point a: step 15 follows step 20"]);
-}
 
 #[test]
 fn scenes_and_pinned_files_of_others_are_not_touched() {

@@ -7,16 +7,18 @@ use super::axes::Axis;
 use toml::{Table, Value};
 
 use super::definition::{Combine, Definition, Row, is_named, scene_name};
-use super::extends::MOST_POINTS;
 use super::words::quoted;
 use crate::metrics::Metric;
 use crate::settings::Method;
 
+/// Most points of a sweep.
+const MOST_POINTS: usize = 10_000;
+
 impl Definition {
     /// Checks what can be checked without configurations.
     pub(super) fn check(&self) -> std::result::Result<(), String> {
-        // Sizes first, so that no later check has to handle huge lists.
-        self.check_sizes()?;
+        // The size first, so that no later check has to handle huge lists.
+        self.check_size()?;
         self.check_lists()?;
         self.check_references()?;
         self.check_margins()?;
@@ -47,31 +49,16 @@ impl Definition {
         }
     }
 
-    /// Checks that no list, and no product of lists, is too long.
-    fn check_sizes(&self) -> std::result::Result<(), String> {
-        let (rows, seeds, scenes) = (self.row.len(), self.seeds.len(), self.scenes.len());
-        let axes = self.all_axes().count();
-        let lists = [
-            ("seeds", seeds),
-            ("scenes", scenes),
-            ("rows", rows),
-            ("axes", axes),
-            ("metrics", self.metrics.len()),
-            ("quoted", self.quoted.len()),
-        ];
-        if let Some((what, count)) = lists.into_iter().find(|(_, count)| *count > MOST_POINTS) {
-            return Err(format!("{what}: {count} is more than {MOST_POINTS}; split the sweep"));
+    /// Checks that the product of all lists is not too long.
+    fn check_size(&self) -> std::result::Result<(), String> {
+        let (count, scenes, seeds) = (self.count(), self.scenes.len(), self.seeds.len());
+        match count > MOST_POINTS {
+            true => Err(format!(
+                "{count} points ({scenes} scenes x {seeds} seeds x rows and axes) are more than {MOST_POINTS}; split the \
+                 sweep, or set combine = \"one-at-a-time\""
+            )),
+            false => Ok(()),
         }
-        let count = self.count();
-        if count > MOST_POINTS {
-            return Err(format!(
-                "{count} points ({} scenes x {} seeds x rows and axes) are more than {MOST_POINTS}; split the sweep, or \
-                 set combine = \"one-at-a-time\"",
-                self.scenes.len(),
-                self.seeds.len()
-            ));
-        }
-        Ok(())
     }
 
     /// Checks that scenes, seeds, metrics and rows exist, each once.

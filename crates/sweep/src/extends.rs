@@ -10,8 +10,6 @@ use crate::base::{Error, Result};
 use super::definition::is_named;
 use super::shipped::{nearest, shipped};
 
-/// Most points, and so rows, of a sweep.
-pub(super) const MOST_POINTS: usize = 10_000;
 const EXTENDS: &str = "extends";
 /// Most files in a chain of `extends`; a longer chain is probably a cycle.
 const DEEPEST: usize = 8;
@@ -59,11 +57,6 @@ fn read_file(path: &Path, depth: usize) -> Result<Table> {
 fn over_base(text: &str, path: &Path, depth: usize, read_base: impl FnOnce(&str) -> Result<Table>) -> Result<Table> {
     let in_file = |message: String| Error::Config(format!("{}: {message}", path.display()));
     let mut table: Table = toml::from_str(text).map_err(|e| in_file(e.to_string()))?;
-    // Check this before each row is looked up in the extended file.
-    let rows = table.get("row").and_then(Value::as_array).map_or(0, Vec::len);
-    if rows > MOST_POINTS {
-        return Err(in_file(format!("rows: {rows} is more than {MOST_POINTS}; split the sweep")));
-    }
     let Some(base) = table.remove(EXTENDS) else {
         return Ok(table);
     };

@@ -15,18 +15,16 @@
 //! ```
 
 use std::collections::{HashMap, HashSet};
+use std::fs;
 use std::path::{Path, PathBuf};
-use std::{fmt, fs};
 
-use serde::de::{self, SeqAccess, Visitor};
-use serde::{Deserialize, Deserializer, Serialize};
+use serde::{Deserialize, Serialize};
 
 use crate::base::files::{check_own, clean_temporaries, read_large_json, write_atomic};
 use crate::base::input::{TEXT_BYTES, read_text};
 use crate::base::{Error, Result};
 
 use super::definition::{Definition, scene_name};
-use super::extends::MOST_POINTS;
 use super::point_folder::PointFolder;
 use super::points::Point;
 use super::slurm;
@@ -57,7 +55,6 @@ pub struct SweepFolder {
 struct Plan {
     /// The data root when the folder was created.
     data_root: Option<PathBuf>,
-    #[serde(deserialize_with = "few_points")]
     points: Vec<Point>,
 }
 
@@ -68,30 +65,6 @@ impl Plan {
         let data_root = serde_json::to_string(&self.data_root)?;
         Ok(format!("{{\"data_root\":{data_root},\"points\":[\n{}\n]}}\n", points?.join(",\n")))
     }
-}
-
-/// Reads points up to the limit of a sweep; stops at the first one more.
-fn few_points<'de, D: Deserializer<'de>>(input: D) -> std::result::Result<Vec<Point>, D::Error> {
-    struct Few;
-    impl<'de> Visitor<'de> for Few {
-        type Value = Vec<Point>;
-
-        fn expecting(&self, f: &mut fmt::Formatter) -> fmt::Result {
-            write!(f, "at most {MOST_POINTS} points")
-        }
-
-        fn visit_seq<A: SeqAccess<'de>>(self, mut list: A) -> std::result::Result<Vec<Point>, A::Error> {
-            let mut points = Vec::new();
-            while let Some(point) = list.next_element()? {
-                if points.len() == MOST_POINTS {
-                    return Err(de::Error::custom(format!("more than {MOST_POINTS} points")));
-                }
-                points.push(point);
-            }
-            Ok(points)
-        }
-    }
-    input.deserialize_seq(Few)
 }
 
 /// Relation of a definition to the one that a folder was created with.

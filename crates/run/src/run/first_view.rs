@@ -9,8 +9,6 @@ use crate::base::files::read_json;
 use crate::base::{Error, Image, Result};
 use crate::data::images;
 
-/// Limit on an image of a run: three times the pixels of a 4K view.
-const MOST_PIXELS: usize = 24_000_000;
 /// Advice for a damaged file of a run.
 const ADVICE: &str = "`augnerf eval` writes metrics again, `augnerf render RUN --what views` images";
 
@@ -83,16 +81,14 @@ fn is_plain(name: &str) -> bool {
     PathBuf::from(name).file_name().is_some_and(|plain| plain == name)
 }
 
-/// Reads an image of a run unchanged. A pixel needs up to 32 bytes in between.
+/// Reads an image of a run unchanged.
 pub fn read_picture(path: &Path) -> Result<Image> {
-    check_size(path)?;
     let decoded = images::decode(path)?;
     Ok(images::averaged(&decoded, (decoded.width() as usize, decoded.height() as usize)))
 }
 
 /// Reads depth from a 16-bit image, as `write_depth16` writes it.
 fn read_depth(path: &Path, max: f32) -> Result<Vec<f32>> {
-    check_size(path)?;
     let values = images::decode(path)?.into_luma16().into_raw();
     let depth = |value: u16| if value == 0 { f32::NAN } else { f32::from(value) / 65535.0 * max };
     Ok(values.into_iter().map(depth).collect())
@@ -103,18 +99,8 @@ fn read_mask(path: &Path) -> Result<Option<Vec<bool>>> {
     if !path.is_file() {
         return Ok(None);
     }
-    check_size(path)?;
     let values = images::decode(path)?.into_luma8().into_raw();
     Ok(Some(values.into_iter().map(|value| value > u8::MAX / 2).collect()))
-}
-
-fn check_size(path: &Path) -> Result<()> {
-    let (width, height) = images::size(path)?;
-    if width * height > MOST_PIXELS {
-        let found = format!("{width}x{height} pixels are too many for a view of an evaluation; delete it");
-        return Err(Error::Data(format!("cannot read {}: {found}", path.display())));
-    }
-    Ok(())
 }
 
 #[cfg(test)]
