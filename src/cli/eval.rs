@@ -2,7 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
-use clap::{Args, ValueEnum};
+use clap::Args;
 
 use crate::base::files::check_own;
 use crate::base::{Error, Result};
@@ -12,7 +12,7 @@ use crate::runtime::Runtime;
 use super::answer::{Answer, Measured};
 use super::measure::SmoothnessArguments;
 use super::progress::{Console, print};
-use super::{Compute, Sources};
+use super::{Choice, Compute, Sources, choice};
 
 pub const EXAMPLES: &str = "Examples:
   augnerf eval runs/fern-nerf-*                    # the held-out views
@@ -30,8 +30,8 @@ pub struct EvalArguments {
     #[arg(long, value_name = "N")]
     step: Option<u64>,
     /// Views to measure [default: the run's held-out views]
-    #[arg(long, value_enum)]
-    split: Option<SplitName>,
+    #[arg(long, value_parser = choice(&SPLITS))]
+    split: Option<Split>,
     #[command(flatten)]
     sources: Sources,
     #[command(flatten)]
@@ -45,15 +45,11 @@ pub struct EvalArguments {
     compute: Compute,
 }
 
-#[derive(Clone, Copy, ValueEnum)]
-enum SplitName {
-    /// Held-out views
-    Test,
-    /// Validation views: a Blender scene's, or those of data.validation
-    Val,
-    /// Training views
-    Train,
-}
+const SPLITS: [Choice<Split>; 3] = [
+    ("test", "Held-out views", Split::Test),
+    ("val", "Validation views: a Blender scene's, or those of data.validation", Split::Val),
+    ("train", "Training views", Split::Train),
+];
 
 impl EvalArguments {
     pub fn run(self) -> Result<()> {
@@ -65,12 +61,7 @@ impl EvalArguments {
 
     fn evaluate(&self, runtime: &Runtime, console: &Console) -> Result<()> {
         self.check_out()?;
-        let split = self.split.map(|name| match name {
-            SplitName::Test => Split::Test,
-            SplitName::Val => Split::Val,
-            SplitName::Train => Split::Train,
-        });
-        let options = OpenOptions { step: self.step, split, ..OpenOptions::default() };
+        let options = OpenOptions { step: self.step, split: self.split, ..OpenOptions::default() };
         let trained = Trained::open_at(&self.run, options, self.sources.data.as_deref(), runtime, console)?;
         let (step, steps) = (trained.state.step, trained.config.train.steps);
         let folder = self.folder(&trained.run, step)?;
@@ -123,8 +114,8 @@ impl EvalArguments {
         if self.step.is_none() && self.split.is_none() {
             return Ok(run.path().to_path_buf());
         }
-        let split = self.split.and_then(|split| split.to_possible_value());
-        let split = split.map_or(String::new(), |split| format!("_{}", split.get_name()));
+        let named = SPLITS.iter().find(|(.., split)| self.split == Some(*split));
+        let split = named.map_or(String::new(), |(name, ..)| format!("_{name}"));
         let folder = run.evaluations().join(format!("step_{step:09}{split}"));
         check_own(&folder, true)?;
         made(&folder)

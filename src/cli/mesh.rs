@@ -20,7 +20,7 @@ use super::answer::Answer;
 use super::compare::pictures_folder;
 use super::measure::parse_box;
 use super::progress::{Console, open_next};
-use super::{Compute, whole};
+use super::{Choice, Compute, choice, whole};
 
 #[derive(Args)]
 #[command(next_help_heading = "Experiment")]
@@ -52,15 +52,15 @@ pub struct MeshArguments {
     /// Output folder, new or empty [default: RUN/mesh, replaced]
     #[arg(long, value_name = "DIR", help_heading = "Output")]
     out: Option<PathBuf>,
-    /// Files to write, one or both [default: ply]
-    #[arg(long, value_enum, value_delimiter = ',', help_heading = "Output")]
-    format: Vec<Format>,
-    /// Units of the files [default: scene]
-    #[arg(long, value_enum, help_heading = "Output")]
-    units: Option<UnitsName>,
-    /// Source of the normals [default: triangles]
-    #[arg(long, value_enum, help_heading = "Output")]
-    normals: Option<NormalsName>,
+    /// Files to write, one or both
+    #[arg(long, value_parser = choice(&FORMATS), default_value = "ply", value_delimiter = ',', help_heading = "Output")]
+    format: Vec<MeshFormat>,
+    /// Units of the files
+    #[arg(long, value_parser = choice(&UNITS), default_value = "scene", help_heading = "Output")]
+    units: MeshUnits,
+    /// Source of the normals
+    #[arg(long, value_parser = choice(&NORMALS), default_value = "triangles", help_heading = "Output")]
+    normals: Normals,
     /// Write density.npy, too: float32 [x, y, z] at the cells' midpoints
     #[arg(long, help_heading = "Output")]
     density: bool,
@@ -75,21 +75,20 @@ pub struct MeshArguments {
     memory: Option<f64>,
 }
 
-#[derive(Clone, Copy, ValueEnum)]
-enum UnitsName {
-    /// The scene's, after recentring and scaling
-    Scene,
-    /// Those of the capture's own poses (scene.json has the transform)
-    Capture,
-}
-
-#[derive(Clone, Copy, ValueEnum)]
-enum NormalsName {
-    /// The mean of the triangles around a vertex
-    Triangles,
-    /// The gradient of density at the vertex
-    Density,
-}
+const FORMATS: [Choice<MeshFormat>; 2] = [
+    ("ply", "Binary, with normals and colours", MeshFormat::Ply),
+    ("obj", "Text, with normals, and colours after the positions", MeshFormat::Obj),
+];
+const UNITS: [Choice<MeshUnits>; 2] = [
+    ("scene", "The scene's, after recentring and scaling", MeshUnits::Scene),
+    ("capture", "Those of the capture's own poses (scene.json has the transform)", MeshUnits::Capture),
+];
+const NORMALS: [Choice<Normals>; 2] = [
+    ("triangles", "The mean of the triangles around a vertex", Normals::Triangles),
+    ("density", "The gradient of density at the vertex", Normals::Density),
+];
+const PAINTS: [Choice<Paint>; 2] =
+    [("clay", "One grey", Paint::Clay), ("colours", "The mesh's own colours", Paint::Colours)];
 
 /// Flags for an image of the mesh.
 #[derive(Args)]
@@ -105,19 +104,11 @@ struct PictureArguments {
     #[arg(long, value_name = "SHARE,...", value_delimiter = ',', requires = "picture")]
     at: Vec<f64>,
     /// Colours of the image
-    #[arg(long, value_enum, default_value = "clay", requires = "picture")]
-    paint: PaintName,
+    #[arg(long, value_parser = choice(&PAINTS), default_value = "clay", requires = "picture")]
+    paint: Paint,
     /// Width of each view in pixels [default: the scene's, at least 400]
     #[arg(long, value_name = "N", requires = "picture", value_parser = whole::<u16>(8..=4096))]
     columns: Option<u16>,
-}
-
-#[derive(Clone, Copy, ValueEnum)]
-enum PaintName {
-    /// One grey
-    Clay,
-    /// The mesh's own colours
-    Colours,
 }
 
 impl PictureArguments {
@@ -147,11 +138,7 @@ impl PictureArguments {
         if viewpoints.is_empty() {
             viewpoints.push(Viewpoint::View(0));
         }
-        let paint = match self.paint {
-            PaintName::Clay => Paint::Clay,
-            PaintName::Colours => Paint::Colours,
-        };
-        Ok(Some(MeshPicture { file, viewpoints, paint, columns: self.columns.map(usize::from) }))
+        Ok(Some(MeshPicture { file, viewpoints, paint: self.paint, columns: self.columns.map(usize::from) }))
     }
 }
 
@@ -159,14 +146,6 @@ impl PictureArguments {
 enum MeshPreset {
     /// The paper's for the chair: 512 cells per side of [-1,1]^3, density 25
     Paper,
-}
-
-#[derive(Clone, Copy, ValueEnum)]
-enum Format {
-    /// Binary, with normals and colours
-    Ply,
-    /// Text, with normals, and colours after the positions
-    Obj,
 }
 
 impl MeshArguments {
@@ -203,29 +182,18 @@ impl MeshArguments {
             None => MeshOptions::default(),
         };
         let bbox = self.bbox.as_deref().map(|text| parse_box("bbox", text)).transpose()?;
-        let formats = if self.format.is_empty() { &[Format::Ply][..] } else { &self.format[..] };
-        let formats = formats.iter().map(|format| match format {
-            Format::Ply => MeshFormat::Ply,
-            Format::Obj => MeshFormat::Obj,
-        });
         let options = MeshOptions {
             resolution: self.resolution.unwrap_or(preset.resolution),
             threshold: self.threshold.or(preset.threshold),
             domain: bbox.or(preset.domain),
             cap: self.cap,
             largest: self.largest,
-            formats: formats.collect(),
+            formats: self.format.clone(),
             density: self.density,
             most_mib: self.memory,
             picture: self.picture.picture()?,
-            normals: match self.normals {
-                None | Some(NormalsName::Triangles) => Normals::Triangles,
-                Some(NormalsName::Density) => Normals::Density,
-            },
-            units: match self.units {
-                None | Some(UnitsName::Scene) => MeshUnits::Scene,
-                Some(UnitsName::Capture) => MeshUnits::Capture,
-            },
+            normals: self.normals,
+            units: self.units,
         };
         check_options(&options)?;
         Ok(options)

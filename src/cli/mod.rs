@@ -7,6 +7,7 @@ use std::process::ExitCode;
 use std::str::FromStr;
 use std::sync::LazyLock;
 
+use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
 use clap::{Args, CommandFactory, FromArgMatches, Parser, Subcommand};
 
 use crate::base::{EXIT_CODES, Error, Result, features, revision, version};
@@ -272,6 +273,16 @@ fn whole<T: TryFrom<u64>>(range: RangeInclusive<u64>) -> impl Fn(&str) -> std::r
             text.parse().ok().filter(|number| range.contains(number)).and_then(|number| number.try_into().ok());
         number.ok_or_else(|| format!("give a whole number from {} to {}", range.start(), range.end()))
     }
+}
+
+/// A value of a flag: its name, its help, and what the library calls it.
+type Choice<T> = (&'static str, &'static str, T);
+
+/// Returns a parser of one of these values; help lists all.
+fn choice<T: Copy + Send + Sync>(all: &'static [Choice<T>]) -> impl TypedValueParser<Value = T> {
+    let values = all.iter().map(|(name, help, _)| PossibleValue::new(*name).help(*help));
+    PossibleValuesParser::new(values)
+        .map(move |name| all.iter().find(|(known, ..)| *known == name).expect("a possible value").2)
 }
 
 /// Parses exactly `N` numbers with commas between them.

@@ -2,7 +2,7 @@
 
 use std::path::PathBuf;
 
-use clap::{Args, ValueEnum};
+use clap::Args;
 use serde_json::{Map, Value, json};
 
 use crate::base::csv::csv_text;
@@ -18,7 +18,7 @@ use crate::settings::{Resolved, build};
 use super::answer::Answer;
 use super::experiment::{data_settings, scene_settings};
 use super::progress::{Console, print};
-use super::{Compute, LpipsWeights};
+use super::{Choice, Compute, LpipsWeights, choice};
 
 pub const EXAMPLES: &str = "Examples:
   augnerf score renders/ truth/                              # two folders, equal names
@@ -27,21 +27,12 @@ pub const EXAMPLES: &str = "Examples:
 
 Prints one line of JSON with the means over views. Values are first rounded to 8 bits, as in every measurement here.";
 
-/// How images are matched with views.
-#[derive(Clone, Copy, ValueEnum)]
-enum By {
-    /// Equal names without ending; NAME_rgb counts as NAME
-    Name,
-    /// Sorted by name, numbers by value: the first with the first
-    Order,
-}
-
-/// The background of transparent pixels.
-#[derive(Clone, Copy, ValueEnum)]
-enum Behind {
-    White,
-    Black,
-}
+const MATCHINGS: [Choice<Matching>; 2] = [
+    ("name", "Equal names without ending; NAME_rgb counts as NAME", Matching::Name),
+    ("order", "Sorted by name, numbers by value: the first with the first", Matching::Order),
+];
+const COLOURS: [Choice<[f32; 3]>; 2] =
+    [("white", "1 in each channel", [1.0; 3]), ("black", "0 in each channel", [0.0; 3])];
 
 #[derive(Args)]
 #[command(next_help_heading = "Experiment")]
@@ -58,11 +49,11 @@ pub struct ScoreArguments {
     #[arg(long, value_name = "FIELD=VALUE", requires = "data")]
     set: Vec<String>,
     /// How images are matched with views
-    #[arg(long = "match", value_name = "HOW", value_enum, default_value_t = By::Name)]
-    by: By,
+    #[arg(long = "match", value_name = "HOW", value_parser = choice(&MATCHINGS), default_value = "name")]
+    matching: Matching,
     /// Background of transparent images [default: the scene's]
-    #[arg(long, value_name = "COLOUR", value_enum)]
-    background: Option<Behind>,
+    #[arg(long, value_name = "COLOUR", value_parser = choice(&COLOURS))]
+    background: Option<[f32; 3]>,
     #[command(flatten)]
     weights: LpipsWeights,
     /// Write the numbers of each view to this CSV file
@@ -98,15 +89,11 @@ impl ScoreArguments {
         };
         let weights = self.weights.lpips_weights.as_ref().map(|dir| dir.to_string_lossy().into_owned());
         let lpips = load_lpips(&weights.unwrap_or_default(), runtime.device())?;
-        let matching = match self.by {
-            By::Name => Matching::Name,
-            By::Order => Matching::Order,
-        };
         // Two folders of other programs may have equal names that end as this program's.
         let is_ours = |all: &[Picture]| !all.iter().any(|picture| picture.name.ends_with("_rgb"));
         let ending = if matches!(&truth, Truth::Pictures(all) if !is_ours(all)) { "" } else { "_rgb" };
         let (predictions, background) = (pictures(&self.predictions, ending)?, self.background(scene)?);
-        let scored = score(&predictions, &truth, matching, background, &lpips, console)?;
+        let scored = score(&predictions, &truth, self.matching, background, &lpips, console)?;
         if let Some(out) = &self.out {
             write_named(out, csv(&scored).as_bytes())?;
         }
@@ -131,11 +118,7 @@ impl ScoreArguments {
 
     /// Returns the background of transparent images, which must be that of the scene's views.
     fn background(&self, scene: Option<&Scene>) -> Result<Option<[f32; 3]>> {
-        let named = self.background.map(|behind| match behind {
-            Behind::White => [1.0; 3],
-            Behind::Black => [0.0; 3],
-        });
-        match (named, scene.and_then(|scene| scene.background)) {
+        match (self.background, scene.and_then(|scene| scene.background)) {
             (Some(named), Some(own)) if named != own => Err(Error::Config(
                 "--background: not that of the scene's views; omit it, or change theirs with --set data.background"
                     .into(),
