@@ -14,7 +14,7 @@ use crate::data::View;
 use crate::report::label;
 use crate::run::{OpenOptions, RunDir, Trained, Viewer};
 use crate::runtime::Runtime;
-use crate::sweep::{Point, SweepFolder, check_text, split_names};
+use crate::sweep::{Point, SweepFolder, split_names};
 use crate::train::checkpoint;
 
 use super::answer::Answer;
@@ -95,7 +95,6 @@ impl Runs {
                 self.runs[0].display()
             )));
         }
-        self.labels.iter().try_for_each(|label| check_text("--label", label)).map_err(Error::Config)?;
         let given: Vec<String> = match self.labels.as_slice() {
             [] => named.iter().map(|run| run.label.clone()).collect(),
             labels => labels.to_vec(),

@@ -289,9 +289,6 @@ fn a_comparison_across_sweeps_is_made_again() {
     assert_says(&text(&folder.join("across.md")), &["| The chair = 200 pixels |"]);
     place.says("verify results/both", 0, &["comparisons of 2 sweeps"]);
     place.says(&labelled("fern=x"), 2, &["--label fern", "geometry_chair, mip_chair"]);
-    let missing = "--label 'NA' is one that pandas and R read as a missing value";
-    place.says(&labelled("mip_chair=NA"), 2, &[missing]);
-    place.says("compare a b --label NA --label b", 2, &[missing]);
     // What names results elsewhere, or what is not there, does not hold.
     let asked = folder.join("across.toml");
     let named = text(&asked);

@@ -17,7 +17,7 @@ use super::collect::holds_files;
 use super::folder::DEFINITION;
 use super::points::Point;
 use super::view::{Origin, Source, VIEW, View};
-use super::words::{check_name, check_text, quoted};
+use super::words::{check_name, quoted};
 
 /// The file that a folder of a comparison over sweeps has instead of a sweep's definition.
 pub const ACROSS: &str = "across.toml";
@@ -87,16 +87,13 @@ impl ComparisonRequest {
             tables.push(of_sweep(source, view.table())?);
         }
         for (name, label) in labels {
-            check_name("a label", label).and_then(|()| check_text("--label", label)).map_err(Error::Config)?;
+            check_name("a label", label).map_err(Error::Config)?;
             let Some(origin) = self.sweep.iter_mut().find(|origin| origin.name == *name) else {
                 let names: Vec<&str> = sources.iter().map(|source| source.name.as_str()).collect();
                 return Err(Error::Config(format!("--label {name}: the sweeps are {}", names.join(", "))));
             };
             origin.label = Some(label.clone());
         }
-        let mut unlabelled = self.sweep.iter().filter(|origin| origin.label.is_none());
-        let named = unlabelled.try_for_each(|origin| check_text("the sweep's name", &origin.name));
-        named.map_err(Error::Config)?;
         Ok(Comparisons::over_sweeps(row, &self.baseline, &tables, labels))
     }
 

@@ -70,5 +70,5 @@ pub use shipped::{SHIPPED, TEMPLATE, template, write_new};
 pub use step_seconds::PublishedCosts;
 pub use training::{Cost, Trainings};
 pub use view::{Origin, Source, View, split_names};
-pub use words::{check_name, check_text};
+pub use words::check_name;
 pub use worker::last_words;

@@ -10,7 +10,6 @@ use super::comparability::{by_seed, must_match};
 use super::layout::TablePosition;
 use super::outputs::SweepOutputs;
 use super::points::Point;
-use super::words::check_text;
 use crate::base::files::read_json;
 use crate::base::{Error, Result};
 use crate::compare::{differing_settings, labels};
@@ -60,7 +59,6 @@ impl RunsTable {
                 runs.len()
             )));
         }
-        names.iter().try_for_each(|name| check_text("--label", name)).map_err(Error::Config)?;
         let ids = labels(runs, &[])?;
         let mut table = RunsTable {
             spec: TableSpec { name: "runs".into(), ..TableSpec::default() },

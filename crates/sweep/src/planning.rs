@@ -32,10 +32,7 @@ pub fn begin(
     let (planned, tried, refused) = try_out(definition, data_root)?;
     // A wrong definition must leave no folder.
     match folder.compare(definition)? {
-        Change::New => {
-            definition.check_texts()?;
-            check(&tried, refused.clone())?;
-        }
+        Change::New => check(&tried, refused.clone())?,
         Change::Changed if extend && !refused.is_empty() => check(&tried, refused.clone())?,
         _ => {}
     }
@@ -51,10 +48,7 @@ pub fn begin(
                 return Ok(points);
             }
             Err(refusal) if !extend => return Err(refusal),
-            Err(_) => {
-                definition.check_texts()?;
-                check(&tried, Refused::default())?;
-            }
+            Err(_) => check(&tried, Refused::default())?,
         },
         _ => {}
     }
@@ -82,7 +76,6 @@ pub fn plan(
     costs: &dyn StepCosts,
     check: &dyn Fn(&[Point], Refused) -> Result<()>,
 ) -> Result<Vec<Point>> {
-    definition.check_texts()?;
     let (planned, tried, refused) = try_out(definition, data_root)?;
     check(&tried, refused.clone())?;
     refused.check()?;

@@ -2,7 +2,6 @@
 //! text of TOML.
 
 use super::definition::{Definition, scene_name};
-use crate::base::{Error, Result};
 
 type Checked = std::result::Result<(), String>;
 
@@ -16,25 +15,6 @@ pub fn check_name(what: &str, name: &str) -> Checked {
             u32::from(letter)
         )),
     }
-}
-
-/// What `pandas.read_csv` reads as missing, by its default list; R's `NA` is one of these.
-const MISSING: [&str; 19] = [
-    "", "#N/A", "#N/A N/A", "#NA", "-1.#IND", "-1.#QNAN", "-NaN", "-nan", "1.#IND", "1.#QNAN", "<NA>", "N/A", "NA",
-    "NULL", "NaN", "None", "n/a", "nan", "null",
-];
-
-/// Returns an error for a name that pandas or R read from CSV files as a missing value.
-pub fn check_text(what: &str, name: &str) -> Checked {
-    if !MISSING.contains(&name.trim()) {
-        return Ok(());
-    }
-    let advice = match what.contains("scene") {
-        true => format!("a scene has its folder's name: rename the folder, such as to 'scene {name}'"),
-        false if what.contains("sweep") => format!("give another with --label, such as --label {name}='sweep {name}'"),
-        false => format!("choose another, such as 'row {name}'"),
-    };
-    Err(format!("{what} '{name}' is one that pandas and R read as a missing value in CSV files; {advice}"))
 }
 
 /// Lists names in quotes, since a name may have a comma.
@@ -58,16 +38,6 @@ impl Definition {
             }
         }
         Ok(())
-    }
-
-    /// Checks that other programs read no name of a row or scene as a missing value.
-    ///
-    /// # Errors
-    /// [`Error::Config`]: names the row or scene.
-    pub fn check_texts(&self) -> Result<()> {
-        let rows = self.row.iter().map(|row| check_text("the row's name", &row.name));
-        let scenes = self.scenes.iter().map(|scene| check_text("the scene's name", &scene_name(scene)));
-        rows.chain(scenes).collect::<Checked>().map_err(Error::Config)
     }
 
     /// Checks that margins of equivalence are positive and belong to metrics of the table.
@@ -94,26 +64,13 @@ impl Definition {
 mod tests {
     use super::*;
 
-    /// Numbers lose nothing but their type.
-    #[test]
-    fn names_are_text_in_pandas_and_r() {
-        let said = |what: &str, name: &str| check_text(what, name).err().unwrap_or_default();
-        for name in ["", "NA", " NaN ", "None", "null", "#N/A"] {
-            assert!(said("the row's name", name).ends_with(&format!("such as 'row {name}'")), "{name}");
-        }
-        for name in ["NeRF", "0042", "0.1", "1e5", "inf", "TRUE", "T", "none", "None, 3 seeds", "+ TV"] {
-            assert_eq!(said("the row's name", name), "", "{name}");
-        }
-        assert!(said("the scene's name", "NA").ends_with("rename the folder, such as to 'scene NA'"));
-    }
-
     /// Returns the error of a definition with these texts.
     fn said(title: &str, scene: &str, row: &str, rest: &str) -> String {
         let text = format!(
             "title = {title}\npreset = \"smoke\"\nscenes = [{scene}]\nseeds = [0]\n{rest}\n[[row]]\nname = {row}\n"
         );
         let parsed = Definition::parse(&text, "x.toml");
-        parsed.err().map_or(String::new(), |error: Error| error.to_string())
+        parsed.err().map_or(String::new(), |error| error.to_string())
     }
 
     #[test]
