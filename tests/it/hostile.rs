@@ -6,7 +6,7 @@ use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
-use crate::common::program::{Place, augnerf, refuse};
+use crate::common::program::{Place, augnerf, refuse, set};
 use crate::common::{assert_says, built};
 use augnerf::base::Error;
 use augnerf::mesh::read_mesh;
@@ -109,7 +109,8 @@ fn a_terminal_gets_no_commands_from_files() {
     let message = place.run("train --print-config --config config.toml", 2);
     assert!(!message.contains(['\u{1b}', '\0', '\u{9b}', '\u{202e}']), "{message:?}");
     place.write("a.obj", format!("v 0 0 {}\u{1b}[2J\0\n", "y".repeat(5 << 20)));
-    let message = place.run("train --set eval.mesh.resolution=16 --set eval.mesh.reference=a.obj", 3);
+    let mesh = set("data.width=12 eval.mesh.resolution=16 eval.mesh.reference=a.obj");
+    let message = place.run(&format!("train --preset smoke{mesh}"), 3);
     assert!(message.len() < MESSAGE && !message.contains(['\u{1b}', '\0']), "{} bytes", message.len());
 }
 

@@ -40,7 +40,7 @@ fn fixtures() -> PathBuf {
 /// All readers, their files in folders below `folder`.
 pub fn all(folder: &Path) -> Vec<Reader> {
     copy(&fixtures().join("sound"), folder);
-    fs::create_dir(folder.join("import")).unwrap();
+    fs::create_dir_all(folder.join("import")).unwrap();
     fs::write(folder.join("config/defaults.toml"), Config::default().to_toml()).unwrap();
     for name in ["nerf_pytorch.tar", "hostile/short_storage.tar", "hostile/missing_storage.tar"] {
         let from = fixtures().join(name);
