@@ -2,7 +2,6 @@
 
 use std::fs;
 
-use crate::common::assert_says;
 use crate::common::files::{edit, rows, text};
 use crate::verify::results;
 
