@@ -168,7 +168,7 @@ fn a_training_has_one_row_and_a_fact_one_line() {
     }
     assert_says(part(&page, "class=\"results", "</table>"), &["the same training: epsilon = 0.06275"]);
     let first = part(&page, "<h2>Read first</h2>", "</section>");
-    assert_says(first, &["view in all 2 rows (see Attack)", "all rows: data_hash"]);
+    assert_says(first, &["on average: 2 of 2 rows", "¶ settings that differ between seeds: 2 of 2 rows"]);
     assert_eq!(first.matches("<li>").count(), 2, "{first}");
 }
 

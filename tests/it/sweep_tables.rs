@@ -319,9 +319,8 @@ fn what_is_said_of_a_row_holds_for_most_of_its_seeds() {
         assert!(markdown.contains(&format!("| {mark} | ")), "{markdown}");
         assert!(notes.iter().all(|note| markdown.lines().any(|line| line.ends_with(note))), "{notes:?}: {markdown}");
         assert_eq!(csv_of(&table)[0]["inactive_levels"], cell);
-        let heads = warnings(&table.lines.iter().collect::<Vec<&Line>>()).join("\n");
-        assert_eq!(heads.contains("NOTHING LEARNED: NeRF: no better than one colour with 3 of 4 seeds"), lost == 3);
-        assert_eq!(heads.contains("seeds learned nothing: NeRF"), lost == 1, "{heads}");
+        let heads = warnings(&table).join("\n");
+        assert_eq!(heads.contains("‖ no better than one colour: 1 of 1 rows"), lost == 3, "{heads}");
         assert_eq!(heads.contains(by_colour), inactive == 4, "{heads}");
     }
 }
@@ -372,10 +371,10 @@ fn markdown_tells_everything_beside_the_numbers() {
 fn latex_is_escaped_and_closed() {
     let text = table_latex(&table());
     let words = [
-        "{PSNR (dB) $\\uparrow$}",
-        "{Aug-NeRF $\\dagger$} & {\\textbf{\\boldmath 25.50 $\\pm$ 0.25 (3)}} & {26.51} & {} & {0.054} \\\\\n",
-        "{Aug-NeRF $\\dagger$} & {\\textbf{\\boldmath +0.50 [+0.19, +0.81]}} & {0.040} & {} & {} \\\\\n",
-        "{output \\& only *}",
+        "\\raggedleft PSNR (dB) $\\uparrow$}",
+        "\\raggedright Aug-NeRF $\\dagger$ & {\\textbf{\\boldmath 25.50 $\\pm$ 0.25 (3)}} & {26.51} & {} & {0.054} \\\\\n",
+        "\\raggedright Aug-NeRF $\\dagger$ & {\\textbf{\\boldmath +0.50 [+0.19, +0.81]}} & {0.040} & {} & {} \\\\\n",
+        "\\raggedright output \\& only *",
         "\\midrule\n\\multicolumn{5}{l}{\\emph{chair}} \\\\\n",
         "\\bottomrule\n\\end{tabular}",
         "\\usepackage{booktabs}",

@@ -232,7 +232,7 @@ fn every_table_says_how_often_a_pixel_was_seen() {
     assert_says(&said, &["checking 3 configurations of 3 points on builtin", "timing some steps", note]);
     assert_says(&read("table.md"), &[&note.replace("each", "Each")]);
     assert_says(&read("table.tex"), &["each training pixel was seen 0.0063 times"]);
-    assert_says(&read("report.html"), &["less than one epoch: each training pixel", "0.0063 to 0.013 times"]);
+    assert_says(&read("report.html"), &["each training pixel seen less than once: ", "0.0063 to 0.013 times"]);
     let epochs: Vec<String> = rows(&read("points.csv")).iter().map(|row| row["epochs"].clone()).collect();
     assert_eq!(epochs, ["0.0125", "0.00625", "0.00625"]);
 }

@@ -11,7 +11,7 @@ pub mod statistics;
 pub mod tables;
 
 pub use comparisons::{Compared, Comparisons, OverScenes, Unit};
-pub use published::{PUBLISHED_NOTE, PublishedProtocol, PublishedRow, published_rows};
+pub use published::{PUBLISHED_NOTE, PublishedRow, published_rows};
 pub use record::{
     AxisParts, AxisValue, PointResult, PublishedKey, Record, RowSpec, Status, TableSpec, distinct, label,
 };

@@ -16,7 +16,7 @@ In table A1 the NeRF row of width 128 equals the quoted one of width 256. The pa
 and no rays a step (its released code does), no LPIPS backbone and no severity of its noises: its numbers stand beside \
 ours and are not subtracted.";
 
-/// One row of the paper's tables.
+/// One row of the paper's tables, and how its numbers were measured as far as known.
 #[derive(Clone, Debug, PartialEq, Deserialize)]
 pub struct PublishedRow {
     /// `tab1`, ...
@@ -37,42 +37,36 @@ pub struct PublishedRow {
     pub lpips: f64,
     /// Geometric mean of the three as errors; see [`crate::metrics::average`].
     pub average: f64,
-}
-
-/// How a published number was measured, as far as known.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct PublishedProtocol {
-    /// The source of the number.
-    pub source: &'static str,
+    /// The source of the numbers.
+    pub source: String,
     /// Width of the evaluated views in pixels.
     pub width: usize,
-    /// Height of the evaluated views in pixels.
+    /// Height of the evaluated views in pixels. SRN's are half as high as the other quoted ones, because of its memory.
     pub height: usize,
     /// Number of weight updates.
     pub steps: Option<u64>,
     /// Width of the trunk.
     pub field_width: Option<usize>,
-    /// Number of layers of the trunk.
+    /// Number of layers of the trunk. The paper has the "same MLP architecture" as NeRF.
     pub field_depth: Option<usize>,
-    /// Coarse and fine samples of a ray.
-    pub samples: Option<(usize, usize)>,
+    /// Coarse samples of a ray.
+    pub samples_coarse: Option<usize>,
+    /// Fine samples of a ray.
+    pub samples_fine: Option<usize>,
     /// Rays of a step.
     pub rays: Option<usize>,
-    /// Samples and rays come from the paper's released code, since the paper gives none.
+    /// Number of training views. LLFF was not trained on any of them.
+    pub views_trained: Option<usize>,
+    /// Number of evaluated views: every eighth of an LLFF scene. Of a Blender scene's 200 test views the NeRF paper takes all,
+    /// the released code every eighth.
+    pub views_evaluated: Option<usize>,
+    /// Samples and rays come from the paper's released code, since the paper gives none. There is none of MipNeRF.
     pub by_released_code: bool,
     /// So does the number of evaluated views, which the paper gives for LLFF scenes alone.
     pub evaluated_by_released_code: bool,
-    /// Number of training views, and of evaluated views if it is known.
-    pub views: Option<(usize, Option<usize>)>,
-    /// A known error of the number; empty otherwise.
-    pub remark: &'static str,
+    /// A known error of the numbers, or what else is to be known; empty otherwise.
+    pub remark: String,
 }
-
-/// SRN on orchids has fern's SSIM.
-const WRONG_SSIM: &str = "its SSIM is that of fern, the NeRF paper has 0.449";
-
-/// Remark on all numbers of LLFF.
-const ELSEWHERE: &str = "one network trained on other scenes, whose inputs are this scene's training views";
 
 /// Returns every row of the paper's tables, in order.
 pub fn published_rows() -> Vec<PublishedRow> {
@@ -112,91 +106,28 @@ impl PublishedRow {
         numbers.into_iter().find(|(key, _)| *key == name).map(|(_, number)| number)
     }
 
-    /// Returns how it was measured.
-    pub fn protocol(&self) -> PublishedProtocol {
-        let is_llff = self.dataset == "llff";
-        let quoted = matches!(self.table.as_str(), "tab1" | "tab2" | "tab4");
-        let (theirs, half) = if is_llff { ((1008, 752), (504, 376)) } else { ((800, 800), (512, 512)) };
-        let (source, (width, height)) = match self.method.as_str() {
-            // Because of the memory limit.
-            "SRN" => ("quoted from the NeRF paper", half),
-            "LLFF" | "NV" => ("quoted from the NeRF paper", theirs),
-            "NeRF" if quoted => ("quoted from the NeRF paper", theirs),
-            _ if self.condition.ends_with("full_res") => {
-                ("the paper's own run", if is_llff { (1008, 756) } else { (800, 800) })
-            }
-            _ => ("the paper's own run", if is_llff { (504, 378) } else { (400, 400) }),
-        };
-        let own = source == "the paper's own run";
-        let nerf = self.method == "NeRF";
-        // There is no released code of MipNeRF.
-        let by_released_code = own && self.method != "MipNeRF";
-        PublishedProtocol {
-            source,
-            width,
-            height,
-            steps: own.then_some(500_000),
-            field_width: (own || nerf).then(|| self.stated_width()),
-            // The "same MLP architecture" as the original NeRF's.
-            field_depth: (own || nerf).then_some(8),
-            samples: match by_released_code {
-                true => Some((64, if is_llff { 64 } else { 128 })),
-                false => (nerf && !own).then_some((64, 128)),
-            },
-            rays: match by_released_code {
-                true => Some(1024),
-                false => (nerf && !own).then_some(4096),
-            },
-            by_released_code,
-            evaluated_by_released_code: by_released_code && !is_llff,
-            // LLFF was not trained on any of them.
-            views: self.views(own.then_some(by_released_code)).filter(|_| self.method != "LLFF"),
-            remark: match (&*self.method, &*self.scene) {
-                ("SRN", "orchids") => WRONG_SSIM,
-                ("LLFF", _) => ELSEWHERE,
-                _ => "",
-            },
-        }
-    }
-
-    /// Returns the numbers of views; `own` says of the paper's own runs whether the released code has them. Every eighth view of
-    /// an LLFF scene is held out. Of a Blender scene's 200 test views the NeRF paper takes all, the released code every eighth.
-    fn views(&self, own: Option<bool>) -> Option<(usize, Option<usize>)> {
-        match (self.dataset.as_str(), self.scene.as_str(), own) {
-            ("blender", _, None) => Some((100, Some(200))),
-            ("blender", _, Some(by_released_code)) => Some((100, by_released_code.then_some(25))),
-            (_, "fern", _) => Some((17, Some(3))),
-            (_, "orchids", _) => Some((21, Some(4))),
-            (_, "trex", _) => Some((48, Some(7))),
-            _ => None,
-        }
-    }
-
-    /// Returns the trunk's width in the condition, otherwise the paper's.
-    fn stated_width(&self) -> usize {
-        let stated = self.condition.strip_prefix("width_").and_then(|rest| rest.split('_').next());
-        stated.and_then(|width| width.parse().ok()).unwrap_or(256)
-    }
-}
-
-impl PublishedProtocol {
     /// Returns how often a training pixel was seen: 158 times on fern, 32 times on the chair.
     pub fn epochs(&self) -> Option<f64> {
-        epochs(self.steps?, self.rays?, self.width * self.height * self.views?.0)
+        epochs(self.steps?, self.rays?, self.width * self.height * self.views_trained?)
     }
 
-    /// Returns everything that is known, for readers.
-    pub fn text(&self) -> String {
+    /// Returns the coarse and fine samples of a ray: `64 + 128`.
+    fn samples(&self) -> Option<String> {
+        Some(format!("{} + {}", self.samples_coarse?, self.samples_fine?))
+    }
+
+    /// Returns everything that is known of the measurement, for readers.
+    pub fn protocol(&self) -> String {
         let in_code = |is_of_code| if is_of_code { " in the released code" } else { "" };
         let (code, its) = (in_code(self.by_released_code), in_code(self.evaluated_by_released_code));
         let known = [
             self.steps.map(|steps| format!(", {steps} steps")),
             self.field_width.map(|width| format!(", width {width}")),
             self.field_depth.map(|depth| format!(", {depth} layers")),
-            self.samples.map(|(coarse, fine)| format!(", {coarse} + {fine} samples{code}")),
+            self.samples().map(|samples| format!(", {samples} samples{code}")),
             self.rays.map(|rays| format!(", {rays} rays a step{code}")),
-            self.views.map(|(trained, _)| format!(", {trained} views trained on")),
-            self.views.and_then(|(_, evaluated)| Some(format!(" and {} evaluated{its}", evaluated?))),
+            self.views_trained.map(|trained| format!(", {trained} views trained on")),
+            self.views_evaluated.map(|evaluated| format!(" and {evaluated} evaluated{its}")),
         ];
         let known: String = known.into_iter().flatten().collect();
         let remark = if self.remark.is_empty() { String::new() } else { format!("; {}", self.remark) };
@@ -214,16 +145,16 @@ impl PublishedProtocol {
         let number = |name| record.protocol(name).to_string();
         let of_code = |is_of_code| if is_of_code { " of the released code" } else { "" };
         let (code, its) = (of_code(self.by_released_code), of_code(self.evaluated_by_released_code));
-        let evaluated = self.views.and_then(|(_, evaluated)| evaluated);
+        let text = |number: Option<usize>| number.map(|number| number.to_string());
         let pairs = [
             ("", size, Some(format!("{}x{}", self.width, self.height)), ""),
             ("steps ", number("steps"), self.steps.map(|steps| steps.to_string()), ""),
-            ("field_width ", number("field_width"), self.field_width.map(|width| width.to_string()), ""),
-            ("field_depth ", number("field_depth"), self.field_depth.map(|depth| depth.to_string()), ""),
-            ("samples ", samples, self.samples.map(|(coarse, fine)| format!("{coarse} + {fine}")), code),
-            ("rays ", number("rays"), self.rays.map(|rays| rays.to_string()), code),
-            ("views_trained ", number("views_trained"), self.views.map(|(trained, _)| trained.to_string()), ""),
-            ("views_evaluated ", number("views_evaluated"), evaluated.map(|count| count.to_string()), its),
+            ("field_width ", number("field_width"), text(self.field_width), ""),
+            ("field_depth ", number("field_depth"), text(self.field_depth), ""),
+            ("samples ", samples, self.samples(), code),
+            ("rays ", number("rays"), text(self.rays), code),
+            ("views_trained ", number("views_trained"), text(self.views_trained), ""),
+            ("views_evaluated ", number("views_evaluated"), text(self.views_evaluated), its),
         ];
         let differing = pairs.into_iter().filter_map(|(name, ours, theirs, whose)| {
             let theirs = theirs.filter(|theirs| !ours.is_empty() && *theirs != ours)?;
@@ -244,7 +175,7 @@ mod tests {
     }
 
     fn text(table: &str, condition: &str, method: &str, scene: &str) -> String {
-        find(table, condition, method, scene).unwrap().protocol().text()
+        find(table, condition, method, scene).unwrap().protocol()
     }
 
     #[test]
@@ -260,7 +191,7 @@ mod tests {
 
     #[test]
     fn the_paper_saw_its_pixels_often() {
-        let seen = |table, method, scene| find(table, "clean", method, scene).unwrap().protocol().epochs();
+        let seen = |table, method, scene| find(table, "clean", method, scene).unwrap().epochs();
         assert_eq!(seen("tab4", "Aug-NeRF", "fern").map(f64::round), Some(158.0));
         assert_eq!(seen("tab2", "Aug-NeRF", "chair"), Some(32.0));
         // The NeRF paper's steps and MipNeRF's rays are not stated.
@@ -305,7 +236,7 @@ mod tests {
             text("tab1", "clean", "SRN", "orchids")
                 .ends_with("4 evaluated; its SSIM is that of fern, the NeRF paper has 0.449")
         );
-        let remarked = |row: &&PublishedRow| row.method != "LLFF" && !row.protocol().remark.is_empty();
+        let remarked = |row: &&PublishedRow| row.method != "LLFF" && !row.remark.is_empty();
         assert_eq!(published_rows().iter().filter(remarked).count(), 1);
         assert!(PUBLISHED_NOTE.contains("0.449") && !PUBLISHED_NOTE.contains("1008x756"));
     }
@@ -324,9 +255,9 @@ mod tests {
             record.clone()
         };
         let record = set(&[("width", "101"), ("height", "76"), ("steps", "500000"), ("field_width", "64")]);
-        let own = find("tab4", "clean", "Aug-NeRF", "fern").unwrap().protocol();
+        let own = find("tab4", "clean", "Aug-NeRF", "fern").unwrap();
         assert_eq!(own.difference(&record), "101x76 instead of 504x378, field_width 64 instead of 256");
-        let quoted = find("tab1", "clean", "SRN", "fern").unwrap().protocol();
+        let quoted = find("tab1", "clean", "SRN", "fern").unwrap();
         assert_eq!(quoted.difference(&record), "101x76 instead of 504x376");
         // Everything that a point states and that the papers or the code state too.
         let small = [("field_depth", "4"), ("samples_coarse", "32"), ("samples_fine", "16"), ("rays", "512")];
@@ -336,11 +267,11 @@ mod tests {
         let code =
             "samples 32 + 16 instead of 64 + 64 of the released code, rays 512 instead of 1024 of the released code";
         assert_eq!(own.difference(&record), format!("{depth}, {code}, {views}"));
-        let nerf = find("tab4", "clean", "NeRF", "fern").unwrap().protocol();
+        let nerf = find("tab4", "clean", "NeRF", "fern").unwrap();
         let paper = "samples 32 + 16 instead of 64 + 128, rays 512 instead of 4096";
         assert_eq!(nerf.difference(&record), format!("{depth}, {paper}, {views}"));
         assert_eq!(quoted.difference(&record), views);
-        let chair = find("tab2", "clean", "Aug-NeRF", "chair").unwrap().protocol().difference(&record);
+        let chair = find("tab2", "clean", "Aug-NeRF", "chair").unwrap().difference(&record);
         assert!(chair.ends_with("views_evaluated 2 instead of 25 of the released code"), "{chair}");
     }
 }

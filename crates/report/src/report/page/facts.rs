@@ -2,9 +2,8 @@
 
 use std::collections::BTreeSet;
 
-use crate::draw::numbers::rounded;
-use crate::report::tables::text::{SEE_ATTACK, warnings as warnings_of};
-use crate::report::tables::{Line, Table, epochs_note, epochs_of, is_brief};
+use crate::report::tables::text::warnings as warnings_of;
+use crate::report::tables::{Table, epochs_of, is_brief};
 use crate::report::{Record, Status, distinct};
 
 /// Most scenes whose names are a fact.
@@ -59,16 +58,13 @@ fn scene_names(table: &Table) -> String {
     if scenes.len() > MOST_SCENES { scenes.len().to_string() } else { scenes.join(", ") }
 }
 
-/// Returns the warnings that come first.
+/// Returns the warnings that come first: rows by their marks, and what holds for the table.
 pub fn warnings(table: &Table, records: &[Record]) -> Vec<String> {
-    let scenes = table.scenes();
-    let of_scene = |(scene, lines): &(&str, Vec<&Line>)| {
-        let scene = scene.to_string();
-        let brief = epochs_note(lines, NAMED).filter(|_| lines.iter().any(|line| is_brief(line)));
-        let brief = brief.map(|note| format!("less than one epoch: {note}"));
-        brief.into_iter().chain(warnings_of(lines)).map(move |warning| (scene.clone(), rounded(&warning)))
-    };
-    let mut warnings = by_scenes(scenes.iter().flat_map(of_scene).collect(), scenes.len());
+    let mut warnings = warnings_of(table);
+    let brief = table.lines.iter().filter(|line| is_brief(line)).count();
+    if brief > 0 {
+        warnings.push(format!("each training pixel seen less than once: {brief} rows"));
+    }
     let done = records.iter().filter(|record| record.status == Status::Done);
     if distinct(done.filter_map(|record| record.seed)).len() == 1
         && table.lines.iter().any(|line| line.baseline.is_some())
@@ -76,42 +72,6 @@ pub fn warnings(table: &Table, records: &[Record]) -> Vec<String> {
         warnings.push("one seed: no spread, no interval and no test is known".into());
     }
     warnings
-}
-
-/// Most scenes that a warning names.
-const NAMED: usize = 3;
-
-/// Returns the warnings of several scenes, each said once: of the rows that mean nothing first, and then in their order.
-fn by_scenes(found: Vec<(String, String)>, scenes: usize) -> Vec<String> {
-    if scenes < 2 {
-        return found.into_iter().map(|(_, warning)| warning).collect();
-    }
-    let kind = |warning: &str| warning.split_once(':').map_or(warning, |(kind, _)| kind).to_string();
-    let is_loud = |kind: &String| kind.starts_with(|first: char| first.is_uppercase());
-    let mut kinds = distinct(found.iter().map(|(_, warning)| kind(warning)));
-    kinds.sort_by_key(|kind| !is_loud(kind));
-    let of_kind = |of: &String| {
-        let own: Vec<&(String, String)> = found.iter().filter(|(_, warning)| kind(warning) == *of).collect();
-        let texts = distinct(own.iter().map(|(_, warning)| warning));
-        // Sites without effect differ from scene to scene, and have a table.
-        if texts.len() > NAMED && texts.iter().all(|text| text.ends_with(SEE_ATTACK)) {
-            return vec![format!("{}: {of}{SEE_ATTACK}", scenes_text(&own, scenes))];
-        }
-        let of_text = |text: &String| {
-            let own: Vec<&(String, String)> = own.iter().copied().filter(|(_, own)| own == text).collect();
-            format!("{}: {text}", scenes_text(&own, scenes))
-        };
-        texts.into_iter().map(of_text).collect()
-    };
-    kinds.iter().flat_map(of_kind).collect()
-}
-
-fn scenes_text(own: &[&(String, String)], scenes: usize) -> String {
-    match own.len() {
-        all if all == scenes => format!("all {scenes} scenes"),
-        many if many > NAMED => format!("{many} of {scenes} scenes"),
-        _ => own.iter().map(|(scene, _)| scene.as_str()).collect::<Vec<&str>>().join(", "),
-    }
 }
 
 #[cfg(test)]
@@ -122,24 +82,5 @@ mod tests {
     fn many_seeds_are_ranges() {
         let texts = [(0..100).collect(), [7, 3, 4].into(), [0, 1, 2, 9].into(), [].into()].map(seeds_text);
         assert_eq!(texts, ["0-99", "3, 4, 7", "0-2, 9", ""]);
-    }
-
-    #[test]
-    fn a_warning_of_many_scenes_is_said_once_and_nothing_learned_first() {
-        let of = |scene: usize, warning: &str| (format!("s{scene}"), warning.to_string());
-        let mut found: Vec<(String, String)> =
-            (0..5).map(|scene| of(scene, &format!("sites: t in {scene} rows (see Attack)"))).collect();
-        found.extend((0..5).map(|scene| of(scene, "settings differ between seeds: all rows: views_seed")));
-        found.push(of(4, "NOTHING LEARNED: TV: no better than one colour"));
-        let said = by_scenes(found.clone(), 5);
-        let expected = [
-            "s4: NOTHING LEARNED: TV: no better than one colour",
-            "all 5 scenes: sites (see Attack)",
-            "all 5 scenes: settings differ between seeds: all rows: views_seed",
-        ];
-        assert_eq!(said, expected);
-        let few = by_scenes(found[..2].to_vec(), 5);
-        assert_eq!(few, ["s0: sites: t in 0 rows (see Attack)", "s1: sites: t in 1 rows (see Attack)"]);
-        assert_eq!(by_scenes(found[..1].to_vec(), 1), ["sites: t in 0 rows (see Attack)"]);
     }
 }

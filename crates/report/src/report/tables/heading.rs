@@ -39,11 +39,6 @@ impl Heading<'_> {
         let space = if self.arrow.is_empty() { "" } else { " " };
         format!("{}{unit}{space}{}", self.name, self.arrow)
     }
-
-    /// Returns whether a word is one of the arrows.
-    pub fn is_arrow(word: &str) -> bool {
-        ["↑", "↓"].contains(&word)
-    }
 }
 
 /// What a difference to the baseline means for a reader: the one rule for bold numbers, colours and marks.

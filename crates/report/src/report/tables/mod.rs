@@ -18,7 +18,6 @@ mod sheet;
 mod terminal;
 pub mod text;
 mod together;
-mod warnings;
 
 pub use attack::{AttackLine, AttackSite, SiteMeans, attack_csv};
 pub use checks::disagreements;
@@ -296,7 +295,7 @@ fn line(spec: &TableSpec, group: &Group, groups: &[Group]) -> Line {
     let label = first.label();
     let baseline = group.baseline(groups);
     let published = group.row.published.as_ref().and_then(|key| key.find(group.scene));
-    let differences = published.as_ref().zip(measured).map(|(row, point)| row.protocol().difference(point));
+    let differences = published.as_ref().zip(measured).map(|(row, point)| row.difference(point));
     let (protocol, differs) = shared_protocol(group);
     let floors: Vec<f64> =
         group.done().filter_map(|point| point.metric(PSNR.key).and(point.metric(FLOOR_PSNR.key))).collect();
@@ -322,10 +321,10 @@ fn line(spec: &TableSpec, group: &Group, groups: &[Group]) -> Line {
         cells: spec.metrics.iter().map(|metric| cell(spec, metric, group, baseline, published.as_ref())).collect(),
         published_lpips: published.as_ref().map(|row| row.lpips).filter(|_| spec.has_any("lpips_")),
         published_average: published.as_ref().map(|row| row.average).filter(|_| spec.has_any("average_")),
-        published_protocol: published.as_ref().map(|row| row.protocol().text()).unwrap_or_default(),
+        published_protocol: published.as_ref().map(|row| row.protocol()).unwrap_or_default(),
         protocol_difference: differences.unwrap_or_default(),
         epochs: joint(group.done().filter_map(Record::epochs).map(|own| (own, own))),
-        published_epochs: published.as_ref().and_then(|row| row.protocol().epochs()),
+        published_epochs: published.as_ref().and_then(|row| row.epochs()),
         protocol,
         differs,
         mixed: checks::mixed_fields(spec, group, groups),
@@ -352,8 +351,8 @@ fn quoted_line(spec: &TableSpec, row: &RowSpec, scene: &str) -> Option<Line> {
         cells: spec.metrics.iter().map(cell).collect(),
         published_lpips: Some(published.lpips).filter(|_| spec.has_any("lpips_")),
         published_average: Some(published.average).filter(|_| spec.has_any("average_")),
-        published_protocol: published.protocol().text(),
-        published_epochs: published.protocol().epochs(),
+        published_protocol: published.protocol(),
+        published_epochs: published.epochs(),
         ..Line::default()
     })
 }

@@ -29,44 +29,34 @@ pub fn table_terminal(table: &Table, width: u16) -> String {
     text
 }
 
-/// Returns the drawing of the first metrics whose words fit into `width`, and the metrics that do not.
-fn drawing<'t>(table: &'t Table, lines: &[&Line], width: u16) -> (Drawing, Vec<&'t str>) {
+/// Returns the drawing of the first columns whose words fit into `width`, and the heads of those that do not.
+fn drawing(table: &Table, lines: &[&Line], width: u16) -> (Drawing, Vec<String>) {
+    let column = |head: &str, text: &dyn Fn(&Line) -> String| -> Vec<String> {
+        std::iter::once(head.to_string()).chain(lines.iter().map(|line| text(line))).collect()
+    };
+    let names = column("row", &|line| rounded(&marked_label(line)));
+    let of_metric =
+        |(index, metric): (usize, &String)| column(metric, &move |line: &Line| cell_text(&line.cells[index]));
+    let unknown = column("paper, unknown backbone", &unknown_text);
+    let all = std::iter::once(names).chain(table.metrics.iter().enumerate().map(of_metric)).chain([unknown]);
+    // A note says why a metric has no number.
+    let mut columns: Vec<Vec<String>> = all.filter(|cells| cells[1..].iter().any(|cell| !cell.is_empty())).collect();
+    // Room in which the words of a column stay whole, with the space around it.
+    let room = |(index, cells): (usize, &Vec<String>)| {
+        let words = cells.iter().flat_map(|cell| cell.split_whitespace()).map(|word| word.chars().count());
+        let room = words.max().unwrap_or(0) as u16 + PADDING;
+        if index == 0 { room.min(width / 2) } else { room }
+    };
+    let rooms: Vec<u16> = columns.iter().enumerate().map(room).collect();
+    let fits = |count: &usize| rooms[..*count].iter().map(|room| u32::from(*room)).sum::<u32>() <= u32::from(width);
+    // One metric at least.
+    let fitting = (2..=columns.len()).rev().find(fits).unwrap_or(2).min(columns.len());
+    let left_out = columns.split_off(fitting).into_iter().map(|cells| cells[0].clone()).collect();
     let mut drawing = Drawing::new();
     drawing.load_style(UTF8_HORIZONTAL_ONLY).set_content_arrangement(ContentArrangement::Dynamic).set_width(width);
-    let unknown = lines.iter().any(|line| !unknown_text(line).is_empty()).then_some("paper, unknown backbone");
-    // A note says why a metric has no number.
-    let is_filled = |index: &usize| lines.iter().any(|line| !cell_text(&line.cells[*index]).is_empty());
-    let mut filled: Vec<usize> = (0..table.metrics.len()).filter(is_filled).collect();
-    // Room of a column whose words stay whole, with the space around it.
-    let room = |texts: &mut dyn Iterator<Item = String>| {
-        let longest =
-            texts.map(|text| text.split_whitespace().map(|word| word.chars().count()).max().unwrap_or(0)).max();
-        longest.unwrap_or(0) as u16 + PADDING
-    };
-    let of_metric = |index: &usize| {
-        let cells = lines.iter().map(|line| cell_text(&line.cells[*index]));
-        room(&mut std::iter::once(table.metrics[*index].clone()).chain(cells))
-    };
-    let mut rooms = vec![room(&mut lines.iter().map(|line| rounded(&marked_label(line)))).min(width / 2)];
-    let last =
-        unknown.map(|head| room(&mut std::iter::once(head.to_string()).chain(lines.iter().map(|l| unknown_text(l)))));
-    let mut left = width.saturating_sub(rooms[0] + last.unwrap_or(0));
-    let fitting = filled.iter().take_while(|index| {
-        let room = of_metric(index);
-        let fits = room <= left;
-        left = left.saturating_sub(room);
-        fits
-    });
-    // One metric at least.
-    let fitting = fitting.count().max(1).min(filled.len());
-    let left_out = filled.split_off(fitting).into_iter().map(|index| table.metrics[index].as_str()).collect();
-    rooms.extend(filled.iter().map(of_metric).chain(last));
-    let metrics = filled.iter().map(|index| table.metrics[*index].as_str());
-    drawing.set_header(std::iter::once("row").chain(metrics).chain(unknown));
-    for line in lines {
-        let last = unknown.map(|_| unknown_text(line));
-        let cells = filled.iter().map(|index| cell_text(&line.cells[*index]));
-        drawing.add_row(std::iter::once(rounded(&marked_label(line))).chain(cells).chain(last));
+    drawing.set_header(columns.iter().map(|cells| &cells[0]));
+    for line in 1..=lines.len() {
+        drawing.add_row(columns.iter().map(|cells| &cells[line]));
     }
     for (column, room) in drawing.column_iter_mut().zip(rooms) {
         column.set_constraint(ColumnConstraint::LowerBoundary(Width::Fixed(room)));

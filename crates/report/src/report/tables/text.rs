@@ -3,7 +3,6 @@
 use super::kinds::{is_without_fields, kind_notes, llff_note};
 use super::together::number;
 pub use super::together::{interval_text, mean_and_spread, mean_text, signed_interval, signed_text};
-pub use super::warnings::{SEE_ATTACK, warnings};
 use super::{Cell, Comparison, Line, Table};
 use crate::metrics::{DEPTH_MAE, DEPTH_RMSE, DEPTH_ROUGHNESS, Metric, NORMAL_ROUGHNESS, Needs, PSNR};
 use crate::report::PUBLISHED_NOTE;
@@ -20,33 +19,58 @@ const EQUIVALENCE: &str = "\"equivalent within\" a margin that the definition st
 /// Metrics that each row measures over its own pixels.
 static OWN_PIXELS: [&Metric; 4] = [&DEPTH_MAE, &DEPTH_RMSE, &DEPTH_ROUGHNESS, &NORMAL_ROUGHNESS];
 
-/// A mark after a row's name: symbol, meaning, and the details for a line that has it. What holds for few seeds has no symbol.
-type Mark = (&'static str, &'static str, fn(&Line) -> Option<String>);
+/// A mark after a row's name. What holds for few seeds has no symbol.
+struct Mark {
+    symbol: &'static str,
+    meaning: &'static str,
+    /// Returns the details for a line that has the mark.
+    of: fn(&Line) -> Option<String>,
+    /// A reader must know it before the numbers: a page begins with it.
+    loud: bool,
+}
 
 const MARKS: [Mark; 9] = [
-    ("#", "not run here: the paper's numbers alone", |line| line.quoted.then(String::new)),
-    ("*", "not in the paper", |line| line.ours.then(String::new)),
-    ("†", InactiveBy::Loss.meaning(), |line| line.inactive_sites(InactiveBy::Loss)),
-    ("†", InactiveBy::Colour.meaning(), |line| line.inactive_sites(InactiveBy::Colour)),
-    ("‡", "NOT COMPARABLE, built by force: differs from the scene's first row in", |line| joined(&line.mixed)),
-    ("§", "points without numbers", |line| line.unfinished().then(|| status_and_reason(line))),
-    ("‖", "no better than one colour", most_of_one_colour),
-    ("", "sites that are inactive with at most half of the seeds", |line| line.inactive(false)),
-    ("¶", "settings that differ between seeds", |line| joined(&line.differs)),
+    quiet("#", "not run here: the paper's numbers alone", |line| line.quoted.then(String::new)),
+    quiet("*", "not in the paper", |line| line.ours.then(String::new)),
+    loud("†", InactiveBy::Loss.meaning(), |line| line.inactive_sites(InactiveBy::Loss)),
+    loud("†", InactiveBy::Colour.meaning(), |line| line.inactive_sites(InactiveBy::Colour)),
+    loud("‡", "NOT COMPARABLE with the scene's first row, built by force", |line| joined(&line.mixed)),
+    loud("§", "points without numbers", |line| line.unfinished().then(|| status_and_reason(line))),
+    loud("‖", "no better than one colour", most_of_one_colour),
+    quiet("", "sites that are inactive with at most half of the seeds", |line| line.inactive(false)),
+    loud("¶", "settings that differ between seeds", |line| joined(&line.differs)),
 ];
 
-pub(super) fn joined(names: &[String]) -> Option<String> {
+const fn quiet(symbol: &'static str, meaning: &'static str, of: fn(&Line) -> Option<String>) -> Mark {
+    Mark { symbol, meaning, of, loud: false }
+}
+
+const fn loud(symbol: &'static str, meaning: &'static str, of: fn(&Line) -> Option<String>) -> Mark {
+    Mark { symbol, meaning, of, loud: true }
+}
+
+/// Returns what a reader must know before the numbers: the number of rows of each such mark.
+pub fn warnings(table: &Table) -> Vec<String> {
+    let all = table.lines.iter().filter(|line| !line.quoted).count();
+    let warning = |Mark { symbol, meaning, of, .. }: &Mark| {
+        let rows = table.lines.iter().filter(|line| of(line).is_some()).count();
+        (rows > 0).then(|| format!("{symbol} {meaning}: {rows} of {all} rows"))
+    };
+    MARKS.iter().filter(|mark| mark.loud).filter_map(warning).collect()
+}
+
+fn joined(names: &[String]) -> Option<String> {
     (!names.is_empty()).then(|| names.join(", "))
 }
 
 /// Returns with how many of its seeds a line is no better than one colour, if these are most: nothing to add for all.
-pub(super) fn most_of_one_colour(line: &Line) -> Option<String> {
+fn most_of_one_colour(line: &Line) -> Option<String> {
     let seeds = line.no_better_than_one_colour.len();
     line.is_most(seeds).then(|| line.with_seeds(seeds).trim_start().to_string())
 }
 
 /// Returns which seeds learned nothing, for lines of which most did: `1 of 100 seeds learned nothing: NeRF (seed 37)`.
-pub(super) fn few_of_one_colour(lines: &[&Line], most: usize) -> Vec<String> {
+fn few_of_one_colour(lines: &[&Line], most: usize) -> Vec<String> {
     let count = |line: &Line| {
         let seeds = line.no_better_than_one_colour.len();
         let is_few = seeds > 0 && !line.is_most(seeds);
@@ -62,7 +86,7 @@ pub(super) fn few_of_one_colour(lines: &[&Line], most: usize) -> Vec<String> {
     distinct(lines.iter().filter_map(|line| count(line))).into_iter().map(text).collect()
 }
 
-pub(super) fn status_and_reason(line: &Line) -> String {
+fn status_and_reason(line: &Line) -> String {
     match line.reason.as_str() {
         "" => line.status.clone(),
         reason => format!("{}: {reason}", line.status),
@@ -71,13 +95,12 @@ pub(super) fn status_and_reason(line: &Line) -> String {
 
 /// Returns whether a note says what a mark means.
 pub fn is_of_mark(note: &str) -> bool {
-    note.split_once(' ')
-        .is_some_and(|(start, _)| MARKS.iter().any(|(symbol, ..)| *symbol == start && !start.is_empty()))
+    note.split_once(' ').is_some_and(|(start, _)| MARKS.iter().any(|mark| mark.symbol == start && !start.is_empty()))
 }
 
 /// Returns the line's label with its marks.
 pub fn marked_label(line: &Line) -> String {
-    let marks: String = MARKS.iter().filter(|(_, _, of)| of(line).is_some()).map(|(symbol, _, _)| *symbol).collect();
+    let marks: String = MARKS.iter().filter(|mark| (mark.of)(line).is_some()).map(|mark| mark.symbol).collect();
     if marks.is_empty() { line.label.clone() } else { format!("{} {marks}", line.label) }
 }
 
@@ -293,7 +316,7 @@ fn varied_notes(lines: &[&Line], most: usize) -> Vec<String> {
     varied.collect()
 }
 
-fn mark_note((symbol, meaning, of): &Mark, lines: &[&Line], most: usize) -> Option<String> {
+fn mark_note(Mark { symbol, meaning, of, .. }: &Mark, lines: &[&Line], most: usize) -> Option<String> {
     let marked = labels_by(lines, most, of).into_iter().map(|(what, labels)| match what.as_str() {
         "" => labels,
         what => format!("{labels} ({what})"),
@@ -303,7 +326,7 @@ fn mark_note((symbol, meaning, of): &Mark, lines: &[&Line], most: usize) -> Opti
 }
 
 /// Returns why a column is empty, for metrics that no line of the scene has.
-pub(super) fn unmeasured_notes(lines: &[&Line]) -> Vec<String> {
+fn unmeasured_notes(lines: &[&Line]) -> Vec<String> {
     let measured: Vec<&Line> = lines.iter().copied().filter(|line| !line.ids.is_empty()).collect();
     let Some(first) = measured.first() else { return Vec::new() };
     let with_weights = measured.iter().any(|line| !line.protocol("lpips_weights").is_empty());

@@ -37,7 +37,7 @@ fn escape_word(text: &str) -> String {
 }
 
 /// Least letters of a word that may be broken, and letters between two such places.
-const LONG_WORD: usize = 30;
+const LONG_WORD: usize = 22;
 const BREAK_EVERY: usize = 10;
 
 /// Letters with accents that every encoding of LaTeX can compose.
@@ -158,7 +158,7 @@ mod tests {
         assert_eq!(escape("β₂ 4×10⁻⁵ m²"), "$\\beta$$_{2}$ 4$\\times$10$^{-}$$^{5}$ m$^2$");
         assert_eq!(escape("λ 中 é --force"), "$\\lambda$ \\augnerfletter{4E2D} é $-${}-force");
         assert_eq!(escape("-0.1 [-0.2, -0.0] pre-output"), "$-$0.1 [$-$0.2, $-$0.0] pre-output");
-        let long = "x".repeat(31);
-        assert_eq!(escape(&long).replace("\\allowbreak{}", "|"), "xxxxxxxxxx|xxxxxxxxxx|xxxxxxxxxx|x");
+        let long = "x".repeat(23);
+        assert_eq!(escape(&long).replace("\\allowbreak{}", "|"), "xxxxxxxxxx|xxxxxxxxxx|xxx");
     }
 }
