@@ -54,7 +54,7 @@ fn weighted(pass: &RayPass, factor: &Tensor) -> Result<Tensor> {
 
 #[cfg(test)]
 mod tests {
-    use super::super::tests::patch;
+    use super::super::tests::{assert_slopes_by_differences, patch};
     use super::*;
 
     /// One opaque sample a ray, where a plane is.
@@ -85,47 +85,11 @@ mod tests {
         assert!(patch(&[0.0; 2 * 64], 2, 2.0).value(&DepthSmoothness).abs() < 1e-12);
     }
 
-    /// The term with a factor that does not move.
-    struct AtFactor(Tensor);
-
-    impl RayTerm for AtFactor {
-        fn name(&self) -> &str {
-            "depth-smoothness-at-factor"
-        }
-
-        fn group(&self) -> RayGroup {
-            RayGroup::Patch
-        }
-
-        fn is_of_evaluated_pass(&self) -> bool {
-            true
-        }
-
-        fn per_group(&self, pass: &RayPass) -> Result<Tensor> {
-            weighted(pass, &self.0)
-        }
-    }
-
-    /// The factor's gradient is left out: slopes are those of differences at the factor where they are taken, on rays that let
-    /// light through.
+    /// The factor has no gradient; on rays that end in something opaque it does not move.
     #[test]
     fn slopes_are_those_of_differences() {
-        let density: Vec<f64> = (0..64 * 3).map(|i| 0.1 + 0.07 * ((i * 37 % 11) as f64)).collect();
-        let ray = |density: &[f64]| patch(density, 3, 2.0).edged();
-        let opacity = |sigma: &[f64]| 1.0 - (-sigma.iter().sum::<f64>() * 2.0 / 3.0).exp();
-        let acc: Vec<f64> = density.chunks(3).map(opacity).collect();
-        assert!(acc.iter().all(|acc| (0.1..0.9).contains(acc)));
-        let fixed = AtFactor(Tensor::new(acc, &candle_core::Device::Cpu).unwrap());
-        let (value, slopes) = ray(&density).differentiated(&DepthSmoothness);
-        assert!((value - ray(&density).value(&fixed)).abs() < 1e-12);
-        for (i, found) in slopes.iter().enumerate() {
-            let moved = |by: f64| {
-                let mut density = density.clone();
-                density[i] += by;
-                ray(&density).value(&fixed)
-            };
-            let slope = (moved(1e-6) - moved(-1e-6)) / 2e-6;
-            assert!((found - slope).abs() < 1e-7, "{i}: {found} for {slope}");
-        }
+        let of_ray = |i: usize| [0.1 + 0.07 * ((i * 37 % 11) as f64), 0.1 + 0.05 * ((i * 23 % 13) as f64), 1e6];
+        let density: Vec<f64> = (0..PATCH_SIDE * PATCH_SIDE).flat_map(of_ray).collect();
+        assert_slopes_by_differences(&DepthSmoothness, &patch(&density, 3, 2.0).edged());
     }
 }

@@ -382,16 +382,6 @@ mod tests {
         assert_eq!(config.data.dir, "a b");
     }
 
-    #[test]
-    fn unknown_keys_and_wrong_types_are_named() {
-        let unknown = set(&["train.stepz=7"]).unwrap_err().to_string();
-        assert!(unknown.contains("train.stepz") && unknown.contains("train.steps"), "{unknown}");
-        let wrong = set(&["train.steps=many"]).unwrap_err().to_string();
-        assert!(wrong.contains("train.steps"), "{wrong}");
-        let choice = set(&["method=nerv"]).unwrap_err().to_string();
-        assert!(choice.contains("aug-nerf"), "{choice}");
-    }
-
     /// People type values as they would anywhere.
     #[test]
     fn values_are_read_as_they_are_meant() {
