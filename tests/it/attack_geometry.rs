@@ -50,7 +50,7 @@ fn sets(numbers: &ResolvedPerturb, t_vals: &Tensor, of: Of, width: usize, pixel:
         cap_samples: of.coarse,
         width,
         pixel,
-        density: SampleDensity::OWN,
+        sample_density: SampleDensity::OWN,
     };
     let of_pass = |pass: &PassGeometry| Sets::new(numbers.sites_of_pass(pass.is_coarse), pass).unwrap();
     [of_pass(&own), of_pass(&own.of_paper(&PaperPass::of_scenes(of.forward)).unwrap())]

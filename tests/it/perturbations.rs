@@ -33,7 +33,7 @@ fn geometry<'a>(
         cap_samples: samples,
         width,
         pixel,
-        density: SampleDensity::OWN,
+        sample_density: SampleDensity::OWN,
     }
 }
 

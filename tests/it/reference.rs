@@ -161,7 +161,7 @@ impl Attack {
                 cap_samples: 7,
                 width: 16,
                 pixel,
-                density: SampleDensity::OWN,
+                sample_density: SampleDensity::OWN,
             },
         )
         .unwrap();

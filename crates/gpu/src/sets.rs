@@ -2,7 +2,7 @@
 
 use augnerf_base::Result;
 use augnerf_base::rng::Stream;
-use augnerf_nerf::methods::{AttackGeometry, PassPlan, Search};
+use augnerf_nerf::methods::{AttackGeometry, DeltaPlan, PassPlan};
 use augnerf_nerf::perturb::{
     Draw, Epsilon, Level, Norm, PaperSite, PassGeometry, PerSite, Radius, SampleDensity, Sets, SiteNumbers, StepUnit,
     output_range,
@@ -48,14 +48,14 @@ enum SiteRadius {
 
 impl PassSets {
     /// Returns the sets of a perturbed pass.
-    pub(crate) fn new(config: &Resolved, scene: &Scene, plan: &PassPlan, search: &Search) -> Result<PassSets> {
+    pub(crate) fn new(config: &Resolved, scene: &Scene, plan: &PassPlan, delta_plan: &DeltaPlan) -> Result<PassSets> {
         let columns = config.field.encoding.t_vals(plan.count);
         let geometry = AttackGeometry::new(config, scene);
         let perturb = &config.perturb;
         let t_vals = Tensor::zeros((1, columns), DType::F64, &Device::Cpu)?;
         let direction_norm = Tensor::full(FAR, (1, 1), &Device::Cpu)?;
         let pass = geometry.pass(&t_vals, plan.count, &direction_norm, plan.is_coarse)?;
-        let sets = Sets::new(search.sites.iter().cloned(), &pass)?;
+        let sets = Sets::new(delta_plan.sites.iter().cloned(), &pass)?;
         let sites = sets.iter().map(|entry| {
             let (site, set) = (entry.site.at(), &entry.set);
             let numbers = perturb.numbers[site];

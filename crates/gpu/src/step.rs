@@ -92,8 +92,8 @@ impl Steps {
         let plan = Plan::of(config);
         let mut sets: [Option<PassSets>; 2] = [None, None];
         for pass in &plan.second {
-            if let Some(search) = &pass.search {
-                sets[slot(pass, false)] = Some(PassSets::new(config, scene, pass, search)?);
+            if let Some(delta_plan) = &pass.deltas {
+                sets[slot(pass, false)] = Some(PassSets::new(config, scene, pass, delta_plan)?);
             }
         }
         let (coarse, fine) = config.samples();

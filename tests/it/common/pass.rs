@@ -56,7 +56,7 @@ impl Setting {
             cap_samples: columns,
             width: config.field.width,
             pixel: PixelScale { width: 16.0, height: 16.0, focal: 20.0, ndc: false },
-            density: SampleDensity::OWN,
+            sample_density: SampleDensity::OWN,
         };
         let sets = Sets::new(config.perturb.sites_of_pass(geometry.is_coarse), &geometry).unwrap();
         let field = Field::init(&config.field, seed, 0, dtype, &Device::Cpu).unwrap();

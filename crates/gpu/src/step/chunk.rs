@@ -1,7 +1,7 @@
 //! The work of a chunk of rays: its clean passes, its search, its perturbed passes.
 
 use augnerf_base::rng::Stream;
-use augnerf_nerf::methods::{PassPlan, SampleSource, Search};
+use augnerf_nerf::methods::{DeltaPlan, PassPlan, SampleSource};
 use augnerf_nerf::perturb::{Draw, PaperSite};
 use augnerf_nerf::settings::{DeltaSource, OutputPlace, Regularizer, Resolved};
 use wgpu::Buffer;
@@ -39,8 +39,8 @@ impl<'a> ChunkRecorder<'a> {
             self.clean(recorder, CleanPass::First, pass, clean_weight);
         }
         for pass in &plan.second {
-            match &pass.search {
-                Some(search) => self.perturbed(recorder, pass, search, second_weight),
+            match &pass.deltas {
+                Some(delta_plan) => self.perturbed(recorder, pass, delta_plan, second_weight),
                 None => self.clean(recorder, CleanPass::Second, pass, second_weight),
             }
         }
@@ -130,7 +130,7 @@ impl<'a> ChunkRecorder<'a> {
     /// Records the samples of a pass, and returns them.
     fn samples(&self, recorder: &mut Recorder<'a>, which: CleanPass, plan: &PassPlan) -> &'a Buffer {
         let buffers = &self.steps.buffers;
-        let is_first = which == CleanPass::First && plan.search.is_none();
+        let is_first = which == CleanPass::First && plan.deltas.is_none();
         let t_fine = if is_first { &buffers.t_fine } else { &buffers.t_second };
         match plan.samples {
             SampleSource::OfCleanPass if plan.is_coarse => &buffers.t_coarse,
@@ -145,7 +145,7 @@ impl<'a> ChunkRecorder<'a> {
             }
             // The way back leaves the weights of the coarse samples as they are.
             SampleSource::Resampled => {
-                let moves = |sets: &PassSets| plan.search.is_some() && sets.sites().any(|site| site == PaperSite::T);
+                let moves = |sets: &PassSets| plan.deltas.is_some() && sets.sites().any(|site| site == PaperSite::T);
                 let t_coarse = match self.steps.sets[0].as_ref().is_some_and(moves) {
                     true => recorder.moved_t_vals(),
                     false => &buffers.t_coarse,
@@ -219,8 +219,8 @@ impl<'a> ChunkRecorder<'a> {
     }
 
     /// Records the draws of a perturbed pass, its search, the pass with its gradients, and the diagnostics before it.
-    fn perturbed(&self, recorder: &mut Recorder<'a>, plan: &PassPlan, search: &Search, weight: f64) {
-        let (index, source) = (slot(plan, false), search.source);
+    fn perturbed(&self, recorder: &mut Recorder<'a>, plan: &PassPlan, delta_plan: &DeltaPlan, weight: f64) {
+        let (index, source) = (slot(plan, false), delta_plan.source);
         let t_vals = self.samples(recorder, CleanPass::First, plan);
         let noise = self.noise(recorder, CleanPass::First, plan.is_coarse);
         let pass = self.pass(plan, true, t_vals, noise);

@@ -20,8 +20,8 @@ pub use device_steps::{DeviceSteps, StepAt};
 pub use diagnostics::{SiteDiagnostics, SiteSummary, colour_shift, columns as site_columns, logged_sites};
 pub use extremes::Extremes;
 pub use fields::{
-    AttackGeometry, Balance, CountedTerms, FieldLearner, FieldRenderer, Fields, PassPlan, Plan, SampleSource, Search,
-    StepLosses, is_regularized, is_timed, log_columns, parts, step_over_radius,
+    AttackGeometry, Balance, CountedTerms, DeltaPlan, FieldLearner, FieldRenderer, Fields, PassPlan, Plan,
+    SampleSource, StepLosses, is_regularized, is_timed, log_columns, parts, step_over_radius,
 };
 pub use gradients::Gradients;
 pub use learner::{Learner, LogColumns, StepReport, StepResult, StopCheck, Term, no_sites, not_finite};

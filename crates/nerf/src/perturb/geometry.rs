@@ -59,7 +59,7 @@ pub struct PassGeometry<'a> {
     /// The size of a pixel.
     pub pixel: PixelScale,
     /// Sample density relative to the pass, for the set of `t`.
-    pub density: SampleDensity,
+    pub sample_density: SampleDensity,
 }
 
 /// Samples of the paper's pass along a part of a ray, over the pass's own.
@@ -122,7 +122,7 @@ impl<'a> PassGeometry<'a> {
     pub fn of_paper(self, paper: &PaperPass) -> Result<PassGeometry<'a>> {
         let columns = self.t_vals.dim(1)?;
         let ratio = |paper: usize, own: usize| paper as f64 / own as f64;
-        let density = if self.is_coarse || self.has_edges()? {
+        let sample_density = if self.is_coarse || self.has_edges()? {
             let all = ratio(paper.gaps(self.is_coarse), columns - 1);
             SampleDensity { coarse: all, drawn: all }
         } else {
@@ -132,7 +132,7 @@ impl<'a> PassGeometry<'a> {
             }
         };
         let pixel = self.pixel.at_width(paper.image_width);
-        Ok(PassGeometry { density, cap_samples: paper.coarse, pixel, ..self })
+        Ok(PassGeometry { sample_density, cap_samples: paper.coarse, pixel, ..self })
     }
 }
 

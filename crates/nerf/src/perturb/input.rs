@@ -64,11 +64,11 @@ impl Site for T {
         let nearer = before.minimum(&after)?;
         let radius = match self.numbers.epsilon {
             // The paper's gaps may be wider than these. More than half of these would lose the order.
-            Epsilon::Units(epsilon) => match pass.density.uniform() {
+            Epsilon::Units(epsilon) => match pass.sample_density.uniform() {
                 Some(density) => (nearer * ((epsilon / density).min(LARGEST_SHIFT) * short))?,
                 None => {
                     let coarse_gap = (far - near) / (pass.coarse_samples as f64 - 1.0);
-                    let density = pass.density.around(&((before + after)? * 0.5)?, coarse_gap)?;
+                    let density = pass.sample_density.around(&((before + after)? * 0.5)?, coarse_gap)?;
                     let share = (density.recip()? * epsilon)?
                         .minimum(&pass.scalar(LARGEST_SHIFT)?.broadcast_as((rays, samples))?)?;
                     ((nearer * share)? * short)?

@@ -105,7 +105,7 @@ mod tests {
             cap_samples: 1,
             width: 1,
             pixel: PixelScale { width: 1.0, height: 1.0, focal: 1.0, ndc: false },
-            density: SampleDensity::OWN,
+            sample_density: SampleDensity::OWN,
         };
         let sites = sites.into_iter().map(|site| Arc::new(site) as Arc<dyn Site>);
         let sets = Sets::new(sites, &pass).unwrap();

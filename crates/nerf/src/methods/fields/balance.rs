@@ -11,8 +11,8 @@ use crate::losses::{REGULARIZERS, Regularizer, RegularizerConfig, TermNeeds, Ter
 use super::draws::Draws;
 use super::learner::FieldLearner;
 use super::plan::{PassPlan, Plan};
-use super::space::{decay, integrate};
-use super::step::{Passes, on_unseen};
+use super::space::{space_terms, table_terms};
+use super::step::{StepPasses, on_unseen};
 use super::terms::in_space;
 
 /// The gradient norm of a term at weight 1, next to that of the photometric loss.
@@ -30,8 +30,8 @@ pub struct Balance {
 const TO_ITS_END: fn() -> Result<()> = || Ok(());
 
 /// Returns the clean passes of a step with their photometric loss alone.
-fn photometric<'a>(learner: &'a FieldLearner, clean: &'a [PassPlan]) -> Passes<'a> {
-    Passes {
+fn photometric<'a>(learner: &'a FieldLearner, clean: &'a [PassPlan]) -> StepPasses<'a> {
+    StepPasses {
         learner,
         clean,
         second: &[],
@@ -78,12 +78,12 @@ impl FieldLearner {
             if matches!(terms[0].term.source(), TermSource::UnseenRays(_)) {
                 self.place_unseen_cameras(&terms)?;
             }
-            let alone = Passes { weights: (0.0, 0.0), terms: &terms, ..photometric(self, &clean) };
+            let alone = StepPasses { weights: (0.0, 0.0), terms: &terms, ..photometric(self, &clean) };
             let gradients = match &terms[0].term {
                 LossTerm::InSpace(_) => {
-                    integrate(self, &in_space(&terms), config, step, &TO_ITS_END)?.expect("a term").1
+                    space_terms(self, &in_space(&terms), config, step, &TO_ITS_END)?.expect("a term").1
                 }
-                LossTerm::OnTables(term) => decay(self, *term, 1.0, config, &of_photos)?.1,
+                LossTerm::OnTables(term) => table_terms(self, *term, 1.0, config, &of_photos)?.1,
                 LossTerm::OnRays(term, TermRays::Unseen) => on_unseen(alone, term.group(), step)?.gradients,
                 LossTerm::OnRays(..) => alone.over(&batch)?.gradients,
             };

@@ -13,7 +13,7 @@ use super::step::Perturbed;
 /// Measures each site of a perturbed pass separately: with the deltas that it used, and with random ones.
 pub(super) fn diagnose(at: &Perturbed, used: &UsedDeltas, sums: &mut Sums) -> Result<()> {
     let drawn = at.draw(Draw::Uniform, Stream::Diagnostics)?;
-    let (share, perturb) = (at.draws.share, &at.learner.config.perturb);
+    let (share, perturb) = (at.draws.fraction, &at.learner.config.perturb);
     let frozen = at.field.frozen()?;
     // The loss, with its weight in the pass, and the rays' colours.
     let render = |deltas: &Deltas| -> Result<(f64, Tensor)> {
@@ -23,7 +23,7 @@ pub(super) fn diagnose(at: &Perturbed, used: &UsedDeltas, sums: &mut Sums) -> Re
     };
     let (without, unmoved) = render(&Deltas::default())?;
     let on = perturb.numbers.iter().filter(|(_, numbers)| numbers.on()).map(|(site, _)| site.name());
-    for name in on.chain(at.search.own_sites().map(|site| site.name())) {
+    for name in on.chain(at.delta_plan.own_sites().map(|site| site.name())) {
         let (Some(set), Some(delta)) = (used.sets.get(name), used.deltas.get(name)) else {
             // Switched on with a set of size 0: there is no perturbation, and no gain.
             if PaperSite::of_name(name).is_some_and(|site| !perturb.numbers[site].perturbs()) {

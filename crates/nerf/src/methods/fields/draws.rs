@@ -26,7 +26,7 @@ pub(super) struct Draws {
     /// Positions in the inverse CDF, `[rays, fine]`.
     u: Option<Tensor>,
     /// Fraction of the step's rays.
-    pub(super) share: f64,
+    pub(super) fraction: f64,
     /// Steps finished before this one.
     pub(super) step: u64,
     /// Number of the chunk within the step.
@@ -102,7 +102,7 @@ impl Draws {
             (_, false) => Some(sampling::even_u(n, fine_columns, &t_coarse)?),
         };
         let (target, point_t) = (None, None);
-        Ok(Draws { rays, target, point_t, t_coarse, noise_coarse, noise_fine, u, share: 1.0, step, index: 0 })
+        Ok(Draws { rays, target, point_t, t_coarse, noise_coarse, noise_fine, u, fraction: 1.0, step, index: 0 })
     }
 
     /// Returns chunk number `index` of a step's rays.
@@ -118,7 +118,7 @@ impl Draws {
             noise_coarse: maybe(&self.noise_coarse)?,
             noise_fine: maybe(&self.noise_fine)?,
             u: maybe(&self.u)?,
-            share: count as f64 / self.rays.len() as f64,
+            fraction: count as f64 / self.rays.len() as f64,
             step: self.step,
             index: index as u64,
         })

@@ -55,7 +55,7 @@ impl AttackGeometry {
         is_coarse: bool,
     ) -> Result<PassGeometry<'a>> {
         let AttackGeometry { bounds, pixel, coarse_columns: coarse_samples, width, paper } = *self;
-        let (density, cap_samples) = (SampleDensity::OWN, coarse_samples);
+        let (sample_density, cap_samples) = (SampleDensity::OWN, coarse_samples);
         let own = PassGeometry {
             is_coarse,
             t_vals,
@@ -66,7 +66,7 @@ impl AttackGeometry {
             cap_samples,
             width,
             pixel,
-            density,
+            sample_density,
         };
         paper.map_or(Ok(own), |paper| own.of_paper(&paper))
     }
@@ -84,7 +84,7 @@ pub fn step_over_radius(config: &Resolved, scene: &Scene) -> Result<Vec<(PaperSi
     let direction_norm = Tensor::full(SHORTEST[usize::from(geometry.pixel.ndc)], (1, 1), &Device::Cpu)?;
     let mut ratios: Vec<(PaperSite, f64)> = Vec::new();
     for plan in Plan::of(config).second {
-        let Some(search) = plan.search else { continue };
+        let Some(delta_plan) = plan.deltas else { continue };
         let columns = config.field.encoding.t_vals(plan.count);
         let at = |i: usize| match config.sampling.spacing {
             Spacing::Depth => near + (far - near) * i as f64 / (columns - 1) as f64,
@@ -92,7 +92,7 @@ pub fn step_over_radius(config: &Resolved, scene: &Scene) -> Result<Vec<(PaperSi
         };
         let t_vals = Tensor::from_vec((0..columns).map(at).collect::<Vec<f64>>(), (1, columns), &Device::Cpu)?;
         let pass = geometry.pass(&t_vals, plan.count, &direction_norm, plan.is_coarse)?;
-        for SiteSet { site, set } in Sets::new(search.sites, &pass)?.iter() {
+        for SiteSet { site, set } in Sets::new(delta_plan.sites, &pass)?.iter() {
             let pgd = site.pgd();
             let ratio = match pgd.unit {
                 StepUnit::Absolute => pgd.step_size / set.radius.mean_all()?.to_scalar::<f64>()?,

@@ -22,7 +22,7 @@ pub use balance::Balance;
 pub use geometry::{AttackGeometry, step_over_radius};
 pub use learner::FieldLearner;
 pub use networks::Fields;
-pub use plan::{CountedTerms, PassPlan, Plan, SampleSource, Search};
+pub use plan::{CountedTerms, DeltaPlan, PassPlan, Plan, SampleSource};
 pub use renderer::FieldRenderer;
 pub use report::{StepLosses, log_columns};
 pub use space::{is_regularized, is_timed};

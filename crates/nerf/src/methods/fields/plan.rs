@@ -36,7 +36,7 @@ pub struct PassPlan {
     /// The terms on rays that count in it.
     pub terms: CountedTerms,
     /// The deltas of a perturbed pass.
-    pub search: Option<Search>,
+    pub deltas: Option<DeltaPlan>,
 }
 
 /// Where the samples of a pass come from.
@@ -65,7 +65,7 @@ pub enum CountedTerms {
 
 /// The deltas of a perturbed pass.
 #[derive(Clone)]
-pub struct Search {
+pub struct DeltaPlan {
     /// Where they come from.
     pub source: DeltaSource,
     /// The sites with a delta, each with its PGD steps and its set.
@@ -115,7 +115,7 @@ impl Plan {
                 (true, true) => CountedTerms::ButOfEvaluated,
                 (true, false) => CountedTerms::None,
             },
-            search: None,
+            deltas: None,
         };
         let last = PassPlan {
             is_coarse: false,
@@ -125,7 +125,7 @@ impl Plan {
             weight: 1.0,
             is_evaluated: true,
             terms: CountedTerms::All,
-            search: None,
+            deltas: None,
         };
         let passes = [(has_coarse || !has_fine).then_some(first), has_fine.then_some(last)];
         passes.into_iter().flatten().collect()
@@ -154,18 +154,18 @@ impl Plan {
 
     /// Adds a site of the user's own to the perturbed passes.
     pub fn add_site(&mut self, site: &Arc<dyn Site>) {
-        let searches = self.second.iter_mut().filter_map(|pass| pass.search.as_mut());
-        searches.for_each(|search| search.sites.push(site.clone()));
+        let delta_plans = self.second.iter_mut().filter_map(|pass| pass.deltas.as_mut());
+        delta_plans.for_each(|delta_plan| delta_plan.sites.push(site.clone()));
     }
 
     /// Returns the sites that were added.
     pub fn own_sites(&self) -> impl Iterator<Item = &Arc<dyn Site>> {
-        let search = self.second.first().and_then(|pass| pass.search.as_ref());
-        search.into_iter().flat_map(Search::own_sites)
+        let delta_plan = self.second.first().and_then(|pass| pass.deltas.as_ref());
+        delta_plan.into_iter().flat_map(DeltaPlan::own_sites)
     }
 }
 
-impl Search {
+impl DeltaPlan {
     /// Returns the sites of the user's own.
     pub fn own_sites(&self) -> impl Iterator<Item = &Arc<dyn Site>> {
         self.sites.iter().filter(|site| PaperSite::of_name(site.name()).is_none())
@@ -186,7 +186,7 @@ fn perturbed(config: &Resolved, source: DeltaSource, pass: PassPlan) -> PassPlan
             PerturbField::Separate => "adversarial",
         },
         samples: if resamples { SampleSource::Resampled } else { SampleSource::OfCleanPass },
-        search: Some(Search { source, sites: config.perturb.sites_of_pass(pass.is_coarse) }),
+        deltas: Some(DeltaPlan { source, sites: config.perturb.sites_of_pass(pass.is_coarse) }),
         ..pass
     }
 }

@@ -13,7 +13,7 @@ pub fn log_columns<'a>(config: &Config, plan: &Plan, terms: impl Iterator<Item =
     let mut further: Vec<String> = terms.map(column_of).collect();
     if let Some(second) = plan.second.first() {
         further.push("loss_perturbed".into());
-        if second.search.is_some() {
+        if second.deltas.is_some() {
             further.extend(config.perturb.sites_on().flat_map(|(site, _)| diagnostics::columns(site.name())));
         }
     }

@@ -60,7 +60,7 @@ fn regularized<'a>(
 
 /// Returns unweighted values (f64 `[terms]`) and gradients of the weighted terms in space after `step` finished steps.
 /// `None` if there are no such terms.
-pub(super) fn integrate(
+pub(super) fn space_terms(
     learner: &FieldLearner,
     terms: &[(&dyn SpaceTerm, f64)],
     config: &RegularizerConfig,
@@ -87,7 +87,7 @@ pub(super) fn integrate(
 
 /// Returns the value of the tables' decay, and the gradients of `weight` times it in the entries that `reached`,
 /// gradients of the step, are not 0 at.
-pub(super) fn decay(
+pub(super) fn table_terms(
     learner: &FieldLearner,
     decay: HashDecay,
     weight: f64,

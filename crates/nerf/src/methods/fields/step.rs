@@ -38,9 +38,9 @@ use super::draws::Draws;
 use super::entries::{ONLY_SECOND, of_tables};
 use super::learner::FieldLearner;
 use super::networks::Fields;
-use super::plan::{PassPlan, Plan, SampleSource, Search};
+use super::plan::{DeltaPlan, PassPlan, Plan, SampleSource};
 use super::report::StepLosses;
-use super::space::{decay, integrate};
+use super::space::{space_terms, table_terms};
 use super::sums::{Losses, Sums, plus};
 use super::terms::{RayTerms, TermValues, in_space, unseen_groups};
 
@@ -64,7 +64,7 @@ pub(super) fn step(learner: &mut FieldLearner, step: u64, log: bool, stop_check:
     let mut values = TermValues::of(&terms);
 
     // Lines 4 to 22.
-    let passes = Passes {
+    let passes = StepPasses {
         learner,
         clean: &plan.clean,
         second: &plan.second,
@@ -84,13 +84,13 @@ pub(super) fn step(learner: &mut FieldLearner, step: u64, log: bool, stop_check:
         gradients.merge(unseen.gradients)?;
         values.fill(TermSource::UnseenRays(group), &unseen.losses.on_rays);
     }
-    if let Some((found, of_space)) = integrate(learner, &in_space(&terms), &config.regularizer, step, stop_check)? {
+    if let Some((found, of_space)) = space_terms(learner, &in_space(&terms), &config.regularizer, step, stop_check)? {
         gradients.merge(of_space)?;
         values.fill(TermSource::Space, &found.to_vec1::<f64>()?);
     }
     for WeightedTerm { term, weight, .. } in &terms {
         if let LossTerm::OnTables(term) = term {
-            let (found, of_tables) = decay(learner, *term, *weight, &config.regularizer, &gradients)?;
+            let (found, of_tables) = table_terms(learner, *term, *weight, &config.regularizer, &gradients)?;
             gradients.merge(of_tables)?;
             values.fill(TermSource::Tables, &[found]);
         }
@@ -106,15 +106,15 @@ pub(super) fn step(learner: &mut FieldLearner, step: u64, log: bool, stop_check:
 }
 
 /// Runs the clean passes of a step's rays without photographs, in such groups.
-pub(super) fn on_unseen(passes: Passes, group: RayGroup, step: u64) -> Result<Sums> {
-    let passes = Passes { second: &[], source: TermSource::UnseenRays(group), log: false, ..passes };
+pub(super) fn on_unseen(passes: StepPasses, group: RayGroup, step: u64) -> Result<Sums> {
+    let passes = StepPasses { second: &[], source: TermSource::UnseenRays(group), log: false, ..passes };
     let clean = Plan::unseen(passes.clean, |pass| passes.terms_of(pass).count());
-    Passes { clean: &clean, ..passes }.over(&Draws::unseen(passes.learner, group, step)?)
+    StepPasses { clean: &clean, ..passes }.over(&Draws::unseen(passes.learner, group, step)?)
 }
 
 /// The passes of a step over its rays, and what they minimize.
 #[derive(Clone, Copy)]
-pub(super) struct Passes<'a> {
+pub(super) struct StepPasses<'a> {
     pub(super) learner: &'a FieldLearner,
     /// See [`Plan`].
     pub(super) clean: &'a [PassPlan],
@@ -136,7 +136,7 @@ struct Rendered {
     weights: Tensor,
 }
 
-impl<'a> Passes<'a> {
+impl<'a> StepPasses<'a> {
     /// Runs them over all rays of a step.
     pub(super) fn over(&self, whole: &Draws) -> Result<Sums> {
         let learner = self.learner;
@@ -174,7 +174,7 @@ impl<'a> Passes<'a> {
         }
         let of_clean_passes = fields.record_counts();
         let again = match self.second {
-            [PassPlan { search: None, .. }, ..] => Some(draws.again(self.learner)?),
+            [PassPlan { deltas: None, .. }, ..] => Some(draws.again(self.learner)?),
             _ => None,
         };
         let mut control = Sums::new(self.learner.variables.len());
@@ -182,8 +182,8 @@ impl<'a> Passes<'a> {
         for (plan, of_clean) in self.second.iter().zip(&clean) {
             let draws = again.as_ref().unwrap_or(draws);
             let t_vals = self.samples(plan, fields, draws, second.last(), Some(of_clean))?;
-            second.push(match &plan.search {
-                Some(search) => self.perturbed_pass(plan, search, fields, draws, &t_vals, &mut sums)?,
+            second.push(match &plan.deltas {
+                Some(delta_plan) => self.perturbed_pass(plan, delta_plan, fields, draws, &t_vals, &mut sums)?,
                 None => self.clean_pass(plan, fields, draws, t_vals, self.weights.1, &mut control)?,
             });
         }
@@ -237,7 +237,7 @@ impl<'a> Passes<'a> {
     ) -> Result<Rendered> {
         let (learner, field, terms) = (self.learner, self.field(fields, plan), self.terms_of(plan));
         let pass = draws.pass(learner, plan, &t_vals);
-        let weight = weight * draws.share * plan.weight;
+        let weight = weight * draws.fraction * plan.weight;
         let Some(target) = &draws.target else {
             let out = clean_pass(field, pass)?;
             terms.descend(learner, (field, pass), &out, None, draws, sums)?;
@@ -253,7 +253,7 @@ impl<'a> Passes<'a> {
             sums.gradients.add(&learner.variables, &(&out.loss * weight)?.backward()?)?;
             out
         };
-        let loss = out.loss.to_dtype(DType::F64)?.to_scalar::<f64>()? * draws.share;
+        let loss = out.loss.to_dtype(DType::F64)?.to_scalar::<f64>()? * draws.fraction;
         *(if plan.is_coarse { &mut sums.losses.coarse } else { &mut sums.losses.fine }) = Some(loss);
         if plan.is_evaluated {
             let acc = noiseless_acc(field, &out, pass)?;
@@ -267,7 +267,7 @@ impl<'a> Passes<'a> {
     fn perturbed_pass(
         &self,
         plan: &PassPlan,
-        search: &Search,
+        delta_plan: &DeltaPlan,
         fields: &Fields,
         draws: &Draws,
         t_vals: &Tensor,
@@ -277,9 +277,9 @@ impl<'a> Passes<'a> {
         let pass = draws.pass(learner, plan, t_vals);
         let norm = &pass.rays.direction_norm;
         let geometry = learner.geometry.pass(t_vals, samples_of(field, t_vals)?, norm, plan.is_coarse)?;
-        let sets = Sets::new(search.sites.iter().cloned(), &geometry)?;
+        let sets = Sets::new(delta_plan.sites.iter().cloned(), &geometry)?;
         let target = draws.target.as_ref().expect("training rays have colours");
-        let at = Perturbed { learner, plan, search, draws, field, pass, target, sets };
+        let at = Perturbed { learner, plan, delta_plan, draws, field, pass, target, sets };
         let deltas = at.deltas()?;
         let out = match &mut sums.diagnostics {
             Some(diagnostics) => {
@@ -289,7 +289,7 @@ impl<'a> Passes<'a> {
             }
             None => perturbed_pass_loss(field, pass, at.perturbation(&deltas), target)?.0,
         };
-        let share = draws.share * plan.weight;
+        let share = draws.fraction * plan.weight;
         sums.gradients.add(&learner.variables, &(&out.loss * (self.weights.1 * share))?.backward()?)?;
         let loss = out.loss.to_dtype(DType::F64)?.to_scalar::<f64>()? * share;
         sums.losses.perturbed = plus(sums.losses.perturbed, Some(loss));
@@ -301,7 +301,7 @@ impl<'a> Passes<'a> {
 pub(super) struct Perturbed<'a> {
     pub(super) learner: &'a FieldLearner,
     pub(super) plan: &'a PassPlan,
-    pub(super) search: &'a Search,
+    pub(super) delta_plan: &'a DeltaPlan,
     pub(super) draws: &'a Draws,
     pub(super) field: &'a Field,
     pub(super) pass: Pass<'a>,
@@ -328,7 +328,7 @@ impl Perturbed<'_> {
 
     /// Returns random or worst-case deltas, detached.
     fn deltas(&self) -> Result<Deltas> {
-        match self.search.source {
+        match self.delta_plan.source {
             DeltaSource::Gaussian => self.draw(Draw::Gaussian, Stream::Search),
             DeltaSource::Uniform => self.draw(Draw::Uniform, Stream::Search),
             DeltaSource::WorstCase => self.search(1.0),

@@ -102,8 +102,8 @@ impl<'a> RayTerms<'a> {
                 continue;
             }
             let mean = term.per_group(&seen)?.mean_all()?.to_dtype(DType::F64)?;
-            total = (total + (&mean * (weight * draws.share))?)?;
-            values.push(mean.to_scalar::<f64>()? * draws.share);
+            total = (total + (&mean * (weight * draws.fraction))?)?;
+            values.push(mean.to_scalar::<f64>()? * draws.fraction);
         }
         if let Some(loss) = loss {
             total = (loss + total.to_dtype(loss.dtype())?)?;
