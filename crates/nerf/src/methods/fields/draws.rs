@@ -69,10 +69,10 @@ impl Draws {
 
     /// Returns the same chunk with random numbers of its own.
     pub(super) fn again(&self, learner: &FieldLearner) -> Result<Draws> {
-        let Draws { share, step, index, .. } = *self;
+        let Draws { fraction, step, index, .. } = *self;
         let mut random = Random::part(learner.config.seed, Stream::Search, step, index);
         let drawn = Draws::of_rays(learner, self.rays.clone(), step, &mut random)?;
-        Ok(Draws { target: self.target.clone(), share, index, ..drawn })
+        Ok(Draws { target: self.target.clone(), fraction, index, ..drawn })
     }
 
     /// Draws jitter, density noise and inverse-CDF positions of a clean pass, in a fixed order.
