@@ -23,8 +23,8 @@ mod completions;
 mod data;
 mod devices;
 mod eval;
-mod exchange;
 mod experiment;
+mod import;
 mod measure;
 mod mesh;
 mod progress;
@@ -131,8 +131,8 @@ enum Command {
     #[command(after_help = view::EXAMPLES)]
     View(view::ViewArguments),
     /// Create a run from a checkpoint of nerf-pytorch
-    #[command(after_help = exchange::IMPORT_EXAMPLES)]
-    Import(exchange::ImportArguments),
+    #[command(after_help = import::IMPORT_EXAMPLES)]
+    Import(import::ImportArguments),
     /// Draw one held-out view of several runs, or plot along one ray
     #[command(after_help = COMPARE_EXAMPLES)]
     Compare(compare::CompareArguments),

@@ -4,7 +4,7 @@ use sha2::{Digest, Sha256};
 use toml::{Table, Value};
 
 use super::registry::{Effect, REGISTRY, Setting};
-use super::{Config, NO_REFERENCE, PixelOrigin, Split, scene_name};
+use super::{Config, PixelOrigin, Split, scene_name};
 use crate::base::settings::IdleKind;
 use crate::base::short_hash;
 use crate::perturb::{PaperSite, Passes};
@@ -39,20 +39,6 @@ impl Config {
                 self.perturb[site].passes = Passes::Both;
             }
         }
-    }
-
-    /// Returns the same experiment without paths. Its scene keeps its name.
-    pub fn without_paths(&self) -> Config {
-        let mut anywhere = self.named().at_defaults(|setting| setting.rule.effect == Effect::Path);
-        // The name of a built-in scene is no path.
-        if self.data.numbered_scene().is_some() {
-            anywhere.data.dir.clone_from(&self.data.dir);
-        }
-        // A mesh file of this machine is no reference elsewhere; a mesh with a name is.
-        let reference = &self.eval.mesh.reference;
-        let is_file = std::path::Path::new(reference).is_absolute();
-        anywhere.eval.mesh.reference = if is_file { NO_REFERENCE.into() } else { reference.clone() };
-        anywhere
     }
 
     /// Returns a name for all configurations whose steps take equally long. It omits what does not change the time of a

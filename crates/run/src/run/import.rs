@@ -1,4 +1,4 @@
-//! Imports a checkpoint of nerf-pytorch as the start of a run.
+//! Imports a checkpoint of nerf-pytorch as the start of a run: `.tar`, `.pth` or `.pt` of `torch.save`.
 
 use std::io::Read;
 use std::path::{Path, PathBuf};
@@ -7,12 +7,15 @@ use candle_core::{Device, Tensor};
 use sha2::{Digest, Sha256};
 use toml::Value;
 
-use super::nerf_pytorch::{NETWORKS, STEP, name};
 use crate::base::input::open_regular;
 use crate::base::{Error, Result};
 use crate::metrics::Weights;
 use crate::model::Model;
 use crate::settings::{Config, short_hash};
+
+/// Keys of a checkpoint: networks by role, step.
+const NETWORKS: [(&str, &str); 2] = [("coarse", "network_fn_state_dict"), ("fine", "network_fine_state_dict")];
+const STEP: &str = "global_step";
 
 /// Largest step, that of `train.steps`.
 const MOST_STEPS: u64 = 1_000_000_000;
@@ -220,4 +223,18 @@ fn nerf_pytorch(weights: &Weights) -> Option<Prefixes> {
         prefixes.push(("coarse", prefix("")?));
     }
     (prefixes[0].0 == "coarse").then_some(prefixes)
+}
+
+/// Returns a parameter's name in nerf-pytorch, from its name in a field here (`trunk.0.weight`), or `None` for a layer that it
+/// does not have.
+fn name(ours: &str) -> Option<String> {
+    let (layer, kind) = ours.rsplit_once('.')?;
+    let theirs = match layer {
+        "density" => "alpha_linear".to_string(),
+        "feature" => "feature_linear".to_string(),
+        "rgb" => "rgb_linear".to_string(),
+        "view" => "views_linears.0".to_string(),
+        trunk => format!("pts_linears.{}", trunk.strip_prefix("trunk.")?),
+    };
+    Some(format!("{theirs}.{kind}"))
 }
