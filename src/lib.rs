@@ -108,11 +108,12 @@
 //! | `augnerf-view` | [`view`] |
 //! | `augnerf-run` | [`train`], [`run`], [`compare`], [`mod@bench`] |
 //! | `augnerf-baselines` | [`grids`] and the [`methods`] SRN, Neural Volumes and LLFF |
-//! | `augnerf-report` | [`draw`], [`report`] |
+//! | `augnerf-report` | [`report`] |
 //! | `augnerf-measure` | [`mesh`], [`metrics`] |
 //! | `augnerf-nerf` | [`runtime`], [`settings`], [`field`], [`perturb`], [`render`], [`losses`], [`space`], [`methods`] NeRF and Aug-NeRF |
 //! | `augnerf-scenes` | [`data`] |
 //! | `augnerf-fast` | kernels for CPUs, which `augnerf-nerf` runs in place of candle's operations |
+//! | `augnerf-draw` | [`draw`] |
 //! | `augnerf-base` | [`base`] |
 //!
 //! All random numbers come from [`base::rng`], as a function of seed, stream and step. `augnerf-nerf` is generic over f32 and f64:
@@ -125,9 +126,10 @@ pub use candle_core;
 
 #[cfg(feature = "baselines")]
 pub use augnerf_baselines::grids;
+pub use augnerf_draw as draw;
 pub use augnerf_measure::{mesh, metrics};
 pub use augnerf_nerf::{field, losses, perturb, render, settings, space};
-pub use augnerf_report::{draw, report};
+pub use augnerf_report::report;
 pub use augnerf_run::{bench, compare, run, train};
 pub use augnerf_scenes as data;
 pub use augnerf_sweep as sweep;

@@ -3,6 +3,7 @@
 
 #![warn(missing_docs)]
 
+pub mod columns;
 pub mod csv;
 mod error;
 mod events;
@@ -20,4 +21,4 @@ pub use error::tensor_sentence;
 pub use error::{BAD_CHECKPOINT, EXIT_CODES, Error, INTERNAL, Result, SettingError};
 pub use events::{Event, Listener};
 pub use image::Image;
-pub use text::{first_names, line, number_text, quoted, short_hash, shown};
+pub use text::{distinct, first_names, line, number_text, quoted, short_hash, shown};

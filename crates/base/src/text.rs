@@ -58,6 +58,17 @@ pub fn number_text(number: f64) -> String {
     if plain { number.to_string() } else { format!("{number:e}") }
 }
 
+/// Returns each item once, in the order of first appearance.
+pub fn distinct<T: PartialEq>(items: impl Iterator<Item = T>) -> Vec<T> {
+    let mut seen = Vec::new();
+    for item in items {
+        if !seen.contains(&item) {
+            seen.push(item);
+        }
+    }
+    seen
+}
+
 /// Quotes a word for a shell, and for Slurm's `#SBATCH` lines.
 pub fn quoted(word: &str) -> String {
     let plain = |c: char| c.is_ascii_alphanumeric() || "_-./:=,@%+".contains(c);

@@ -1,10 +1,9 @@
-//! Output for readers: tables, statistics, figures, pages, images and videos.
+//! Output for readers: tables, statistics, figures, pages.
 
 #![warn(missing_docs)]
 
 pub(crate) use augnerf_measure::metrics;
 pub(crate) use augnerf_nerf::{perturb, settings};
-pub(crate) use {augnerf_base as base, augnerf_scenes as data};
+pub(crate) use {augnerf_base as base, augnerf_draw as draw, augnerf_scenes as data};
 
-pub mod draw;
 pub mod report;

@@ -4,8 +4,7 @@
 
 pub(crate) use augnerf_measure::{mesh, metrics};
 pub(crate) use augnerf_nerf::{field, losses, methods, optimizer, perturb, render, runtime, settings, space};
-pub(crate) use augnerf_report::{draw, report};
-pub(crate) use {augnerf_base as base, augnerf_scenes as data};
+pub(crate) use {augnerf_base as base, augnerf_draw as draw, augnerf_scenes as data};
 
 mod accelerator;
 pub mod bench;

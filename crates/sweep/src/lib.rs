@@ -13,9 +13,9 @@
 
 pub(crate) use augnerf_measure::{mesh, metrics};
 pub(crate) use augnerf_nerf::{runtime, settings, space};
-pub(crate) use augnerf_report::{draw, report};
+pub(crate) use augnerf_report::report;
 pub(crate) use augnerf_run::{compare, revision, run, train};
-pub(crate) use {augnerf_base as base, augnerf_scenes as data};
+pub(crate) use {augnerf_base as base, augnerf_draw as draw, augnerf_scenes as data};
 
 mod axes;
 mod budget;

@@ -9,9 +9,8 @@
 #![warn(missing_docs)]
 
 pub(crate) use augnerf_nerf::{field, methods, perturb, render, runtime, settings};
-pub(crate) use augnerf_report::draw;
 pub(crate) use augnerf_run::{model, run};
-pub(crate) use {augnerf_base as base, augnerf_scenes as data};
+pub(crate) use {augnerf_base as base, augnerf_draw as draw, augnerf_scenes as data};
 
 mod empty_space;
 mod http;

@@ -10,8 +10,7 @@ mod record;
 pub mod statistics;
 pub mod tables;
 
+pub use crate::base::distinct;
 pub use comparisons::{Compared, Comparisons, OverScenes, Unit};
 pub use published::{PUBLISHED_NOTE, PublishedRow, published_rows};
-pub use record::{
-    AxisParts, AxisValue, PointResult, PublishedKey, Record, RowSpec, Status, TableSpec, distinct, label,
-};
+pub use record::{AxisParts, AxisValue, PointResult, PublishedKey, Record, RowSpec, Status, TableSpec, label};

@@ -230,14 +230,3 @@ pub struct PublishedKey {
     /// The paper's name of the method.
     pub method: String,
 }
-
-/// Returns each item once, in the order of first appearance.
-pub fn distinct<T: PartialEq>(items: impl Iterator<Item = T>) -> Vec<T> {
-    let mut seen = Vec::new();
-    for item in items {
-        if !seen.contains(&item) {
-            seen.push(item);
-        }
-    }
-    seen
-}

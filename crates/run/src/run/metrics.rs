@@ -6,13 +6,13 @@ use serde::Serialize;
 
 use super::Protocol;
 use super::columns::{cell, columns};
+use crate::base::columns::file_field;
 use crate::base::csv::csv_of_named;
 use crate::base::files::{write_atomic, write_json};
 use crate::base::{Error, Result};
 use crate::mesh::Chamfer;
 use crate::methods::SiteSummary;
 use crate::metrics::{CHAMFER, F_SCORE, MeanMetrics, Scope, ViewMetrics, no_better_than_one_colour};
-use crate::report::tables::file_field;
 
 /// Steps before which a picture of one colour says nothing.
 const FEW_STEPS: u64 = 100;

@@ -3,12 +3,12 @@
 use serde::ser::{Serialize, SerializeMap, Serializer};
 use serde_json::Value;
 
+use crate::base::distinct;
 use crate::data::{Camera, RayGroup, Scene, View, epochs};
 use crate::methods::step_over_radius;
 use crate::metrics::{Lpips, share};
 use crate::model::Model;
 use crate::perturb::{PaperSite, Passes};
-use crate::report::distinct;
 use crate::revision::version;
 use crate::settings::columns::{COLUMNS, find, perturbed, regularized};
 use crate::settings::{

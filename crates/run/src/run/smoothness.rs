@@ -6,6 +6,7 @@ use std::time::Instant;
 
 use serde::Serialize;
 
+use crate::base::columns::file_field;
 use crate::base::csv::csv_of_named;
 use crate::base::files::write_atomic;
 use crate::base::{Error, Event, Listener, Result};
@@ -13,7 +14,6 @@ use crate::data::Scene;
 use crate::field::Density;
 use crate::losses::{Smoothness, estimate_seconds, measure, measure_density};
 use crate::model::{Model, density};
-use crate::report::tables::file_field;
 use crate::runtime::Runtime;
 use crate::settings::{Capability, Config};
 use crate::space::{Lattice, Quadrature, chunk_count};

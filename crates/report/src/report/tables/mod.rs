@@ -32,7 +32,7 @@ pub use markdown::escape;
 pub use markdown::table_markdown;
 pub use read::{PlaceText, read_points, read_timing};
 pub(super) use sheet::text as cell_text;
-pub use sheet::{Column, Constants, attack_numbers, file_field};
+pub use sheet::{Column, Constants, attack_numbers};
 pub use terminal::table_terminal;
 
 use crate::base::Result;

@@ -2,7 +2,8 @@
 
 use serde_json::Value;
 
-use crate::base::csv::{csv_text, hash_cell, plain_hash};
+use crate::base::columns::{file_name, has_hashes, plain_field};
+use crate::base::csv::{csv_text, hash_cell};
 use crate::perturb::PaperSite;
 use crate::report::record::EPOCHS;
 use crate::settings::columns::{AXIS, SETTING, field_order, find};
@@ -14,10 +15,6 @@ pub type Column = (String, Vec<Value>);
 /// Name and text of each field that all points share.
 pub type Constants = Vec<(String, String)>;
 
-/// Fields that have another name in files, where their own is a keyword of Python.
-const RENAMED: [(&str, &str); 1] = [("lambda", "perturb_lambda")];
-/// Columns of hashes.
-const HASHES: [&str; 6] = ["id", "config_hash", "data_hash", "corruption_hash", "code_revision", "parent"];
 /// The field with the PGD numbers of all sites, `t 3/0.01/0.5, xyz ...`, and what each number is.
 const ATTACK_NUMBERS: &str = "attack_numbers";
 const NUMBERS: [&str; 3] = ["steps", "step_size", "epsilon"];
@@ -103,25 +100,8 @@ fn readable((name, cells): Column) -> Vec<Column> {
     if let Some(columns) = (name == ATTACK_NUMBERS).then(|| attack_columns(&cells)).flatten() {
         return columns;
     }
-    let cell = |cell: Value| if HASHES.contains(&name.as_str()) { hash_cell(&text(&cell)).into() } else { cell };
+    let cell = |cell: Value| if has_hashes(&name) { hash_cell(&text(&cell)).into() } else { cell };
     vec![(file_name(&name).into(), cells.into_iter().map(cell).collect())]
-}
-
-/// Returns the name of a field in files.
-fn file_name(name: &str) -> &str {
-    RENAMED.iter().find(|(own, _)| *own == name).map_or(name, |(_, other)| other)
-}
-
-/// Returns a field's name and cell in files of single runs.
-pub fn file_field((name, cell): (String, String)) -> (String, String) {
-    let cell = if HASHES.contains(&name.as_str()) { hash_cell(&cell) } else { cell };
-    (file_name(&name).into(), cell)
-}
-
-/// Returns the name and text that were given to [`file_field`].
-fn plain_field((name, cell): (String, String)) -> (String, String) {
-    let cell = if HASHES.contains(&name.as_str()) { plain_hash(&cell).to_string() } else { cell };
-    (RENAMED.iter().find(|(_, other)| *other == name).map_or(name, |(own, _)| own.to_string()), cell)
 }
 
 /// Returns the columns of a site's PGD numbers.

@@ -3,7 +3,7 @@
 use super::scripts;
 
 /// Liberation Sans without hints; where it comes from stands beside it.
-const FACE: &[u8] = include_bytes!("../../../../assets/fonts/augnerf-sans.ttf");
+const FACE: &[u8] = include_bytes!("../../../assets/fonts/augnerf-sans.ttf");
 
 /// Width of a text in pixels.
 pub fn text_width(text: &str, size: f64) -> f64 {

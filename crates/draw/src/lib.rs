@@ -1,5 +1,9 @@
 //! Drawing: figures in SVG, images, depth maps, animations.
 
+#![warn(missing_docs)]
+
+pub(crate) use augnerf_base as base;
+
 pub mod canvas;
 mod mp4;
 pub mod numbers;
