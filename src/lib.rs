@@ -106,11 +106,11 @@
 //! | `augnerf` | [`cli`], and everything below |
 //! | `augnerf-sweep` | [`sweep`] |
 //! | `augnerf-view` | [`view`] |
-//! | `augnerf-run` | [`train`], [`run`], [`compare`], [`mod@bench`] |
+//! | `augnerf-run` | [`train`], [`run`], [`compare`], [`mesh`], [`mod@bench`] |
 //! | `augnerf-baselines` | [`grids`] and the [`methods`] SRN, Neural Volumes and LLFF |
 //! | `augnerf-report` | [`report`] |
-//! | `augnerf-measure` | [`mesh`], [`metrics`] |
 //! | `augnerf-nerf` | [`runtime`], [`settings`], [`field`], [`perturb`], [`render`], [`losses`], [`space`], [`methods`] NeRF and Aug-NeRF |
+//! | `augnerf-measure` | [`metrics`] |
 //! | `augnerf-scenes` | [`data`] |
 //! | `augnerf-fast` | kernels for CPUs, which `augnerf-nerf` runs in place of candle's operations |
 //! | `augnerf-draw` | [`draw`] |
@@ -127,10 +127,10 @@ pub use candle_core;
 #[cfg(feature = "baselines")]
 pub use augnerf_baselines::grids;
 pub use augnerf_draw as draw;
-pub use augnerf_measure::{mesh, metrics};
+pub use augnerf_measure::metrics;
 pub use augnerf_nerf::{field, losses, perturb, render, settings, space};
 pub use augnerf_report::report;
-pub use augnerf_run::{bench, compare, run, train};
+pub use augnerf_run::{bench, compare, mesh, run, train};
 pub use augnerf_scenes as data;
 pub use augnerf_sweep as sweep;
 pub use augnerf_view as view;

@@ -174,7 +174,7 @@ fn distances(from: &PointCloud, to: &PointCloud) -> Result<Vec<f64>> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use augnerf_nerf::settings::{DataConfig, DataKind};
+    use augnerf_scenes::settings::{DataConfig, DataKind};
     use augnerf_scenes::vector::along;
 
     /// A sphere of triangles.

@@ -3,13 +3,12 @@
 use candle_core::Tensor;
 use serde::Serialize;
 
-use augnerf_base::{Error, Result};
-use augnerf_nerf::field::Density;
-use augnerf_nerf::space::{Lattice, over_queries};
-use augnerf_scenes::Ndc;
-use augnerf_scenes::vector::{Vec3, length, scale};
-
 use super::Mesh;
+use crate::base::{Error, Result};
+use crate::data::Ndc;
+use crate::data::vector::{Vec3, length, scale};
+use crate::field::Density;
+use crate::space::{Lattice, over_queries};
 
 /// The source of a mesh's normals.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]

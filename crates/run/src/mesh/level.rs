@@ -4,12 +4,11 @@ use std::io::Write;
 
 use serde::Serialize;
 
-use augnerf_base::{Error, Result};
-use augnerf_nerf::field::Density;
-use augnerf_nerf::settings::MESH_SIDES;
-use augnerf_nerf::space::{Lattice, densities};
-
 use super::{Marcher, Mesh};
+use crate::base::{Error, Result};
+use crate::field::Density;
+use crate::settings::MESH_SIDES;
+use crate::space::{Lattice, densities};
 
 /// Memory of a finished mesh with colours, normals and the search for its open edges, over that of its bare vertices
 /// and triangles.
