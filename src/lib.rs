@@ -108,8 +108,8 @@
 //! | `augnerf-view` | [`view`] |
 //! | `augnerf-run` | [`train`], [`run`], [`compare`], [`mesh`], [`mod@bench`] |
 //! | `augnerf-baselines` | [`grids`] and the [`methods`] SRN, Neural Volumes and LLFF |
-//! | `augnerf-report` | [`report`] |
 //! | `augnerf-nerf` | [`runtime`], [`settings`], [`field`], [`perturb`], [`render`], [`losses`], [`space`], [`methods`] NeRF and Aug-NeRF |
+//! | `augnerf-report` | [`report`] |
 //! | `augnerf-measure` | [`metrics`] |
 //! | `augnerf-scenes` | [`data`] |
 //! | `augnerf-fast` | kernels for CPUs, which `augnerf-nerf` runs in place of candle's operations |

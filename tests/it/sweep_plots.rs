@@ -190,7 +190,8 @@ fn rows_with_axes_of_their_own_stand_beside_plain_ones() {
     }
     let (table, records) = (Table::new(&spec, &records, false).unwrap(), &records);
     let has_rows = |spec: &TableSpec| {
-        let points = Points { spec, records, timing: &[], with_timing: false, constants: Vec::new() };
+        let column_of = |_: &str| None;
+        let points = Points { spec, records, timing: &[], with_timing: false, constants: Vec::new(), column_of };
         let all = Comparable { points: &points, table: &table, curves: &[], attacks: &[] };
         all.files().iter().any(|(name, _)| name == "rows_fern_psnr.svg")
     };

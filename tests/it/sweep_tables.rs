@@ -10,6 +10,7 @@ use augnerf::report::tables::{
     Line, Table, Verdict, constants, points_csv, read_points, table_csv, table_latex, table_markdown, table_terminal,
 };
 use augnerf::report::{AxisValue, PublishedKey, Record, RowSpec, Status, TableSpec};
+use augnerf::settings::columns::column_of_setting;
 
 fn row(name: &str, baseline: Option<&str>, method: &str) -> RowSpec {
     let key = PublishedKey { table: "tab4".into(), condition: "clean".into(), method: method.into() };
@@ -29,7 +30,7 @@ fn table_of(spec: &TableSpec, records: &[Record]) -> Table {
 
 /// The rows of its CSV file.
 fn csv_of(table: &Table) -> Vec<HashMap<String, String>> {
-    rows(&table_csv(table, &[], &vec![]))
+    rows(&table_csv(table, &[], &vec![], column_of_setting))
 }
 
 fn spec() -> TableSpec {
@@ -222,7 +223,7 @@ fn what_cannot_be_placed_is_refused() {
 #[test]
 fn table_csv_has_every_line() {
     let timing = [0, 1].map(|seed| (format!("fern-NeRF-{seed}"), vec![("seconds".to_string(), Some(seed as f64))]));
-    let rows = rows(&table_csv(&table(), &timing, &vec![]));
+    let rows = rows(&table_csv(&table(), &timing, &vec![], column_of_setting));
     assert_eq!(rows.len(), 7);
     let names = "row ours points psnr_n psnr_mean psnr_std psnr_difference psnr_verdict psnr_published";
     assert_eq!(cells(&rows[0], names), ["NeRF", "false", "3", "3", "25", "0.125", "", "", "25.17"]);
@@ -260,7 +261,7 @@ fn csvs_hold_what_varies_and_are_read_back_whole() {
     let shared = constants(&records);
     let text_of = |name: &str| shared.iter().find(|(known, _)| known == name).map(|(_, text)| text.as_str());
     assert_eq!([text_of("code_revision"), text_of("steps"), text_of("masks")], [Some("abc"), Some("2000"), None]);
-    let csv = points_csv(&records, &[], &shared);
+    let csv = points_csv(&records, &[], &shared, column_of_setting);
     let found = rows(&csv);
     let head: Vec<&str> = csv.lines().next().unwrap().split(',').collect();
     let first =
@@ -274,11 +275,15 @@ fn csvs_hold_what_varies_and_are_read_back_whole() {
     assert_eq!(cells(&found[3], names), ["h13e456789012", "h7797e1855047", "", "", "", "1", "2"]);
     assert_eq!(cells(&found[9], names)[5..], ["2", "2"]);
     let axes = |text: &str| records.iter().find(|r| r.label() == format!("{}, {text}", r.row)).map(|r| r.axes.clone());
-    let read = |csv: &str, shared| {
-        read_points(csv, shared, &[], |at| if at.axes.is_empty() { Some(vec![]) } else { axes(at.axes) }).unwrap()
-    };
+    let read =
+        |csv: &str, shared| {
+            read_points(csv, shared, &[], column_of_setting, |at| {
+                if at.axes.is_empty() { Some(vec![]) } else { axes(at.axes) }
+            })
+            .unwrap()
+        };
     // Columns of constants are read alike.
-    for (csv, constants) in [(&csv, &shared), (&points_csv(&records, &[], &vec![]), &vec![])] {
+    for (csv, constants) in [(&csv, &shared), (&points_csv(&records, &[], &vec![], column_of_setting), &vec![])] {
         let again = read(csv, constants);
         assert_eq!(again.len(), records.len());
         for (read, record) in again.iter().zip(&records) {
@@ -290,10 +295,10 @@ fn csvs_hold_what_varies_and_are_read_back_whole() {
                 assert_eq!(read.protocol(name), text, "{name}");
             }
         }
-        assert_eq!(points_csv(&again, &[], constants), **csv);
+        assert_eq!(points_csv(&again, &[], constants, column_of_setting), **csv);
     }
     let table = table_of(&TableSpec { must_match: vec![], ..spec() }, &records);
-    let lines = rows(&table_csv(&table, &[], &shared));
+    let lines = rows(&table_csv(&table, &[], &shared, column_of_setting));
     assert_eq!(cells(&lines[1], "row set.perturb.t.steps psnr_mean"), ["Aug-NeRF", "3", "25.5"]);
     assert!(!["code_revision", "mixed", "average_vgg_mean", "width"].iter().any(|name| lines[1].contains_key(*name)));
 }

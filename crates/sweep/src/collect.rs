@@ -15,6 +15,7 @@ use crate::report::exporters::{self, Comparable, File, is_made};
 use crate::report::plots::{Curve, Seeds};
 use crate::report::tables::{AttackLine, Table};
 use crate::report::{RowSpec, Status, TableSpec};
+use crate::settings::columns::column_of_setting;
 use crate::train::sha256;
 
 /// The page's file in a results folder. It shows the content of the other files, and images of the runs.
@@ -195,6 +196,7 @@ impl TableInputs<'_> {
             timing: &self.outputs.timing,
             with_timing: self.with_timing,
             constants: self.outputs.constants(),
+            column_of: column_of_setting,
         };
         files.extend(points.files());
         let table = Table::new(self.spec, records, self.force)?;

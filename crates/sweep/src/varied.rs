@@ -6,7 +6,7 @@ use toml::{Table, Value};
 
 use crate::report::AxisValue;
 use crate::report::tables::attack_numbers;
-use crate::settings::columns::{AXIS, COLUMNS, SETTING};
+use crate::settings::columns::{AXIS, COLUMNS, SETTING, applies};
 use crate::settings::registry::{Effect, REGISTRY};
 use crate::settings::{Config, value_at};
 
@@ -95,7 +95,7 @@ fn used(path: &str, config: &Config, protocol: &[(String, String)]) -> Option<St
     let setting = REGISTRY.settings.iter().find(|setting| setting.path == path)?;
     let own = setting.rule.column.and_then(of).map(String::from);
     let mut columns = COLUMNS.iter().filter(|column| column.follows(setting)).peekable();
-    let is_read = columns.peek().is_none() || columns.any(|column| (column.applies)(config));
+    let is_read = columns.peek().is_none() || columns.any(|column| applies(column, config));
     own.or_else(|| (!is_read).then(String::new))
 }
 

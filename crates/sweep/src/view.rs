@@ -12,6 +12,7 @@ use crate::metrics::{Metric, Scope};
 use crate::report::tables::{Table, points_csv};
 use crate::report::{AxisValue, Record, RowSpec, Status, TableSpec, distinct};
 use crate::run::{DepthErrors, RunDir};
+use crate::settings::columns::column_of_setting;
 use crate::train::sha256;
 
 use super::collect::{Results, TableInputs};
@@ -66,7 +67,7 @@ pub struct Origin {
 
 impl Origin {
     pub(super) fn of(source: &Source) -> Origin {
-        let points = points_csv(&source.outputs.records, &[], &source.outputs.constants());
+        let points = points_csv(&source.outputs.records, &[], &source.outputs.constants(), column_of_setting);
         Origin { name: source.name.clone(), points_sha256: sha256(points.as_bytes()), label: None }
     }
 }

@@ -13,6 +13,7 @@ use augnerf::methods::SiteSummary;
 use augnerf::metrics::{Backbone, Lpips};
 use augnerf::report::tables::{Table, points_csv};
 use augnerf::run::{DepthErrors, Foreign, Matching, RunDir, Scalars, Truth, pictures, score};
+use augnerf::settings::columns::column_of_setting;
 use augnerf::settings::{Axes, Config, DataConfig, Method, build, parse_assignment};
 use augnerf::sweep::verify::{Archive, Outcome, Verifier};
 use augnerf::sweep::{Definition, PublishedCosts, StepCosts, SweepFolder, SweepOutputs, Trainings, expand};
@@ -219,7 +220,7 @@ fn read_sweep(_: &Path, path: &Path) -> Result<()> {
     Table::new(&definition.table("test", &points), &records, true)?;
     let outputs = SweepOutputs::of_folder(&folder, &definition, &points)?;
     outputs.scalars.values().for_each(|scalars| drop(scalars.pairs("step", "psnr")));
-    drop(points_csv(&outputs.records, &[], &vec![]));
+    drop(points_csv(&outputs.records, &[], &vec![], column_of_setting));
     Ok(())
 }
 

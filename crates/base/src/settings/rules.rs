@@ -120,7 +120,7 @@ impl Rule {
         self.values(is_box, "two corners [[x, y, z], [x, y, z]], each number of the first under that of the second")
     }
 
-    /// Names the column of the protocol that holds the value. `COLUMNS` of `augnerf_nerf::settings::columns` says when it does.
+    /// Names the column of the protocol that holds the value. [`crate::columns::COLUMNS`] says when it does.
     pub const fn column(self, column: &'static str) -> Rule {
         Rule { column: Some(column), ..self }
     }

@@ -5,8 +5,8 @@ pub use crate::draw::canvas::File;
 
 use super::plots::{Curve, Figure, Style, axes_figure, curves_figure, rows_figure};
 use super::tables::{
-    AttackLine, Constants, PointTiming, Table, attack_csv, points_csv, table_csv, table_latex, table_markdown,
-    timing_csv,
+    AttackLine, ColumnOf, Constants, PointTiming, Table, attack_csv, points_csv, table_csv, table_latex,
+    table_markdown, timing_csv,
 };
 use super::{Record, TableSpec};
 
@@ -22,6 +22,8 @@ pub struct Points<'a> {
     pub with_timing: bool,
     /// The protocol fields that all points share, which are no columns.
     pub constants: Constants,
+    /// Columns of settings.
+    pub column_of: ColumnOf,
 }
 
 /// Points whose rows are comparable, with their table.
@@ -38,7 +40,7 @@ pub struct Comparable<'a> {
 
 /// Texts that show points alone: one line a point, and clock times, apart from what is reproducible.
 static OF_POINTS: [(&str, fn(&Points) -> String); 2] = [
-    ("points.csv", |points| points_csv(points.records, points.joined_timing(), &points.constants)),
+    ("points.csv", |points| points_csv(points.records, points.joined_timing(), &points.constants, points.column_of)),
     ("timing.csv", |points| timing_csv(points.records, points.timing, &points.constants)),
 ];
 
@@ -49,7 +51,10 @@ const ATTACK: &str = "attack.csv";
 type Text = fn(&Comparable) -> Option<String>;
 
 static OF_TABLE: [(&str, Text); 4] = [
-    ("table.csv", |all| Some(table_csv(all.table, all.points.joined_timing(), &all.points.constants))),
+    ("table.csv", |all| {
+        let points = all.points;
+        Some(table_csv(all.table, points.joined_timing(), &points.constants, points.column_of))
+    }),
     (ATTACK, |all| attack_csv(all.attacks)),
     ("table.md", |all| Some(table_markdown(all.table))),
     ("table.tex", |all| Some(table_latex(all.table))),

@@ -2,8 +2,8 @@
 
 use serde::{Deserialize, Serialize};
 
+use crate::base::columns::field_order;
 use crate::metrics::{FLOOR_PSNR, PSNR};
-use crate::settings::columns::field_order;
 
 /// The column that says how often a training pixel was seen.
 pub(super) const EPOCHS: &str = "epochs";

@@ -6,7 +6,7 @@ use super::run_view::{RunView, settings};
 use crate::draw::numbers::rounded;
 use crate::run::{Protocol, columns};
 use crate::settings::Config;
-use crate::settings::columns::{Column, find};
+use crate::settings::columns::find;
 use crate::settings::registry::REGISTRY;
 
 /// A field or setting in which runs differ.
@@ -61,7 +61,7 @@ fn has_column(setting: &str) -> bool {
 
 /// Returns whether other columns and settings decide the column.
 fn is_derived(column: &str) -> bool {
-    find(column).is_some_and(Column::is_derived)
+    find(column).is_some_and(|column| column.is_derived(&REGISTRY))
 }
 
 /// Returns in what the runs differ: protocol fields first, then settings without such a field.

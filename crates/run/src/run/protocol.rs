@@ -10,7 +10,8 @@ use crate::metrics::{Lpips, share};
 use crate::model::Model;
 use crate::perturb::{PaperSite, Passes};
 use crate::revision::version;
-use crate::settings::columns::{COLUMNS, find, perturbed, regularized};
+use crate::settings::columns::{COLUMNS, applies, find, perturbed, regularized};
+use crate::settings::registry::REGISTRY;
 use crate::settings::{
     Config, Core, Encoding, EvalSplit, HashConfig, LatticePoints, Precision, Regularizer, RegularizerConfig,
     Representation, Resolved, ResolvedPerturb, SamDirection, SamplingConfig, Schedule, TermRays, TrainConfig,
@@ -47,10 +48,10 @@ impl Protocol {
         let found = [of_settings(config), of_scene(config, scene), of_state(config, scene, state)].concat();
         let value = |name: &'static str| {
             let column = find(name).expect("a column");
-            if !(column.applies)(config) {
+            if !applies(column, config) {
                 return Value::Null;
             }
-            let set = column.setting().and_then(|setting| value_at(&table, &setting.path));
+            let set = column.setting(&REGISTRY).and_then(|setting| value_at(&table, &setting.path));
             let set = set.map(|value| serde_json::to_value(value).expect("plain data"));
             let own = || found.iter().find(|(known, _)| *known == name).map(|(_, value)| value.clone());
             set.or_else(own).unwrap_or_default()
@@ -395,7 +396,7 @@ mod tests {
         for column in COLUMNS {
             let here = found.iter().filter(|(name, _)| *name == column.name).count();
             let measured = usize::from(["lpips_weights", "inactive_by"].contains(&column.name));
-            assert_eq!(here + measured + usize::from(column.setting().is_some()), 1, "{}", column.name);
+            assert_eq!(here + measured + usize::from(column.setting(&REGISTRY).is_some()), 1, "{}", column.name);
         }
         assert!(found.iter().all(|(name, _)| find(name).is_some()));
     }

@@ -12,6 +12,7 @@ use crate::provenance::Provenance;
 use crate::report::exporters::File;
 use crate::report::tables::{Table, read_points, read_timing};
 use crate::report::{Status, label};
+use crate::settings::columns::column_of_setting;
 
 /// Folders above results in which their runs are looked for.
 const MOST_ABOVE: usize = 5;
@@ -52,7 +53,7 @@ impl Archive {
             timing.iter().flat_map(|(_, clocks)| clocks.iter().map(|(name, _)| name.clone())).collect();
         let of_points = text("points.csv")?.ok_or_else(|| absent("points.csv"))?;
         // A scene names files: one that is not the point's would name others.
-        let read = read_points(&of_points, &provenance.constants(), &clocks, |found| {
+        let read = read_points(&of_points, &provenance.constants(), &clocks, column_of_setting, |found| {
             let point = points.iter().find(|point| point.id == found.id && point.scene == found.scene)?;
             let at = |axes: &[_]| label("", axes).trim_start_matches(", ").to_string();
             point

@@ -1,9 +1,9 @@
 //! Settings that all rows share, differences of each row, and costs.
 
+use crate::base::columns::is_per_seed;
 use crate::report::distinct;
 use crate::report::statistics::mean;
 use crate::report::tables::{Line, PointTiming, Table};
-use crate::settings::columns::is_per_seed;
 
 /// Names, as words, and texts of fields.
 type Fields<'a> = Vec<(String, &'a str)>;

@@ -2,11 +2,11 @@
 
 use super::differences::{FOOT, MARKS, NOT_SHOWN, Scale, absent, heights, middles, words};
 use super::{Figure, Stroke, Style, canvas, metric_label, range_of};
+use crate::base::columns::InactiveBy;
 use crate::draw::canvas::{Anchor, Canvas, GREY, LINE_HEIGHT, PAGE, SIDE, TEXT, text_width};
 use crate::metrics::Metric;
 use crate::report::tables::{Cell, Line, Table};
 use crate::report::{Record, Status, distinct};
-use crate::settings::columns::InactiveBy;
 
 /// Most room of the names.
 const NAMES: f64 = 230.0;

@@ -2,8 +2,8 @@
 
 use super::Line;
 use super::delimited::{PLACE_COLUMNS, place_cells};
+use crate::base::columns::SITES;
 use crate::base::csv::{csv_number, csv_text};
-use crate::perturb::PaperSite;
 use crate::report::statistics::mean;
 
 /// Columns of a site in logs, as `COLUMN.SITE`.
@@ -44,7 +44,7 @@ impl<'a> AttackLine<'a> {
     /// in the order of steps.
     pub fn of(line: &'a Line, numbers: impl Fn(&str, &str) -> Vec<f64>) -> Option<AttackLine<'a>> {
         let sites: Vec<AttackSite> =
-            PaperSite::ALL.into_iter().filter_map(|site| AttackSite::of(line, site.name(), &numbers)).collect();
+            SITES.into_iter().filter_map(|site| AttackSite::of(line, site, &numbers)).collect();
         let has_log = |id: &str| sites.iter().any(|site| columns(site.site).any(|name| !numbers(id, &name).is_empty()));
         let seeds = line.ids.iter().filter(|id| has_log(id)).count();
         (!sites.is_empty()).then_some(AttackLine { line, seeds, sites })
@@ -93,9 +93,9 @@ fn columns(site: &str) -> impl Iterator<Item = String> {
 /// Returns one line for each attacked line of the table: its position there, its seeds, and the means of each site
 /// that any line logged. `None` if no line was attacked.
 pub fn attack_csv(lines: &[AttackLine]) -> Option<String> {
-    let any = |site: &PaperSite| lines.iter().flat_map(|line| &line.sites).find(|of_line| of_line.site == site.name());
+    let any = |site: &str| lines.iter().flat_map(|line| &line.sites).find(|of_line| of_line.site == site);
     let columns: Vec<String> =
-        PaperSite::ALL.iter().filter_map(any).flat_map(AttackSite::cells).map(|(name, _)| name).collect();
+        SITES.into_iter().filter_map(any).flat_map(AttackSite::cells).map(|(name, _)| name).collect();
     let head = PLACE_COLUMNS.into_iter().chain(["n"]).map(String::from).chain(columns.iter().cloned()).collect();
     let rows = lines.iter().map(|line| {
         let cells: Vec<(String, Option<f64>)> = line.sites.iter().flat_map(AttackSite::cells).collect();

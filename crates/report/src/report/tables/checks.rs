@@ -1,9 +1,9 @@
 //! Checks that reject a table.
 
 use super::Group;
+use crate::base::columns::disagree;
 use crate::base::{Error, Result};
 use crate::report::{Record, RowSpec, TableSpec};
-use crate::settings::columns::disagree;
 
 /// Returns an error for rows that refer to nothing, and points without a position in the table.
 pub(super) fn check_definition(spec: &TableSpec, records: &[Record]) -> Result<()> {

@@ -4,12 +4,12 @@ use std::collections::HashMap;
 
 use serde_json::Value;
 
-use super::sheet::{Column, Constants, compact, constants_of, csv_of};
+use super::sheet::{Column, ColumnOf, Constants, compact, constants_of, csv_of};
 use super::{Cell, Line, Table, axes_text, distinct, protocol_names};
+use crate::base::columns::is_per_seed;
 use crate::metrics::FLOOR_PSNR;
 use crate::report::statistics::mean;
 use crate::report::{Record, Status};
-use crate::settings::columns::is_per_seed;
 
 /// Clock times of a point: its folder's name, and name and value of each.
 pub type PointTiming = (String, Vec<(String, Option<f64>)>);
@@ -26,7 +26,7 @@ pub fn constants(records: &[Record]) -> Constants {
 }
 
 /// Returns one line a point: identity, metrics, protocol but for `constants` and, if given, clock times.
-pub fn points_csv(records: &[Record], timing: &[PointTiming], constants: &Constants) -> String {
+pub fn points_csv(records: &[Record], timing: &[PointTiming], constants: &Constants, column_of: ColumnOf) -> String {
     let all: Vec<&Record> = records.iter().collect();
     let text = |name: &str, of: fn(&Record) -> Value| column(name, records.iter().map(of));
     let mut columns = vec![
@@ -53,7 +53,7 @@ pub fn points_csv(records: &[Record], timing: &[PointTiming], constants: &Consta
     for name in clock_names(timing) {
         columns.push(column(name, records.iter().map(|record| clock(timing, &record.id, name).into())));
     }
-    csv_of(&compact(columns, constants))
+    csv_of(&compact(columns, constants, column_of))
 }
 
 fn column(name: &str, cells: impl Iterator<Item = Value>) -> Column {
@@ -91,13 +91,13 @@ pub fn timing_csv(records: &[Record], timing: &[PointTiming], constants: &Consta
     for name in clock_names(timing) {
         columns.push(column(name, timing.iter().map(|(id, _)| clock(timing, id, name).into())));
     }
-    csv_of(&compact(columns, constants))
+    csv_of(&compact(columns, constants, |_| None))
 }
 
 /// Returns one line a row: counts, each metric with its comparison, the published numbers, the protocol that its seeds
 /// share but for `constants` and, if given, its mean clock times.
-pub fn table_csv(table: &Table, timing: &[PointTiming], constants: &Constants) -> String {
-    csv_of(&compact(table_columns(table, timing), constants))
+pub fn table_csv(table: &Table, timing: &[PointTiming], constants: &Constants, column_of: ColumnOf) -> String {
+    csv_of(&compact(table_columns(table, timing), constants, column_of))
 }
 
 /// Returns all columns of [`table_csv`]. Counts and metrics are numbers.

@@ -1,8 +1,8 @@
 //! Notes of tables whose rows train in different ways: with radiance fields, or without.
 
 use super::{Line, Table};
+use crate::base::columns::{COLUMNS, CaptionRule};
 use crate::report::distinct;
-use crate::settings::columns::{COLUMNS, CaptionRule};
 
 /// Columns of methods without fields; each contains all of the method's settings.
 const OWN: [&str; 3] = ["srn", "nv", "llff"];

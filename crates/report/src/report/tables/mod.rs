@@ -32,19 +32,19 @@ pub use markdown::escape;
 pub use markdown::table_markdown;
 pub use read::{PlaceText, read_points, read_timing};
 pub(super) use sheet::text as cell_text;
-pub use sheet::{Column, Constants, attack_numbers};
+pub use sheet::{Column, ColumnOf, Constants, attack_numbers};
 pub use terminal::table_terminal;
 
 use crate::base::Result;
+use crate::base::columns::{INACTIVE_BY, InactiveBy, is_per_seed};
 use crate::metrics::{FLOOR_PSNR, PSNR};
 use crate::report::statistics::{mean, paired_differences, standard_deviation};
 use crate::report::{AxisValue, PublishedRow, Record, RowSpec, Status, TableSpec, distinct};
-use crate::settings::columns::{INACTIVE_BY, InactiveBy, is_per_seed};
 
 /// A table, ready to be rendered.
 ///
 /// ```
-/// # mod augnerf { pub use augnerf_base as base; pub use augnerf_nerf::*; pub use augnerf_report::*; }
+/// # mod augnerf { pub use augnerf_base as base; pub use augnerf_report::*; }
 /// use augnerf::report::tables::{Table, table_markdown};
 /// use augnerf::report::{PointResult, Record, RowSpec, Status, TableSpec};
 ///

@@ -1,7 +1,7 @@
 //! Reads `points.csv`.
 
 use super::delimited::POSITION;
-use super::sheet::{Constants, fields_of};
+use super::sheet::{ColumnOf, Constants, fields_of};
 use crate::base::csv::{column_names, plain_hash};
 use crate::metrics::Metric;
 use crate::report::{AxisValue, PointResult, Record, Status};
@@ -24,12 +24,14 @@ pub struct PlaceText<'a> {
     pub axes: &'a str,
 }
 
-/// Returns the records of a `points.csv`. `constants` are the fields that all measured points share and that are no columns. `axes` returns the axis values for a position, or `None` if it does not exist.
-/// `clocks` are columns that are neither metrics nor protocol.
+/// Returns the records of a `points.csv`. `constants` are the fields that all measured points share and that are no
+/// columns. `clocks` are columns that are neither metrics nor protocol. `axes` returns the axis values for a position, or
+/// `None` if it does not exist.
 pub fn read_points(
     text: &str,
     constants: &Constants,
     clocks: &[String],
+    column_of: ColumnOf,
     axes: impl Fn(PlaceText) -> Option<Vec<AxisValue>>,
 ) -> Result<Vec<Record>, String> {
     let mut reader = csv::Reader::from_reader(text.as_bytes());
@@ -61,7 +63,7 @@ pub fn read_points(
         if status == Status::Done {
             let own = fields.iter().map(|&i| (head[i].clone(), row[i].to_string()));
             protocol.push(("scene".into(), scene.into()));
-            protocol.extend(fields_of(own.chain(constants.clone()).collect()));
+            protocol.extend(fields_of(own.chain(constants.clone()).collect(), column_of));
         }
         let record = Record {
             id: id.into(),

@@ -2,15 +2,15 @@
 
 use serde_json::Value;
 
-use crate::base::columns::{file_name, has_hashes, plain_field};
+use crate::base::columns::{AXIS, SETTING, SITES, field_order, file_name, find, has_hashes, plain_field};
 use crate::base::csv::{csv_text, hash_cell};
-use crate::perturb::PaperSite;
 use crate::report::record::EPOCHS;
-use crate::settings::columns::{AXIS, SETTING, field_order, find};
-use crate::settings::registry::REGISTRY;
 
 /// A column's name, and its cell in each line.
 pub type Column = (String, Vec<Value>);
+
+/// Returns the column with a swept setting's own value: `rays` for `set.train.rays`.
+pub type ColumnOf = fn(&str) -> Option<&'static str>;
 
 /// Name and text of each field that all points share.
 pub type Constants = Vec<(String, String)>;
@@ -41,20 +41,9 @@ fn texts(cells: &[Value]) -> Vec<String> {
     cells.iter().map(text).collect()
 }
 
-/// Returns the field with a swept setting's own value: `rays` for `set.train.rays`.
-fn column_of_setting(swept: &str) -> Option<&'static str> {
-    let path = swept.strip_prefix(SETTING)?;
-    // The field holds the steps of the run, which are those of the setting if it has ended.
-    if path == "train.steps" {
-        return Some("steps");
-    }
-    REGISTRY.settings.iter().find(|setting| setting.path == path)?.rule.column
-}
-
 /// Returns whether a swept column holds what the field `name` does.
-fn repeats(swept: &str, name: &str) -> bool {
-    swept.strip_prefix(SETTING) == Some(name)
-        || column_of_setting(swept).is_some_and(|column| file_name(column) == name)
+fn repeats(swept: &str, name: &str, column_of: ColumnOf) -> bool {
+    swept.strip_prefix(SETTING) == Some(name) || column_of(swept).is_some_and(|column| file_name(column) == name)
 }
 
 /// Returns whether a column holds what a sweep varies.
@@ -62,8 +51,8 @@ fn is_swept(name: &str) -> bool {
     name.starts_with(AXIS) || name.starts_with(SETTING)
 }
 
-/// Leaves out the columns that no line has and those of constants. Swept columns come next to `axes`.
-pub(super) fn compact(mut columns: Vec<Column>, constants: &Constants) -> Vec<Column> {
+/// Leaves out the columns that no line has, those of constants, and those that repeat a swept column. Swept columns come next to `axes`.
+pub(super) fn compact(mut columns: Vec<Column>, constants: &Constants, column_of: ColumnOf) -> Vec<Column> {
     // One order, whichever point has a field first. What is no field of the protocol stays before.
     let is_field = |name: &str| !["scene", "seed"].contains(&name) && find(name).is_some();
     columns.sort_by_key(|(name, _)| is_field(name).then(|| field_order(name)));
@@ -78,8 +67,9 @@ pub(super) fn compact(mut columns: Vec<Column>, constants: &Constants) -> Vec<Co
     let told = columns.into_iter().flat_map(readable).filter(is_told);
     let (mut swept, mut others): (Vec<Column>, Vec<Column>) = told.partition(|(name, _)| is_swept(name));
     swept.sort_by_key(|(name, _)| name.starts_with(SETTING));
-    others
-        .retain(|(name, cells)| !swept.iter().any(|(own, values)| repeats(own, name) && texts(values) == texts(cells)));
+    others.retain(|(name, cells)| {
+        !swept.iter().any(|(own, values)| repeats(own, name, column_of) && texts(values) == texts(cells))
+    });
     let at = others.iter().rposition(|(name, _)| ["row", "axes"].contains(&name.as_str())).map_or(0, |at| at + 1);
     others.splice(at..at, swept);
     others
@@ -105,19 +95,19 @@ fn readable((name, cells): Column) -> Vec<Column> {
 }
 
 /// Returns the columns of a site's PGD numbers.
-fn names_of(site: PaperSite) -> [String; NUMBERS.len()] {
-    NUMBERS.map(|number| format!("perturb.{}.{number}", site.name()))
+fn names_of(site: &str) -> [String; NUMBERS.len()] {
+    NUMBERS.map(|number| format!("perturb.{site}.{number}"))
 }
 
 /// Returns PGD numbers by their settings' names: `perturb.t.steps`, `perturb.t.step_size`, ...
 pub fn attack_numbers(numbers: &str) -> Vec<(String, String)> {
-    let of_site = |site: PaperSite| {
-        let own = numbers.split(", ").find_map(|part| part.strip_prefix(site.name())?.strip_prefix(' '));
+    let of_site = |site: &str| {
+        let own = numbers.split(", ").find_map(|part| part.strip_prefix(site)?.strip_prefix(' '));
         let own: Vec<&str> = own.map_or(Vec::new(), |own| own.split('/').collect());
         let numbers = if own.len() == NUMBERS.len() { own } else { Vec::new() };
         names_of(site).into_iter().zip(numbers.into_iter().map(String::from))
     };
-    PaperSite::ALL.into_iter().flat_map(of_site).collect()
+    SITES.into_iter().flat_map(of_site).collect()
 }
 
 /// Returns PGD numbers as one text again.
@@ -126,11 +116,11 @@ fn joined_numbers(columns: &[(String, String)]) -> String {
         let is_of = |known: &str| known == name || known.strip_prefix(SETTING) == Some(name);
         columns.iter().find(|(known, _)| is_of(known)).map_or("", |(_, cell)| cell)
     };
-    let of_site = |site: PaperSite| {
+    let of_site = |site: &str| {
         let numbers = names_of(site).iter().map(cell).collect::<Vec<&str>>().join("/");
-        (numbers.len() >= NUMBERS.len()).then(|| format!("{} {numbers}", site.name()))
+        (numbers.len() >= NUMBERS.len()).then(|| format!("{site} {numbers}"))
     };
-    PaperSite::ALL.into_iter().filter_map(of_site).collect::<Vec<String>>().join(", ")
+    SITES.into_iter().filter_map(of_site).collect::<Vec<String>>().join(", ")
 }
 
 /// Returns a column for each PGD number of any line, or `None` if a text has another form.
@@ -146,18 +136,18 @@ fn attack_columns(cells: &[Value]) -> Option<Vec<Column>> {
         let cells = lines.iter().map(cell).collect();
         (name, cells)
     };
-    Some(PaperSite::ALL.into_iter().flat_map(names_of).map(column).collect())
+    Some(SITES.into_iter().flat_map(names_of).map(column).collect())
 }
 
 /// Returns a point's fields from its cells and constants: the opposite of [`readable`].
-pub(super) fn fields_of(cells: Vec<(String, String)>) -> Vec<(String, String)> {
-    let is_number = |name: &str| PaperSite::ALL.into_iter().any(|site| names_of(site).iter().any(|own| own == name));
+pub(super) fn fields_of(cells: Vec<(String, String)>, column_of: ColumnOf) -> Vec<(String, String)> {
+    let is_number = |name: &str| SITES.into_iter().any(|site| names_of(site).iter().any(|own| own == name));
     let numbers = cells.iter().any(|(name, _)| is_number(name.strip_prefix(SETTING).unwrap_or(name)));
     let joined = numbers.then(|| (ATTACK_NUMBERS.to_string(), joined_numbers(&cells)));
     let own = cells.into_iter().filter(|(name, _)| !is_number(name)).map(plain_field);
     let mut fields: Vec<(String, String)> = own.chain(joined).collect();
     let of_setting = |(name, cell): &(String, String)| {
-        let column = column_of_setting(name)?;
+        let column = column_of(name)?;
         let is_lacking = !fields.iter().any(|(known, _)| known == column);
         is_lacking.then(|| (column.to_string(), cell.clone()))
     };
@@ -194,7 +184,7 @@ mod tests {
         assert_eq!([of("width"), of("perturb.xyz.epsilon"), of("masks")], [Some("101"), Some("1"), None]);
         let place =
             vec![column("id", &["123e45678901", "abc"]), column("row", &["A", "B"]), column("seed", &["0", "1"])];
-        let told = compact([place, protocol()].concat(), &constants);
+        let told = compact([place, protocol()].concat(), &constants, |_| None);
         let csv = csv_of(&told);
         let lines: Vec<&str> = csv.lines().collect();
         assert_eq!(
@@ -208,7 +198,7 @@ mod tests {
         );
         for (line, numbers) in numbers.into_iter().enumerate() {
             let cells = told.iter().map(|(name, cells)| (name.clone(), text(&cells[line])));
-            let fields = fields_of(cells.chain(constants.clone()).collect());
+            let fields = fields_of(cells.chain(constants.clone()).collect(), |_| None);
             let of = |name: &str| fields.iter().find(|(known, _)| known == name).map(|(_, text)| text.as_str());
             assert_eq!((of("attack_numbers"), of("width")), (Some(numbers), Some("101")));
             assert_eq!((of("lambda"), of("perturb.xyz.epsilon")), (Some(["0.1", "0.2"][line]), None));
@@ -220,10 +210,10 @@ mod tests {
     #[test]
     fn numbers_of_another_form_stay_text() {
         for text in ["t 3", "t 3/1/2/4", "u 3/1/2", "xyz 1/1/1, t 1/1/1"] {
-            let kept = compact(vec![column("attack_numbers", &[text])], &Vec::new());
+            let kept = compact(vec![column("attack_numbers", &[text])], &Vec::new(), |_| None);
             assert_eq!(kept, [column("attack_numbers", &[text])]);
             let cells = [("attack_numbers".to_string(), text.to_string())].to_vec();
-            assert_eq!(fields_of(cells.clone()), cells);
+            assert_eq!(fields_of(cells.clone(), |_| None), cells);
         }
     }
 }

@@ -4,11 +4,11 @@ use super::kinds::{is_without_fields, kind_notes, llff_note};
 use super::together::number;
 pub use super::together::{interval_text, mean_and_spread, mean_text, signed_interval, signed_text};
 use super::{Cell, Comparison, Line, Table};
+use crate::base::columns::{COLUMNS, CaptionRule, InactiveBy};
 use crate::metrics::{DEPTH_MAE, DEPTH_RMSE, DEPTH_ROUGHNESS, Metric, NORMAL_ROUGHNESS, Needs, PSNR};
 use crate::report::PUBLISHED_NOTE;
 use crate::report::distinct;
 use crate::report::statistics::p_text;
-use crate::settings::columns::{COLUMNS, CaptionRule, InactiveBy};
 
 const HOW_TO_READ: &str = "difference to the baseline, paired by seed, with its 95 % Student t interval and the p value \
      after Holm's correction over the rows of the scene's table. \"higher\", \"lower\": that p is below 0.05. \"not \
