@@ -8,7 +8,7 @@ use tempfile::NamedTempFile;
 
 use crate::base::{Error, Result};
 use crate::data::Photos;
-use crate::metrics::{Backbone, FLOOR_PSNR, LPIPS, PSNR, SSIM};
+use crate::metrics::{Backbone, FLOOR_PSNR, PSNR, SSIM};
 use crate::run::{Estimate, Existing, Finished, Job, RunDir, Setup, load_lpips, load_scene, load_scene_of};
 use crate::runtime::Runtime;
 use crate::settings::Config;
@@ -274,7 +274,7 @@ fn summarize(Finished { report, model, seconds, heavy_terms, .. }: &Finished, fo
     let mean = &report.mean;
     let number = |value: Option<f64>, digits: usize| value.map_or("-".into(), |value| format!("{value:.digits$}"));
     let lpips =
-        mean.get(LPIPS.get(Backbone::Squeeze)).map_or(String::new(), |lpips| format!("  LPIPS(squeeze) {lpips:.3}"));
+        mean.get(Backbone::Squeeze.lpips()).map_or(String::new(), |lpips| format!("  LPIPS(squeeze) {lpips:.3}"));
     console.say(&format!(
         "{} held-out views: PSNR {} dB (one colour: {})  SSIM {}{lpips}  ({} steps, {seconds:.0} s)",
         report.views.len(),

@@ -12,7 +12,7 @@ use crate::common::program::{Place, set};
 use augnerf::base::Image;
 use augnerf::base::rng::{Random, Stream};
 use augnerf::metrics::{self, Backbone, Lpips, MeanMetrics, ViewMetrics};
-use augnerf::metrics::{AVERAGE, LPIPS, MSE, PSNR, PSNR_FLOAT, PSNR_OF_MEAN, SSIM};
+use augnerf::metrics::{MSE, PSNR, PSNR_FLOAT, PSNR_OF_MEAN, SSIM};
 use augnerf::run::columns;
 use candle_core::{DType, Device, Result, Tensor};
 
@@ -129,7 +129,7 @@ fn view(psnr: Option<f64>, mse: f64, lpips_squeeze: Option<f64>) -> ViewMetrics 
     view.values.set(&PSNR_FLOAT, psnr);
     view.values.set(&MSE, Some(mse));
     view.values.set(&SSIM, Some(0.5));
-    view.values.set(LPIPS.get(Backbone::Squeeze), lpips_squeeze);
+    view.values.set(Backbone::Squeeze.lpips(), lpips_squeeze);
     view
 }
 
@@ -137,11 +137,12 @@ fn view(psnr: Option<f64>, mse: f64, lpips_squeeze: Option<f64>) -> ViewMetrics 
 fn means_are_over_all_views_or_missing() {
     let views = [view(Some(20.0), 0.01, Some(0.2)), view(Some(10.0), 0.1, Some(0.4))];
     let means = MeanMetrics::from_views(&views);
-    let of_lpips = |means: &MeanMetrics, backbone| (means.get(LPIPS.get(backbone)), means.get(AVERAGE.get(backbone)));
+    let of_lpips =
+        |means: &MeanMetrics, backbone: Backbone| (means.get(backbone.lpips()), means.get(backbone.average()));
     assert_eq!((means.get(&PSNR), means.get(&SSIM)), (Some(15.0), Some(0.5)));
     assert_eq!(of_lpips(&means, Backbone::Alex), (None, None));
     assert_close("psnr_of_mean", means.get(&PSNR_OF_MEAN).unwrap(), -10.0 * 0.055f64.log10(), 1e-12);
-    let average = means.get(AVERAGE.get(Backbone::Squeeze)).unwrap();
+    let average = means.get(Backbone::Squeeze.average()).unwrap();
     assert_close("average", average, metrics::average(15.0, 0.5, 0.3), 1e-12);
 
     let partly = MeanMetrics::from_views(&[views[0].clone(), view(None, 0.0, None)]);
@@ -225,7 +226,7 @@ fn photographs_give_the_numbers_of_other_implementations() {
         close("ssim_gaussian_11_sigma_1_5_valid_crop", ssim, PSNR_SSIM_TOLERANCE);
         let lpips = "lpips_squeeze_v0_1";
         close("average", metrics::average(psnr, ssim, reference[lpips].as_f64().unwrap()), PSNR_SSIM_TOLERANCE);
-        close(lpips, view.get(LPIPS.get(Backbone::Squeeze)).unwrap(), LPIPS_TOLERANCE);
+        close(lpips, view.get(Backbone::Squeeze.lpips()).unwrap(), LPIPS_TOLERANCE);
     }
 }
 
@@ -403,7 +404,7 @@ fn check_network(backbone: Backbone, sizes: &[(usize, usize)]) {
     let small = noise(side - 1, side, 3, 8);
     let error = lpips.distance(&small, &small).unwrap_err();
     assert!(error.exit_code() == 3 && error.to_string().contains(&format!("{side}x{side}")), "{error}");
-    assert_eq!(metrics::measure("v", &small, &small, &[lpips]).unwrap().get(LPIPS.get(Backbone::Squeeze)), None);
+    assert_eq!(metrics::measure("v", &small, &small, &[lpips]).unwrap().get(Backbone::Squeeze.lpips()), None);
 }
 
 #[test]

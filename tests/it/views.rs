@@ -7,7 +7,7 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 
 use augnerf::base::{Event, Listener};
 use augnerf::data::{self, Scene};
-use augnerf::metrics::{Backbone, LPIPS, MeanMetrics, PSNR, Scope, measure};
+use augnerf::metrics::{Backbone, MeanMetrics, PSNR, Scope, measure};
 use augnerf::run::{Existing, Job, RunDir, Setup, Viewer, load_scene, read_picture};
 use augnerf::settings::{DataConfig, DataKind, EvalSplit, Preset, TrainViews};
 use tempfile::TempDir;
@@ -59,7 +59,7 @@ fn the_gap_is_between_training_views_as_rendered_and_held_out_ones() {
     let psnr = psnrs.sum::<f64>() / 2.0;
     assert_eq!(mean.get(PSNR.train()), Some(psnr));
     assert_eq!(mean.get(PSNR.gap()), Some(psnr - before.get(&PSNR).unwrap()));
-    assert_eq!(mean.get(LPIPS.get(Backbone::Vgg).train()), None, "missing is empty, not 0");
+    assert_eq!(mean.get(Backbone::Vgg.lpips().train()), None, "missing is empty, not 0");
     for (metric, value) in before.iter().filter(|(metric, _)| !matches!(metric.scope, Scope::TrainViews | Scope::Gap)) {
         assert_eq!(mean.get(metric), value, "{}", metric.key);
     }

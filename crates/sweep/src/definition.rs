@@ -10,7 +10,7 @@ use crate::base::{Error, Result};
 
 use super::axes::Axis;
 use super::extends;
-use crate::metrics::{Backbone, LPIPS, Metric, PSNR, SSIM, Scope};
+use crate::metrics::{Backbone, Metric, PSNR, SSIM, Scope};
 use crate::report::{AxisValue, PublishedKey, RowSpec};
 use crate::settings::BuiltinScene;
 
@@ -71,7 +71,7 @@ pub struct Definition {
 }
 
 fn default_metrics() -> Vec<String> {
-    [&PSNR, &SSIM, LPIPS.get(Backbone::Squeeze)].map(|metric| metric.key.to_string()).to_vec()
+    [&PSNR, &SSIM, Backbone::Squeeze.lpips()].map(|metric| metric.key.to_string()).to_vec()
 }
 
 fn clean() -> String {

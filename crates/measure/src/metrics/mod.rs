@@ -33,14 +33,14 @@ use augnerf_base::{Error, Image, Result};
 /// ```
 /// # mod augnerf { pub use {augnerf_base as base, augnerf_measure::metrics}; }
 /// use augnerf::base::Image;
-/// use augnerf::metrics::{Backbone, LPIPS, PSNR, measure};
+/// use augnerf::metrics::{Backbone, PSNR, measure};
 ///
 /// let grey = |value| Image { width: 16, height: 16, channels: 3, pixels: vec![value; 16 * 16 * 3] };
 /// let metrics = measure("view", &grey(102.0 / 255.0), &grey(127.5 / 255.0), &[])?;
 /// // -10 log10 of the mean squared error of the 8-bit colours 102 and 128.
 /// let psnr = -20.0 * (26.0f64 / 255.0).log10();
 /// assert!((metrics.get(&PSNR).unwrap() - psnr).abs() < 1e-4);
-/// assert_eq!(metrics.get(LPIPS.get(Backbone::Squeeze)), None);
+/// assert_eq!(metrics.get(Backbone::Squeeze.lpips()), None);
 /// # Ok::<(), augnerf::base::Error>(())
 /// ```
 pub fn measure(name: &str, rendered: &Image, truth: &Image, lpips: &[Lpips]) -> Result<ViewMetrics> {
@@ -70,7 +70,7 @@ pub fn measure_unmasked(
     let share = share(mask);
     for model in lpips.iter().filter(|model| share > 0.0 && model.backbone().fits(truth.width, truth.height)) {
         let distance = model.distance(&rendered, &truth)?;
-        view.values.set(LPIPS.get(model.backbone()), Some(distance / share));
+        view.values.set(model.backbone().lpips(), Some(distance / share));
     }
     Ok(view)
 }

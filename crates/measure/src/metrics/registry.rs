@@ -2,7 +2,6 @@
 //! Tables, figures, sweeps and files read it here. Code names a metric by its handle, such as [`PSNR`]; [`Metric::find`] is
 //! for keys that users and files give.
 
-use std::ops::Deref;
 use std::sync::LazyLock;
 
 use super::Backbone;
@@ -53,9 +52,9 @@ pub enum Scope {
     ViewAlone,
     /// On a run: made of the means over its views.
     Mean,
-    /// On a run: the mean of another metric over training views ([`SplitMetric::train`]).
+    /// On a run: the mean of another metric over training views ([`Metric::train`]).
     TrainViews,
-    /// On a run: that mean minus the mean over held-out views ([`SplitMetric::gap`]).
+    /// On a run: that mean minus the mean over held-out views ([`Metric::gap`]).
     Gap,
     /// On the evaluated field's density over a lattice.
     Lattice,
@@ -113,6 +112,27 @@ impl Metric {
         METRICS.iter().copied().filter(|metric| metric.scope != Scope::ViewAlone)
     }
 
+    /// Its mean over training views.
+    ///
+    /// # Panics
+    /// If it is none of [`split_metrics`].
+    pub fn train(&self) -> &'static Metric {
+        &self.of_training()[0]
+    }
+
+    /// Its mean over training views minus that over held-out views.
+    ///
+    /// # Panics
+    /// If it is none of [`split_metrics`].
+    pub fn gap(&self) -> &'static Metric {
+        &self.of_training()[1]
+    }
+
+    fn of_training(&self) -> &'static [Metric; 2] {
+        let at = split_metrics().position(|metric| metric.key == self.key);
+        &OF_TRAINING[at.expect("a metric that runs have of training views")]
+    }
+
     /// The value as a table for readers prints it.
     pub fn text(&self, value: f64) -> String {
         match self.digits {
@@ -126,158 +146,42 @@ impl Metric {
     }
 }
 
-/// A metric of held-out views, which a run has of its training views, too. It is used as the metric of held-out views.
-#[derive(Debug)]
-pub struct SplitMetric {
-    held_out: Metric,
-    train: Metric,
-    gap: Metric,
-}
-
-impl SplitMetric {
-    /// Its mean over training views.
-    pub const fn train(&self) -> &Metric {
-        &self.train
-    }
-
-    /// Its mean over training views minus that over held-out views.
-    pub const fn gap(&self) -> &Metric {
-        &self.gap
-    }
-}
-
-impl Deref for SplitMetric {
-    type Target = Metric;
-
-    fn deref(&self) -> &Metric {
-        &self.held_out
-    }
-}
-
-/// A metric that needs an LPIPS backbone: one for each.
-#[derive(Debug)]
-pub struct PerBackbone<T>([T; Backbone::ALL.len()]);
-
-impl<T> PerBackbone<T> {
-    /// That of a backbone.
-    pub const fn get(&self, backbone: Backbone) -> &T {
-        &self.0[backbone as usize]
-    }
-}
-
-/// What a handle stands for.
-trait Handle: Sync {
-    /// Metrics in the order of files, without those of training views.
-    fn metrics(&'static self) -> Vec<&'static Metric>;
-
-    /// Those that runs have of training views, too.
-    fn splits(&'static self) -> Vec<&'static SplitMetric> {
-        Vec::new()
-    }
-}
-
-impl Handle for Metric {
-    fn metrics(&'static self) -> Vec<&'static Metric> {
-        vec![self]
-    }
-}
-
-impl Handle for SplitMetric {
-    fn metrics(&'static self) -> Vec<&'static Metric> {
-        vec![self]
-    }
-
-    fn splits(&'static self) -> Vec<&'static SplitMetric> {
-        vec![self]
-    }
-}
-
-impl<T: Handle> Handle for PerBackbone<T> {
-    fn metrics(&'static self) -> Vec<&'static Metric> {
-        self.0.iter().flat_map(T::metrics).collect()
-    }
-
-    fn splits(&'static self) -> Vec<&'static SplitMetric> {
-        self.0.iter().flat_map(T::splits).collect()
-    }
-}
-
 /// All metrics, in the order of files: of images, the same of training views, and all others.
 pub static METRICS: LazyLock<Vec<&'static Metric>> = LazyLock::new(|| {
-    let of_images = IMAGES.iter().flat_map(|handle| handle.metrics());
-    let of_training = split_metrics().flat_map(|metric| [metric.train(), metric.gap()]);
-    of_images.chain(of_training).chain(OTHERS.iter().flat_map(|handle| handle.metrics())).collect()
+    let of_images = IMAGES.iter().copied().chain(&LPIPS).chain(&AVERAGE);
+    of_images.chain(OF_TRAINING.iter().flatten()).chain(OTHERS.iter().copied()).collect()
 });
 
-/// Those that runs have of training views, too.
-pub fn split_metrics() -> impl Iterator<Item = &'static SplitMetric> {
-    IMAGES.iter().flat_map(|handle| handle.splits())
+/// Those of held-out views that runs have of training views, too.
+pub fn split_metrics() -> impl Iterator<Item = &'static Metric> {
+    [&PSNR, &SSIM].into_iter().chain(&LPIPS)
+}
+
+/// Mean over training views, and gap, of each of [`split_metrics`].
+static OF_TRAINING: LazyLock<Vec<[Metric; 2]>> = LazyLock::new(|| split_metrics().map(of_training).collect());
+
+/// Of training views the better number is the better fit, not the better picture of held-out views. So it describes, and
+/// so does the gap.
+fn of_training(metric: &'static Metric) -> [Metric; 2] {
+    let Metric { key, label, .. } = metric;
+    let (name, unit) = label.strip_suffix(" (dB)").map_or((*label, ""), |name| (name, " (dB)"));
+    let gap = if *key == PSNR.key { "gap".into() } else { format!("gap_{key}") };
+    let describes = |scope: Scope, key: String, label: String| {
+        // They are made once, and live as long as the program.
+        Metric { key: key.leak(), label: label.leak(), direction: Direction::Neither, scope, ..*metric }
+    };
+    [
+        describes(Scope::TrainViews, format!("train_{key}"), format!("{name} of training views{unit}")),
+        describes(Scope::Gap, gap, format!("{name}, training minus held-out{unit}")),
+    ]
 }
 
 /// Declares metrics: each has a handle and is in the list.
 macro_rules! metrics {
-    ($list:ident: $($(#[$doc:meta])* $name:ident: $kind:ty = $metric:expr;)*) => {
-        $($(#[$doc])* pub static $name: $kind = $metric;)*
-        static $list: &[&dyn Handle] = &[$(&$name),*];
+    ($list:ident: $($(#[$doc:meta])* $name:ident = $metric:expr;)*) => {
+        $($(#[$doc])* pub static $name: Metric = $metric;)*
+        static $list: &[&Metric] = &[$(&$name),*];
     };
-}
-
-/// A metric with those of training views. Its label is a name and what follows: for many the unit.
-macro_rules! split {
-    ($key:expr, $name:expr, $unit:literal, gap $gap:expr, $metric:expr) => {
-        SplitMetric {
-            held_out: Metric { key: $key, label: concat!($name, $unit), ..$metric },
-            train: Metric {
-                key: concat!("train_", $key),
-                label: concat!($name, " of training views", $unit),
-                ..of_training(Scope::TrainViews, $metric)
-            },
-            gap: Metric {
-                key: $gap,
-                label: concat!($name, ", training minus held-out", $unit),
-                ..of_training(Scope::Gap, $metric)
-            },
-        }
-    };
-    ($key:expr, $name:expr, $unit:literal, $metric:expr) => {
-        split!($key, $name, $unit, gap concat!("gap_", $key), $metric)
-    };
-}
-
-/// A metric for each backbone, by a macro that takes its variant and its name.
-macro_rules! per_backbone {
-    ($metric:ident) => {
-        PerBackbone([$metric!(Alex, "alex"), $metric!(Vgg, "vgg"), $metric!(Squeeze, "squeeze")])
-    };
-}
-
-macro_rules! lpips {
-    ($backbone:ident, $name:literal) => {
-        split!(
-            concat!("lpips_", $name),
-            concat!("LPIPS (", $name, ")"),
-            "",
-            Metric { needs: Needs::Lpips(Backbone::$backbone), ..RATIO }
-        )
-    };
-}
-
-macro_rules! average {
-    ($backbone:ident, $name:literal) => {
-        Metric {
-            key: concat!("average_", $name),
-            label: concat!("average (", $name, ")"),
-            scope: Scope::Mean,
-            needs: Needs::Lpips(Backbone::$backbone),
-            ..RATIO
-        }
-    };
-}
-
-/// Of training views the better number is the better fit, not the better picture of held-out views. So it describes, and
-/// so does the gap.
-const fn of_training(scope: Scope, metric: Metric) -> Metric {
-    Metric { direction: Direction::Neither, scope, ..metric }
 }
 
 const DECIBEL: Metric = Metric {
@@ -305,11 +209,11 @@ const TRUTH: Metric = Metric { direction: Direction::Neither, needs: Needs::Exac
 
 metrics! { IMAGES:
     /// PSNR of the image rounded to 8 bits.
-    PSNR: SplitMetric = split!("psnr", "PSNR", " (dB)", gap "gap", DECIBEL);
+    PSNR = Metric { key: "psnr", label: "PSNR (dB)", ..DECIBEL };
     /// PSNR of the image as it is.
-    PSNR_FLOAT: Metric = Metric { key: "psnr_float", label: "PSNR float (dB)", ..DECIBEL };
+    PSNR_FLOAT = Metric { key: "psnr_float", label: "PSNR float (dB)", ..DECIBEL };
     /// Mean squared error of the image as it is.
-    MSE: Metric = Metric {
+    MSE = Metric {
         key: "mse",
         label: "mean squared error",
         unit: "",
@@ -319,28 +223,58 @@ metrics! { IMAGES:
         ..DECIBEL
     };
     /// PSNR of the mean of [`MSE`] over views.
-    PSNR_OF_MEAN: Metric =
+    PSNR_OF_MEAN =
         Metric { key: "psnr_of_mean", label: "PSNR of mean (dB)", scope: Scope::Mean, ..DECIBEL };
     /// PSNR of the best single colour of the training views ([`super::Floor`]): below it nothing was learned.
-    FLOOR_PSNR: Metric =
+    FLOOR_PSNR =
         Metric { key: "floor_psnr", label: "PSNR of one colour (dB)", direction: Direction::Neither, ..DECIBEL };
     /// SSIM of the image rounded to 8 bits.
-    SSIM: SplitMetric = split!("ssim", "SSIM", "", Metric { direction: Direction::Up, ..RATIO });
-    /// LPIPS of the image rounded to 8 bits.
-    LPIPS: PerBackbone<SplitMetric> = per_backbone!(lpips);
-    /// The geometric mean of three errors ([`super::average`]).
-    AVERAGE: PerBackbone<Metric> = per_backbone!(average);
+    SSIM = Metric { key: "ssim", label: "SSIM", direction: Direction::Up, ..RATIO };
+}
+
+/// LPIPS of the image rounded to 8 bits, by backbone.
+static LPIPS: [Metric; Backbone::ALL.len()] = [
+    lpips(Backbone::Alex, "lpips_alex", "LPIPS (alex)"),
+    lpips(Backbone::Vgg, "lpips_vgg", "LPIPS (vgg)"),
+    lpips(Backbone::Squeeze, "lpips_squeeze", "LPIPS (squeeze)"),
+];
+
+const fn lpips(backbone: Backbone, key: &'static str, label: &'static str) -> Metric {
+    Metric { key, label, needs: Needs::Lpips(backbone), ..RATIO }
+}
+
+/// The geometric mean of three errors ([`super::average`]), by backbone.
+static AVERAGE: [Metric; Backbone::ALL.len()] = [
+    average(Backbone::Alex, "average_alex", "average (alex)"),
+    average(Backbone::Vgg, "average_vgg", "average (vgg)"),
+    average(Backbone::Squeeze, "average_squeeze", "average (squeeze)"),
+];
+
+const fn average(backbone: Backbone, key: &'static str, label: &'static str) -> Metric {
+    Metric { scope: Scope::Mean, ..lpips(backbone, key, label) }
+}
+
+impl Backbone {
+    /// LPIPS with this backbone.
+    pub fn lpips(self) -> &'static Metric {
+        &LPIPS[self as usize]
+    }
+
+    /// The average of PSNR, SSIM and this LPIPS.
+    pub fn average(self) -> &'static Metric {
+        &AVERAGE[self as usize]
+    }
 }
 
 metrics! { OTHERS:
     /// Mean absolute density.
-    L1: Metric = Metric { key: "l1", label: "l1 of density", unit: "scene units^2", ..LATTICE };
+    L1 = Metric { key: "l1", label: "l1 of density", unit: "scene units^2", ..LATTICE };
     /// Total variation of density.
-    TV: Metric = Metric { key: "tv", label: "TV of density", unit: "scene units", ..LATTICE };
+    TV = Metric { key: "tv", label: "TV of density", unit: "scene units", ..LATTICE };
     /// Mean absolute Laplacian of density.
-    LAPLACIAN: Metric = Metric { key: "laplacian", label: "Laplacian of density", unit: "", ..LATTICE };
+    LAPLACIAN = Metric { key: "laplacian", label: "Laplacian of density", unit: "", ..LATTICE };
     /// The largest density on the lattice.
-    LARGEST_DENSITY: Metric = Metric {
+    LARGEST_DENSITY = Metric {
         key: "largest_density",
         label: "largest density",
         unit: "1 / scene unit",
@@ -348,26 +282,26 @@ metrics! { OTHERS:
         ..LATTICE
     };
     /// The fraction of the lattice with density.
-    OCCUPIED: Metric =
+    OCCUPIED =
         Metric { key: "occupied", label: "occupied", unit: "", direction: Direction::Neither, ..LATTICE };
     /// Mean absolute error of depth.
-    DEPTH_MAE: Metric = Metric { key: "depth_mae", label: "mean depth error", ..DEPTH };
+    DEPTH_MAE = Metric { key: "depth_mae", label: "mean depth error", ..DEPTH };
     /// Root of the mean squared error of depth.
-    DEPTH_RMSE: Metric = Metric { key: "depth_rmse", label: "depth rmse", ..DEPTH };
+    DEPTH_RMSE = Metric { key: "depth_rmse", label: "depth rmse", ..DEPTH };
     /// The fraction of pixels with reference depth that has no rendered depth.
-    DEPTH_LEFT_OUT: Metric = Metric { key: "depth_left_out", label: "depth left out", unit: "", ..DEPTH };
+    DEPTH_LEFT_OUT = Metric { key: "depth_left_out", label: "depth left out", unit: "", ..DEPTH };
     /// [`DEPTH_MAE`] over the pixels that all rows of a sweep show.
-    DEPTH_MAE_COMMON: Metric = Metric {
+    DEPTH_MAE_COMMON = Metric {
         key: "depth_mae_common",
         label: "mean depth error, common pixels",
         scope: Scope::Common,
         ..DEPTH
     };
     /// [`DEPTH_RMSE`] over the pixels that all rows of a sweep show.
-    DEPTH_RMSE_COMMON: Metric =
+    DEPTH_RMSE_COMMON =
         Metric { key: "depth_rmse_common", label: "depth rmse, common pixels", scope: Scope::Common, ..DEPTH };
     /// The fraction of pixels with reference depth that some row of a sweep does not show.
-    DEPTH_LEFT_OUT_COMMON: Metric = Metric {
+    DEPTH_LEFT_OUT_COMMON = Metric {
         key: "depth_left_out_common",
         label: "depth left out by any row",
         unit: "",
@@ -375,21 +309,21 @@ metrics! { OTHERS:
         ..TRUTH
     };
     /// Roughness of the rendered depth.
-    DEPTH_ROUGHNESS: Metric = Metric { key: "depth_roughness", label: "depth roughness", ..DEPTH };
+    DEPTH_ROUGHNESS = Metric { key: "depth_roughness", label: "depth roughness", ..DEPTH };
     /// Roughness of the reference depth.
-    DEPTH_ROUGHNESS_TRUTH: Metric =
+    DEPTH_ROUGHNESS_TRUTH =
         Metric { key: "depth_roughness_truth", label: "depth roughness truth", ..TRUTH };
     /// Roughness of the normals of the rendered depth.
-    NORMAL_ROUGHNESS: Metric =
+    NORMAL_ROUGHNESS =
         Metric { key: "normal_roughness", label: "normal roughness", unit: "degrees", ..DEPTH };
     /// Roughness of the normals of the reference depth.
-    NORMAL_ROUGHNESS_TRUTH: Metric =
+    NORMAL_ROUGHNESS_TRUTH =
         Metric { key: "normal_roughness_truth", label: "normal roughness truth", unit: "degrees", ..TRUTH };
     /// Distance between the field's surface and the reference mesh.
-    CHAMFER: Metric =
+    CHAMFER =
         Metric { key: "chamfer", label: "Chamfer distance", scope: Scope::Surface, needs: Needs::Mesh, ..DEPTH };
     /// The F-score of the field's surface at the first distance of `eval.mesh.at`.
-    F_SCORE: Metric = Metric {
+    F_SCORE = Metric {
         key: "f_score",
         label: "F-score",
         unit: "",
@@ -468,8 +402,8 @@ f_score | F-score |  | Figures Up Surface Mesh
     #[test]
     fn handles_are_the_metrics_of_their_names() {
         for backbone in Backbone::ALL {
-            let lpips = LPIPS.get(backbone);
-            let keys = [lpips, AVERAGE.get(backbone), lpips.train(), lpips.gap()].map(|metric: &Metric| metric.key);
+            let lpips = backbone.lpips();
+            let keys = [lpips, backbone.average(), lpips.train(), lpips.gap()].map(|metric| metric.key);
             let expected =
                 ["lpips", "average", "train_lpips", "gap_lpips"].map(|key| format!("{key}_{}", backbone.name()));
             assert_eq!(keys.to_vec(), expected);
@@ -485,21 +419,8 @@ f_score | F-score |  | Figures Up Surface Mesh
     #[test]
     fn numbers_have_the_digits_of_their_metric() {
         let texts =
-            [PSNR_FLOAT.text(25.318), LPIPS.get(Backbone::Vgg).text(0.21049), TV.text(123456.0), CHAMFER.text(0.061)];
+            [PSNR_FLOAT.text(25.318), Backbone::Vgg.lpips().text(0.21049), TV.text(123456.0), CHAMFER.text(0.061)];
         assert_eq!(texts, ["25.32", "0.210", "1.235e5", "0.06100"]);
-    }
-
-    #[test]
-    fn what_is_measured_on_training_views_is_measured_on_every_view() {
-        for metric in split_metrics() {
-            assert_eq!(metric.scope, Scope::View, "{}", metric.key);
-            for of_training in [metric.train(), metric.gap()] {
-                let like = (metric.unit, metric.digits, metric.needs);
-                assert_eq!((of_training.unit, of_training.digits, of_training.needs), like, "{}", of_training.key);
-            }
-        }
-        let of_training = METRICS.iter().filter(|metric| matches!(metric.scope, Scope::TrainViews | Scope::Gap));
-        assert_eq!(of_training.count(), 2 * split_metrics().count());
     }
 
     #[test]

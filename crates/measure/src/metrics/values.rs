@@ -4,7 +4,7 @@ use serde::de::{Deserializer, MapAccess, Visitor};
 use serde::ser::{SerializeMap, Serializer};
 use serde::{Deserialize, Serialize};
 
-use super::registry::{AVERAGE, LPIPS, METRICS, MSE, Metric, PSNR, PSNR_OF_MEAN, SSIM, Scope, split_metrics};
+use super::registry::{METRICS, MSE, Metric, PSNR, PSNR_OF_MEAN, SSIM, Scope, split_metrics};
 use super::{Backbone, average, psnr_from_mse};
 
 /// Values by metric, in the registry's order; none where a metric is undefined or was not measured.
@@ -122,10 +122,10 @@ impl MeanMetrics {
         }
         means.set(&PSNR_OF_MEAN, mean(views, &MSE).and_then(psnr_from_mse));
         for backbone in Backbone::ALL {
-            let all = (means.get(&PSNR), means.get(&SSIM), means.get(LPIPS.get(backbone)));
+            let all = (means.get(&PSNR), means.get(&SSIM), means.get(backbone.lpips()));
             let value =
                 if let (Some(psnr), Some(ssim), Some(lpips)) = all { Some(average(psnr, ssim, lpips)) } else { None };
-            means.set(AVERAGE.get(backbone), value);
+            means.set(backbone.average(), value);
         }
         means
     }
