@@ -7,7 +7,7 @@ use serde_json::json;
 
 use crate::base::settings::numbers;
 use crate::base::{Error, Result};
-use crate::mesh::{Normals, Paint};
+use crate::mesh::Paint;
 use crate::run::{
     MeshFormat, MeshOptions, MeshPicture, MeshReport, MeshUnits, OpenOptions, RunDir, Trained, Viewpoint,
 };
@@ -58,9 +58,6 @@ pub struct MeshArguments {
     /// Units of the files
     #[arg(long, value_parser = choice(&UNITS), default_value = "scene", help_heading = "Output")]
     units: MeshUnits,
-    /// Source of the normals
-    #[arg(long, value_parser = choice(&NORMALS), default_value = "triangles", help_heading = "Output")]
-    normals: Normals,
     /// Write density.npy, too: float32 [x, y, z] at the cells' midpoints
     #[arg(long, help_heading = "Output")]
     density: bool,
@@ -82,10 +79,6 @@ const FORMATS: [Choice<MeshFormat>; 2] = [
 const UNITS: [Choice<MeshUnits>; 2] = [
     ("scene", "The scene's, after recentring and scaling", MeshUnits::Scene),
     ("capture", "Those of the capture's own poses (scene.json has the transform)", MeshUnits::Capture),
-];
-const NORMALS: [Choice<Normals>; 2] = [
-    ("triangles", "The mean of the triangles around a vertex", Normals::Triangles),
-    ("density", "The gradient of density at the vertex", Normals::Density),
 ];
 const PAINTS: [Choice<Paint>; 2] =
     [("clay", "One grey", Paint::Clay), ("colours", "The mesh's own colours", Paint::Colours)];
@@ -192,7 +185,6 @@ impl MeshArguments {
             density: self.density,
             most_mib: self.memory,
             picture: self.picture.picture()?,
-            normals: self.normals,
             units: self.units,
         };
         check_options(&options)?;

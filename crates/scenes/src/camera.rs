@@ -92,14 +92,6 @@ impl Ndc {
         let across = |at: f64, size: f64| -0.5 * at * z * size / self.focal;
         (z < 0.0).then(|| [across(point[0], self.width), across(point[1], self.height), z])
     }
-
-    /// Returns the gradient at a world point from the gradient `slope` in NDC: the transposed Jacobian of the map,
-    /// times `slope`.
-    pub fn backward(&self, world: [f64; 3], slope: [f64; 3]) -> [f64; 3] {
-        let [x, y, z] = world;
-        let (sx, sy) = (-2.0 * self.focal / self.width / z, -2.0 * self.focal / self.height / z);
-        [sx * slope[0], sy * slope[1], -(sx * x * slope[0] + sy * y * slope[1] + 2.0 / z * slope[2]) / z]
-    }
 }
 
 #[cfg(test)]
@@ -120,20 +112,5 @@ mod tests {
         }
         assert_eq!(NDC.unmap([0.0, 0.0, 1.0]), None);
         assert_eq!(Ndc::world_t(origin, direction, 1.0), f64::INFINITY);
-    }
-
-    #[test]
-    fn gradients_return_from_ndc_as_finite_differences_say() {
-        // f(ndc) = slope . ndc, whose gradient in the world is asked for.
-        let (slope, world) = ([0.7, -1.1, 0.4], [0.6, -0.8, -2.5]);
-        let f = |p: [f64; 3]| {
-            let ndc = [-70.0 / 40.0 * p[0] / p[2], -70.0 / 30.0 * p[1] / p[2], 1.0 + 2.0 / p[2]];
-            (0..3).map(|i| slope[i] * ndc[i]).sum::<f64>()
-        };
-        let found = NDC.backward(world, slope);
-        for (axis, found) in found.into_iter().enumerate() {
-            let at = |h: f64| f(std::array::from_fn(|i| world[i] + if i == axis { h } else { 0.0 }));
-            assert!((found - (at(1e-6) - at(-1e-6)) / 2e-6).abs() < 1e-8);
-        }
     }
 }

@@ -1,7 +1,6 @@
 //! Finishing a level set: scene units, normals and colours.
 
 use candle_core::Tensor;
-use serde::Serialize;
 
 use super::Mesh;
 use crate::base::{Error, Result};
@@ -10,75 +9,33 @@ use crate::data::vector::{Vec3, length, scale};
 use crate::field::Density;
 use crate::space::{Lattice, over_queries};
 
-/// The source of a mesh's normals.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
-#[serde(rename_all = "kebab-case")]
-pub enum Normals {
-    /// The area-weighted mean of the triangles around a vertex: the normals of the mesh's own shape.
-    #[default]
-    Triangles,
-    /// The exact density gradient at the vertex, reversed. It is rough where density is.
-    Density,
-}
-
-/// A finished mesh.
-pub struct FinishedMesh {
-    /// In scene units, with normals and colours.
-    pub mesh: Mesh,
-    /// Vertices with the mean normal of the triangles around them: all, or with [`Normals::Density`] those where
-    /// density is flat. An interpolated vertex may be where the field is empty.
-    pub flat: usize,
-}
-
 /// Finishes the level set of `density` on `lattice`. It converts from NDC to scene units if `ndc` is given. Each vertex
-/// gets its outward normal, and the colour that a ray against the normal sees there.
-pub fn finish_mesh(
-    density: &dyn Density,
-    level_set: Mesh,
-    lattice: &Lattice,
-    ndc: Option<&Ndc>,
-    normals: Normals,
-) -> Result<FinishedMesh> {
+/// gets its outward normal, the area-weighted mean of the triangles around it, and the colour that a ray against the normal
+/// sees there.
+pub fn finish_mesh(density: &dyn Density, level_set: Mesh, lattice: &Lattice, ndc: Option<&Ndc>) -> Result<Mesh> {
     let queried = level_set.vertices.clone();
     let mut mesh = in_scene(level_set, ndc)?;
-    let faces = mesh.face_normals();
-    let device = density.device();
-    let indices: Vec<usize> = (0..mesh.vertices.len()).collect();
-    let one = |part: &[usize]| -> Result<Part> {
-        let points: Vec<f32> = part.iter().flat_map(|&i| queried[i]).collect();
-        let points = Tensor::from_vec(points, (part.len(), 3), device)?;
-        let variance = lattice.cell_variance();
-        let slopes = match normals {
-            Normals::Triangles => vec![vec![0.0; 3]; part.len()],
-            Normals::Density => density.gradient(&points, variance)?.to_vec2::<f32>()?,
-        };
-        let outward = |(&i, slope): (&usize, &Vec<f32>)| {
-            let slope: Vec3 = std::array::from_fn(|axis| f64::from(slope[axis]));
-            let slope = ndc.map_or(slope, |ndc| ndc.backward(mesh.vertex(i as u32), slope));
-            let flat = length(slope) == 0.0;
-            let normal = if flat { faces[i] } else { scale(slope, -1.0) };
-            // A vertex with only degenerate triangles has no direction, so that any is right.
-            let normal = if length(normal) > 0.0 { scale(normal, 1.0 / length(normal)) } else { [0.0, 0.0, 1.0] };
-            (normal.map(|v| v as f32), flat)
-        };
-        let (normals, flat): (Vec<[f32; 3]>, Vec<bool>) = part.iter().zip(&slopes).map(outward).unzip();
-        let eyes: Vec<f32> = normals.iter().flatten().map(|v| -v).collect();
-        let eyes = Tensor::from_vec(eyes, (part.len(), 3), device)?;
-        let rgb = density.rgb(&points, variance, &eyes)?.to_vec2::<f32>()?;
-        let byte = |rgb: Vec<f32>| std::array::from_fn(|c| (rgb[c].clamp(0.0, 1.0) * 255.0).round() as u8);
-        Ok((normals, rgb.into_iter().map(byte).collect(), flat.into_iter().filter(|&flat| flat).count()))
+    // A vertex with only degenerate triangles has no direction, so that any is right.
+    let unit = |normal: Vec3| match length(normal) {
+        long if long > 0.0 => scale(normal, 1.0 / long),
+        _ => [0.0, 0.0, 1.0],
     };
-    let mut flat = 0;
-    for (normals, colours, part_flat) in over_queries(density, &indices, 1, one)? {
-        mesh.normals.extend(normals);
-        mesh.colours.extend(colours);
-        flat += part_flat;
-    }
-    Ok(FinishedMesh { mesh, flat })
+    mesh.normals = mesh.face_normals().into_iter().map(|normal| unit(normal).map(|v| v as f32)).collect();
+    let rows = |part: &[usize], of: &dyn Fn(usize) -> [f32; 3]| {
+        let values: Vec<f32> = part.iter().flat_map(|&i| of(i)).collect();
+        Tensor::from_vec(values, (part.len(), 3), density.device())
+    };
+    let colours = |part: &[usize]| -> Result<Vec<[u8; 3]>> {
+        let points = rows(part, &|i| queried[i])?;
+        let eyes = rows(part, &|i| mesh.normals[i].map(|v| -v))?;
+        let rgb = density.rgb(&points, lattice.cell_variance(), &eyes)?.to_vec2::<f32>()?;
+        let byte = |rgb: Vec<f32>| std::array::from_fn(|c| (rgb[c].clamp(0.0, 1.0) * 255.0).round() as u8);
+        Ok(rgb.into_iter().map(byte).collect())
+    };
+    let indices: Vec<usize> = (0..queried.len()).collect();
+    mesh.colours = over_queries(density, &indices, 1, colours)?.concat();
+    Ok(mesh)
 }
-
-/// Normals and colours of some vertices, and the number of flat ones.
-type Part = (Vec<[f32; 3]>, Vec<[u8; 3]>, usize);
 
 /// Returns a level set in scene units, converted from NDC if `ndc` is given. It is an error if a vertex is infinitely
 /// far away.

@@ -20,70 +20,15 @@ const MESH_OVER_PLANES: f64 = 40.0;
 /// The smallest allowed resolution.
 const LEAST_SIDE: usize = *MESH_SIDES.start();
 
-/// The distribution of densities at a grid's midpoints, 1 / length.
+/// The densities at a grid's midpoints, 1 / length.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct DensityRange {
     /// Smallest density.
     pub least: f32,
-    /// Median. It and the percentiles are exact to 1 %.
-    pub median: f32,
-    /// 90th percentile.
-    pub percentile_90: f32,
-    /// 99th percentile.
-    pub percentile_99: f32,
     /// Largest density.
     pub largest: f32,
     /// Fraction of midpoints at or above the threshold.
     pub inside: f64,
-}
-
-/// Counts densities by the upper half of their bits: 128 steps per octave, in ascending order.
-struct Histogram {
-    counts: Vec<u64>,
-    total: u64,
-    inside: u64,
-    range: (f32, f32),
-}
-
-impl Histogram {
-    fn new() -> Histogram {
-        let range = (f32::INFINITY, f32::NEG_INFINITY);
-        Histogram { counts: vec![0; 1 << 15], total: 0, inside: 0, range }
-    }
-
-    /// Densities are at least 0.
-    fn add(&mut self, densities: &[f32], threshold: f32) {
-        for &density in densities {
-            self.counts[(density.abs().to_bits() >> 16) as usize] += 1;
-            self.inside += u64::from(density >= threshold);
-            self.range = (self.range.0.min(density), self.range.1.max(density));
-        }
-        self.total += densities.len() as u64;
-    }
-
-    /// Returns the middle of the step that a fraction of all densities reaches.
-    fn percentile(&self, share: f64) -> f32 {
-        let wanted = (share * self.total as f64).ceil() as u64;
-        let mut seen = 0;
-        let reached = |&count: &u64| {
-            seen += count;
-            seen >= wanted.max(1)
-        };
-        let step = self.counts.iter().position(reached).unwrap_or(0) as u32;
-        let middle = if step == 0 { 0.0 } else { f32::from_bits(step << 16 | 1 << 15) };
-        middle.clamp(self.range.0, self.range.1)
-    }
-
-    fn range(&self) -> DensityRange {
-        DensityRange {
-            least: self.range.0,
-            median: self.percentile(0.5),
-            percentile_90: self.percentile(0.9),
-            percentile_99: self.percentile(0.99),
-            largest: self.range.1,
-            inside: self.inside as f64 / self.total as f64,
-        }
-    }
 }
 
 /// A level set, and the densities around it.
@@ -123,7 +68,7 @@ pub fn level_set(
     let (side, threshold) = (lattice.side, threshold as f32);
     drawing.check_planes()?;
     let mut marcher = Marcher::new([side, side], threshold);
-    let mut histogram = Histogram::new();
+    let (mut least, mut greatest, mut inside) = (f32::INFINITY, f32::NEG_INFINITY, 0);
     let mut plane: Vec<f32> = Vec::with_capacity(side * side);
     let (mut planes, mut largest) = (0, f32::NEG_INFINITY);
     densities(density, &lattice, |mut part| {
@@ -135,7 +80,10 @@ pub fn level_set(
                 part[at]
             )));
         }
-        histogram.add(&part, threshold);
+        for &density in &part {
+            (least, greatest) = (least.min(density), greatest.max(density));
+            inside += usize::from(density >= threshold);
+        }
         if let Some(volume) = &mut volume {
             let bytes: Vec<u8> = part.iter().flat_map(|density| density.to_le_bytes()).collect();
             volume.write_all(&bytes).map_err(|e| Error::Output(format!("cannot write the densities: {e}")))?;
@@ -161,7 +109,7 @@ pub fn level_set(
     })?;
     let Marcher { vertices, triangles, .. } = marcher;
     if triangles.is_empty() {
-        return Err(drawing.no_surface([histogram.range.0, largest]));
+        return Err(drawing.no_surface([least, largest]));
     }
     let [lower, upper] = lattice.domain;
     let place = |vertex: [f32; 3]| {
@@ -171,7 +119,8 @@ pub fn level_set(
         })
     };
     let vertices = vertices.into_iter().map(place).collect();
-    Ok(LevelSet { mesh: Mesh { vertices, triangles, ..Mesh::default() }, range: histogram.range() })
+    let range = DensityRange { least, largest: greatest, inside: inside as f64 / lattice.cells() as f64 };
+    Ok(LevelSet { mesh: Mesh { vertices, triangles, ..Mesh::default() }, range })
 }
 
 /// Empties the points of plane `x` that are on the border of the grid.
@@ -266,19 +215,6 @@ impl Drawing {
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    #[test]
-    fn percentiles_are_those_of_the_numbers() {
-        let values: Vec<f32> = (0..10_000).map(|i| i as f32 * 0.01).collect();
-        let mut histogram = Histogram::new();
-        values.chunks(77).for_each(|part| histogram.add(part, 75.0));
-        let range = histogram.range();
-        assert_eq!((range.least, range.largest), (0.0, 99.99));
-        for (found, exact) in [(range.median, 50.0), (range.percentile_90, 90.0), (range.percentile_99, 99.0)] {
-            assert!((found / exact - 1.0).abs() < 0.01, "{found} for {exact}");
-        }
-        assert!((range.inside - 0.25).abs() < 1e-3);
-    }
 
     #[test]
     fn a_cap_empties_the_border_alone() {

@@ -7,5 +7,5 @@ mod colouring;
 mod level;
 
 pub use augnerf_measure::mesh::*;
-pub use colouring::{FinishedMesh, Normals, finish_mesh, in_scene};
+pub use colouring::{finish_mesh, in_scene};
 pub use level::{DensityRange, Drawing, LevelSet, level_set};

@@ -10,7 +10,7 @@ use crate::base::files::{AtomicDir, write_json};
 use crate::base::{Error, Event, Listener, Result};
 use crate::data::{WorldToScene, npy};
 use crate::draw::write_png8;
-use crate::mesh::{self, DensityRange, Drawing, FinishedMesh, LevelSet, Mesh, Normals, finish_mesh, level_set};
+use crate::mesh::{self, DensityRange, Drawing, LevelSet, Mesh, finish_mesh, level_set};
 use crate::revision::version;
 use crate::settings::Capability;
 use crate::space::Lattice;
@@ -45,8 +45,6 @@ pub struct MeshOptions {
     pub most_mib: Option<f64>,
     /// An image of the mesh to draw as well.
     pub picture: Option<MeshPicture>,
-    /// Source of the normals.
-    pub normals: Normals,
     /// The units of the files.
     pub units: MeshUnits,
 }
@@ -75,7 +73,6 @@ impl Default for MeshOptions {
             density: false,
             most_mib: None,
             picture: None,
-            normals: Normals::default(),
             units: MeshUnits::default(),
         }
     }
@@ -160,7 +157,7 @@ pub struct MeshReport {
     pub variance: Option<[f64; 3]>,
     /// The outermost cells were emptied.
     pub cap: bool,
-    /// Distribution of densities over the cells' midpoints.
+    /// Densities at the cells' midpoints.
     pub density: DensityRange,
     /// Number of vertices.
     pub vertices: usize,
@@ -178,10 +175,6 @@ pub struct MeshReport {
     pub components: usize,
     /// Number of parts that were dropped.
     pub components_dropped: usize,
-    /// Source of the normals.
-    pub normals: Normals,
-    /// Number of vertices whose normal comes from the triangles around them.
-    pub normals_of_triangles: usize,
     /// Provenance of the numbers.
     pub protocol: Protocol,
 }
@@ -212,16 +205,16 @@ impl Trained {
             mesh = mesh.keep(&components[0]);
         }
         let (density, ndc) = (self.model.density(&self.runtime)?, self.scene.ndc.as_ref());
-        let mut finished = finish_mesh(&*density, mesh, &drawing.lattice, ndc, options.normals)?;
+        let mut finished = finish_mesh(&*density, mesh, &drawing.lattice, ndc)?;
         if let Some(picture) = &options.picture {
             let cameras = picture.cameras(&self.scene)?;
-            write_png8(&picture.file, &mesh_picture(&finished.mesh, &cameras, picture.paint)?)?;
+            write_png8(&picture.file, &mesh_picture(&finished, &cameras, picture.paint)?)?;
         }
         if options.units == MeshUnits::Capture {
-            in_capture(&mut finished.mesh, &self.scene.space.world);
+            in_capture(&mut finished, &self.scene.space.world);
         }
         for format in &options.formats {
-            format.write(&files.path().join(format.file()), &finished.mesh)?;
+            format.write(&files.path().join(format.file()), &finished)?;
         }
         let dropped = if options.largest { components.len() - 1 } else { 0 };
         let counts = [components.len(), dropped];
@@ -256,12 +249,12 @@ impl MeshReport {
         trained: &Trained,
         drawing: &Drawing,
         density: DensityRange,
-        finished: &FinishedMesh,
+        mesh: &Mesh,
         options: &MeshOptions,
         [components, components_dropped]: [usize; 2],
     ) -> MeshReport {
         let Trained { scene, config, state, .. } = trained;
-        let (mesh, open_edges) = (&finished.mesh, finished.mesh.open_edges());
+        let open_edges = mesh.open_edges();
         MeshReport {
             step: state.step,
             resolution: drawing.lattice.side,
@@ -282,8 +275,6 @@ impl MeshReport {
             volume: (open_edges == 0).then(|| mesh.volume()),
             components,
             components_dropped,
-            normals: options.normals,
-            normals_of_triangles: finished.flat,
             protocol: trained.protocol(),
         }
     }
