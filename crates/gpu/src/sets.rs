@@ -110,10 +110,10 @@ fn is_capped(numbers: &SiteNumbers, radius: Radius) -> bool {
 
 fn of_gaps(numbers: &SiteNumbers, pass: &PassGeometry) -> SiteRadius {
     const LARGEST: f64 = 0.5;
-    let SampleDensity { coarse, drawn } = pass.density;
+    let SampleDensity { coarse, drawn } = pass.sample_density;
     let (near, far) = pass.bounds;
     let coarse_gap = (far - near) / (pass.coarse_samples as f64 - 1.0);
-    match (numbers.epsilon, pass.density.uniform()) {
+    match (numbers.epsilon, pass.sample_density.uniform()) {
         (Epsilon::Units(epsilon), Some(density)) => {
             SiteRadius::OfGaps(0, [(epsilon / density).min(LARGEST), coarse, drawn, coarse_gap, 0.0])
         }
