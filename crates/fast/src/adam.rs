@@ -5,14 +5,14 @@ use std::cell::RefCell;
 use candle_core::{CpuStorage, InplaceOp1, Layout, Result, Storage, Tensor, Var};
 use rayon::prelude::*;
 
-use crate::hash::{Moving, SparseAdam};
+use crate::hash::Moving;
 use crate::simd::vectorized;
 
-/// An update: one pass over parameter, moments and gradient, in place.
+/// An update (Kingma and Ba 2015, algorithm 1): one pass over parameter, moments and gradient, in place.
 pub struct Update {
-    /// Decays of gradients, and of squared gradients.
+    /// Decays of gradients, and of squared gradients; Instant-NGP takes 0.9 and 0.99.
     pub betas: [f64; 2],
-    /// Added to the divisor.
+    /// Added to the divisor; Instant-NGP takes 1e-15.
     pub epsilon: f64,
     /// The learning rate over the first moment's correction.
     pub rate: f64,
@@ -60,13 +60,11 @@ impl Update {
     /// Updates blocks of a table in parallel, because it is far larger than all other parameters together.
     fn pass_table(&self, Moving { values, first, second }: Moving, gradient: &[f32], features: usize) {
         const ENTRIES: usize = 1 << 14;
-        let Update { betas, epsilon, rate, correction2 } = *self;
-        let adam = SparseAdam { rate, correction2, betas, epsilon };
         let size = ENTRIES * features;
         let moments = first.par_chunks_mut(size).zip(second.par_chunks_mut(size));
         let blocks = values.par_chunks_mut(size).zip(moments).zip(gradient.par_chunks(size));
         blocks.for_each(|((values, (first, second)), gradient)| {
-            adam.update(Moving { values, first, second }, gradient, features);
+            self.table(Moving { values, first, second }, gradient, features);
         });
     }
 

@@ -1,20 +1,8 @@
 //! Adam for tables of which a step changes only some entries.
 
+use crate::adam::Update;
 use crate::simd::{LANES, vectorized};
 use augnerf_base::machine::count_table_bytes;
-
-/// The numbers of an update (Kingma and Ba 2015, algorithm 1).
-#[derive(Clone, Copy, Debug)]
-pub struct SparseAdam {
-    /// The learning rate over the first moment's correction, 1 - beta1^t.
-    pub rate: f64,
-    /// The second moment's correction, 1 - beta2^t.
-    pub correction2: f64,
-    /// Decay of the two moments; Instant-NGP takes 0.9 and 0.99.
-    pub betas: [f64; 2],
-    /// Added to the root of the second moment; Instant-NGP takes 1e-15.
-    pub epsilon: f64,
-}
 
 /// Parameters with their moments, `[entries, features]` each.
 pub struct Moving<'a> {
@@ -26,13 +14,13 @@ pub struct Moving<'a> {
     pub second: &'a mut [f32],
 }
 
-impl SparseAdam {
-    /// Updates the parameters. An entry whose gradient is 0 in all its `features` stays as it is, including moments: it
+impl Update {
+    /// Updates a table. An entry whose gradient is 0 in all its `features` stays as it is, including moments: it
     /// was not read in this step (Instant-NGP, section 4).
     ///
     /// # Panics
     /// If the sizes do not fit.
-    pub fn update(&self, moving: Moving, gradient: &[f32], features: usize) {
+    pub(crate) fn table(&self, moving: Moving, gradient: &[f32], features: usize) {
         let Moving { values, first, second } = moving;
         let sizes = [values.len(), first.len(), second.len()];
         assert!(sizes.iter().all(|size| *size == gradient.len()), "one moment and one gradient a parameter");
@@ -44,7 +32,7 @@ impl SparseAdam {
                 match features {
                     $($number => vectorized(
                         #[inline(always)]
-                        || self.pass::<$number>(Moving { values, first, second }, gradient),
+                        || self.entries::<$number>(Moving { values, first, second }, gradient),
                     ),)*
                     _ => unreachable!("{features} features were refused"),
                 }
@@ -55,7 +43,7 @@ impl SparseAdam {
 
     /// Updates with checked sizes.
     #[inline(always)]
-    fn pass<const F: usize>(&self, moving: Moving, gradient: &[f32]) {
+    fn entries<const F: usize>(&self, moving: Moving, gradient: &[f32]) {
         let [keep1, keep2] = self.betas.map(
             #[inline(always)]
             |x| x as f32,

@@ -12,16 +12,13 @@ pub fn fetch_tables(tables: &[f32]) {
 }
 
 impl HashGrid {
-    /// Encodes points in the unit cube: `points [n, 3]` to `out [n, channels]`.
+    /// Encodes points in the unit cube, `points [n, 3]` to `out [n, channels]`, and applies `operators [n]` to the encodings
+    /// if there are some. Derivatives are the cell's own. With linear interpolation, first derivatives jump at its faces,
+    /// and second derivatives along an axis are 0 within it.
     ///
     /// # Panics
     /// If the sizes do not fit.
-    pub fn encode(&self, tables: &[f32], points: &[f32], out: &mut [f32]) {
-        self.apply(tables, points, None, out);
-    }
-
-    /// Applies operators, if there are some, to the encodings of points.
-    pub(super) fn apply(&self, tables: &[f32], points: &[f32], operators: Option<&[Operator<f32>]>, out: &mut [f32]) {
+    pub fn encode(&self, tables: &[f32], points: &[f32], operators: Option<&[Operator<f32>]>, out: &mut [f32]) {
         let count = self.check(tables.len(), points.len(), out.len());
         assert!(operators.is_none_or(|operators| operators.len() == count), "one operator a point");
         count_corners(out.len());

@@ -26,7 +26,7 @@ mod scatter;
 #[cfg(test)]
 mod tests;
 
-pub use adam::{Moving, SparseAdam};
+pub(crate) use adam::Moving;
 pub use domain::{Contraction, Domain};
 pub use encode::fetch_tables;
 pub use operator::Operator;

@@ -6,7 +6,7 @@
 //! in each of them.
 
 use super::cell::{BLOCK, Cells};
-use super::{Cotangents, HashGrid, Level};
+use super::{HashGrid, Level};
 use crate::simd::{LANES, Lanes, Simd};
 
 /// A linear differential operator at a point of the unit cube, of at most second order. It has the coefficients of the
@@ -16,26 +16,6 @@ pub type Operator<T> = [T; 10];
 /// The order of each of an operator's derivatives along each axis.
 pub const ORDERS: Operator<[usize; 3]> =
     [[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1], [2, 0, 0], [0, 2, 0], [0, 0, 2], [1, 1, 0], [1, 0, 1], [0, 1, 1]];
-
-impl HashGrid {
-    /// Applies `operators [n]` to the encodings of `points [n, 3]`: `out [n, channels]`. The derivatives are the cell's
-    /// own. With linear interpolation, first derivatives jump at its faces, and second derivatives along an axis are 0
-    /// within it.
-    ///
-    /// # Panics
-    /// If the sizes do not fit.
-    pub fn differentiate(&self, tables: &[f32], points: &[f32], operators: &[Operator<f32>], out: &mut [f32]) {
-        self.apply(tables, points, Some(operators), out);
-    }
-}
-
-impl<'a> Cotangents<'a> {
-    /// Creates cotangents from `points [n, 3]` in the unit cube, and gradients `d_out [n, channels]` in the results of
-    /// `operators [n]` on their encodings.
-    pub fn of_operators(points: &'a [f32], operators: &'a [Operator<f32>], d_out: &'a [f32]) -> Cotangents<'a> {
-        Cotangents { points, d_out, operators: Some(operators) }
-    }
-}
 
 /// A block's operators, coefficient by coefficient, if there are some. Missing ones in the last group are 0.
 pub struct Operators<'a> {

@@ -36,9 +36,12 @@ impl Vertex {
         (0..3).map(|axis| self.along[axis][order[axis]]).product()
     }
 
-    /// Returns the result of an operator on its weight.
-    fn operated(&self, operator: &Operator<f64>) -> f64 {
-        operator.iter().zip(ORDERS).map(|(factor, order)| factor * self.weight(order)).sum()
+    /// Returns its weight, or the result of an operator on it.
+    fn operated(&self, operator: Option<&Operator<f64>>) -> f64 {
+        match operator {
+            None => self.weight([0; 3]),
+            Some(operator) => operator.iter().zip(ORDERS).map(|(factor, order)| factor * self.weight(order)).sum(),
+        }
     }
 }
 
@@ -82,11 +85,19 @@ impl HashGrid {
     ///
     /// # Panics
     /// If the sizes do not fit.
-    pub fn encode_reference<T: Real>(&self, tables: &[T], points: &[T], out: &mut [T]) {
-        self.check(tables.len(), points.len(), out.len());
+    pub fn encode_reference<T: Real>(
+        &self,
+        tables: &[T],
+        points: &[T],
+        operators: Option<&[Operator<f64>]>,
+        out: &mut [T],
+    ) {
+        let count = self.check(tables.len(), points.len(), out.len());
+        assert!(operators.is_none_or(|operators| operators.len() == count), "one operator a point");
         let mut sums = vec![0.0; out.len()];
         self.each_vertex(points, |point, channel, entry, vertex| {
-            sums[point * self.channels() + channel] += vertex.weight([0; 3]) * tables[entry].into();
+            let weight = vertex.operated(operators.map(|operators| &operators[point]));
+            sums[point * self.channels() + channel] += weight * tables[entry].into();
         });
         write(&sums, out);
     }
@@ -111,49 +122,19 @@ impl HashGrid {
     ///
     /// # Panics
     /// If the sizes do not fit.
-    pub fn table_gradient_reference<T: Real>(&self, points: &[T], d_out: &[T], sum: &mut [T]) {
-        self.check(sum.len(), points.len(), d_out.len());
-        let mut sums = vec![0.0; sum.len()];
-        self.each_vertex(points, |point, channel, entry, vertex| {
-            sums[entry] += vertex.weight([0; 3]) * d_out[point * self.channels() + channel].into();
-        });
-        write(&sums, sum);
-    }
-
-    /// Computes [`HashGrid::differentiate`].
-    ///
-    /// # Panics
-    /// If the sizes do not fit.
-    pub fn differentiate_reference<T: Real>(
-        &self,
-        tables: &[T],
-        points: &[T],
-        operators: &[Operator<f64>],
-        out: &mut [T],
-    ) {
-        assert_eq!(self.check(tables.len(), points.len(), out.len()), operators.len(), "one operator a point");
-        let mut sums = vec![0.0; out.len()];
-        self.each_vertex(points, |point, channel, entry, vertex| {
-            sums[point * self.channels() + channel] += vertex.operated(&operators[point]) * tables[entry].into();
-        });
-        write(&sums, out);
-    }
-
-    /// Computes the gradient in the tables, `sum [entries, features]`, of one record with operators.
-    ///
-    /// # Panics
-    /// If the sizes do not fit.
-    pub fn operator_gradient_reference<T: Real>(
+    pub fn table_gradient_reference<T: Real>(
         &self,
         points: &[T],
-        operators: &[Operator<f64>],
+        operators: Option<&[Operator<f64>]>,
         d_out: &[T],
         sum: &mut [T],
     ) {
-        assert_eq!(self.check(sum.len(), points.len(), d_out.len()), operators.len(), "one operator a point");
+        let count = self.check(sum.len(), points.len(), d_out.len());
+        assert!(operators.is_none_or(|operators| operators.len() == count), "one operator a point");
         let mut sums = vec![0.0; sum.len()];
         self.each_vertex(points, |point, channel, entry, vertex| {
-            sums[entry] += vertex.operated(&operators[point]) * d_out[point * self.channels() + channel].into();
+            let weight = vertex.operated(operators.map(|operators| &operators[point]));
+            sums[entry] += weight * d_out[point * self.channels() + channel].into();
         });
         write(&sums, sum);
     }

@@ -20,13 +20,6 @@ pub struct Cotangents<'a> {
     pub operators: Option<&'a [Operator<f32>]>,
 }
 
-impl<'a> Cotangents<'a> {
-    /// Creates cotangents from gradients `d_out [n, channels]` in the encodings of `points [n, 3]` in the unit cube.
-    pub fn new(points: &'a [f32], d_out: &'a [f32]) -> Cotangents<'a> {
-        Cotangents { points, d_out, operators: None }
-    }
-}
-
 impl HashGrid {
     /// Computes the tables' gradient of all records, and overwrites `sum [entries, features]`. One thread processes
     /// each level, in the order of records and points. The bytes do not depend on the number of threads.

@@ -57,11 +57,9 @@ impl Grid {
         if config.encoding != Encoding::Hash {
             return Ok(None);
         }
-        let (hash, shape) = (&config.hash, shape_of(config));
+        let (shape, domain) = config.hash.grid();
         let init = Init::Uniform { lo: -INITIAL, up: INITIAL };
         let table = builder.get_with_hints((shape.entries(), shape.features()), "table", init)?;
-        let bounds = hash.bounds.unwrap_or([[-1.5; 3], [1.5; 3]]);
-        let domain = Domain::new(bounds[0], bounds[1], hash.contraction.unwrap_or(Contraction::None));
         Ok(Some(Grid { shape: Arc::new(shape), domain, table, records: None }))
     }
 
@@ -157,13 +155,6 @@ impl Grid {
     }
 }
 
-fn shape_of(config: &FieldConfig) -> HashGrid {
-    let hash = &config.hash;
-    // A grid outside of a run is as fine as for images of 1,024 pixels.
-    let resolutions = (hash.coarsest as u32, hash.finest.unwrap_or(2048) as u32);
-    HashGrid::new(hash.levels, hash.features, hash.log2_table as u32, resolutions, hash.interpolation)
-}
-
 /// The encoding in f32, without the table in the graph.
 struct Encode {
     grid: Grid,
@@ -184,7 +175,7 @@ impl CustomOp1 for Encode {
         let n = points.len() / 3;
         domain.map(points, &mut unit, &mut vec![false; n]);
         let mut out = vec![0f32; n * shape.channels()];
-        shape.encode(Values::of(&table.contiguous()?).slice()?, &unit, &mut out);
+        shape.encode(Values::of(&table.contiguous()?).slice()?, &unit, None, &mut out);
         *self.unit.lock().unwrap_or_else(PoisonError::into_inner) = unit;
         Ok((CpuStorage::F32(out), Shape::from((n, shape.channels()))))
     }
@@ -224,7 +215,7 @@ impl Reference {
     fn features<T: Real + Default>(&self, points: &[T], table: &[T]) -> Vec<T> {
         let unit = self.unit(points);
         let mut out = vec![T::default(); points.len() / 3 * self.grid.shape.channels()];
-        self.grid.shape.encode_reference(table, &unit, &mut out);
+        self.grid.shape.encode_reference(table, &unit, None, &mut out);
         out
     }
 
@@ -242,7 +233,7 @@ impl Reference {
         shape.point_gradient_reference(table, &unit, gradient, &mut d_unit);
         domain.backward(points, &d_unit, &mut d_points);
         let mut d_table = vec![T::default(); table.len()];
-        shape.table_gradient_reference(&unit, gradient, &mut d_table);
+        shape.table_gradient_reference(&unit, None, gradient, &mut d_table);
         (d_points, d_table)
     }
 }

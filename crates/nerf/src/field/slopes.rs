@@ -230,7 +230,7 @@ impl Operate {
             return self.grid.table_gradient(&[self.record(d_out)?]);
         }
         let mut sum = vec![0f64; table.elem_count()];
-        shape.operator_gradient_reference(&self.unit, &self.operators, &d_out.flatten_all()?.to_vec1()?, &mut sum);
+        shape.table_gradient_reference(&self.unit, Some(&self.operators), &d_out.flatten_all()?.to_vec1()?, &mut sum);
         Tensor::from_vec(sum, table.shape(), &Device::Cpu)
     }
 }
@@ -247,12 +247,12 @@ impl CustomOp1 for Operate {
             CpuStorage::F32(_) => {
                 let mut out = vec![0f32; n * channels];
                 let table = slice(table, layout)?;
-                grid.shape.differentiate(table, &narrowed(unit), &narrowed_each(operators), &mut out);
+                grid.shape.encode(table, &narrowed(unit), Some(&narrowed_each(operators)), &mut out);
                 CpuStorage::F32(out)
             }
             CpuStorage::F64(_) => {
                 let mut out = vec![0f64; n * channels];
-                grid.shape.differentiate_reference(slice(table, layout)?, unit, operators, &mut out);
+                grid.shape.encode_reference(slice(table, layout)?, unit, Some(operators), &mut out);
                 CpuStorage::F64(out)
             }
             _ => candle_core::bail!("tables are f32 or f64"),

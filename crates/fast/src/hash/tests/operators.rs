@@ -28,12 +28,12 @@ fn kernels_of_operators_follow_the_reference_with_the_same_bits_on_each_processo
             let [tables, d_out] =
                 [&tables32, &d_out32].map(|values| values.iter().map(|x| f64::from(*x)).collect::<Vec<_>>());
             let mut expected = [vec![0.0; d_out.len()], vec![0.0; tables.len()]];
-            grid.differentiate_reference(&tables, &points, &operators, &mut expected[0]);
-            grid.operator_gradient_reference(&points, &operators, &d_out, &mut expected[1]);
+            grid.encode_reference(&tables, &points, Some(&operators), &mut expected[0]);
+            grid.table_gradient_reference(&points, Some(&operators), &d_out, &mut expected[1]);
             let all = on_each(|| {
                 let mut found = [vec![0f32; d_out.len()], vec![0.0; tables.len()]];
-                grid.differentiate(&tables32, &points32, &operators32, &mut found[0]);
-                let record = Cotangents::of_operators(&points32, &operators32, &d_out32);
+                grid.encode(&tables32, &points32, Some(&operators32), &mut found[0]);
+                let record = Cotangents { operators: Some(&operators32), ..record(&points32, &d_out32) };
                 for (l, level) in grid.levels.iter().enumerate() {
                     let sum = &mut found[1][level.offset * grid.features..][..level.entries * grid.features];
                     grid.scatter(l, record, sum);
@@ -64,12 +64,12 @@ fn operators_of_low_order_are_the_encoding_and_its_gradient() {
             let mut operator = [0.0; 10];
             operator[number] = 1.0;
             let mut out = vec![0.0; d_out.len()];
-            grid.differentiate(&tables, &points, &vec![operator; count], &mut out);
+            grid.encode(&tables, &points, Some(&vec![operator; count]), &mut out);
             out
         };
         let wide = |values: &[f32]| values.iter().map(|x| f64::from(*x)).collect::<Vec<_>>();
         let mut encoded = vec![0.0; d_out.len()];
-        grid.encode(&tables, &points, &mut encoded);
+        grid.encode(&tables, &points, None, &mut encoded);
         assert!(off(&apply(0), &wide(&encoded)) < 1e-6);
         let mut d_points = vec![0.0; points.len()];
         grid.point_gradient(&tables, &points, &d_out, &mut d_points);
@@ -94,11 +94,11 @@ fn operators_are_finite_differences() {
         let apply = |order: [usize; 3], points: &[f64]| {
             let operator = ORDERS.map(|here| if here == order { 1.0 } else { 0.0 });
             let mut out = vec![0.0; count * grid.channels()];
-            grid.differentiate_reference(&tables, points, &[operator; 6], &mut out);
+            grid.encode_reference(&tables, points, Some(&[operator; 6]), &mut out);
             out
         };
         let mut encoded = vec![0.0; count * grid.channels()];
-        grid.encode_reference(&tables, &points, &mut encoded);
+        grid.encode_reference(&tables, &points, None, &mut encoded);
         assert_eq!(apply([0; 3], &points), encoded);
         for order in &ORDERS[1..] {
             // One derivative less, moved along the axis that is left.
@@ -121,7 +121,7 @@ fn operators_are_finite_differences() {
     }
 }
 
-/// The tables' gradient is the transpose: both pair tables and gradients to the same number.
+/// The tables' gradient is the transpose, with and without operators: both pair tables and gradients to the same number.
 #[test]
 fn gradients_of_operators_are_their_transposes() {
     for grid in grids() {
@@ -129,12 +129,14 @@ fn gradients_of_operators_are_their_transposes() {
         let points = inner_points(&grid, count);
         let (tables, d_out) = (signed(grid.entries() * grid.features(), 7), signed(count * grid.channels(), 8));
         let operators = scaled(&grid, &operators(count, 9));
-        let (mut out, mut d_tables) = (vec![0.0; d_out.len()], vec![0.0; tables.len()]);
-        grid.differentiate_reference(&tables, &points, &operators, &mut out);
-        grid.operator_gradient_reference(&points, &operators, &d_out, &mut d_tables);
-        let pair = |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(a, b)| a * b).sum::<f64>();
-        let (a, b) = (pair(&out, &d_out), pair(&d_tables, &tables));
-        assert!((a - b).abs() < 1e-10 * (1.0 + a.abs()) && a != 0.0, "{a} {b}");
+        for operators in [None, Some(&operators[..])] {
+            let (mut out, mut d_tables) = (vec![0.0; d_out.len()], vec![0.0; tables.len()]);
+            grid.encode_reference(&tables, &points, operators, &mut out);
+            grid.table_gradient_reference(&points, operators, &d_out, &mut d_tables);
+            let pair = |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(a, b)| a * b).sum::<f64>();
+            let (a, b) = (pair(&out, &d_out), pair(&d_tables, &tables));
+            assert!((a - b).abs() < 1e-10 * (1.0 + a.abs()) && a != 0.0, "{a} {b}");
+        }
     }
 }
 
@@ -151,8 +153,8 @@ fn records_with_and_without_operators_add_up() {
         grid.table_gradient(records, &mut sum);
         sum
     };
-    let plain = Cotangents::new(&points, &d_out);
-    let found = gradient(&[Cotangents::of_operators(&points, &operators, &d_out), plain]);
+    let plain = record(&points, &d_out);
+    let found = gradient(&[Cotangents { operators: Some(&operators), ..plain }, plain]);
     let expected: Vec<f64> = gradient(&[plain]).iter().map(|x| 3.0 * f64::from(*x)).collect();
     assert!(off(&found, &expected) < 1e-5);
 }

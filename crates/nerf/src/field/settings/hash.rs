@@ -1,6 +1,6 @@
 //! Section `field.hash`: the multiresolution hash grid of a field with `encoding = "hash"` (Mueller et al. 2022).
 
-use augnerf_fast::hash::{Contraction, Interpolation};
+use augnerf_fast::hash::{Contraction, Domain, HashGrid, Interpolation};
 
 use crate::base::Result;
 use crate::base::settings::require;
@@ -71,6 +71,15 @@ impl HashConfig {
         }
         let depth = if ndc { 1.0 } else { reach };
         self.bounds.get_or_insert([[-reach, -reach, -depth], [reach, reach, depth]]);
+    }
+
+    /// Returns the grids, and the space that they cover. Outside of a run the box is 1.5 to each side, and the grid is as
+    /// fine as for images of 1,024 pixels.
+    pub fn grid(&self) -> (HashGrid, Domain) {
+        let resolutions = (self.coarsest as u32, self.finest.unwrap_or(2048) as u32);
+        let [low, high] = self.bounds.unwrap_or([[-1.5; 3], [1.5; 3]]);
+        let domain = Domain::new(low, high, self.contraction.unwrap_or(Contraction::None));
+        (HashGrid::new(self.levels, self.features, self.log2_table as u32, resolutions, self.interpolation), domain)
     }
 
     /// Checks the settings against one another.
