@@ -1,7 +1,9 @@
 //! The kernels' texts, with what is chosen when they are compiled.
 
-mod matrices;
-mod tiled;
+mod products;
+
+/// Rows of a tile of matrix units.
+const MATRIX_ROWS: usize = 128;
 
 /// A kernel with its choices. Equal ones are compiled once.
 #[derive(Clone, Debug, PartialEq, Eq, Hash)]
@@ -92,8 +94,7 @@ impl Kernel {
     /// Returns the text in WGSL.
     pub(crate) fn text(&self) -> String {
         let mut text = match self.name {
-            "product" | "product_back" | "weights" if self.has("F16") => matrices::product(self),
-            "product" | "product_back" | "weights" => tiled::product(self),
+            "product" | "product_back" | "weights" => products::text(self),
             name => parts(name).concat(),
         };
         for (name, value) in &self.constants {
@@ -161,8 +162,8 @@ impl Tile {
             (0..=4, _) => tile(64, 4, 4),
             (5..=16, _) => tile(64, 16, 4),
             (17..=32, _) => tile(64, 32, 4),
-            (33..=64, Tiles::Matrices) => Tile { in_f16: true, ..tile(matrices::ROWS, 64, 4) },
-            (_, Tiles::Matrices) => Tile { in_f16: true, ..tile(matrices::ROWS, 128, 8) },
+            (33..=64, Tiles::Matrices) => Tile { in_f16: true, ..tile(MATRIX_ROWS, 64, 4) },
+            (_, Tiles::Matrices) => Tile { in_f16: true, ..tile(MATRIX_ROWS, 128, 8) },
             (128.., Tiles::Large) => tile(128, 128, 8),
             _ => tile(64, 64, 4),
         }

@@ -1,0 +1,153 @@
+//! The texts of products, by tiles in shared memory: in f32, or by matrix units.
+
+use askama::Template;
+
+use super::Kernel;
+
+/// Writes the text of a product:
+///
+/// - `product`: C = A W + b, with A = [A1 | A2], by ReLU if asked, and C + X beside it with flag DELTA.
+/// - `product_back`: C = D W^T over some rows of W, where the ReLU let it pass (MASK), added to C (ADD), and beside it
+///   without the mask (OPEN).
+/// - `weights`: a part of A^T D over some rows, with the sum of D below it.
+pub(super) fn text(kernel: &Kernel) -> String {
+    let product = Product::of(kernel);
+    let written = if kernel.has("F16") { product.by_matrices().render() } else { product.in_f32(kernel).render() };
+    written.expect("a template of texts and numbers")
+}
+
+/// What both kinds of text depend on.
+struct Product {
+    /// Its parameters and operands, and how these are read and stored.
+    operands: String,
+    rows: usize,
+    columns: usize,
+    name: &'static str,
+    has_jets: bool,
+    depth: &'static str,
+}
+
+/// A text in f32.
+#[derive(Template)]
+#[template(path = "tiled.wgsl", escape = "none")]
+struct InF32 {
+    product: Product,
+    tiles: [Tile; 2],
+    threads: usize,
+    /// Rows and columns of a thread's square, and fours of its row.
+    side: usize,
+    fours: usize,
+    /// Fours of a thread's sums for the bias.
+    biases: usize,
+}
+
+/// A text by matrix units.
+#[derive(Template)]
+#[template(path = "matrices.wgsl", escape = "none")]
+struct ByMatrices {
+    product: Product,
+    tiles: [Tile; 2],
+    /// Matrices of a subgroup side by side.
+    across: usize,
+}
+
+/// The part of an operand that is in shared memory, and how a group's threads fetch it: a piece each, slot after slot.
+#[derive(Default)]
+struct Tile {
+    /// Its name, that of what a thread fetches, and that of its first row or column.
+    name: &'static str,
+    fetched: &'static str,
+    first: &'static str,
+    /// Whether four numbers that are fetched at once lie along the depth, not along the tile's rows or columns.
+    along_depth: bool,
+    /// Fours of a line, which lies along the depth or along rows or columns.
+    fours: usize,
+    threads: usize,
+    /// Pieces: fours, or in f32 along the depth squares, which are transposed.
+    pieces: usize,
+    /// Numbers of a line in shared memory (in f32: fours), and of all lines.
+    line: usize,
+    numbers: usize,
+}
+
+impl Product {
+    fn of(kernel: &Kernel) -> Product {
+        let own = match kernel.name {
+            "weights" => include_str!("../wgsl/product_weights.wgsl"),
+            "product_back" => include_str!("../wgsl/product_back.wgsl"),
+            _ => include_str!("../wgsl/product_forward.wgsl"),
+        };
+        Product {
+            operands: [include_str!("../wgsl/product.wgsl"), own].concat(),
+            rows: kernel.constant("ROWS"),
+            columns: kernel.constant("COLUMNS"),
+            name: kernel.name,
+            has_jets: kernel.has("JETS"),
+            depth: if kernel.name == "weights" { "p.part_rows" } else { "(p.k1 + p.k2)" },
+        }
+    }
+
+    /// Makes the tiles of both operands from their rows or columns, and whether they are fetched along the depth.
+    fn tiles(&self, tile: impl Fn(usize, bool) -> Tile) -> [Tile; 2] {
+        let left = tile(self.rows, self.name != "weights");
+        let right = tile(self.columns, self.name == "product_back");
+        [
+            Tile { name: "left", fetched: "a", first: "row0", ..left },
+            Tile { name: "right", fetched: "d", first: "col0", ..right },
+        ]
+    }
+
+    fn in_f32(self, kernel: &Kernel) -> InF32 {
+        const DEPTH: usize = 16;
+        let side = kernel.constant("SIDE");
+        let threads = self.rows * self.columns / side / side;
+        let tiles = self.tiles(|size, along_depth| {
+            // One more four keeps neighbours in different banks.
+            let (fours, line) = (size / 4, size / 4 + 1);
+            let pieces = fours * if along_depth { DEPTH / 4 } else { DEPTH };
+            Tile { along_depth, fours, threads, pieces, line, numbers: DEPTH * line, ..Tile::default() }
+        });
+        let (fours, of_weights) = (side / 4, self.name == "weights");
+        InF32 { product: self, tiles, threads, side, fours, biases: if of_weights { fours } else { 0 } }
+    }
+
+    fn by_matrices(self) -> ByMatrices {
+        const DEPTH: usize = 32;
+        let tiles = self.tiles(|size, along_depth| {
+            let length = if along_depth { DEPTH } else { size };
+            // The gap keeps lines in different banks.
+            let (pieces, line) = (size * DEPTH / 4, length + 8);
+            let numbers = size * DEPTH / length * line;
+            Tile { along_depth, fours: length / 4, threads: 256, pieces, line, numbers, ..Tile::default() }
+        });
+        ByMatrices { across: self.columns / 32, product: self, tiles }
+    }
+}
+
+impl Tile {
+    fn slots(&self) -> usize {
+        self.pieces.div_ceil(self.threads)
+    }
+
+    /// Fours of a piece in f32.
+    fn each(&self) -> usize {
+        if self.along_depth { 4 } else { 1 }
+    }
+
+    /// Whether all threads have a piece in each slot.
+    fn is_even(&self) -> bool {
+        self.pieces.is_multiple_of(self.threads)
+    }
+
+    /// The expression that loads the matrix at `at` of the tile and `depth`, of role `A` or `B` on the left or the right.
+    fn load(&self, role: &str, at: String, depth: &usize) -> String {
+        let Tile { name, line, .. } = self;
+        // Row-major is `coopLoadT`: rows of the left one, and the depth of the right one, are lines.
+        let function = if self.along_depth == (role == "A") { "coopLoadT" } else { "coopLoad" };
+        let place = match self.along_depth {
+            true => format!("({at}) * {line}u + {depth}u"),
+            false => format!("{depth}u * {line}u + {at}"),
+        };
+        format!("{function}<coop_mat16x16<f16, {role}>>(&{name}[{place}], {line}u)")
+    }
+}
