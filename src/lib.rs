@@ -146,7 +146,7 @@ pub mod base {
 /// The machine of a run: device, threads, memory, host, clocks.
 pub mod runtime {
     pub use augnerf_nerf::runtime::*;
-    pub use augnerf_run::{ListedDevice, list_devices, open_runtime};
+    pub use augnerf_run::{list_devices, open_runtime};
 }
 
 /// The model of each method, with its training and its rendering.

@@ -10,7 +10,7 @@ use wgpu::Buffer;
 use crate::device::{Dispatch, Gpu};
 use crate::limits::{check_field, samples_at_once};
 use crate::network::{FieldBuffers, Shape};
-use crate::rays::RAY;
+use crate::rays::{RAY, packed};
 use crate::record::{DeltaBuffers, OUT, PassAt, Recorder, Scratch, SpaceAt};
 
 /// Points that are queried at once, at most.
@@ -124,11 +124,7 @@ impl Density for GpuDensity {
 
     fn rgb(&self, points: &Tensor, _variance: [f64; 3], viewdirs: &Tensor) -> Result<Tensor> {
         let (points, views) = (numbers(points)?, numbers(viewdirs)?);
-        let mut rays = vec![0f32; points.len() / 3 * RAY];
-        for (ray, (point, view)) in rays.chunks_exact_mut(RAY).zip(points.chunks_exact(3).zip(views.chunks_exact(3))) {
-            ray[..3].copy_from_slice(point);
-            ray[6..9].copy_from_slice(view);
-        }
+        let rays = packed(&points, &vec![0.0; points.len()], &views);
         let found = self.query(&self.rgb, (&self.rays, &self.values), &rays, RAY, self.chunk)?;
         let rgb: Vec<f32> = found.chunks_exact(4).flat_map(|at| [at[0], at[1], at[2]]).collect();
         Ok(Tensor::from_vec(rgb, (points.len() / 3, 3), &Device::Cpu)?)

@@ -6,7 +6,7 @@ use std::sync::{Arc, Mutex, PoisonError, mpsc};
 use std::time::Duration;
 
 use augnerf_base::{Error, Result};
-use augnerf_nerf::runtime::Accelerator;
+use augnerf_nerf::runtime::{Accelerator, ListedDevice};
 use augnerf_nerf::settings::Precision;
 use pollster::block_on;
 use wgpu::{
@@ -25,27 +25,6 @@ const STORAGE_BUFFERS: u32 = 10;
 /// Bytes that the threads of a group share in the sort of a ray's samples.
 const SHARED_BYTES: u32 = 24_576;
 
-/// An adapter that wgpu lists.
-#[derive(Clone, Debug)]
-pub struct Adapter {
-    /// Its number, for `gpu:N`.
-    pub index: usize,
-    /// Its name.
-    pub name: String,
-    /// The interface to its driver: vulkan, metal or dx12.
-    pub backend: String,
-    /// Driver and version.
-    pub driver: String,
-    /// Whether a processor plays it.
-    pub is_software: bool,
-    /// The largest buffer that a kernel can read, in bytes.
-    pub largest_buffer: u64,
-    /// Whether its matrix units multiply f16 with sums in f32, for `field.precision = "f16"`.
-    pub has_matrices: bool,
-    /// What the kernels need and it lacks.
-    pub lacks: Vec<String>,
-}
-
 /// An open device. A clone is the same device.
 #[derive(Clone)]
 pub struct Gpu(Arc<Opened>, usize);
@@ -53,7 +32,7 @@ pub struct Gpu(Arc<Opened>, usize);
 struct Opened {
     device: Device,
     queue: Queue,
-    adapter: Adapter,
+    adapter: ListedDevice,
     limits: Limits,
     pipelines: Mutex<HashMap<Kernel, ComputePipeline>>,
     /// Tiles of wide layers in f32.
@@ -86,35 +65,33 @@ fn found() -> Vec<wgpu::Adapter> {
 }
 
 /// Returns the adapters of this machine, in the order of their numbers.
-pub fn adapters() -> Vec<Adapter> {
-    found().iter().enumerate().map(|(index, adapter)| Adapter::of(index, adapter)).collect()
+pub fn list() -> Vec<ListedDevice> {
+    found().iter().enumerate().map(|(index, adapter)| listed(index, adapter)).collect()
 }
 
-impl Adapter {
-    fn of(index: usize, adapter: &wgpu::Adapter) -> Adapter {
-        let (info, limits) = (adapter.get_info(), adapter.limits());
-        let mut lacks = Vec::new();
-        if limits.max_storage_buffers_per_shader_stage < STORAGE_BUFFERS {
-            let found = limits.max_storage_buffers_per_shader_stage;
-            lacks.push(format!("{STORAGE_BUFFERS} storage buffers a kernel (it has {found})"));
-        }
-        if limits.max_compute_invocations_per_workgroup < 256 {
-            lacks.push("groups of 256 threads".into());
-        }
-        if limits.max_compute_workgroup_storage_size < SHARED_BYTES {
-            let found = limits.max_compute_workgroup_storage_size;
-            lacks.push(format!("{SHARED_BYTES} bytes shared by the threads of a group (it has {found})"));
-        }
-        Adapter {
-            index,
-            name: info.name,
-            backend: format!("{:?}", info.backend).to_lowercase(),
-            driver: [info.driver, info.driver_info].join(" ").trim().to_string(),
-            is_software: info.device_type == DeviceType::Cpu,
-            has_matrices: has_matrices(adapter),
-            largest_buffer: limits.max_storage_buffer_binding_size,
-            lacks,
-        }
+fn listed(index: usize, adapter: &wgpu::Adapter) -> ListedDevice {
+    let (info, limits) = (adapter.get_info(), adapter.limits());
+    let mut lacks = Vec::new();
+    if limits.max_storage_buffers_per_shader_stage < STORAGE_BUFFERS {
+        let found = limits.max_storage_buffers_per_shader_stage;
+        lacks.push(format!("{STORAGE_BUFFERS} storage buffers a kernel (it has {found})"));
+    }
+    if limits.max_compute_invocations_per_workgroup < 256 {
+        lacks.push("groups of 256 threads".into());
+    }
+    if limits.max_compute_workgroup_storage_size < SHARED_BYTES {
+        let found = limits.max_compute_workgroup_storage_size;
+        lacks.push(format!("{SHARED_BYTES} bytes shared by the threads of a group (it has {found})"));
+    }
+    let backend = format!("{:?}", info.backend).to_lowercase();
+    ListedDevice {
+        device: format!("gpu:{index}"),
+        name: info.name,
+        driver: format!("{backend}, {}", [info.driver, info.driver_info].join(" ").trim()),
+        is_software: info.device_type == DeviceType::Cpu,
+        largest_buffer: Some(limits.max_storage_buffer_binding_size),
+        has_f16: has_matrices(adapter),
+        lacks,
     }
 }
 
@@ -173,7 +150,7 @@ impl Gpu {
                 _ => format!("this machine has {count} (0 to {}); `augnerf bench --devices` lists them", count - 1),
             })
         })?;
-        let (known, info, limits) = (Adapter::of(index, &adapter), adapter.get_info(), adapter.limits());
+        let (known, info, limits) = (listed(index, &adapter), adapter.get_info(), adapter.limits());
         if !known.lacks.is_empty() {
             return Err(refuse(format!("{} lacks {}; use --device cpu", known.name, known.lacks.join(", "))));
         }
@@ -186,9 +163,9 @@ impl Gpu {
         };
         let descriptor = DeviceDescriptor {
             required_limits: required.clone(),
-            required_features: if known.has_matrices { MATRICES } else { Features::empty() },
+            required_features: if known.has_f16 { MATRICES } else { Features::empty() },
             // SAFETY: kernels with matrix units run only if field.precision = "f16" asks for them.
-            experimental_features: match known.has_matrices {
+            experimental_features: match known.has_f16 {
                 true => unsafe { wgpu::ExperimentalFeatures::enabled() },
                 false => wgpu::ExperimentalFeatures::disabled(),
             },
@@ -207,7 +184,7 @@ impl Gpu {
     }
 
     /// Returns its adapter.
-    pub fn adapter(&self) -> &Adapter {
+    pub fn adapter(&self) -> &ListedDevice {
         &self.0.adapter
     }
 

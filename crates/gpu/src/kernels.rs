@@ -39,15 +39,13 @@ texts! {
     "copy": "common", "copy";
     "points": "common", "rays", "points";
     "frequency": "common", "waves", "frequency";
-    "frequency_jets": "common", "waves", "frequency_jets";
     "frequency_back": "common", "waves_back", "frequency_back";
     "view": "common", "rays", "waves", "view";
     "view_back": "common", "rays", "waves_back", "view_back";
     "t_back": "common", "rays", "t_back";
     "domain": "common", "contraction", "domain";
     "domain_back": "common", "contraction", "domain_back";
-    "encode": "common", "cell", "encode";
-    "encode_jets": "common", "cell", "contraction", "encode_jets";
+    "encode": "common", "cell", "contraction", "encode";
     "scatter": "common", "cell", "contraction", "scatter";
     "slope": "common", "cell", "slope";
     "activate": "common", "output", "activation", "activate";

@@ -8,7 +8,7 @@ use augnerf_base::Result;
 use augnerf_nerf::field::{Density, Field};
 use augnerf_nerf::methods::{DeviceSteps, Fields, Renderer};
 use augnerf_nerf::optimizer::Moments;
-use augnerf_nerf::runtime::Accelerator;
+use augnerf_nerf::runtime::{Accelerator, ListedDevice};
 use augnerf_nerf::settings::{Config, Resolved};
 use augnerf_scenes::Scene;
 
@@ -23,14 +23,14 @@ mod renderer;
 mod sets;
 mod step;
 
-pub use device::{Adapter, Gpu, adapters};
+pub use device::{Gpu, list};
 pub use limits::check;
 pub use step::Steps;
 
 impl Accelerator for Gpu {
     fn description(&self) -> String {
-        let Adapter { name, backend, driver, .. } = self.adapter();
-        format!("{name}, {backend}, {driver}")
+        let ListedDevice { name, driver, .. } = self.adapter();
+        format!("{name}, {driver}")
     }
 
     fn synchronize(&self) -> Result<()> {

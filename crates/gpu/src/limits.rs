@@ -28,46 +28,34 @@ pub fn check(config: &Resolved) -> Result<()> {
             return refuse(&format!("with regularizer {}", term.name()));
         }
     }
-    if !config.regularizer.unseen_groups().is_empty() {
-        return refuse("with terms on unseen rays (regularizer.rays)");
-    }
-    if !config.regularizer.schedule.is_empty() {
-        return refuse("with scheduled weights (regularizer.schedule)");
-    }
-    if let SecondPass::Perturbed(source @ (DeltaSource::BestCase | DeltaSource::Permuted)) = config.perturb.second {
-        let kind = if source == DeltaSource::BestCase { "best-case" } else { "permuted" };
-        return refuse(&format!("with perturb.kind = \"{kind}\""));
-    }
-    if config.perturb.entries == ChangedEntries::Clean {
-        return refuse("with perturb.entries = \"clean\"");
-    }
-    if config.train.gradient_scaling {
-        return refuse("with scaled gradients (train.gradient_scaling)");
-    }
-    if config.perturb.lambda_schedule != WeightSchedule::Constant {
-        return refuse("with a weight of the perturbed pass that moves (perturb.lambda_schedule)");
-    }
-    if config.train.sam_radius > 0.0 {
-        return refuse("with sharpness-aware steps (train.sam_radius)");
-    }
-    if config.train.weight_decay > 0.0 {
-        return refuse("with weights that decay (train.weight_decay)");
-    }
-    if config.train.clip_value > 0.0 || config.train.clip_norm > 0.0 {
-        return refuse("with limits of gradients (train.clip_value, train.clip_norm)");
-    }
-    if config.field.precision == Precision::Bf16 {
-        return refuse("in field.precision = \"bf16\"");
-    }
-    if !config.train.chunk.is_multiple_of(2) && config.train.chunk < config.train.rays {
-        return refuse("an odd train.chunk");
-    }
-    Ok(())
+    let (train, perturb, regularizer) = (&config.train, &config.perturb, &config.regularizer);
+    let is_second = |source: DeltaSource| perturb.second == SecondPass::Perturbed(source);
+    let unsupported = [
+        (!regularizer.unseen_groups().is_empty(), "with terms on unseen rays (regularizer.rays)"),
+        (!regularizer.schedule.is_empty(), "with scheduled weights (regularizer.schedule)"),
+        (is_second(DeltaSource::BestCase), "with perturb.kind = \"best-case\""),
+        (is_second(DeltaSource::Permuted), "with perturb.kind = \"permuted\""),
+        (perturb.entries == ChangedEntries::Clean, "with perturb.entries = \"clean\""),
+        (train.gradient_scaling, "with scaled gradients (train.gradient_scaling)"),
+        (
+            perturb.lambda_schedule != WeightSchedule::Constant,
+            "with a weight of the perturbed pass that moves (perturb.lambda_schedule)",
+        ),
+        (train.sam_radius > 0.0, "with sharpness-aware steps (train.sam_radius)"),
+        (train.weight_decay > 0.0, "with weights that decay (train.weight_decay)"),
+        (
+            train.clip_value > 0.0 || train.clip_norm > 0.0,
+            "with limits of gradients (train.clip_value, train.clip_norm)",
+        ),
+        (config.field.precision == Precision::Bf16, "in field.precision = \"bf16\""),
+        (!train.chunk.is_multiple_of(2) && train.chunk < train.rays, "an odd train.chunk"),
+    ];
+    unsupported.iter().find(|(found, _)| *found).map_or(Ok(()), |(_, what)| refuse(what))
 }
 
 /// Returns an error for an adapter that lacks a configuration's precision.
 pub(crate) fn check_precision(gpu: &Gpu, config: &Config) -> Result<()> {
-    if config.field.precision != Precision::F16 || gpu.adapter().has_matrices {
+    if config.field.precision != Precision::F16 || gpu.adapter().has_f16 {
         return Ok(());
     }
     Err(Error::Config(format!(

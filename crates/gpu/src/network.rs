@@ -1,9 +1,9 @@
 //! A field's parameters on the device: matrices `[inputs + 1, outputs]` whose last row is the bias, one after another.
 
 use augnerf_base::Result;
-use augnerf_nerf::field::hash::{HashGrid, Level};
+use augnerf_nerf::field::hash::{Domain, HashGrid};
 use augnerf_nerf::field::{Field, encoded_channels, opening_factors, position_channels};
-use augnerf_nerf::settings::{Contraction, Encoding, FieldConfig, Interpolation};
+use augnerf_nerf::settings::{Encoding, FieldConfig};
 use candle_core::{DType, Device, Tensor};
 use wgpu::Buffer;
 
@@ -48,6 +48,15 @@ impl HostLayer {
     fn all_inputs(&self) -> usize {
         self.inputs.iter().sum()
     }
+
+    /// Returns the places of the host's weights `[outputs, inputs]`, and then of its biases.
+    fn places(&self) -> impl Iterator<Item = usize> {
+        let Layer { offset, inputs, outputs } = self.layer;
+        let of_output = move |output: usize| (0..self.all_inputs()).map(move |input| (self.row(input), output));
+        let weights = (0..self.outputs).flat_map(of_output);
+        let biases = (0..self.outputs).map(move |output| (inputs, output));
+        weights.chain(biases).map(move |(row, output)| offset + row * outputs + self.first + output)
+    }
 }
 
 /// The sizes of a field's networks, padded to fours.
@@ -67,46 +76,10 @@ pub(crate) struct Shape {
     pub(crate) head: Layer,
     pub(crate) view: Vec<Layer>,
     pub(crate) rgb: Layer,
-    pub(crate) grid: Option<GridShape>,
+    pub(crate) grid: Option<HashGrid>,
+    pub(crate) domain: Option<Domain>,
     /// Without padding: channels of positions and directions, and neurons between trunk and colour.
     unpadded: [usize; 3],
-}
-
-/// The sizes of a hash grid.
-#[derive(Clone, Debug)]
-pub(crate) struct GridShape {
-    /// Resolution, entries, offset, and 1 if each vertex has its own entry, of each level.
-    pub(crate) levels: Vec<[u32; 4]>,
-    pub(crate) features: usize,
-    pub(crate) smooth: bool,
-    pub(crate) low: [f64; 3],
-    pub(crate) high: [f64; 3],
-    pub(crate) contraction: u32,
-}
-
-impl GridShape {
-    fn of(config: &FieldConfig) -> Option<GridShape> {
-        if config.encoding != Encoding::Hash {
-            return None;
-        }
-        let hash = &config.hash;
-        let [low, high] = hash.bounds.unwrap_or([[-1.5; 3], [1.5; 3]]);
-        let contraction = match hash.contraction.unwrap_or(Contraction::None) {
-            Contraction::None => 0,
-            Contraction::Axes => 1,
-            Contraction::Ball => 2,
-        };
-        let smooth = hash.interpolation == Interpolation::Smoothstep;
-        let resolutions = (hash.coarsest as u32, hash.finest.unwrap_or(2048) as u32);
-        let grid = HashGrid::new(hash.levels, hash.features, hash.log2_table as u32, resolutions, hash.interpolation);
-        let level = |l: &Level| [l.resolution, l.entries as u32, l.offset as u32, u32::from(l.dense)];
-        let levels = grid.levels().iter().map(level).collect();
-        Some(GridShape { levels, features: hash.features, smooth, low, high, contraction })
-    }
-
-    pub(crate) fn entries(&self) -> usize {
-        self.levels.last().map_or(0, |[_, entries, offset, _]| (entries + offset) as usize)
-    }
 }
 
 impl Shape {
@@ -125,6 +98,7 @@ impl Shape {
             i if config.skips.contains(&i) => channels + width,
             _ => width,
         };
+        let (grid, domain) = (config.encoding == Encoding::Hash).then(|| config.hash.grid()).unzip();
         Shape {
             channels,
             octaves: config.position_octaves,
@@ -139,7 +113,8 @@ impl Shape {
                 .map(|i| layer(if i == 0 { width + view_channels } else { view_width }, view_width))
                 .collect(),
             rgb: layer(view_width, 4),
-            grid: GridShape::of(config),
+            grid,
+            domain,
             unpadded,
         }
     }
@@ -183,14 +158,8 @@ impl Shape {
         let mut values = vec![0f32; self.weights()];
         for (host, pair) in self.host_layers().into_iter().zip(parameters.chunks(2)) {
             let [weight, bias] = [&pair[0], &pair[1]].map(|tensor| tensor.flatten_all()?.to_vec1::<f32>());
-            let (weight, bias) = (weight?, bias?);
-            let HostLayer { layer, first, outputs, .. } = host;
-            for output in 0..outputs {
-                let column = layer.offset + first + output;
-                for input in 0..host.all_inputs() {
-                    values[column + host.row(input) * layer.outputs] = weight[output * host.all_inputs() + input];
-                }
-                values[column + layer.inputs * layer.outputs] = bias[output];
+            for (place, value) in host.places().zip(weight?.into_iter().chain(bias?)) {
+                values[place] = value;
             }
         }
         Ok(values)
@@ -203,9 +172,9 @@ impl Shape {
         let factors = opening_factors(config, share, DType::F32, &Device::Cpu)?;
         for (host, factor) in self.host_layers().into_iter().zip(factors) {
             let Some(factor) = factor else { continue };
-            for (input, factor) in factor.flatten_all()?.to_vec1::<f32>()?.into_iter().enumerate() {
-                let start = host.layer.offset + host.row(input) * host.layer.outputs + host.first;
-                values[start..start + host.outputs].fill(factor);
+            let of_inputs = factor.flatten_all()?.to_vec1::<f32>()?;
+            for (place, factor) in host.places().zip(of_inputs.repeat(host.outputs)) {
+                values[place] = factor;
             }
         }
         Ok(values)
@@ -215,14 +184,10 @@ impl Shape {
     pub(crate) fn to_host(&self, values: &[f32]) -> Result<Vec<Tensor>> {
         let mut parameters = Vec::new();
         for host in self.host_layers() {
-            let HostLayer { layer, first, outputs, .. } = host;
-            let at = |row: usize, output: usize| values[layer.offset + row * layer.outputs + first + output];
-            let mut weight = Vec::with_capacity(outputs * host.all_inputs());
-            for output in 0..outputs {
-                weight.extend((0..host.all_inputs()).map(|input| at(host.row(input), output)));
-            }
-            parameters.push(Tensor::from_vec(weight, (outputs, host.all_inputs()), &Device::Cpu)?);
-            let bias = (0..outputs).map(|output| at(layer.inputs, output)).collect();
+            let (outputs, inputs) = (host.outputs, host.all_inputs());
+            let mut weight: Vec<f32> = host.places().map(|place| values[place]).collect();
+            let bias = weight.split_off(outputs * inputs);
+            parameters.push(Tensor::from_vec(weight, (outputs, inputs), &Device::Cpu)?);
             parameters.push(Tensor::from_vec(bias, outputs, &Device::Cpu)?);
         }
         Ok(parameters)
@@ -305,7 +270,7 @@ impl FieldBuffers {
         if let (Some(tables), Some(grid)) = (&self.tables, &shape.grid) {
             for (to, buffer) in read.iter_mut().zip([&tables.values, &tables.first, &tables.second]) {
                 let values = gpu.read_f32(buffer, tables.count)?;
-                to.push(Tensor::from_vec(values, (grid.entries(), grid.features), &Device::Cpu)?);
+                to.push(Tensor::from_vec(values, (grid.entries(), grid.features()), &Device::Cpu)?);
             }
         }
         let Learned { values, first, second, count, .. } = &self.weights;
@@ -324,7 +289,7 @@ impl FieldBuffers {
             let value =
                 |[low, high]: [u32; 2]| ((u64::from(high) << 32 | u64::from(low)) as i64 as f64 / 2f64.powi(56)) as f32;
             let values = sums.into_iter().map(value).collect();
-            read.push(Tensor::from_vec(values, (grid.entries(), grid.features), &Device::Cpu)?);
+            read.push(Tensor::from_vec(values, (grid.entries(), grid.features()), &Device::Cpu)?);
         }
         let scaled = gpu.read_f32(&self.weights.gradient, self.weights.count)?;
         read.extend(shape.to_host(&scaled.iter().map(|g| g / loss_scale as f32).collect::<Vec<f32>>())?);

@@ -7,21 +7,27 @@ use augnerf_scenes::tangents;
 /// Numbers of a ray in the rays' buffer; `rays.wgsl` says which.
 pub(crate) const RAY: usize = 20;
 
-/// Returns rays as the kernels read them, with what tilts view directions if it is needed.
-pub(crate) fn packed(Batch { rays, target }: &Batch, has_tangents: bool) -> Vec<f32> {
-    let mut packed = Vec::with_capacity(rays.len() * RAY);
-    let three = |values: &[f32], ray: usize| [values[3 * ray], values[3 * ray + 1], values[3 * ray + 2]];
-    for ray in 0..rays.len() {
-        let (direction, view) = (three(&rays.directions, ray), three(&rays.viewdirs, ray));
-        let (u, w) = if has_tangents { tangents(view.map(f64::from)) } else { ([0.0; 3], [0.0; 3]) };
-        packed.extend(three(&rays.origins, ray));
-        packed.extend(direction);
-        packed.extend(view);
-        packed.extend(u.map(|x| x as f32));
-        packed.extend(w.map(|x| x as f32));
-        packed.extend(three(target, ray));
-        let norm = direction.iter().map(|x| x * x).sum::<f32>().sqrt();
-        packed.extend([norm, 0.0]);
+/// Returns rays as the kernels read them, from `[rays, 3]` each, without tangents and true colours.
+pub(crate) fn packed(origins: &[f32], directions: &[f32], views: &[f32]) -> Vec<f32> {
+    let mut packed = vec![0.0; origins.len() / 3 * RAY];
+    for (i, ray) in packed.chunks_exact_mut(RAY).enumerate() {
+        for (at, from) in [origins, directions, views].into_iter().enumerate() {
+            ray[3 * at..][..3].copy_from_slice(&from[3 * i..][..3]);
+        }
+        ray[RAY - 2] = ray[3..6].iter().map(|x| x * x).sum::<f32>().sqrt();
+    }
+    packed
+}
+
+/// Returns the rays of a batch, with what tilts view directions if it is needed.
+pub(crate) fn of_batch(Batch { rays, target }: &Batch, has_tangents: bool) -> Vec<f32> {
+    let mut packed = packed(&rays.origins, &rays.directions, &rays.viewdirs);
+    for (ray, target) in packed.chunks_exact_mut(RAY).zip(target.chunks_exact(3)) {
+        if has_tangents {
+            let (u, w) = tangents([ray[6], ray[7], ray[8]].map(f64::from));
+            ray[9..15].iter_mut().zip(u.into_iter().chain(w)).for_each(|(to, x)| *to = x as f32);
+        }
+        ray[15..18].copy_from_slice(target);
     }
     packed
 }

@@ -15,6 +15,8 @@ mod products;
 mod scratch;
 mod space;
 
+#[cfg(test)]
+pub(crate) use encoding::{domain_words, grid_words};
 pub(crate) use products::most_rows;
 pub(crate) use scratch::Scratch;
 pub(crate) use space::{Integrand, SpaceAt};

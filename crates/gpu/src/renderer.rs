@@ -13,7 +13,7 @@ use crate::device::{Dispatch, Gpu, groups};
 use crate::kernels::Kernel;
 use crate::limits::{check_fields, samples_at_once};
 use crate::network::{FieldBuffers, Shape};
-use crate::rays::{RAY, bins};
+use crate::rays::{RAY, bins, packed};
 use crate::record::{DeltaBuffers, OUT, PassAt, Recorder, Resampling, Scratch, Words};
 
 /// Rays that are rendered at once, at most.
@@ -123,16 +123,7 @@ impl Renderer for GpuRenderer {
 
     fn render(&self, rays: &Rays) -> Result<RenderedRays> {
         let host = |tensor: &Tensor| tensor.to_dtype(DType::F32)?.flatten_all()?.to_vec1::<f32>();
-        let [origins, directions, views, norms] =
-            [&rays.origins, &rays.directions, &rays.viewdirs, &rays.direction_norm].map(host);
-        let (origins, directions, views, norms) = (origins?, directions?, views?, norms?);
-        let mut packed = vec![0f32; rays.len() * RAY];
-        for (ray, packed) in packed.chunks_exact_mut(RAY).enumerate() {
-            for (at, from) in [&origins, &directions, &views].into_iter().enumerate() {
-                packed[3 * at..3 * at + 3].copy_from_slice(&from[3 * ray..3 * ray + 3]);
-            }
-            packed[RAY - 2] = norms[ray];
-        }
+        let packed = packed(&host(&rays.origins)?, &host(&rays.directions)?, &host(&rays.viewdirs)?);
         let mut out = Vec::with_capacity(rays.len() * OUT);
         for part in packed.chunks(self.chunk * RAY) {
             out.extend(self.render_chunk(part)?);

@@ -249,15 +249,9 @@ impl Recorder<'_> {
                     self.run(Kernel::new("t_radius"), words, &bound, groups(count));
                 }
                 SiteRadius::Pixel { pixel, cap } => {
-                    let words = Words::default().u(pass.rays).u(pass.ray0).u(0).u(0);
-                    let words = words.f(pixel).f(cap).f(1.0).u(0);
-                    let rays = self.rays;
-                    self.run(
-                        Kernel::new("xyz_radius"),
-                        words,
-                        &[(1, rays), (2, &buffers.xyz_radius)],
-                        groups(pass.rays),
-                    );
+                    let words = Words::default().u(pass.rays).u(pass.ray0).f(pixel).f(cap);
+                    let bound = [(1, self.rays), (2, &buffers.xyz_radius)];
+                    self.run(Kernel::new("xyz_radius"), words, &bound, groups(pass.rays));
                 }
             }
         }

@@ -15,7 +15,7 @@ use crate::device::{Dispatch, Gpu, groups};
 use crate::kernels::Kernel;
 use crate::limits::{check, check_precision, rays_of_chunk};
 use crate::network::{FieldBuffers, Shape};
-use crate::rays::{bins, packed};
+use crate::rays::{bins, of_batch};
 use crate::record::{FIXED_SCALE, Integrand, Recorder, SpaceAt, Words};
 use crate::sets::PassSets;
 
@@ -186,7 +186,7 @@ impl Steps {
         let [step0, step1] = halves(step);
         let words = Words::default().u(seed0 as usize).u(seed1 as usize).u(step0 as usize).u(step1 as usize);
         let words = words.f(learning_rate / correction1).f(correction2).u(0).u(0);
-        let rays = packed(&self.batches.batch(step), has_tangents(&self.config));
+        let rays = of_batch(&self.batches.batch(step), has_tangents(&self.config));
         self.gpu.write(&self.buffers.now, bytemuck::cast_slice(words.words()));
         self.gpu.write(&self.buffers.rays, bytemuck::cast_slice(&rays));
         if let Some(space) = &self.buffers.space {
@@ -381,7 +381,7 @@ impl Steps {
                 let words = Words::default().u(learned.count).f(BETA1).f(train.adam_beta2).f(train.adam_epsilon);
                 let unit = if part == 0 { loss_scale(&self.config) } else { FIXED_SCALE };
                 let words = words.f(1.0 / unit).u(2 * index + part).u(0).u(0);
-                let features = self.shape.grid.as_ref().map_or(1, |grid| grid.features);
+                let features = self.shape.grid.as_ref().map_or(1, |grid| grid.features());
                 let (kernel, threads) = match part {
                     0 => (Kernel::new("adam_weights"), learned.count),
                     _ => (Kernel::new("adam_tables").set("FEATURES", features), learned.count / features),

@@ -4,11 +4,10 @@ mod common;
 
 use augnerf_nerf::field::{Density, FieldDensity};
 use augnerf_nerf::losses::{measure, measure_density};
-use augnerf_nerf::methods::FieldLearner;
 use augnerf_nerf::runtime::Accelerator;
 use augnerf_nerf::space::{Lattice, densities};
-use candle_core::{DType, Device, Tensor};
-use common::{config, flat, gpu, scene};
+use candle_core::{Device, Tensor};
+use common::{config, flat, gpu, scene, start};
 
 /// Points in and around the boxes of these fields, more than a device takes at once.
 fn points() -> Tensor {
@@ -18,13 +17,7 @@ fn points() -> Tensor {
 
 fn compare(settings: &[&str]) {
     let (config, scene) = (config(settings), scene());
-    let (learner, _) = FieldLearner::start(&config, &scene, DType::F32, &Device::Cpu).unwrap();
-    for (name, var) in learner.fields().variables() {
-        if name.ends_with("table") {
-            let moved: Vec<f32> = (0..var.elem_count()).map(|i| 0.5 * (i as f32 * 0.7).sin()).collect();
-            var.set(&Tensor::from_vec(moved, var.shape(), &Device::Cpu).unwrap()).unwrap();
-        }
-    }
+    let learner = start(&config, &scene);
     let field = learner.fields().evaluated();
     let (host, device) = (FieldDensity::new(field).unwrap(), gpu().density(field).unwrap());
     let (points, variance) = (points(), [0.0; 3]);

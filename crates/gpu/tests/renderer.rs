@@ -2,23 +2,17 @@
 
 mod common;
 
-use augnerf_nerf::methods::{FieldLearner, FieldRenderer, Renderer};
+use augnerf_nerf::methods::{FieldRenderer, Renderer};
 use augnerf_nerf::runtime::Accelerator;
 use augnerf_nerf::settings::PixelOrigin;
 use augnerf_scenes::{RayBuffer, RayParts};
 use candle_core::{DType, Device, Tensor};
-use common::{config, flat, gpu, scene};
+use common::{config, flat, gpu, scene, start};
 
 /// Renders all pixels of a view both ways. Returns the largest differences of colour, depth and accumulation.
 fn differences(settings: &[&str]) -> [f64; 3] {
     let (config, scene) = (config(settings), scene());
-    let (learner, _) = FieldLearner::start(&config, &scene, DType::F32, &Device::Cpu).unwrap();
-    for (name, var) in learner.fields().variables() {
-        if name.ends_with("table") {
-            let moved: Vec<f32> = (0..var.elem_count()).map(|i| 0.5 * (i as f32 * 0.7).sin()).collect();
-            var.set(&Tensor::from_vec(moved, var.shape(), &Device::Cpu).unwrap()).unwrap();
-        }
-    }
+    let learner = start(&config, &scene);
     let fields = learner.fields().at_step(&config, 3).unwrap();
     let camera = &scene.train[0].camera;
     let pixels: Vec<_> = (0..16).flat_map(|y| (0..16).map(move |x| (camera, x, y))).collect();

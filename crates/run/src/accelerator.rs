@@ -2,10 +2,8 @@
 
 use std::sync::Arc;
 
-use serde::Serialize;
-
 use crate::base::{Error, Result};
-use crate::runtime::{Accelerator, Runtime, instructions};
+use crate::runtime::{Accelerator, ListedDevice, Runtime, instructions};
 use crate::settings::{Config, Precision, Resolved};
 
 /// Opens `device` (`cpu`, `gpu`, `gpu:N`, `cuda`, `cuda:N`, `cuda-tf32` or `metal`) with this many threads. `None` is one
@@ -24,25 +22,6 @@ pub fn open_runtime(device: &str, threads: Option<usize>) -> Result<Runtime> {
         None => Runtime::new(device, threads),
         Some(index) => Runtime::with_accelerator(gpu::open(device, index)?, device.to_string(), threads),
     }
-}
-
-/// A device that `--device` can name.
-#[derive(Clone, Debug, PartialEq, Serialize)]
-pub struct ListedDevice {
-    /// Its name for `--device`.
-    pub device: String,
-    /// The hardware.
-    pub name: String,
-    /// Interface and driver; empty for the processor.
-    pub driver: String,
-    /// A processor plays the device: for tests, far slower than `cpu`.
-    pub is_software: bool,
-    /// The largest buffer that a kernel reads, in bytes.
-    pub largest_buffer: Option<u64>,
-    /// Whether it trains with `field.precision = "f16"`.
-    pub has_f16: bool,
-    /// What the kernels need and it lacks.
-    pub lacks: Vec<String>,
 }
 
 /// Lists the processor and the adapters for `--device gpu:N`. Devices of candle (`cuda`, `metal`) are not listed.
@@ -90,16 +69,7 @@ mod gpu {
     }
 
     pub(super) fn list() -> Vec<ListedDevice> {
-        let listed = |adapter: augnerf_gpu::Adapter| ListedDevice {
-            device: format!("gpu:{}", adapter.index),
-            name: adapter.name,
-            driver: [adapter.backend, adapter.driver].join(", "),
-            is_software: adapter.is_software,
-            largest_buffer: Some(adapter.largest_buffer),
-            has_f16: adapter.has_matrices,
-            lacks: adapter.lacks,
-        };
-        augnerf_gpu::adapters().into_iter().map(listed).collect()
+        augnerf_gpu::list()
     }
 }
 

@@ -15,4 +15,4 @@ pub mod revision;
 pub mod run;
 pub mod train;
 
-pub use accelerator::{ListedDevice, list_devices, open_runtime};
+pub use accelerator::{list_devices, open_runtime};

@@ -1,10 +1,12 @@
 //! Points of samples, their encoding, and the way back from it.
 
+use augnerf_nerf::field::hash::{Domain, HashGrid, Level};
+use augnerf_nerf::settings::{Contraction, Interpolation};
 use wgpu::Buffer;
 
 use crate::device::groups;
 use crate::kernels::Kernel;
-use crate::network::{FieldBuffers, GridShape};
+use crate::network::FieldBuffers;
 
 use super::products::Rows;
 use super::{FIXED_SCALE, PassAt, Recorder, Wanted, Words};
@@ -33,7 +35,7 @@ impl<'a> Recorder<'a> {
         let (n, scratch) = (rows.points(), self.scratch);
         let Some(grid) = &self.shape.grid else {
             let words = Words::default().u(n).u(self.shape.octaves).u(self.shape.channels).u(0);
-            let kernel = Kernel::new(if rows.are_jets() { "frequency_jets" } else { "frequency" });
+            let kernel = Kernel::new("frequency").with("JETS", rows.are_jets());
             self.run(kernel, words, &[(1, points), (2, &scratch.encoded)], groups(3 * n));
             return;
         };
@@ -44,33 +46,17 @@ impl<'a> Recorder<'a> {
         let domain = rows.are_jets().then(|| self.gpu.uniform(self.domain(n).words()));
         let mut buffers = vec![(1, &scratch.unit), (2, tables), (3, &scratch.encoded)];
         buffers.extend(domain.iter().flat_map(|domain| [(4, domain), (5, points)]));
-        let kernel = of_grid(grid, if rows.are_jets() { "encode_jets" } else { "encode" });
-        self.run(kernel, self.grid(n), &buffers, groups(n * grid.levels.len()));
+        let kernel = of_grid(grid, "encode").with("JETS", rows.are_jets());
+        self.run(kernel, self.grid(n), &buffers, groups(n * grid.levels().len()));
     }
 
     fn domain(&self, points: usize) -> Words {
-        let grid = self.shape.grid.as_ref().expect("a grid");
-        let corner = |words: Words, [x, y, z]: [f64; 3]| words.f(x).f(y).f(z);
-        corner(corner(Words::default(), grid.low).u(points), grid.high).u(grid.contraction as usize)
+        domain_words(self.shape.domain.as_ref().expect("a grid"), points)
     }
 
     fn grid(&self, points: usize) -> Words {
         let grid = self.shape.grid.as_ref().expect("a grid");
-        let mut words = Words::default()
-            .u(points)
-            .u(grid.levels.len())
-            .f(FIXED_SCALE / self.loss_scale)
-            .flag(grid.smooth)
-            .u(self.shape.channels)
-            .u(0)
-            .u(0)
-            .u(0);
-        for level in 0..32 {
-            for word in grid.levels.get(level).copied().unwrap_or([1, 1, 0, 1]) {
-                words = words.u(word as usize);
-            }
-        }
-        words
+        grid_words(grid, points, self.shape.channels, FIXED_SCALE / self.loss_scale)
     }
 
     /// Records the gradient of a field's tables from that of the encoding.
@@ -82,7 +68,7 @@ impl<'a> Recorder<'a> {
         let mut buffers = vec![(1, &scratch.unit), (2, &scratch.d_encoded), (3, gradient), (4, self.flags)];
         buffers.extend(domain.iter().flat_map(|domain| [(5, domain), (6, points)]));
         let kernel = of_grid(grid, "scatter").with("JETS", rows.are_jets());
-        self.run(kernel, self.grid(n), &buffers, groups(n * grid.levels.len()));
+        self.run(kernel, self.grid(n), &buffers, groups(n * grid.levels().len()));
     }
 
     /// From the encoding of a pass to tables, points and positions along rays.
@@ -110,8 +96,30 @@ impl<'a> Recorder<'a> {
     }
 }
 
-fn of_grid(grid: &GridShape, name: &'static str) -> Kernel {
-    Kernel::new(name).set("FEATURES", grid.features)
+/// Returns the words of the kernels of a box, for so many points.
+pub(crate) fn domain_words(domain: &Domain, points: usize) -> Words {
+    let (low, high) = domain.corners();
+    let contraction = match domain.contraction() {
+        Contraction::None => 0,
+        Contraction::Axes => 1,
+        Contraction::Ball => 2,
+    };
+    let words = low.into_iter().fold(Words::default(), Words::f).u(points);
+    high.into_iter().fold(words, Words::f).u(contraction)
+}
+
+/// Returns the words of the kernels of a grid, for so many points with rows of `channels` numbers and for sums in units of
+/// 1 / `scale`.
+pub(crate) fn grid_words(grid: &HashGrid, points: usize, channels: usize, scale: f64) -> Words {
+    let words = Words::default().u(points).u(grid.levels().len()).f(scale);
+    let words = words.flag(grid.interpolation() == Interpolation::Smoothstep).u(channels).u(0).u(0).u(0);
+    let of = |level: &Level| [level.resolution as usize, level.entries, level.offset, usize::from(level.dense)];
+    let levels = grid.levels().iter().map(of).chain(std::iter::repeat([1, 1, 0, 1]));
+    levels.take(32).flatten().fold(words, Words::u)
+}
+
+fn of_grid(grid: &HashGrid, name: &'static str) -> Kernel {
+    Kernel::new(name).set("FEATURES", grid.features())
 }
 
 fn tables(field: &FieldBuffers) -> &crate::network::Learned {

@@ -1,5 +1,6 @@
 //! A pass forward.
 
+use augnerf_nerf::settings::Contraction;
 use wgpu::Buffer;
 
 use crate::device::groups;
@@ -12,7 +13,7 @@ use super::{ON_RAYS, Outputs, PassAt, PassLoss, Recorder, Words};
 impl<'a> Recorder<'a> {
     /// Whether points can be outside of where density is.
     pub(super) fn has_outside(&self) -> bool {
-        self.shape.grid.as_ref().is_some_and(|grid| grid.contraction == 0)
+        self.shape.domain.is_some_and(|domain| domain.contraction() == Contraction::None)
     }
 
     /// The input of layer `i` of the trunk, from 0, with the layer below as a delta after layer `injection` moved it.
@@ -82,7 +83,7 @@ impl<'a> Recorder<'a> {
     /// Records weights, or accumulation without noise into `out`.
     fn march(&mut self, pass: &PassAt<'a>, t_vals: &Buffer, out: Option<&Buffer>) {
         let scratch = self.scratch;
-        let words = Words::default().u(pass.rays).u(pass.samples).u(pass.columns).u(pass.ray0).u(0).u(0).u(0).u(0);
+        let words = Words::default().u(pass.rays).u(pass.samples).u(pass.columns).u(pass.ray0);
         let kernel = Kernel::new("march").with("WEIGHTS", out.is_none()).with("ACC", out.is_some());
         let mut buffers = vec![(1, self.rays), (2, t_vals), (3, &scratch.density)];
         buffers.push(out.map_or((4, &scratch.weights), |out| (5, out)));

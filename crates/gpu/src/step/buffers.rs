@@ -63,7 +63,9 @@ impl StepBuffers {
         let f = |count: usize| gpu.numbers(count);
         let t_vals = || f(chunk * (samples + 1));
         let pair = |i: usize| sets[i].as_ref().map(|sets| SetBuffers::new(gpu, sets, chunk));
-        let buffers = StepBuffers {
+        // Passes that a run has.
+        let used = if config.method.is_augmented() { SLOTS } else { DIAGNOSED };
+        Ok(StepBuffers {
             now: gpu.uniform(&[0; 8]),
             rays: f(rays * RAY),
             rows: gpu.storage(&bins(config.sampling.spacing, scene.bounds(), columns, config.sampling.jitter)),
@@ -74,7 +76,7 @@ impl StepBuffers {
             t_coarse: t_vals(),
             t_fine: t_vals(),
             t_second: t_vals(),
-            outs: (0..SLOTS).map(|_| f(1)).collect(),
+            outs: (0..SLOTS).map(|slot| f(if slot < used { rays * OUT } else { 1 })).collect(),
             results: f(SLOTS * SLOT),
             flags: f(FLAGS),
             counts: f(COUNTS),
@@ -83,17 +85,7 @@ impl StepBuffers {
             sets: [pair(0), pair(1)],
             space: SpaceBuffers::new(gpu, config, chunk * samples)?,
             chunk,
-        };
-        Ok(buffers.with_outs(gpu, config))
-    }
-
-    /// Makes the outputs of the passes that a run has.
-    fn with_outs(mut self, gpu: &Gpu, config: &Resolved) -> StepBuffers {
-        let used = if config.method.is_augmented() { SLOTS } else { DIAGNOSED };
-        for out in &mut self.outs[..used] {
-            *out = gpu.numbers(config.train.rays * OUT);
-        }
-        self
+        })
     }
 }
 

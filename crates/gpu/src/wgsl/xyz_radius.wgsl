@@ -1,5 +1,5 @@
 // The radius of the set of xyz: epsilon pixels, at most a part of the ray. A thread a ray.
-struct XyzRadius { rays: u32, ray0: u32, released: u32, reach: u32, pixel: f32, cap: f32, epsilon: f32, pad0: u32 }
+struct XyzRadius { rays: u32, ray0: u32, pixel: f32, cap: f32 }
 @group(0) @binding(0) var<uniform> p: XyzRadius;
 @group(0) @binding(1) var<storage, read> rays: array<f32>;
 @group(0) @binding(2) var<storage, read_write> radius: array<f32>;
@@ -7,7 +7,5 @@ struct XyzRadius { rays: u32, ray0: u32, released: u32, reach: u32, pixel: f32, 
 fn main(@builtin(global_invocation_id) id: vec3<u32>) {
     let ray = thread_of(id);
     if (ray >= p.rays) { return; }
-    var cap = p.cap;
-    if (p.released == 0u) { cap *= rays[RAY * (p.ray0 + ray) + NORM]; }
-    radius[ray] = select(min(cap, p.pixel) * p.epsilon, p.epsilon, p.reach == 1u);
+    radius[ray] = min(p.cap * rays[RAY * (p.ray0 + ray) + NORM], p.pixel);
 }

@@ -4,9 +4,10 @@ use std::sync::OnceLock;
 
 use augnerf_base::Image;
 use augnerf_gpu::Gpu;
+use augnerf_nerf::methods::FieldLearner;
 use augnerf_nerf::settings::{DataKind, Extent, Resolved, build, parse_assignment};
 use augnerf_scenes::{Camera, Scene, View};
-use candle_core::{DType, Tensor};
+use candle_core::{DType, Device, Tensor};
 
 pub fn gpu() -> &'static Gpu {
     static GPU: OnceLock<Gpu> = OnceLock::new();
@@ -67,6 +68,18 @@ pub fn config(settings: &[&str]) -> Resolved {
     let all: Vec<_> = small.iter().chain(settings).map(|text| parse_assignment(text).unwrap()).collect();
     let config = build(None, None, &all).unwrap();
     config.resolve(DataKind::Blender, Extent { near: 2.0, far: 6.0, domain: None, pixels: 16 }).unwrap()
+}
+
+/// Starts a learner with tables away from their tiny start, so that a grid has something to say.
+pub fn start(config: &Resolved, scene: &Scene) -> FieldLearner {
+    let (learner, _) = FieldLearner::start(config, scene, DType::F32, &Device::Cpu).unwrap();
+    for (name, var) in learner.fields().variables() {
+        if name.ends_with("table") {
+            let moved: Vec<f32> = (0..var.elem_count()).map(|i| 0.5 * (i as f32 * 0.7).sin()).collect();
+            var.set(&Tensor::from_vec(moved, var.shape(), &Device::Cpu).unwrap()).unwrap();
+        }
+    }
+    learner
 }
 
 pub fn flat(tensor: &Tensor) -> Vec<f64> {

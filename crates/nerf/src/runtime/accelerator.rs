@@ -2,12 +2,33 @@
 
 use std::fmt::Debug;
 
+use serde::Serialize;
+
 use crate::base::{Error, Result};
 use crate::data::Scene;
 use crate::field::{Density, Field};
 use crate::methods::{DeviceSteps, Fields, Renderer};
 use crate::optimizer::Moments;
 use crate::settings::{Config, Resolved};
+
+/// A device that `--device` can name.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct ListedDevice {
+    /// Its name for `--device`.
+    pub device: String,
+    /// The hardware.
+    pub name: String,
+    /// Interface and driver; empty for the processor.
+    pub driver: String,
+    /// A processor plays the device: for tests, far slower than `cpu`.
+    pub is_software: bool,
+    /// The largest buffer that a kernel reads, in bytes.
+    pub largest_buffer: Option<u64>,
+    /// Whether it trains with `field.precision = "f16"`.
+    pub has_f16: bool,
+    /// What the kernels need and it lacks.
+    pub lacks: Vec<String>,
+}
 
 /// A device that trains and renders fields with its own program, such as a GPU. candle computes on the CPU beside it. Methods that
 /// it does not implement return an error that names the device.

@@ -10,7 +10,7 @@ use crate::base::{Error, Result};
 mod accelerator;
 
 pub use crate::base::machine::*;
-pub use accelerator::Accelerator;
+pub use accelerator::{Accelerator, ListedDevice};
 
 /// The kind of an accelerator's name.
 const GPU: &str = "gpu";

@@ -23,19 +23,6 @@ fn waves() {
     near("frequency_back", &gpu.read_f32(&d_points, 3 * n).unwrap(), &gradient, 1e-5);
 }
 
-fn box_words(low: [f64; 3], high: [f64; 3], points: usize, contraction: usize) -> Words {
-    let words = low.iter().fold(Words::default(), |words, x| words.f(*x)).u(points);
-    high.iter().fold(words, |words, x| words.f(*x)).u(contraction)
-}
-
-fn grid_words(grid: &HashGrid, points: usize, channels: usize) -> Words {
-    let smooth = usize::from(grid.interpolation() == Interpolation::Smoothstep);
-    let words = Words::default().u(points).u(grid.levels().len()).f(FIXED_SCALE).u(smooth).u(channels).u(0).u(0).u(0);
-    let of = |l: &Level| [l.resolution as usize, l.entries, l.offset, usize::from(l.dense)];
-    let all = grid.levels().iter().map(of).chain(std::iter::repeat([1, 1, 0, 1])).take(32).flatten();
-    all.fold(words, Words::u)
-}
-
 /// The sums of tables in 64-bit fixed point.
 fn fixed_sums(gpu: &Gpu, sums: &Buffer, count: usize) -> Vec<f32> {
     let bytes = gpu.read(&[sums]).unwrap().remove(0);
@@ -47,14 +34,13 @@ fn fixed_sums(gpu: &Gpu, sums: &Buffer, count: usize) -> Vec<f32> {
 fn hash_grids() {
     let gpu = gpu();
     let (n, features, levels) = (200, 2, 5);
-    for (contraction, number, interpolation) in [
-        (Contraction::None, 0, Interpolation::Linear),
-        (Contraction::Axes, 1, Interpolation::Smoothstep),
-        (Contraction::Ball, 2, Interpolation::Linear),
+    for (contraction, interpolation) in [
+        (Contraction::None, Interpolation::Linear),
+        (Contraction::Axes, Interpolation::Smoothstep),
+        (Contraction::Ball, Interpolation::Linear),
     ] {
         let grid = HashGrid::new(levels, features, 9, (4, 60), interpolation);
-        let (low, high) = ([-1.0, -0.9, -0.8], [0.8, 0.9, 1.0]);
-        let domain = Domain::new(low, high, contraction);
+        let domain = Domain::new([-1.0, -0.9, -0.8], [0.8, 0.9, 1.0], contraction);
         let channels = grid.channels().next_multiple_of(4);
         let points = numbers(3 * n, 1.3, 6);
         let (tables, d_encoded) = (numbers(grid.entries() * features, 1.0, 7), numbers(n * channels, 1.0, 8));
@@ -62,21 +48,16 @@ fn hash_grids() {
         let [unit, inside, encoded] = [3 * n, n, n * channels].map(|count| gpu.numbers(count));
         let [d_points, sums, flags] = [3 * n, 2 * tables.len(), 8].map(|count| gpu.numbers(count));
         let of_grid = |name| Kernel::new(name).set("FEATURES", features);
-        run(
-            &gpu,
-            Kernel::new("domain"),
-            box_words(low, high, n, number),
-            &[(1, &points_buffer), (2, &unit), (3, &inside)],
-            groups(n),
-        );
+        let buffers = [(1, &points_buffer), (2, &unit), (3, &inside)];
+        run(&gpu, Kernel::new("domain"), domain_words(&domain, n), &buffers, groups(n));
         let buffers = [(1, &unit), (2, &tables_buffer), (3, &encoded)];
-        run(&gpu, of_grid("encode"), grid_words(&grid, n, channels), &buffers, groups(n * levels));
+        run(&gpu, of_grid("encode"), grid_words(&grid, n, channels, FIXED_SCALE), &buffers, groups(n * levels));
         let buffers = [(1, &unit), (2, &d_buffer), (3, &sums), (4, &flags)];
-        run(&gpu, of_grid("scatter"), grid_words(&grid, n, channels), &buffers, groups(n * levels));
+        run(&gpu, of_grid("scatter"), grid_words(&grid, n, channels, FIXED_SCALE), &buffers, groups(n * levels));
         let buffers = [(1, &unit), (2, &tables_buffer), (3, &d_buffer), (4, &d_points)];
-        run(&gpu, of_grid("slope"), grid_words(&grid, n, channels), &buffers, groups(n));
+        run(&gpu, of_grid("slope"), grid_words(&grid, n, channels, FIXED_SCALE), &buffers, groups(n));
         let buffers = [(1, &points_buffer), (2, &inside), (3, &d_points)];
-        run(&gpu, Kernel::new("domain_back"), box_words(low, high, n, number), &buffers, groups(n));
+        run(&gpu, Kernel::new("domain_back"), domain_words(&domain, n), &buffers, groups(n));
         let doubles = |values: &[f32]| values.iter().map(|x| f64::from(*x)).collect::<Vec<f64>>();
         let (points, tables) = (doubles(&points), doubles(&tables));
         let d_encoded: Vec<f64> =
@@ -88,7 +69,7 @@ fn hash_grids() {
         // From where the device put them: a rounding may put a point into the next cell.
         let unit = doubles(&unit);
         let mut expected = vec![0.0; n * grid.channels()];
-        grid.encode_reference(&tables, &unit, &mut expected);
+        grid.encode_reference(&tables, &unit, None, &mut expected);
         let found = gpu.read_f32(&encoded, n * channels).unwrap();
         let found: Vec<f32> = found.chunks(channels).flat_map(|row| row[..grid.channels()].to_vec()).collect();
         near("encode", &found, &expected, 1e-5);
@@ -97,7 +78,7 @@ fn hash_grids() {
         domain.backward(&points, &d_unit, &mut d_space);
         near("slope, domain_back", &gpu.read_f32(&d_points, 3 * n).unwrap(), &d_space, 1e-5);
         let mut of_tables = vec![0.0; tables.len()];
-        grid.table_gradient_reference(&unit, &d_encoded, &mut of_tables);
+        grid.table_gradient_reference(&unit, None, &d_encoded, &mut of_tables);
         near("scatter", &fixed_sums(&gpu, &sums, tables.len()), &of_tables, 1e-5);
     }
 }
@@ -111,13 +92,13 @@ fn jets_of_waves() {
     let (points_buffer, encoded) = (gpu.storage(&points), gpu.numbers(4 * n * channels));
     let words = Words::default().u(n).u(octaves).u(channels).u(0);
     let buffers = [(1, &points_buffer), (2, &encoded)];
-    run(&gpu, Kernel::new("frequency_jets"), words, &buffers, groups(3 * n));
+    run(&gpu, Kernel::new("frequency").with("JETS", true), words, &buffers, groups(3 * n));
     let of = |shift: [f64; 3]| -> Vec<f64> {
         let shift = Tensor::new(&shift, &Device::Cpu).unwrap();
         let points = wide(&points, &[n, 3]).broadcast_add(&shift).unwrap();
         flat(&encode_reference(&points, octaves).unwrap().pad_with_zeros(1, 0, 1).unwrap())
     };
-    near("frequency_jets", &gpu.read_f32(&encoded, 4 * n * channels).unwrap(), &jets(of, n, channels, h), 1e-5);
+    near("frequency, jets", &gpu.read_f32(&encoded, 4 * n * channels).unwrap(), &jets(of, n, channels, h), 1e-5);
 }
 
 /// The rows of points' jets: `[points, 4, channels]` from what a shift of all points makes of `[points, channels]`.
@@ -136,29 +117,40 @@ fn jets(of: impl Fn([f64; 3]) -> Vec<f64>, points: usize, channels: usize, h: f6
 fn jets_of_hash_grids() {
     let gpu = gpu();
     let (n, features, levels, h) = (100, 2, 5, 1e-7);
-    for (contraction, number, interpolation) in [
-        (Contraction::None, 0, Interpolation::Smoothstep),
-        (Contraction::Axes, 1, Interpolation::Linear),
-        (Contraction::Ball, 2, Interpolation::Smoothstep),
+    for (contraction, interpolation) in [
+        (Contraction::None, Interpolation::Smoothstep),
+        (Contraction::Axes, Interpolation::Linear),
+        (Contraction::Ball, Interpolation::Smoothstep),
     ] {
         let grid = HashGrid::new(levels, features, 9, (4, 30), interpolation);
-        let (low, high) = ([-1.0, -0.9, -0.8], [0.8, 0.9, 1.0]);
-        let domain = Domain::new(low, high, contraction);
+        let domain = Domain::new([-1.0, -0.9, -0.8], [0.8, 0.9, 1.0], contraction);
         let (own, channels) = (grid.channels(), grid.channels().next_multiple_of(4));
-        let size = if number == 0 { 0.7 } else { 1.3 };
+        let size = if contraction == Contraction::None { 0.7 } else { 1.3 };
         let points = numbers(3 * n, size, 42);
         let (tables, d) = (numbers(grid.entries() * features, 1.0, 43), numbers(4 * n * channels, 1.0, 44));
         let [points_buffer, tables_buffer, d_buffer] = [&points, &tables, &d].map(|values| gpu.storage(values));
         let [unit, inside, encoded] = [3 * n, n, 4 * n * channels].map(|count| gpu.numbers(count));
         let [sums, flags] = [2 * tables.len(), 8].map(|count| gpu.numbers(count));
-        let domain_words = box_words(low, high, n, number);
+        let domain_words = domain_words(&domain, n);
         let domain_uniform = gpu.uniform(domain_words.words());
         run(&gpu, Kernel::new("domain"), domain_words, &[(1, &points_buffer), (2, &unit), (3, &inside)], groups(n));
         let kernel = |name| Kernel::new(name).set("FEATURES", features);
         let buffers = [(1, &unit), (2, &tables_buffer), (3, &encoded), (4, &domain_uniform), (5, &points_buffer)];
-        run(&gpu, kernel("encode_jets"), grid_words(&grid, n, channels), &buffers, groups(n * levels));
+        run(
+            &gpu,
+            kernel("encode").with("JETS", true),
+            grid_words(&grid, n, channels, FIXED_SCALE),
+            &buffers,
+            groups(n * levels),
+        );
         let buffers = [(1, &unit), (2, &d_buffer), (3, &sums), (4, &flags), (5, &domain_uniform), (6, &points_buffer)];
-        run(&gpu, kernel("scatter").with("JETS", true), grid_words(&grid, n, channels), &buffers, groups(n * levels));
+        run(
+            &gpu,
+            kernel("scatter").with("JETS", true),
+            grid_words(&grid, n, channels, FIXED_SCALE),
+            &buffers,
+            groups(n * levels),
+        );
 
         let doubles = |values: &[f32]| values.iter().map(|x| f64::from(*x)).collect::<Vec<f64>>();
         let (points, tables) = (doubles(&points), doubles(&tables));
@@ -171,13 +163,13 @@ fn jets_of_hash_grids() {
         };
         let features_at = |shift: [f64; 3]| {
             let mut encoded = vec![0.0; n * own];
-            grid.encode_reference(&tables, &unit_at(shift), &mut encoded);
+            grid.encode_reference(&tables, &unit_at(shift), None, &mut encoded);
             encoded
         };
         let narrow =
             |values: Vec<f32>| values.chunks(channels).flat_map(|row| row[..own].to_vec()).collect::<Vec<f32>>();
         let found = narrow(gpu.read_f32(&encoded, 4 * n * channels).unwrap());
-        near("encode_jets", &found, &jets(features_at, n, own, h), 1e-4);
+        near("encode, jets", &found, &jets(features_at, n, own, h), 1e-4);
 
         // The gradient of d . jets in the tables, in which jets are linear.
         let d = doubles(&narrow(d));
@@ -185,7 +177,7 @@ fn jets_of_hash_grids() {
             |row: usize| (0..n).flat_map(|point| d[own * (4 * point + row)..][..own].to_vec()).collect::<Vec<f64>>();
         let gradient_at = |shift: [f64; 3], d: &[f64]| {
             let mut gradient = vec![0.0; tables.len()];
-            grid.table_gradient_reference(&unit_at(shift), d, &mut gradient);
+            grid.table_gradient_reference(&unit_at(shift), None, d, &mut gradient);
             gradient
         };
         let mut expected = gradient_at([0.0; 3], &row(0));

@@ -2,7 +2,7 @@
 
 use augnerf_base::rng::{Random, Stream};
 use augnerf_nerf::field::encode_reference;
-use augnerf_nerf::field::hash::{Domain, HashGrid, Level};
+use augnerf_nerf::field::hash::{Domain, HashGrid};
 use augnerf_nerf::optimizer::{Adam, AdamSettings};
 use augnerf_nerf::render::sampling::importance;
 use augnerf_nerf::render::volume::composite_reference;
@@ -13,7 +13,7 @@ use wgpu::Buffer;
 use super::*;
 use crate::device::{Gpu, groups};
 use crate::rays::RAY;
-use crate::record::{FIRST_TERM, FIXED_SCALE, ON_RAYS, OUT, SLOT, Words};
+use crate::record::{FIRST_TERM, FIXED_SCALE, ON_RAYS, OUT, SLOT, Words, domain_words, grid_words};
 
 mod encodings;
 mod outputs;

@@ -118,14 +118,14 @@ fn positions_and_points() {
     let gpu = gpu();
     let (all, ray0, rays, samples) = (13, 3, 10, 6);
     for columns in [samples, samples + 1] {
-        let (jitter, rows) = (numbers(7 + rays * columns, 1.0, 100), numbers(2 * columns, 1.0, 101));
+        let (jitter, rows) = (numbers(rays * columns, 1.0, 100), numbers(2 * columns, 1.0, 101));
         let [jitter_buffer, rows_buffer] = [&jitter, &rows].map(|values| gpu.storage(values));
         let found = gpu.numbers(rays * columns);
-        let words = Words::default().u(rays).u(columns).u(7).u(0);
+        let words = Words::default().u(rays).u(columns).u(0).u(0);
         let buffers = [(1, &rows_buffer), (2, &jitter_buffer), (3, &found)];
         run(&gpu, Kernel::new("sample"), words, &buffers, groups(rays * columns));
         let (widths, lower) = (wide(&rows[..columns], &[columns]), wide(&rows[columns..], &[columns]));
-        let jitter = wide(&jitter[7..], &[rays, columns]);
+        let jitter = wide(&jitter, &[rays, columns]);
         let expected = jitter.broadcast_mul(&widths).unwrap().broadcast_add(&lower).unwrap();
         near("sample", &gpu.read_f32(&found, rays * columns).unwrap(), &flat(&expected), 1e-6);
 
@@ -175,7 +175,7 @@ fn marches() {
         let density: Vec<f32> = numbers(rays * samples, 1.0, 112).iter().map(|x| x.abs()).collect();
         let [rays_buffer, t_buffer, density_buffer] = [&packed, &t_vals, &density].map(|values| gpu.storage(values));
         let (weights, out) = (gpu.numbers(rays * samples), gpu.numbers(all * OUT));
-        let words = Words::default().u(rays).u(samples).u(columns).u(ray0).u(1).u(0).u(0).u(0);
+        let words = Words::default().u(rays).u(samples).u(columns).u(ray0);
         let buffers = [(1, &rays_buffer), (2, &t_buffer), (3, &density_buffer), (4, &weights), (5, &out)];
         let kernel = Kernel::new("march").with("WEIGHTS", true).with("ACC", true);
         run(&gpu, kernel, words, &buffers, [rays.div_ceil(32) as u32, 1, 1]);

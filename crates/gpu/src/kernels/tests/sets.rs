@@ -257,15 +257,10 @@ fn radii() {
 
     let packed: Vec<f32> = numbers(25 * RAY, 1.0, 150).iter().map(|x| x.abs()).collect();
     let (rays_buffer, ray0, rays) = (gpu.storage(&packed), 5, 20);
-    let (pixel, cap, epsilon) = (0.2, 0.5, 1.5);
-    for (released, is_reach) in [(0, 0), (1, 0), (0, 1)] {
-        let out = gpu.numbers(rays);
-        let words = Words::default().u(rays).u(ray0).u(released).u(is_reach).f(pixel).f(cap).f(epsilon).u(0);
-        run(&gpu, Kernel::new("xyz_radius"), words, &[(1, &rays_buffer), (2, &out)], groups(rays));
-        let of = |ray: usize| {
-            let norm = if released == 1 { 1.0 } else { f64::from(packed[RAY * (ray0 + ray) + 18]) };
-            if is_reach == 1 { epsilon } else { f64::min(cap * norm, pixel) * epsilon }
-        };
-        near("xyz_radius", &gpu.read_f32(&out, rays).unwrap(), &(0..rays).map(of).collect::<Vec<f64>>(), 1e-6);
-    }
+    let (pixel, cap) = (0.2, 0.5);
+    let out = gpu.numbers(rays);
+    let words = Words::default().u(rays).u(ray0).f(pixel).f(cap);
+    run(&gpu, Kernel::new("xyz_radius"), words, &[(1, &rays_buffer), (2, &out)], groups(rays));
+    let of = |ray: usize| f64::min(cap * f64::from(packed[RAY * (ray0 + ray) + 18]), pixel);
+    near("xyz_radius", &gpu.read_f32(&out, rays).unwrap(), &(0..rays).map(of).collect::<Vec<f64>>(), 1e-6);
 }
