@@ -210,7 +210,7 @@ fn meshes_of_georeferenced_captures_keep_their_precision() {
     assert!((area(&near) / area(&far) - 1.0).abs() < 1e-3 && near["closed"] == far["closed"]);
     // Both files are read back to where the mesh is.
     let read = |name: &str| sample(&read_mesh(&place.at(&format!("far_mesh/{name}"))).unwrap(), 500, 0).unwrap();
-    assert!(chamfer(&read("mesh.ply"), &read("mesh.obj"), &[0.1]).unwrap().chamfer < 1e-6);
+    assert!(chamfer(&read("mesh.ply"), &read("mesh.obj"), 0.1).unwrap().chamfer < 1e-6);
 }
 
 /// Within a limit of address space too little memory is told, not met.

@@ -6,7 +6,6 @@
 //! result.
 
 use rayon::prelude::*;
-use serde::Serialize;
 
 use augnerf_base::rng::{Random, Stream};
 use augnerf_base::{Error, Result};
@@ -109,7 +108,7 @@ impl Reference {
 }
 
 /// The distance between two surfaces.
-#[derive(Clone, Debug, PartialEq, Serialize)]
+#[derive(Clone, Debug, PartialEq)]
 pub struct Chamfer {
     /// Sum of both means below: the paper's distance.
     pub chamfer: f64,
@@ -120,44 +119,27 @@ pub struct Chamfer {
     /// The expected value of the first for two samples of one surface with as many points. Differences well below it
     /// have no meaning.
     pub floor: f64,
-    /// One entry per requested distance.
-    #[serde(skip)]
-    pub scores: Vec<Score>,
-}
-
-/// Agreement at a distance (Knapitsch et al. 2017, Tanks and Temples).
-#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
-pub struct Score {
-    /// Points that are at most this far from the other surface count as correct.
-    pub at: f64,
-    /// Fraction of the mesh's points that are correct.
-    pub precision: f64,
-    /// Fraction of the reference's points that are correct.
-    pub recall: f64,
-    /// Harmonic mean of both.
+    /// Harmonic mean of precision and recall (Knapitsch et al. 2017, Tanks and Temples): the fractions of the mesh's and
+    /// of the reference's points that are near the other surface.
     pub f_score: f64,
 }
 
-/// Compares two surfaces through random points on them, with scores at each distance of `at`. Both need at least one
-/// point.
-pub fn chamfer(mesh: &PointCloud, reference: &PointCloud, at: &[f64]) -> Result<Chamfer> {
+/// Compares two surfaces through random points on them. Points of a distance of at most `at` are near. Both need at
+/// least one point.
+pub fn chamfer(mesh: &PointCloud, reference: &PointCloud, at: f64) -> Result<Chamfer> {
     let (to_reference, to_mesh) = (distances(mesh, reference)?, distances(reference, mesh)?);
     let mean = |distances: &[f64]| distances.iter().sum::<f64>() / distances.len() as f64;
-    let share = |distances: &[f64], at: f64| {
+    let near = |distances: &[f64]| {
         distances.iter().filter(|&&distance| distance <= at).count() as f64 / distances.len() as f64
     };
-    let score = |&at: &f64| {
-        let (precision, recall) = (share(&to_reference, at), share(&to_mesh, at));
-        let both = precision + recall;
-        Score { at, precision, recall, f_score: if both > 0.0 { 2.0 * precision * recall / both } else { 0.0 } }
-    };
+    let (precision, recall) = (near(&to_reference), near(&to_mesh));
     let (mesh_to_reference, reference_to_mesh) = (mean(&to_reference), mean(&to_mesh));
     Ok(Chamfer {
         chamfer: mesh_to_reference + reference_to_mesh,
         mesh_to_reference,
         reference_to_mesh,
         floor: mesh.spacing() + reference.spacing(),
-        scores: at.iter().map(score).collect(),
+        f_score: if precision + recall > 0.0 { 2.0 * precision * recall / (precision + recall) } else { 0.0 },
     })
 }
 
@@ -209,9 +191,9 @@ mod tests {
     fn a_mesh_is_0_from_itself_and_the_floor_from_another_drawing() {
         let mesh = sphere(0.5, [0.0; 3]);
         let cloud = |seed| sample(&mesh, 20_000, seed).unwrap();
-        let same = chamfer(&cloud(0), &cloud(0), &[1e-9]).unwrap();
-        assert_eq!((same.chamfer, same.scores[0].f_score), (0.0, 1.0));
-        let drawn = chamfer(&cloud(0), &cloud(1), &[]).unwrap();
+        let same = chamfer(&cloud(0), &cloud(0), 1e-9).unwrap();
+        assert_eq!((same.chamfer, same.f_score), (0.0, 1.0));
+        let drawn = chamfer(&cloud(0), &cloud(1), 0.0).unwrap();
         // Points in equal shares of the area lie a little more evenly than scattered ones.
         assert!((drawn.chamfer / drawn.floor - 1.0).abs() < 0.1, "{drawn:?}");
     }
@@ -220,15 +202,15 @@ mod tests {
     fn spheres_are_as_far_apart_as_their_radii_or_shift_say() {
         let cloud = |radius: f64, x: f64, seed: u64| sample(&sphere(radius, [x, 0.0, 0.0]), 40_000, seed).unwrap();
         // Concentric: 0.1 each way.
-        let rings = chamfer(&cloud(0.5, 0.0, 0), &cloud(0.6, 0.0, 1), &[0.05, 0.2]).unwrap();
-        assert!((rings.chamfer - 0.2).abs() < 4e-3, "{rings:?}");
-        assert_eq!((rings.scores[0].f_score, rings.scores[1].f_score), (0.0, 1.0));
+        let rings = |at: f64| chamfer(&cloud(0.5, 0.0, 0), &cloud(0.6, 0.0, 1), at).unwrap();
+        assert!((rings(0.05).chamfer - 0.2).abs() < 4e-3, "{:?}", rings(0.05));
+        assert_eq!((rings(0.05).f_score, rings(0.2).f_score), (0.0, 1.0));
         // Shifted by s: the nearest point is | |p - s| - r | away, whose mean over the sphere is close to s / 2.
-        let shifted = chamfer(&cloud(0.5, 0.0, 0), &cloud(0.5, 0.1, 1), &[]).unwrap();
+        let shifted = chamfer(&cloud(0.5, 0.0, 0), &cloud(0.5, 0.1, 1), 0.0).unwrap();
         assert!((shifted.mesh_to_reference - 0.05).abs() < 2e-3, "{shifted:?}");
         assert!((shifted.reference_to_mesh - shifted.mesh_to_reference).abs() < 1e-3, "{shifted:?}");
         // Apart: from p on the first, |p - 3| - 0.5, whose mean over the sphere is (3 + r^2 / 9) - 0.5.
-        let apart = chamfer(&cloud(0.5, 0.0, 0), &cloud(0.5, 3.0, 1), &[]).unwrap();
+        let apart = chamfer(&cloud(0.5, 0.0, 0), &cloud(0.5, 3.0, 1), 0.0).unwrap();
         assert!((apart.mesh_to_reference - (2.5 + 0.25 / 9.0)).abs() < 3e-3, "{apart:?}");
     }
 
@@ -237,11 +219,11 @@ mod tests {
         let vertices = vec![[0.0, 0.0, 0.5], [1.0, 0.0, 0.5], [1.0, 1.0, 0.5], [0.0, 1.0, 0.5]];
         let mesh = Mesh { vertices, triangles: vec![[0, 1, 2], [0, 2, 3]], ..Mesh::default() };
         let cloud = sample(&mesh, 5_000, 0).unwrap();
-        assert_eq!(chamfer(&cloud, &cloud, &[]).unwrap().chamfer, 0.0);
+        assert_eq!(chamfer(&cloud, &cloud, 0.0).unwrap().chamfer, 0.0);
         let point = PointCloud { points: vec![[0.5; 3]; 1_000], area: 1.0 };
-        assert_eq!(chamfer(&point, &point, &[]).unwrap().chamfer, 0.0);
+        assert_eq!(chamfer(&point, &point, 0.0).unwrap().chamfer, 0.0);
         let nothing = PointCloud { points: Vec::new(), area: 1.0 };
-        assert!(chamfer(&point, &nothing, &[]).unwrap_err().to_string().contains("without points"));
+        assert!(chamfer(&point, &nothing, 0.0).unwrap_err().to_string().contains("without points"));
         let line = Mesh { triangles: vec![[0, 1, 0]], ..mesh };
         assert!(sample(&line, 10, 0).unwrap_err().to_string().contains("area of 0"));
     }

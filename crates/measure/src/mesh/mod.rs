@@ -7,7 +7,7 @@ mod nearest;
 mod shading;
 mod triangles;
 
-pub use distance::{Chamfer, PointCloud, Reference, Score, chamfer, sample};
+pub use distance::{Chamfer, PointCloud, Reference, chamfer, sample};
 pub use files::{read_mesh, write_obj, write_ply};
 pub use marching::Marcher;
 pub use shading::{Paint, around, resized, shade};

@@ -48,7 +48,7 @@ impl Report {
         let mut mean = MeanMetrics::from_views(&views);
         mean.set_train(&training_views);
         mean.set(&CHAMFER, surface.as_ref().map(|surface| surface.chamfer));
-        mean.set(&F_SCORE, surface.and_then(|surface| surface.scores.first().map(|score| score.f_score)));
+        mean.set(&F_SCORE, surface.map(|surface| surface.f_score));
         Report { mean, views, protocol, attack, training_views, is_one_colour: false }
     }
 

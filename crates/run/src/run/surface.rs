@@ -168,7 +168,7 @@ impl Viewer<'_> {
         let surface = in_scene(drawn.mesh, scene.ndc.as_ref())?;
         let picture = if config.eval.pictures > 0 { surface_picture(&surface, scene) } else { None };
         let compare = |reference: Reference| {
-            chamfer(&sample(&surface, mesh.points, SEED)?, &reference.sample(mesh.points, SEED)?, &[mesh.at])
+            chamfer(&sample(&surface, mesh.points, SEED)?, &reference.sample(mesh.points, SEED)?, mesh.at)
         };
         Ok(Surface { chamfer: reference.map(compare).transpose()?, picture })
     }
