@@ -48,7 +48,6 @@ pub fn padded(size: usize) -> usize {
 ///
 /// # Errors
 /// Those of candle.
-/// Those of candle.
 pub fn sweep(
     own: &Viewpoint,
     seen: &[(&Viewpoint, &Image)],

@@ -1,7 +1,7 @@
-use candle_core::{DType, Device, Var};
+use candle_core::{DType, Device};
 
 use super::*;
-use crate::grids::reference::{check_differences, error, fixture, ramp, values};
+use crate::grids::reference::{error, fixture, ramp, values};
 
 /// Locations of some rays: between pixels, on them, in the pixel beyond an edge, outside, nowhere.
 fn places(planes: usize) -> Locations {
@@ -37,17 +37,7 @@ fn values_are_tents_around_pixels_and_fade_beyond_the_edge() {
     assert!(error(&fast, &expected) < 1e-6);
 }
 
-#[test]
-fn gradients_are_central_differences() {
-    let planes = Var::from_tensor(&ramp(&[3, 3, 4, 2], 0.1)).unwrap();
-    let (places, cotangent) = (places(3), ramp(&[8, 3, 2], 0.9));
-    check_differences(std::slice::from_ref(&planes), 1e-8, || {
-        (plane_sample(&planes, &places).unwrap() * &cotangent).unwrap().sum_all().unwrap()
-    });
-}
-
-/// LLFF's own coordinates of a row of planes lead to its own renderings once composited: see `over` and `methods::planes`; here the
-/// same pixels of one plane are read twice.
+/// A location on a pixel reads this pixel alone.
 #[test]
 fn a_place_on_a_pixel_is_the_pixel() {
     let mpi = fixture("llff.mpis").narrow(0, 2, 1).unwrap().squeeze(0).unwrap();

@@ -1,7 +1,7 @@
 use candle_core::Var;
 
 use super::*;
-use crate::grids::reference::{check_differences, error, fixture, on_any_threads, ramp};
+use crate::grids::reference::{error, fixture, ramp};
 
 /// `[1, c, z, y, x]` to `[z, y, x, c]`.
 fn lattice(tensor: &Tensor) -> Tensor {
@@ -74,24 +74,6 @@ fn it_is_the_convolution_of_the_finer_lattice() {
             assert!(error(fast, expected) < 3e-6, "{sides:?}: {}", error(fast, expected));
         }
     }
-}
-
-/// A second consumer's gradient counts.
-#[test]
-fn gradients_are_those_of_differences() {
-    let ([x, weight, bias], cotangent) = case([2, 1, 3], 2, 2);
-    let [x, weight, bias] = [x, weight, bias].map(|tensor| Var::from_tensor(&tensor).unwrap());
-    check_differences(&[x.clone(), weight.clone(), bias.clone()], 1e-8, || {
-        let fine = (up(&x, &weight, &bias).sqr().unwrap() * &cotangent).unwrap().sum_all().unwrap();
-        (fine + x.sqr().unwrap().sum_all().unwrap()).unwrap()
-    });
-}
-
-#[test]
-fn threads_change_no_bit() {
-    let (arguments, cotangent) = case([8, 9, 10], 24, 8);
-    let (arguments, cotangent) = (arguments.each_ref().map(f32_of), f32_of(&cotangent));
-    on_any_threads(|| all_of(up, &arguments, &cotangent));
 }
 
 #[test]

@@ -3,7 +3,7 @@
 use candle_core::{DType, Device, Tensor, Var};
 
 use crate::data::{RayBuffer, RayParts, Scene};
-use crate::grids::reference::{error, on_any_threads, ramp};
+use crate::grids::reference::{error, ramp};
 use crate::methods::Learner;
 use crate::methods::Renderer;
 use crate::methods::StepResult;
@@ -83,18 +83,6 @@ fn gradients_of_a_step_are_central_differences() {
             assert!((found[place] - slope).abs() < 1e-3 * scale, "{loss:?} {name}: {} and {slope}", found[place]);
         }
     }
-}
-
-#[test]
-fn threads_change_no_bit_of_a_step() {
-    let scene = scene(24);
-    let config = config(&scene, |_| {});
-    on_any_threads(|| {
-        let learned = learned(&config, &scene, DType::F32, 3);
-        let report = &learned.report;
-        let loss = Tensor::new(&[report.loss, report.mse, report.extremes.largest_acc], &Device::Cpu).unwrap();
-        learned.gradients.0.into_iter().flatten().chain([loss]).collect()
-    });
 }
 
 fn bits(learned: &StepResult) -> Vec<u64> {
