@@ -99,7 +99,7 @@
 //! # Crates
 //!
 //! Each crate uses the crates of lower rows only, which the compiler checks. This crate re-exports the modules of all but
-//! `augnerf-fast`.
+//! `augnerf-baselines` and `augnerf-fast`.
 //!
 //! | crate | modules |
 //! |---|---|
@@ -107,7 +107,7 @@
 //! | `augnerf-sweep` | [`sweep`] |
 //! | `augnerf-view` | [`view`] |
 //! | `augnerf-run` | [`train`], [`run`], [`compare`], [`mesh`], [`mod@bench`] |
-//! | `augnerf-baselines` | [`grids`] and the [`methods`] SRN, Neural Volumes and LLFF |
+//! | `augnerf-baselines` | the [`methods`] SRN, Neural Volumes and LLFF |
 //! | `augnerf-nerf` | [`runtime`], [`settings`], [`field`], [`perturb`], [`render`], [`losses`], [`space`], [`methods`] NeRF and Aug-NeRF |
 //! | `augnerf-report` | [`report`] |
 //! | `augnerf-measure` | [`metrics`] |
@@ -124,8 +124,6 @@
 /// The tensor library, in the version of this crate's types.
 pub use candle_core;
 
-#[cfg(feature = "baselines")]
-pub use augnerf_baselines::grids;
 pub use augnerf_draw as draw;
 pub use augnerf_measure::metrics;
 pub use augnerf_nerf::{field, losses, perturb, render, settings, space};
@@ -151,11 +149,6 @@ pub mod runtime {
 
 /// The model of each method, with its training and its rendering.
 pub mod methods {
-    #[cfg(feature = "baselines")]
-    pub use augnerf_baselines::{
-        MpiNetwork, NeuralVolume, PlanesLearner, PlanesRenderer, Srn, SrnLearner, SrnMarch, SrnRenderer, VolumeDensity,
-        VolumeLearner, VolumeRenderer,
-    };
     pub use augnerf_nerf::methods::*;
     pub use augnerf_run::model::*;
 }

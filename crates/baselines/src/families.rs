@@ -2,45 +2,54 @@
 
 use std::sync::Arc;
 
-use candle_core::{DType, Device, Tensor, Var};
+use candle_core::{DType, Device, Var};
 
 use crate::base::Result;
-use crate::data::Scene;
+use crate::data::{RayParts, Scene};
 use crate::field::Density;
-use crate::methods::{Family, Learner, Network, Renderer};
+use crate::methods::{Batches, Family, Learner, Network, Renderer};
 use crate::planes::{MpiNetwork, PlanesLearner};
 use crate::settings::{Config, Representation, Resolved};
 use crate::srn::{Srn, SrnLearner, SrnRenderer};
 use crate::volume::{NeuralVolume, VolumeDensity, VolumeLearner, VolumeRenderer};
 
 /// Returns the family that makes the parameters of a representation, or `None` if it is no baseline.
-pub fn family(representation: Representation) -> Option<&'static dyn Family> {
+pub fn family(representation: Representation) -> Option<&'static Family> {
     match representation {
-        Representation::Srn => Some(&SrnFamily),
-        Representation::Volume => Some(&VolumeFamily),
-        Representation::Planes => Some(&PlanesFamily),
+        Representation::Srn => Some(&SRN),
+        Representation::Volume => Some(&VOLUME),
+        Representation::Planes => Some(&PLANES),
         Representation::Nerf | Representation::MipNerf | Representation::HashNerf => None,
     }
 }
 
-struct SrnFamily;
+static SRN: Family = Family {
+    part: "srn",
+    parameter_names: |config| Srn::parameter_names(&config.srn),
+    check: check_batches,
+    init: |config, dtype, device| Ok(Arc::new(Srn::init(&config.srn, config.seed, dtype, device)?)),
+    from_parameters: |config, values| Ok(Arc::new(Srn::from_parameters(&config.srn, values)?)),
+};
 
-impl Family for SrnFamily {
-    fn part(&self) -> &'static str {
-        "srn"
-    }
+static VOLUME: Family = Family {
+    part: "volume",
+    parameter_names: NeuralVolume::parameter_names,
+    check: check_batches,
+    init: |config, dtype, device| Ok(Arc::new(NeuralVolume::init(config, dtype, device)?)),
+    from_parameters: |config, values| Ok(Arc::new(NeuralVolume::from_parameters(config, values)?)),
+};
 
-    fn parameter_names(&self, config: &Config) -> Vec<(String, Vec<usize>)> {
-        Srn::parameter_names(&config.srn)
-    }
+static PLANES: Family = Family {
+    part: "planes",
+    parameter_names: MpiNetwork::parameter_names,
+    check: PlanesLearner::check,
+    init: |config, dtype, device| Ok(Arc::new(MpiNetwork::init(config, dtype, device)?)),
+    from_parameters: |config, values| Ok(Arc::new(MpiNetwork::from_parameters(config, values)?)),
+};
 
-    fn init(&self, config: &Resolved, dtype: DType, device: &Device) -> Result<Arc<dyn Network>> {
-        Ok(Arc::new(Srn::init(&config.srn, config.seed, dtype, device)?))
-    }
-
-    fn from_parameters(&self, config: &Config, values: Vec<Tensor>) -> Result<Arc<dyn Network>> {
-        Ok(Arc::new(Srn::from_parameters(&config.srn, values)?))
-    }
+/// Checks that training views hold a step's rays.
+fn check_batches(config: &Resolved, scene: &Scene) -> Result<()> {
+    Batches::new(config, scene, RayParts::default()).map(drop)
 }
 
 impl Network for Srn {
@@ -54,30 +63,6 @@ impl Network for Srn {
 
     fn renderer(&self, _: &Config, _: &Scene) -> Result<Box<dyn Renderer>> {
         Ok(Box::new(SrnRenderer::new(self)?))
-    }
-
-    fn density(&self) -> Result<Option<Box<dyn Density>>> {
-        Ok(None)
-    }
-}
-
-struct VolumeFamily;
-
-impl Family for VolumeFamily {
-    fn part(&self) -> &'static str {
-        "volume"
-    }
-
-    fn parameter_names(&self, config: &Config) -> Vec<(String, Vec<usize>)> {
-        NeuralVolume::parameter_names(config)
-    }
-
-    fn init(&self, config: &Resolved, dtype: DType, device: &Device) -> Result<Arc<dyn Network>> {
-        Ok(Arc::new(NeuralVolume::init(config, dtype, device)?))
-    }
-
-    fn from_parameters(&self, config: &Config, values: Vec<Tensor>) -> Result<Arc<dyn Network>> {
-        Ok(Arc::new(NeuralVolume::from_parameters(config, values)?))
     }
 }
 
@@ -99,30 +84,6 @@ impl Network for NeuralVolume {
     }
 }
 
-struct PlanesFamily;
-
-impl Family for PlanesFamily {
-    fn part(&self) -> &'static str {
-        "planes"
-    }
-
-    fn parameter_names(&self, config: &Config) -> Vec<(String, Vec<usize>)> {
-        MpiNetwork::parameter_names(config)
-    }
-
-    fn check(&self, config: &Resolved, scene: &Scene) -> Result<()> {
-        PlanesLearner::check(config, scene)
-    }
-
-    fn init(&self, config: &Resolved, dtype: DType, device: &Device) -> Result<Arc<dyn Network>> {
-        Ok(Arc::new(MpiNetwork::init(config, dtype, device)?))
-    }
-
-    fn from_parameters(&self, config: &Config, values: Vec<Tensor>) -> Result<Arc<dyn Network>> {
-        Ok(Arc::new(MpiNetwork::from_parameters(config, values)?))
-    }
-}
-
 impl Network for MpiNetwork {
     fn variables(&self) -> Vec<(String, Var)> {
         MpiNetwork::variables(self)
@@ -134,9 +95,5 @@ impl Network for MpiNetwork {
 
     fn renderer(&self, config: &Config, scene: &Scene) -> Result<Box<dyn Renderer>> {
         Ok(Box::new(MpiNetwork::renderer(self, config, scene)?))
-    }
-
-    fn density(&self) -> Result<Option<Box<dyn Density>>> {
-        Ok(None)
     }
 }

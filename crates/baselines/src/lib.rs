@@ -8,12 +8,9 @@ pub(crate) use augnerf_nerf::{field, methods, runtime, settings};
 pub(crate) use {augnerf_base as base, augnerf_scenes as data};
 
 mod families;
-pub mod grids;
+mod grids;
 mod planes;
 mod srn;
 mod volume;
 
 pub use families::family;
-pub use planes::{MpiNetwork, PlanesLearner, PlanesRenderer};
-pub use srn::{Srn, SrnLearner, SrnMarch, SrnRenderer};
-pub use volume::{NeuralVolume, VolumeDensity, VolumeLearner, VolumeRenderer};

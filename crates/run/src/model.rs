@@ -24,7 +24,7 @@ pub enum Model {
 
 /// Returns how a representation's parameters are made, or `None` for radiance fields and if baselines are not built
 /// in.
-fn family(representation: Representation) -> Option<&'static dyn Family> {
+fn family(representation: Representation) -> Option<&'static Family> {
     #[cfg(feature = "baselines")]
     return augnerf_baselines::family(representation);
     #[cfg(not(feature = "baselines"))]
@@ -35,7 +35,7 @@ fn family(representation: Representation) -> Option<&'static dyn Family> {
 }
 
 /// Returns the same for a representation that is not a radiance field.
-fn baseline(config: &Config) -> Result<&'static dyn Family> {
+fn baseline(config: &Config) -> Result<&'static Family> {
     family(config.representation()).ok_or_else(|| {
         Error::Config(format!(
             "method {}: this program was built without baselines; build it with `--features baselines`",
@@ -58,8 +58,8 @@ impl Model {
             return Ok((Model::Fields(learner.fields().clone()), redraws));
         }
         let family = baseline(config)?;
-        family.check(config, scene)?;
-        Ok((Model::Baseline(config.representation(), family.init(config, dtype, device)?), vec![0]))
+        (family.check)(config, scene)?;
+        Ok((Model::Baseline(config.representation(), (family.init)(config, dtype, device)?), vec![0]))
     }
 
     /// Checks that a run can start at step 0. It makes a model only to measure terms in space at very many points.
@@ -68,7 +68,7 @@ impl Model {
     /// Those of [`Model::start`], except a dead start.
     pub fn check(config: &Resolved, scene: &Scene, dtype: DType, runtime: &Runtime) -> Result<()> {
         if !config.representation().is_field() {
-            return baseline(config)?.check(config, scene);
+            return (baseline(config)?.check)(config, scene);
         }
         match runtime.accelerator().is_none() && is_timed(&config.regularizer) {
             true => Model::start(config, scene, dtype, runtime).map(drop),
@@ -81,7 +81,7 @@ impl Model {
     /// # Errors
     /// Settings do not suit the scene.
     pub fn check_start(&self, config: &Resolved, scene: &Scene, dtype: DType, runtime: &Runtime) -> Result<()> {
-        let Model::Fields(fields) = self else { return baseline(config)?.check(config, scene) };
+        let Model::Fields(fields) = self else { return (baseline(config)?.check)(config, scene) };
         FieldLearner::check(config, scene, dtype, runtime.device())?;
         let learner = FieldLearner::new(config, scene, fields.clone(), dtype, runtime.device())?;
         check_duration(&learner, config, runtime)
@@ -91,7 +91,7 @@ impl Model {
     pub fn parts(config: &Config) -> Vec<&'static str> {
         match config.representation().is_field() {
             true => Fields::roles(config),
-            false => family(config.representation()).map(|family| family.part()).into_iter().collect(),
+            false => family(config.representation()).map(|family| family.part).into_iter().collect(),
         }
     }
 
@@ -99,7 +99,7 @@ impl Model {
     pub fn parameter_names(config: &Config) -> Vec<(String, Vec<usize>)> {
         match config.representation().is_field() {
             true => Fields::parameter_names(config),
-            false => family(config.representation()).map(|family| family.parameter_names(config)).unwrap_or_default(),
+            false => family(config.representation()).map(|family| (family.parameter_names)(config)).unwrap_or_default(),
         }
     }
 
@@ -112,7 +112,7 @@ impl Model {
             return Ok(Model::Fields(Fields::from_parameters(config, values)?));
         }
         let representation = config.representation();
-        Ok(Model::Baseline(representation, baseline(config)?.from_parameters(config, values)?))
+        Ok(Model::Baseline(representation, (baseline(config)?.from_parameters)(config, values)?))
     }
 
     /// Returns all parameters with their names, in the fixed order. They are shared, so a learner's updates are

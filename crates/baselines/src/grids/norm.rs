@@ -58,9 +58,6 @@ impl LayerNorm {
     }
 
     /// Returns the same in candle's operations.
-    ///
-    /// # Errors
-    /// Those of candle.
     pub fn reference(&self, x: &Tensor, scale: &Tensor, shift: &Tensor) -> Result<Tensor> {
         let groups = match self.group {
             NormGroup::Channels => x.flatten_to(D::Minus2)?,

@@ -62,9 +62,6 @@ pub fn stored(value: f64) -> u8 {
 impl Mpi {
     /// Creates a multiplane image from RGBA of a window around a complete view, `[planes, height, width, 4]`. What is
     /// beyond the view is cut off.
-    ///
-    /// # Errors
-    /// Those of candle.
     pub fn new(eye: Viewpoint, rgba: &Tensor) -> Result<Mpi> {
         let (_, height, width, _) = rgba.dims4()?;
         let (rows, columns) = (eye.camera.height, eye.camera.width);

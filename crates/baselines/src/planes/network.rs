@@ -112,9 +112,6 @@ pub struct MpiNetwork {
 
 impl MpiNetwork {
     /// Initializes the weights: uniform by Xavier's rule, as in slim; scales 1, shifts and the bias 0.
-    ///
-    /// # Errors
-    /// Those of candle.
     pub fn init(config: &Config, dtype: DType, device: &Device) -> Result<MpiNetwork> {
         let mut values = Vec::new();
         for (part, layer) in LAYERS.iter().chain([&LAST]).enumerate() {
@@ -151,9 +148,6 @@ impl MpiNetwork {
     }
 
     /// Creates a network with given values, in the order of [`MpiNetwork::parameter_names`].
-    ///
-    /// # Errors
-    /// Those of candle.
     pub fn from_parameters(config: &Config, values: Vec<Tensor>) -> Result<MpiNetwork> {
         let names = MpiNetwork::parameter_names(config);
         let variable = |((name, _), value): ((String, Vec<usize>), Tensor)| Ok((name, Var::from_tensor(&value)?));
@@ -162,9 +156,6 @@ impl MpiNetwork {
     }
 
     /// Returns a copy of the weights, which stays the same when these are trained.
-    ///
-    /// # Errors
-    /// Those of candle.
     pub(super) fn copy(&self) -> Result<MpiNetwork> {
         let copied =
             |(name, var): &(String, Var)| Ok((name.clone(), Var::from_tensor(&var.as_detached_tensor().copy()?)?));

@@ -16,9 +16,6 @@ use super::sweep::{Window, sweep};
 impl MpiNetwork {
     /// Returns the multiplane images of `views` with the current weights, each predicted when it is needed. Earlier
     /// ones are returned again if weights, views and depths are the same, so that a second image costs no prediction.
-    ///
-    /// # Errors
-    /// Those of candle.
     pub fn mpis(&self, views: &[SourceView], depths: &[f64]) -> Result<Arc<Mpis>> {
         let weights = self.digest()?;
         let mut kept = self.kept.lock().unwrap_or_else(PoisonError::into_inner);

@@ -45,9 +45,6 @@ pub fn padded(size: usize) -> usize {
 
 /// Projects each of `seen` (camera and image) onto the planes of `own` at `depths`, in `window`:
 /// `[planes, height, width, 3 views]`, channel 3 v + c.
-///
-/// # Errors
-/// Those of candle.
 pub fn sweep(
     own: &Viewpoint,
     seen: &[(&Viewpoint, &Image)],

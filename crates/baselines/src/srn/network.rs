@@ -141,9 +141,6 @@ impl Srn {
     }
 
     /// Initializes a new SRN from `seed`'s stream `Init`.
-    ///
-    /// # Errors
-    /// Those of candle.
     pub fn init(config: &SrnConfig, seed: u64, dtype: DType, device: &Device) -> Result<Srn> {
         let mut random = Random::new(seed, Stream::Init, 0);
         let tensors = parameters(config).into_iter().map(|parameter| parameter.draw(&mut random, dtype, device));
@@ -197,9 +194,6 @@ impl Srn {
     }
 
     /// Marches rays from depths `z_0 [rays, 1]`, in scene units times `srn.scale`.
-    ///
-    /// # Errors
-    /// Those of candle.
     pub fn march(&self, rays: &Rays, z_0: &Tensor) -> Result<SrnMarch> {
         let scale = self.config.scale;
         let mut position = ((&rays.origins * scale)? + rays.directions.broadcast_mul(z_0)?)?;

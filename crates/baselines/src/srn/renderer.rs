@@ -18,9 +18,6 @@ pub struct SrnRenderer {
 
 impl SrnRenderer {
     /// Creates a renderer with the current parameters.
-    ///
-    /// # Errors
-    /// Those of candle.
     pub fn new(srn: &Srn) -> Result<SrnRenderer> {
         let srn = srn.frozen();
         Ok(SrnRenderer { network: srn.is_fast().then(|| Network::of(&srn)).transpose()?, srn })

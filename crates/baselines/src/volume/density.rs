@@ -19,9 +19,6 @@ pub struct VolumeDensity {
 
 impl VolumeDensity {
     /// Creates the density of the code's mean.
-    ///
-    /// # Errors
-    /// Those of candle.
     pub fn new(volume: &NeuralVolume) -> Result<VolumeDensity> {
         Ok(VolumeDensity { decoded: volume.decode(&volume.code().0.detach(), true)?, cube: volume.cube })
     }

@@ -23,9 +23,6 @@ pub struct VolumeRenderer {
 
 impl VolumeRenderer {
     /// Creates a renderer with the current parameters and the code's mean.
-    ///
-    /// # Errors
-    /// Those of candle.
     pub fn new(volume: &NeuralVolume, config: &Config, scene: &Scene) -> Result<VolumeRenderer> {
         Ok(VolumeRenderer {
             cube: volume.cube,

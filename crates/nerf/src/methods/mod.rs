@@ -2,8 +2,8 @@
 //!
 //! A method has parameters, a [`Learner`] that turns a step's rays into gradients, and a [`Renderer`] that turns rays
 //! into colours. Some methods have a density. A training updates the parameters with Adam, unless an accelerator takes whole
-//! steps ([`DeviceSteps`]). To add a method, implement [`Family`] and [`Network`] in a crate of its own, as
-//! `augnerf-baselines` does, and add it to the [`crate::settings::Method`]s.
+//! steps ([`DeviceSteps`]). To add a method, implement [`Network`] and write its [`Family`] in a crate of its own,
+//! as `augnerf-baselines` does, and add it to the [`crate::settings::Method`]s.
 
 mod batches;
 mod device_steps;

@@ -5,11 +5,10 @@ use std::sync::Arc;
 use candle_core::{DType, Device, Tensor, Var};
 
 use crate::base::Result;
-use crate::data::{RayParts, Scene};
+use crate::data::Scene;
 use crate::field::Density;
 use crate::settings::{Config, Resolved};
 
-use super::batches::Batches;
 use super::learner::Learner;
 use super::renderer::Renderer;
 
@@ -35,35 +34,23 @@ pub trait Network: Send + Sync {
     ///
     /// # Errors
     /// Those of candle.
-    fn density(&self) -> Result<Option<Box<dyn Density>>>;
+    fn density(&self) -> Result<Option<Box<dyn Density>>> {
+        Ok(None)
+    }
 }
 
-/// Creates the parameters of a method.
-pub trait Family: Sync {
-    /// Returns the name of its network.
-    fn part(&self) -> &'static str;
-
+/// A method: how its parameters are named and made.
+pub struct Family {
+    /// The name of its network.
+    pub part: &'static str,
     /// Returns names and shapes of all parameters, in their fixed order.
-    fn parameter_names(&self, config: &Config) -> Vec<(String, Vec<usize>)>;
-
-    /// Checks a new run's settings against its scene. It makes no network.
-    ///
-    /// # Errors
-    /// If settings do not suit the scene.
-    fn check(&self, config: &Resolved, scene: &Scene) -> Result<()> {
-        Batches::new(config, scene, RayParts::default()).map(drop)
-    }
-
-    /// Returns random initial parameters.
-    ///
-    /// # Errors
-    /// Those of candle.
-    fn init(&self, config: &Resolved, dtype: DType, device: &Device) -> Result<Arc<dyn Network>>;
-
-    /// Returns a network with given values, in the order of [`Family::parameter_names`].
-    ///
-    /// # Errors
-    /// If their number or shapes are wrong.
-    #[allow(clippy::wrong_self_convention, reason = "the family is a table of functions, and has no data")]
-    fn from_parameters(&self, config: &Config, values: Vec<Tensor>) -> Result<Arc<dyn Network>>;
+    pub parameter_names: fn(&Config) -> Vec<(String, Vec<usize>)>,
+    /// Checks a new run's settings against its scene, and makes no network. Returns an error if settings do not suit
+    /// the scene.
+    pub check: fn(&Resolved, &Scene) -> Result<()>,
+    /// Returns random initial parameters, or candle's errors.
+    pub init: fn(&Resolved, DType, &Device) -> Result<Arc<dyn Network>>,
+    /// Returns a network with given values, in the order of `parameter_names`, or an error if their number or shapes
+    /// are wrong.
+    pub from_parameters: fn(&Config, Vec<Tensor>) -> Result<Arc<dyn Network>>,
 }
