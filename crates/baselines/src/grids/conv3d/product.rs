@@ -2,10 +2,9 @@
 
 use std::ops::Range;
 
-use gemm::Parallelism;
 use rayon::prelude::*;
 
-use crate::runtime::count_multiply_adds;
+use augnerf_fast::fused::kernels::{Matrix, multiply};
 
 use super::plan::{Group, Plan, blocks, count};
 
@@ -46,51 +45,6 @@ impl Rhs<'_> {
     }
 }
 
-/// A matrix in memory.
-#[derive(Clone, Copy)]
-struct Matrix<'a> {
-    values: &'a [f32],
-    size: (usize, usize),
-    /// From row to row, and from column to column.
-    strides: (usize, usize),
-}
-
-impl<'a> Matrix<'a> {
-    fn rows(values: &'a [f32], rows: usize, columns: usize) -> Matrix<'a> {
-        Matrix { values, size: (rows, columns), strides: (columns, 1) }
-    }
-
-    fn transposed(self) -> Matrix<'a> {
-        let swap = |(a, b)| (b, a);
-        Matrix { size: swap(self.size), strides: swap(self.strides), ..self }
-    }
-
-    fn fits(&self) -> bool {
-        let ((rows, columns), (down, across)) = (self.size, self.strides);
-        rows * columns == 0 || (rows - 1) * down + (columns - 1) * across < self.values.len()
-    }
-}
-
-/// Computes `out += a b`, row by row.
-fn multiply(out: &mut [f32], a: Matrix, b: Matrix) {
-    let ((m, k), n) = (a.size, b.size.1);
-    assert!(k == b.size.0 && out.len() == m * n && a.fits() && b.fits(), "matrices do not fit");
-    count_multiply_adds(m * n * k);
-    let strides = |(down, across): (usize, usize)| (down as isize, across as isize);
-    let ((a_down, a_across), (b_down, b_across)) = (strides(a.strides), strides(b.strides));
-    let (to, a, b) = (out.as_mut_ptr(), a.values.as_ptr(), b.values.as_ptr());
-    // SAFETY: every index that the product reads or writes was checked to lie within its slice; `out` is borrowed
-    // mutably, so that it overlaps neither operand.
-    unsafe {
-        let none = Parallelism::None;
-        let (down, across) = (n as isize, 1);
-        gemm::gemm(
-            m, n, k, to, across, down, true, a, a_across, a_down, b, b_across, b_down, 1.0, 1.0, false, false, false,
-            none,
-        );
-    }
-}
-
 /// Returns the number of rows in a tile, for this many numbers per row.
 fn tile(numbers: usize) -> usize {
     (TILE / numbers.max(1)).clamp(ROWS.0, ROWS.1)
@@ -126,22 +80,23 @@ pub(super) fn product(
         let group = &plan.groups[index];
         for run in group.live(plan, &rows) {
             gather(plan, group, &rows, &run, source, channels, gathered);
-            let left = Matrix::rows(gathered, rows.len(), run.len() * channels);
+            let width = run.len() * channels;
+            let left = |first: usize, columns: usize| Matrix::new(&gathered[first..], rows.len(), columns, width);
             match right {
                 Rhs::Straight(weight) => {
                     let first = group.taps[run.start].weight;
-                    let weight = &weight[first * channels * outputs..][..run.len() * channels * outputs];
-                    multiply(out, left, Matrix::rows(weight, run.len() * channels, outputs));
+                    let weight = Matrix::new(&weight[first * channels * outputs..], width, outputs, outputs);
+                    multiply(out, outputs, left(0, width), weight, true);
                 }
                 Rhs::Packed(groups) => {
-                    let weight = &groups[index][run.start * channels * outputs..][..run.len() * channels * outputs];
-                    multiply(out, left, Matrix::rows(weight, run.len() * channels, outputs));
+                    let weight = &groups[index][run.start * channels * outputs..];
+                    multiply(out, outputs, left(0, width), Matrix::new(weight, width, outputs, outputs), true);
                 }
                 Rhs::Turned(weight) => {
                     for (at, tap) in group.taps[run.clone()].iter().enumerate() {
-                        let left = Matrix { values: &gathered[at * channels..], size: (rows.len(), channels), ..left };
-                        let weight = &weight[tap.weight * channels * outputs..][..channels * outputs];
-                        multiply(out, left, Matrix::rows(weight, outputs, channels).transposed());
+                        let weight = &weight[tap.weight * channels * outputs..];
+                        let weight = Matrix::new(weight, outputs, channels, channels).transposed();
+                        multiply(out, outputs, left(at * channels, channels), weight, true);
                     }
                 }
             }
@@ -258,9 +213,10 @@ pub(super) fn weight_gradient(
             let d_tile = &d_rows[(start + rows.start) * outputs..(start + rows.end) * outputs];
             for run in group.live(plan, &rows) {
                 gather(plan, group, &rows, &run, source, channels, gathered);
-                let left = Matrix::rows(gathered, rows.len(), run.len() * channels).transposed();
+                let width = run.len() * channels;
+                let left = Matrix::new(gathered, rows.len(), width, width).transposed();
                 let sum = &mut sum[run.start * matrix..run.end * matrix];
-                multiply(sum, left, Matrix::rows(d_tile, rows.len(), outputs));
+                multiply(sum, outputs, left, Matrix::new(d_tile, rows.len(), outputs, outputs), true);
             }
         }
     });
