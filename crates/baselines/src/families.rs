@@ -54,7 +54,7 @@ fn check_batches(config: &Resolved, scene: &Scene) -> Result<()> {
 
 impl Network for Srn {
     fn variables(&self) -> Vec<(String, Var)> {
-        Srn::variables(self).to_vec()
+        self.parameters.variables.clone()
     }
 
     fn learner(&self, config: &Resolved, scene: &Scene, dtype: DType, device: &Device) -> Result<Box<dyn Learner>> {
@@ -68,7 +68,7 @@ impl Network for Srn {
 
 impl Network for NeuralVolume {
     fn variables(&self) -> Vec<(String, Var)> {
-        NeuralVolume::variables(self)
+        self.parameters.variables.clone()
     }
 
     fn learner(&self, config: &Resolved, scene: &Scene, dtype: DType, device: &Device) -> Result<Box<dyn Learner>> {
@@ -86,7 +86,7 @@ impl Network for NeuralVolume {
 
 impl Network for MpiNetwork {
     fn variables(&self) -> Vec<(String, Var)> {
-        MpiNetwork::variables(self)
+        self.parameters.variables.clone()
     }
 
     fn learner(&self, config: &Resolved, scene: &Scene, _: DType, _: &Device) -> Result<Box<dyn Learner>> {

@@ -9,6 +9,7 @@ pub(crate) use {augnerf_base as base, augnerf_scenes as data};
 
 mod families;
 mod grids;
+mod parameters;
 mod planes;
 mod srn;
 mod volume;

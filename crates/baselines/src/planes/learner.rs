@@ -1,13 +1,12 @@
 //! Training of the network: a training view is left out, and rendered from those around it.
 
-use candle_core::{DType, Tensor, Var};
+use candle_core::{DType, Tensor};
 
 use crate::base::{Image, Result};
 use crate::data::Scene;
 use crate::grids::alpha_over::alpha_over;
 use crate::grids::blend_views::blend_views;
 use crate::grids::planes::plane_sample;
-use crate::methods::Gradients;
 use crate::methods::{Extremes, Learner, LogColumns, StepReport, StepResult, StopCheck, Term};
 use crate::settings::{PlanesLoss, Resolved};
 
@@ -26,7 +25,6 @@ const LOSS: &str = "loss_view";
 pub struct PlanesLearner {
     config: Resolved,
     network: MpiNetwork,
-    variables: Vec<(String, Var)>,
     pub(super) stage: Stage,
 }
 
@@ -37,7 +35,7 @@ impl PlanesLearner {
     /// If the method does not support the scene.
     pub fn new(config: &Resolved, scene: &Scene, network: MpiNetwork) -> Result<PlanesLearner> {
         let stage = Stage::new(config, scene)?;
-        Ok(PlanesLearner { config: config.clone(), variables: network.variables(), network, stage })
+        Ok(PlanesLearner { config: config.clone(), network, stage })
     }
 
     /// Checks that a new run's steps have inputs.
@@ -119,8 +117,7 @@ impl Learner for PlanesLearner {
             PlanesLoss::L1 => self.mean(&difference.abs()?, &work)?,
         };
         stop_check()?;
-        let mut gradients = Gradients::none(self.variables.len());
-        gradients.add(&self.variables, &loss.backward()?)?;
+        let gradients = self.network.parameters.gradients(&loss)?;
         let number = |tensor: &Tensor| tensor.to_dtype(DType::F64)?.to_scalar::<f64>();
         let value = number(&loss)?;
         let described = "loss of the view that is left out".to_string();

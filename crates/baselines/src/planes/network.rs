@@ -6,13 +6,14 @@
 
 use std::sync::{Arc, Mutex};
 
-use candle_core::{DType, Device, Tensor, Var};
+use candle_core::{DType, Device, Tensor};
 
 use crate::base::Result;
 use crate::base::rng::{Random, Stream};
 use crate::grids::conv3d::Conv3d;
 use crate::grids::norm::{LayerNorm, NormGroup};
 use crate::grids::upsample;
+use crate::parameters::Parameters;
 use crate::settings::Config;
 
 use super::mpi::CachedMpis;
@@ -71,39 +72,10 @@ const LAYERS: [Layer; 17] = [
 /// The last convolution.
 const LAST: Layer = layer("conv7_3", 8, 0, Same);
 
-/// A kind of parameter of a layer.
-#[derive(Clone, Copy, PartialEq)]
-enum Kind {
-    Weight,
-    Scale,
-    Shift,
-    Bias,
-}
-
-impl Kind {
-    fn name(self) -> &'static str {
-        match self {
-            Kind::Weight => "weight",
-            Kind::Scale => "scale",
-            Kind::Shift => "shift",
-            Kind::Bias => "bias",
-        }
-    }
-}
-
-/// Returns the parameters of one layer with its channels.
-fn kinds(layer: &Layer, inputs: usize) -> (Vec<Kind>, usize, usize) {
-    match layer.name == LAST.name {
-        true => (vec![Kind::Weight, Kind::Bias], layer.inputs, inputs),
-        false if layer.inputs == 0 => (vec![Kind::Weight, Kind::Scale, Kind::Shift], 3 * inputs, layer.outputs),
-        false => (vec![Kind::Weight, Kind::Scale, Kind::Shift], layer.inputs, layer.outputs),
-    }
-}
-
 /// The network's parameters in their fixed order, with the images that the last renderer made.
 #[derive(Clone)]
 pub struct MpiNetwork {
-    variables: Vec<(String, Var)>,
+    pub(crate) parameters: Parameters,
     /// Number of input views.
     inputs: usize,
     /// Multiplane images of these weights.
@@ -113,59 +85,50 @@ pub struct MpiNetwork {
 impl MpiNetwork {
     /// Initializes the weights: uniform by Xavier's rule, as in slim; scales 1, shifts and the bias 0.
     pub fn init(config: &Config, dtype: DType, device: &Device) -> Result<MpiNetwork> {
-        let mut values = Vec::new();
-        for (part, layer) in LAYERS.iter().chain([&LAST]).enumerate() {
-            let (kinds, from, to) = kinds(layer, config.llff.inputs);
-            let limit = (6.0 / (TAPS * (from + to)) as f64).sqrt() as f32;
-            for kind in kinds {
-                let tensor = match kind {
-                    Kind::Weight => {
-                        let mut random = Random::part(config.seed, Stream::Init, 0, part as u64);
-                        let drawn = random.uniform_map(TAPS * from * to, |unit| limit * (2.0 * unit - 1.0));
-                        Tensor::from_vec(drawn, (TAPS, from, to), device)?.to_dtype(dtype)?
-                    }
-                    Kind::Scale => Tensor::ones(to, dtype, device)?,
-                    Kind::Shift | Kind::Bias => Tensor::zeros(to, dtype, device)?,
-                };
-                values.push(tensor);
-            }
-        }
+        let mut layer = 0..;
+        let value = |(name, shape): (String, Vec<usize>)| -> Result<Tensor> {
+            let [taps, from, to] = shape[..] else {
+                let value = if name.ends_with("scale") { 1f32 } else { 0.0 };
+                return Ok(Tensor::full(value, shape, device)?.to_dtype(dtype)?);
+            };
+            let mut random = Random::part(config.seed, Stream::Init, 0, layer.next().expect("without end"));
+            let limit = (6.0 / (taps * (from + to)) as f64).sqrt() as f32;
+            let drawn = random.uniform_map(taps * from * to, |unit| limit * (2.0 * unit - 1.0));
+            Ok(Tensor::from_vec(drawn, shape, device)?.to_dtype(dtype)?)
+        };
+        let values = MpiNetwork::parameter_names(config).into_iter().map(value).collect::<Result<_>>()?;
         MpiNetwork::from_parameters(config, values)
     }
 
     /// Returns names and shapes of all parameters, in their fixed order. Kernels are `[taps, in, out]`, taps along z,
     /// y, x.
     pub fn parameter_names(config: &Config) -> Vec<(String, Vec<usize>)> {
+        let views = config.llff.inputs;
         let of_layer = |layer: &Layer| {
-            let (kinds, from, to) = kinds(layer, config.llff.inputs);
-            let name = layer.name;
-            kinds.into_iter().map(move |kind| {
-                let shape = if kind == Kind::Weight { vec![TAPS, from, to] } else { vec![to] };
-                (format!("planes.{name}.{}", kind.name()), shape)
-            })
+            let from = if layer.inputs == 0 { 3 * views } else { layer.inputs };
+            let (to, others) = match layer.outputs {
+                0 => (views, &["bias"][..]),
+                outputs => (outputs, &["scale", "shift"][..]),
+            };
+            let named = |part: &str, shape| (format!("planes.{}.{part}", layer.name), shape);
+            let others = others.iter().map(|part| named(part, vec![to]));
+            std::iter::once(named("weight", vec![TAPS, from, to])).chain(others).collect::<Vec<_>>()
         };
         LAYERS.iter().chain([&LAST]).flat_map(of_layer).collect()
     }
 
     /// Creates a network with given values, in the order of [`MpiNetwork::parameter_names`].
+    ///
+    /// # Errors
+    /// Those of [`Parameters::new`].
     pub fn from_parameters(config: &Config, values: Vec<Tensor>) -> Result<MpiNetwork> {
-        let names = MpiNetwork::parameter_names(config);
-        let variable = |((name, _), value): ((String, Vec<usize>), Tensor)| Ok((name, Var::from_tensor(&value)?));
-        let variables: Result<Vec<(String, Var)>> = names.into_iter().zip(values).map(variable).collect();
-        Ok(MpiNetwork { variables: variables?, inputs: config.llff.inputs, kept: Arc::default() })
+        let parameters = Parameters::new(MpiNetwork::parameter_names(config), values)?;
+        Ok(MpiNetwork { parameters, inputs: config.llff.inputs, kept: Arc::default() })
     }
 
     /// Returns a copy of the weights, which stays the same when these are trained.
     pub(super) fn copy(&self) -> Result<MpiNetwork> {
-        let copied =
-            |(name, var): &(String, Var)| Ok((name.clone(), Var::from_tensor(&var.as_detached_tensor().copy()?)?));
-        let variables: Result<Vec<(String, Var)>> = self.variables.iter().map(copied).collect();
-        Ok(MpiNetwork { variables: variables?, inputs: self.inputs, kept: Arc::default() })
-    }
-
-    /// Returns all parameters with their names, in the fixed order.
-    pub fn variables(&self) -> Vec<(String, Var)> {
-        self.variables.clone()
+        Ok(MpiNetwork { parameters: self.parameters.copy()?, inputs: self.inputs, kept: Arc::default() })
     }
 
     /// Returns the number of input views.
@@ -175,19 +138,17 @@ impl MpiNetwork {
 
     /// Returns the device of the parameters.
     pub fn device(&self) -> &Device {
-        self.variables[0].1.device()
+        self.parameters.variables[0].1.device()
     }
 
     /// Returns the type of the parameters.
     pub fn dtype(&self) -> DType {
-        self.variables[0].1.dtype()
+        self.parameters.variables[0].1.dtype()
     }
 
     /// Returns the current parameters, with gradients or without.
     pub fn weights(&self, trainable: bool) -> Weights {
-        let tensor =
-            |(_, var): &(String, Var)| if trainable { var.as_tensor().clone() } else { var.as_detached_tensor() };
-        Weights { tensors: self.variables.iter().map(tensor).collect() }
+        Weights { tensors: self.parameters.tensors(trainable) }
     }
 }
 

@@ -65,7 +65,7 @@ impl MpiNetwork {
     /// Returns a hash of all weights.
     fn digest(&self) -> Result<[u8; 32]> {
         let mut digest = Sha256::new();
-        for (_, var) in self.variables() {
+        for (_, var) in &self.parameters.variables {
             let values = var.as_detached_tensor().flatten_all()?.to_dtype(DType::F64)?.to_vec1::<f64>()?;
             let bytes: Vec<u8> = values.iter().flat_map(|value| value.to_le_bytes()).collect();
             digest.update(bytes);

@@ -1,14 +1,15 @@
 //! An SRN's parameters, and its march in candle's operations. The march is the reference, and serves other devices and
 //! f64.
 
-use candle_core::{DType, Device, Tensor, Var};
+use candle_core::{DType, Device, Tensor};
 
 use crate::base::place::is_ours_in_f32;
 use crate::base::rng::{Random, Stream};
-use crate::base::{Error, Result};
+use crate::base::Result;
 use crate::data::Rays;
 use crate::field::dense;
 use crate::grids::norm::{LayerNorm, NormGroup};
+use crate::parameters::Parameters;
 use crate::settings::SrnConfig;
 
 use super::cell::{Lstm, clamp_gradient};
@@ -111,9 +112,10 @@ impl Parameter {
 #[derive(Clone)]
 pub struct Srn {
     config: SrnConfig,
-    /// In the fixed order. They have no gradients if there are no variables.
+    pub(crate) parameters: Parameters,
+    /// The same, with gradients if it is trainable.
     tensors: Vec<Tensor>,
-    variables: Vec<(String, Var)>,
+    is_trainable: bool,
 }
 
 /// The states of a march. Lists are by step. Positions and depths are in scene units times `srn.scale`.
@@ -150,32 +152,15 @@ impl Srn {
     /// Creates an SRN with a copy of given values, in the order of [`Srn::parameter_names`].
     ///
     /// # Errors
-    /// If shapes are wrong.
+    /// Those of [`Parameters::new`].
     pub fn from_parameters(config: &SrnConfig, values: Vec<Tensor>) -> Result<Srn> {
-        let expected = Srn::parameter_names(config);
-        if values.len() != expected.len() {
-            return Err(misfit(format!("{} parameters given, {} expected", values.len(), expected.len())));
-        }
-        let mut variables = Vec::with_capacity(values.len());
-        for ((name, shape), value) in expected.into_iter().zip(values) {
-            if value.dims() != shape {
-                return Err(misfit(format!("{name} has shape {:?}, expected {shape:?}", value.dims())));
-            }
-            variables.push((name, Var::from_tensor(&value.copy()?)?));
-        }
-        let tensors = variables.iter().map(|(_, var)| var.as_tensor().clone()).collect();
-        Ok(Srn { config: config.clone(), tensors, variables })
-    }
-
-    /// Returns the parameters in their fixed order. Empty if it is frozen.
-    pub fn variables(&self) -> &[(String, Var)] {
-        &self.variables
+        let parameters = Parameters::new(Srn::parameter_names(config), values)?;
+        Ok(Srn { config: config.clone(), tensors: parameters.tensors(true), parameters, is_trainable: true })
     }
 
     /// Returns the same parameters (shared, not copied), without gradients.
     pub fn frozen(&self) -> Srn {
-        let tensors = self.tensors.iter().map(Tensor::detach).collect();
-        Srn { config: self.config.clone(), tensors, variables: Vec::new() }
+        Srn { tensors: self.parameters.tensors(false), is_trainable: false, ..self.clone() }
     }
 
     /// Returns the configuration of the section.
@@ -203,7 +188,7 @@ impl Srn {
         let [mut x, mut v, mut h, mut c, mut delta] = [const { Vec::new() }; 5];
         for _ in 0..steps {
             let feature = self.phi(&position)?;
-            let (output, next) = self.lstm().apply(&feature, (&hidden, &memory), self.is_trainable())?;
+            let (output, next) = self.lstm().apply(&feature, (&hidden, &memory), self.is_trainable)?;
             (hidden, memory) = (clamp_gradient(&output, GRADIENT_LIMIT)?, next);
             let length = self.step(&hidden)?;
             let next = (&position + rays.viewdirs.broadcast_mul(&length)?)?;
@@ -219,10 +204,6 @@ impl Srn {
         x.push(position);
         v.push(feature);
         Ok(SrnMarch { x, v, h, c, delta, z, colour })
-    }
-
-    fn is_trainable(&self) -> bool {
-        !self.variables.is_empty()
     }
 
     /// Returns the index of the cell's first parameter.
@@ -258,7 +239,7 @@ impl Srn {
     }
 
     fn linear(&self, at: usize, x: &Tensor) -> Result<Tensor> {
-        Ok(dense(x, &self.tensors[at], &self.tensors[at + 1], false, self.is_trainable())?)
+        Ok(dense(x, &self.tensors[at], &self.tensors[at + 1], false, self.is_trainable)?)
     }
 
     /// Applies a linear layer, layer normalization and ReLU.
@@ -266,8 +247,4 @@ impl Srn {
         let norm = LayerNorm { group: NormGroup::Channels, epsilon: EPSILON, relu: true };
         Ok(norm.apply(&self.linear(at, x)?, &self.tensors[at + 2], &self.tensors[at + 3])?)
     }
-}
-
-fn misfit(message: String) -> Error {
-    candle_core::Error::Msg(message).into()
 }

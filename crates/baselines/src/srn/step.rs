@@ -100,7 +100,7 @@ impl Sums {
     pub(super) fn new(network: Option<&Network>, srn: &Srn) -> Sums {
         let gradients = match network {
             Some(network) => GradientSum::Flat(vec![0.0; network.gradient_size]),
-            None => GradientSum::Tensors(Gradients::none(srn.variables().len())),
+            None => GradientSum::Tensors(Gradients::none(srn.parameters.variables.len())),
         };
         Sums { gradients, image: 0.0, error: 0.0, behind: 0.0, z: 0.0, z_squared: 0.0, extremes: Extremes::none(1.0) }
     }
@@ -157,7 +157,7 @@ impl Sums {
         };
         let sum = (dot(&march.colour, rays.colour)? + dot(&march.z, rays.z)?)?;
         match &mut self.gradients {
-            GradientSum::Tensors(gradients) => gradients.add(srn.variables(), &sum.backward()?),
+            GradientSum::Tensors(gradients) => gradients.add(&srn.parameters.variables, &sum.backward()?),
             GradientSum::Flat(_) => Ok(()),
         }
     }
@@ -190,7 +190,7 @@ impl Sums {
             GradientSum::Tensors(gradients) => return Ok(gradients),
         };
         let mut rest = &flat[..];
-        let tensors = srn.variables().iter().map(|(_, var)| {
+        let tensors = srn.parameters.variables.iter().map(|(_, var)| {
             let (values, others) = rest.split_at(var.elem_count());
             rest = others;
             Ok(Some(Tensor::from_slice(values, var.shape(), var.device())?))

@@ -98,7 +98,7 @@ fn the_loss_and_its_gradients_are_the_original_modules() {
     near(1e4 * sums.behind / RAYS as f64, scalar("depth_loss"));
     near(loss, scalar("loss"));
     let Gradients(found) = sums.gradients(&srn).unwrap();
-    for ((name, _), found) in srn.variables().iter().zip(found) {
+    for ((name, _), found) in srn.parameters.variables.iter().zip(found) {
         assert_near(name, &found.unwrap(), &fixture.get(&format!("grad.{name}")), 1e-10);
     }
 }
@@ -110,7 +110,7 @@ fn gradients_at_the_cells_outputs_are_cut_as_in_the_original() {
     let srn = fixture.srn();
     let Gradients(found) = fixture.step(&srn, 64.0).0.gradients(&srn).unwrap();
     let mut cut = 0;
-    for ((name, _), found) in srn.variables().iter().zip(found) {
+    for ((name, _), found) in srn.parameters.variables.iter().zip(found) {
         if !(name.starts_with("phi.") || name.starts_with("lstm.")) {
             continue;
         }
@@ -163,7 +163,7 @@ fn with_head(fixture: &Fixture, weight: f64, bias: f64) -> Srn {
         "head.bias" => var.affine(0.0, bias).unwrap(),
         _ => var.as_tensor().clone(),
     };
-    let values = fixture.srn().variables().iter().map(value).collect();
+    let values = fixture.srn().parameters.variables.iter().map(value).collect();
     Srn::from_parameters(&fixture.config(), values).unwrap()
 }
 
@@ -186,7 +186,7 @@ fn a_head_that_says_how_far_leads_there() {
 fn a_head_of_zeros_leaves_the_colour() {
     let fixture = Fixture::load();
     let srn = with_head(&fixture, 0.0, 0.0);
-    let values = srn.variables().iter().map(|(_, var)| var.as_tensor().clone()).collect();
+    let values = srn.parameters.variables.iter().map(|(_, var)| var.as_tensor().clone()).collect();
     let once = Srn::from_parameters(&SrnConfig { steps: 1, ..fixture.config() }, values).unwrap();
     let (march, expected) = (fixture.march(&srn), fixture.march(&once));
     assert_near("v", &march.v[10], &march.v[0], 1e-14);
@@ -198,7 +198,7 @@ fn a_head_of_zeros_leaves_the_colour() {
 fn a_scale_is_a_change_of_units() {
     let fixture = Fixture::load();
     let srn = fixture.srn();
-    let values = srn.variables().iter().map(|(_, var)| var.as_tensor().clone()).collect();
+    let values = srn.parameters.variables.iter().map(|(_, var)| var.as_tensor().clone()).collect();
     let doubled = Srn::from_parameters(&SrnConfig { scale: 2.0, ..fixture.config() }, values).unwrap();
     let half = Rays { origins: (fixture.get("o") / 2.0).unwrap(), ..fixture.rays() };
     let (march, expected) = (doubled.march(&half, &fixture.get("z0")).unwrap(), fixture.march(&srn));
@@ -214,7 +214,7 @@ fn fresh_parameters_are_as_many_and_as_large_as_the_originals() {
     }
     let srn = Srn::init(&SrnConfig::default(), 7, DType::F32, &Device::Cpu).unwrap();
     let named: HashMap<&str, Vec<f64>> =
-        srn.variables().iter().map(|(name, var)| (name.as_str(), values(var))).collect();
+        srn.parameters.variables.iter().map(|(name, var)| (name.as_str(), values(var))).collect();
     let deviation = |name: &str| {
         let values = &named[name];
         (values.iter().map(|value| value * value).sum::<f64>() / values.len() as f64).sqrt()

@@ -1,6 +1,6 @@
 //! Training of a neural volume: random rays of the training views through one decoded volume per step.
 
-use candle_core::{DType, Device, Tensor, Var};
+use candle_core::{DType, Device, Tensor};
 
 use crate::base::Result;
 use crate::base::rng::{Random, Stream};
@@ -8,7 +8,6 @@ use crate::data::{RayParts, Scene};
 use crate::grids::march::{March, Pace};
 use crate::grids::variation::log_variation;
 use crate::methods::Batches;
-use crate::methods::Gradients;
 use crate::methods::{Extremes, Learner, LogColumns, StepReport, StepResult, StopCheck, Term};
 use crate::settings::Resolved;
 
@@ -24,7 +23,6 @@ pub(super) const DEVIATION: f64 = 25.0;
 pub struct VolumeLearner {
     config: Resolved,
     volume: NeuralVolume,
-    variables: Vec<(String, Var)>,
     batches: Batches,
     background: [f32; 3],
     dtype: DType,
@@ -62,7 +60,6 @@ impl VolumeLearner {
         Ok(VolumeLearner {
             batches: Batches::new(config, scene, RayParts::default())?,
             config: config.clone(),
-            variables: volume.variables(),
             volume,
             background: scene.background.unwrap_or_default(),
             dtype,
@@ -162,8 +159,7 @@ impl Learner for VolumeLearner {
             }
         }
         stop_check()?;
-        let mut gradients = Gradients::none(self.variables.len());
-        gradients.add(&self.variables, &total.backward()?)?;
+        let gradients = self.volume.parameters.gradients(&total)?;
         let mut terms: Vec<Term> = parts.into_iter().map(|(term, _)| term).collect();
         let loss = terms.iter().map(|term| term.value * term.weight).sum();
         let mse = terms[0].value * (DEVIATION / WHITE).powi(2);

@@ -2,11 +2,12 @@
 
 use std::slice::Iter;
 
-use candle_core::{DType, Device, Tensor, Var};
+use candle_core::{DType, Device, Tensor};
 
 use crate::base::Result;
 use crate::base::rng::{Random, Stream};
 use crate::grids::conv3d::Conv3d;
+use crate::parameters::Parameters;
 use crate::settings::{Config, VolumeCode, VolumeConfig};
 
 use super::cube::Cube;
@@ -133,7 +134,7 @@ pub struct NeuralVolume {
     /// The part of the scene that it fills.
     pub(super) cube: Cube,
     code: VolumeCode,
-    variables: Vec<(String, Var)>,
+    pub(crate) parameters: Parameters,
 }
 
 /// A layer's weight and bias.
@@ -177,37 +178,26 @@ impl NeuralVolume {
     /// Creates a volume with given values, in the order of [`NeuralVolume::parameter_names`].
     ///
     /// # Errors
-    /// Those of [`NeuralVolume::init`].
+    /// Those of [`NeuralVolume::init`] and of [`Parameters::new`].
     pub fn from_parameters(config: &Config, values: Vec<Tensor>) -> Result<NeuralVolume> {
         NeuralVolume::over(Sizes::of(&config.nv), config.nv.code, Cube::of(config)?, values)
     }
 
     pub(super) fn over(sizes: Sizes, code: VolumeCode, cube: Cube, values: Vec<Tensor>) -> Result<NeuralVolume> {
-        let names = names(&sizes, code).into_iter();
-        let variable = |((name, _), value): ((String, _), Tensor)| Ok((name, Var::from_tensor(&value)?));
-        let variables = names.zip(values).map(variable).collect::<Result<_>>()?;
-        Ok(NeuralVolume { sizes, cube, code, variables })
-    }
-
-    /// Returns all parameters with their names, in the fixed order. They are shared: a learner's updates show in them.
-    pub fn variables(&self) -> Vec<(String, Var)> {
-        self.variables.clone()
+        Ok(NeuralVolume { parameters: Parameters::new(names(&sizes, code), values)?, sizes, cube, code })
     }
 
     /// Returns the mean of the code, and the logarithm of its deviation if it has one.
     pub(super) fn code(&self) -> (Tensor, Option<Tensor>) {
-        let tensor = |index: usize| self.variables[index].1.as_tensor().clone();
+        let tensor = |index: usize| self.parameters.variables[index].1.as_tensor().clone();
         (tensor(0), (self.code == VolumeCode::Variational).then(|| tensor(1)))
     }
 
     /// Returns weight and bias of all layers in their order, without gradients if they are `frozen`.
     pub(super) fn layers(&self, frozen: bool) -> Vec<Pair> {
         let first = if self.code == VolumeCode::Variational { 2 } else { 1 };
-        let tensor = |variable: &(String, Var)| match frozen {
-            true => variable.1.as_detached_tensor(),
-            false => variable.1.as_tensor().clone(),
-        };
-        self.variables[first..].chunks(2).map(|pair| [tensor(&pair[0]), tensor(&pair[1])]).collect()
+        let tensors = self.parameters.tensors(!frozen);
+        tensors[first..].chunks(2).map(|pair| [pair[0].clone(), pair[1].clone()]).collect()
     }
 }
 

@@ -140,7 +140,7 @@ fn losses_and_gradients_are_the_originals() {
             assert!(error < tolerance, "{name}: {error}");
         }
         let gradients = loss.backward().unwrap();
-        for ((name, var), expected) in volume.variables().iter().zip(of_reference("nv.full.grad")) {
+        for ((name, var), expected) in volume.parameters.variables.iter().zip(of_reference("nv.full.grad")) {
             let error = error(gradients.get(var).unwrap_or_else(|| panic!("{name}: none")), &expected);
             assert!(error < tolerance.max(2e-7), "{name}: {error}");
         }
@@ -170,8 +170,8 @@ fn small(settings: &[&str]) -> Config {
 #[test]
 fn first_values_are_xaviers_in_blocks() {
     let volume = NeuralVolume::init(&small(&[]), DType::F64, &Device::Cpu).unwrap();
-    for (name, var) in volume.variables() {
-        let numbers = values(&var);
+    for (name, var) in &volume.parameters.variables {
+        let numbers = values(var);
         if name.ends_with("bias") {
             assert!(numbers.iter().all(|value| *value == 0.0), "{name}");
         } else if name == "volume.template.1.weight" {
@@ -188,10 +188,10 @@ fn first_values_are_xaviers_in_blocks() {
         }
     }
     let product = Conv3d::transposed([2, 2, 2]);
-    let find = |name: &str| volume.variables().into_iter().find(|(own, _)| own == name).unwrap().1;
+    let find = |name: &str| &volume.parameters.variables.iter().find(|(own, _)| own == name).unwrap().1;
     let (weight, bias) = (find("volume.template.1.weight"), find("volume.template.1.bias"));
     let x = ramp(&[2, 2, 2, weight.dim(1).unwrap()], 0.2);
-    let out = product.forward(&x, &weight, &bias).unwrap();
+    let out = product.forward(&x, weight, bias).unwrap();
     // Outputs 1 and 2 along each axis share a block.
     let block = out.narrow(0, 1, 2).unwrap().narrow(1, 1, 2).unwrap().narrow(2, 1, 2).unwrap().flatten(0, 2).unwrap();
     let rows = block.to_vec2::<f64>().unwrap();
@@ -200,7 +200,7 @@ fn first_values_are_xaviers_in_blocks() {
 
 /// Sets the parameters whose names start so.
 fn set(volume: &NeuralVolume, start: &str, of: impl Fn(usize) -> f64) {
-    for (name, var) in volume.variables().iter().filter(|(name, _)| name.starts_with(start)) {
+    for (name, var) in volume.parameters.variables.iter().filter(|(name, _)| name.starts_with(start)) {
         let numbers: Vec<f64> =
             (0..var.elem_count()).map(|i| if name.ends_with("bias") { of(i) } else { 0.0 }).collect();
         var.set(&Tensor::from_vec(numbers, var.shape(), &Device::Cpu).unwrap()).unwrap();

@@ -1,6 +1,6 @@
 //! The network and how it learns.
 
-use candle_core::{DType, Device, Tensor, Var};
+use candle_core::{DType, Device, Tensor};
 
 use crate::data::{RayBuffer, RayParts, Scene};
 use crate::grids::reference::{error, ramp};
@@ -29,7 +29,7 @@ fn parameters_are_those_of_the_network() {
     let names = MpiNetwork::parameter_names(&config);
     let count: usize = names.iter().map(|(_, shape)| shape.iter().product::<usize>()).sum();
     assert_eq!(count, 679_968 + 5 + 1_072);
-    let variables = network(&config, DType::F32).variables();
+    let variables = network(&config, DType::F32).parameters.variables;
     for ((name, shape), (own, var)) in names.iter().zip(&variables) {
         assert_eq!((name, &shape[..]), (own, var.dims()));
         let values = numbers(var);
@@ -65,7 +65,7 @@ fn gradients_of_a_step_are_central_differences() {
         let network = network(&config, DType::F64);
         let mut learner = PlanesLearner::new(&config, &scene, network.clone()).unwrap();
         let gradients = learner.step(1, false, &|| Ok(())).unwrap().gradients.0;
-        let variables = network.variables();
+        let variables = network.parameters.variables;
         assert!(gradients.iter().all(Option::is_some) && gradients.len() == variables.len());
         for (index, (name, var)) in variables.into_iter().enumerate().filter(|(index, _)| index % every == every - 1) {
             let (found, at) = (numbers(gradients[index].as_ref().unwrap()), numbers(&var));
@@ -164,7 +164,7 @@ fn multiplane_images_are_those_of_the_weights_as_they_are() {
     assert!(planes(&darker) != before);
     assert!(planes(&scene) == before);
     // The bias of alpha: behind every other convolution a normalization takes its size away.
-    let (_, bias): (String, Var) = network.variables().pop().unwrap();
+    let (_, bias) = network.parameters.variables.last().unwrap();
     let dark = planes(&darker);
     let early = network.renderer(&config, &scene).unwrap();
     bias.set(&(bias.as_detached_tensor() + 0.5).unwrap()).unwrap();

@@ -53,7 +53,7 @@ impl Given {
 fn srn(config: &SrnConfig) -> Srn {
     let srn = Srn::init(config, 5, DType::F32, &Device::Cpu).unwrap();
     let mut random = Random::new(5, Stream::March, 1);
-    let moved = srn.variables().iter().map(|(_, var)| {
+    let moved = srn.parameters.variables.iter().map(|(_, var)| {
         let noise = random.normal_tensor(var.dims(), DType::F32, &Device::Cpu).unwrap();
         (var.as_tensor() + (noise * 0.05).unwrap()).unwrap()
     });
@@ -61,7 +61,7 @@ fn srn(config: &SrnConfig) -> Srn {
 }
 
 fn in_f64(srn: &Srn) -> Srn {
-    let values = srn.variables().iter().map(|(_, var)| var.to_dtype(DType::F64).unwrap()).collect();
+    let values = srn.parameters.variables.iter().map(|(_, var)| var.to_dtype(DType::F64).unwrap()).collect();
     Srn::from_parameters(srn.config(), values).unwrap()
 }
 
@@ -100,7 +100,7 @@ fn marches_and_gradients_are_those_of_f64() {
         of_fast.add_packed(&network, given.lines(), &given.target, weights);
         let (Gradients(found), Gradients(expected)) =
             (of_fast.gradients(&srn).unwrap(), sums.gradients(&exact).unwrap());
-        for ((name, _), (found, expected)) in srn.variables().iter().zip(found.iter().zip(&expected)) {
+        for ((name, _), (found, expected)) in srn.parameters.variables.iter().zip(found.iter().zip(&expected)) {
             let far = difference(values(found.as_ref().unwrap()), &values(expected.as_ref().unwrap()));
             assert!(far < 2e-3, "width {width}, {name}: {far}");
         }
