@@ -22,5 +22,5 @@ mod step;
 mod tests;
 
 pub use learner::SrnLearner;
-pub use network::{Srn, SrnMarch};
+pub use network::Srn;
 pub use renderer::SrnRenderer;

@@ -118,19 +118,9 @@ pub struct Srn {
     is_trainable: bool,
 }
 
-/// The states of a march. Lists are by step. Positions and depths are in scene units times `srn.scale`.
+/// The end of a march.
 pub struct SrnMarch {
-    /// Position of each ray before each step, and at the end, `[rays, 3]`.
-    pub x: Vec<Tensor>,
-    /// Phi there, `[rays, width]`.
-    pub v: Vec<Tensor>,
-    /// The cell's output after each step, `[rays, 16]`.
-    pub h: Vec<Tensor>,
-    /// The cell's memory after each step, `[rays, 16]`.
-    pub c: Vec<Tensor>,
-    /// Length of each step, `[rays, 1]`; it may be negative.
-    pub delta: Vec<Tensor>,
-    /// Depth at the end, `[rays, 1]`.
+    /// Depth, in scene units times `srn.scale`, `[rays, 1]`.
     pub z: Tensor,
     /// Colour from -1 to 1, unless it overshoots, `[rays, 3]`.
     pub colour: Tensor,
@@ -182,28 +172,17 @@ impl Srn {
     pub fn march(&self, rays: &Rays, z_0: &Tensor) -> Result<SrnMarch> {
         let scale = self.config.scale;
         let mut position = ((&rays.origins * scale)? + rays.directions.broadcast_mul(z_0)?)?;
-        let (mut z, steps) = (z_0.clone(), self.config.steps);
         let state = Tensor::zeros((rays.len(), HIDDEN), z_0.dtype(), z_0.device())?;
-        let (mut hidden, mut memory) = (state.clone(), state);
-        let [mut x, mut v, mut h, mut c, mut delta] = [const { Vec::new() }; 5];
-        for _ in 0..steps {
+        let (mut z, mut hidden, mut memory) = (z_0.clone(), state.clone(), state);
+        for _ in 0..self.config.steps {
             let feature = self.phi(&position)?;
             let (output, next) = self.lstm().apply(&feature, (&hidden, &memory), self.is_trainable)?;
             (hidden, memory) = (clamp_gradient(&output, GRADIENT_LIMIT)?, next);
             let length = self.step(&hidden)?;
-            let next = (&position + rays.viewdirs.broadcast_mul(&length)?)?;
-            x.push(std::mem::replace(&mut position, next));
+            position = (position + rays.viewdirs.broadcast_mul(&length)?)?;
             z = (z + length.div(&rays.direction_norm)?)?;
-            v.push(feature);
-            h.push(hidden.clone());
-            c.push(memory.clone());
-            delta.push(length);
         }
-        let feature = self.phi(&position)?;
-        let colour = self.pixel(&feature)?;
-        x.push(position);
-        v.push(feature);
-        Ok(SrnMarch { x, v, h, c, delta, z, colour })
+        Ok(SrnMarch { z, colour: self.pixel(&self.phi(&position)?)? })
     }
 
     /// Returns the index of the cell's first parameter.
