@@ -1,5 +1,6 @@
 //! What tests hold operations to: numbers of the original modules, finite differences, any number of threads.
 
+use std::fmt::Debug;
 use std::path::Path;
 
 use candle_core::{DType, Device, Tensor, Var};
@@ -20,6 +21,28 @@ pub(crate) fn fixture(name: &str) -> Tensor {
         other => panic!("{name} is {other:?}"),
     };
     Tensor::from_vec(values, view.shape(), &Device::Cpu).unwrap()
+}
+
+/// `[1, channels, z, y, x]`, or `[channels, z, y, x]`, with channels last.
+pub(crate) fn channels_last(grid: &Tensor) -> Tensor {
+    let grid = grid.flatten_to(grid.rank() - 4).unwrap();
+    grid.permute([1, 2, 3, 0]).unwrap().contiguous().unwrap()
+}
+
+pub(crate) fn single(tensor: &Tensor) -> Tensor {
+    tensor.to_dtype(DType::F32).unwrap()
+}
+
+/// The result of an operation, and the gradients of `sum(result * cotangent)` in its arguments.
+pub(crate) fn with_gradients<const N: usize, E: Debug>(
+    arguments: &[Tensor; N],
+    cotangent: &Tensor,
+    operation: impl Fn([&Tensor; N]) -> Result<Tensor, E>,
+) -> Vec<Tensor> {
+    let variables = arguments.each_ref().map(|tensor| Var::from_tensor(tensor).unwrap());
+    let out = operation(variables.each_ref().map(Var::as_tensor)).unwrap();
+    let store = (&out * cotangent).unwrap().sum_all().unwrap().backward().unwrap();
+    std::iter::once(out).chain(variables.iter().map(|var| store.get(var).unwrap().clone())).collect()
 }
 
 /// Smooth numbers between -1 and 1.

@@ -58,34 +58,24 @@ pub fn trilinear(grid: &Tensor, points: &Tensor, outside: Outside) -> Result<Ten
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::grids::reference::{error, fixture, ramp};
-    use candle_core::{Device, Var};
-
-    /// Values and gradients of `sum(out * cotangent)` in the lattice and the points.
-    fn all_of(grid: &Tensor, points: &Tensor, cotangent: &Tensor, outside: Outside) -> Vec<Tensor> {
-        let [grid, points] = [grid, points].map(|tensor| Var::from_tensor(tensor).unwrap());
-        let out = trilinear(&grid, &points, outside).unwrap();
-        let gradients = (&out * cotangent).unwrap().sum_all().unwrap().backward().unwrap();
-        vec![out, gradients.get(&grid).unwrap().clone(), gradients.get(&points).unwrap().clone()]
-    }
+    use crate::grids::reference::{channels_last, error, fixture, ramp, single, with_gradients};
+    use candle_core::Device;
 
     /// Numbers of torch's `grid_sample` with aligned corners, in f64 to 1e-12 and in f32 to 1e-5.
     #[test]
     fn values_and_gradients_are_those_of_torch() {
-        let last = |x: Tensor| x.squeeze(0).unwrap().permute([1, 2, 3, 0]).unwrap().contiguous().unwrap();
         for (name, mode, outside) in [
             ("nv.sample", "zeros", Outside::Zeros),
             ("nv.sample", "border", Outside::Border),
             ("nv.sample.oblong", "zeros", Outside::Zeros),
             ("nv.sample.oblong", "border", Outside::Border),
         ] {
-            let (grid, points) = (last(fixture(&format!("{name}.grid"))), fixture(&format!("{name}.points")));
+            let given = [channels_last(&fixture(&format!("{name}.grid"))), fixture(&format!("{name}.points"))];
             let of = |what: &str| fixture(&format!("{name}.{mode}.{what}"));
-            let expected = [of("out"), last(of("grad.grid")), of("grad.points")];
-            let single = |tensor: &Tensor| tensor.to_dtype(DType::F32).unwrap();
-            let cotangent = of("cotangent");
-            let found = all_of(&grid, &points, &cotangent, outside);
-            let fast = all_of(&single(&grid), &single(&points), &single(&cotangent), outside);
+            let expected = [of("out"), channels_last(&of("grad.grid")), of("grad.points")];
+            let sample = |[grid, points]: [&Tensor; 2]| trilinear(grid, points, outside);
+            let found = with_gradients(&given, &of("cotangent"), sample);
+            let fast = with_gradients(&given.each_ref().map(single), &single(&of("cotangent")), sample);
             for (index, expected) in expected.iter().enumerate() {
                 let of = |found: &[Tensor]| error(&found[index], expected);
                 assert!(of(&found) < 1e-12, "{name} {mode} {index}: {}", of(&found));

@@ -12,7 +12,7 @@ use crate::field::Density;
 use crate::grids::conv3d::Conv3d;
 use crate::grids::march::tests::check_samples;
 use crate::grids::march::{Line, March, Pace};
-use crate::grids::reference::{error, fixture, on_any_threads, ramp, values};
+use crate::grids::reference::{channels_last, error, fixture, on_any_threads, ramp, values, with_gradients};
 use crate::grids::trilinear::{Outside, trilinear};
 use crate::settings::{Config, VolumeCode, VolumeConfig, build, parse_assignment};
 
@@ -57,11 +57,6 @@ fn reference_march() -> March {
     March { lines, step: values(&fixture("nv.full.dt"))[0], pace: Pace::Even }
 }
 
-/// `[channels, z, y, x]` with channels last.
-fn channels_last(grid: &Tensor) -> Tensor {
-    grid.permute([1, 2, 3, 0]).unwrap().contiguous().unwrap()
-}
-
 #[test]
 fn channels_are_the_originals() {
     for resolution in [32, 64, 128] {
@@ -87,11 +82,10 @@ fn the_original_has_as_many_parameters() {
 
 #[test]
 fn rotations_are_the_originals() {
-    let quaternions = Var::from_tensor(&fixture("nv.quaternion.q")).unwrap();
-    let out = rotations(&quaternions).unwrap();
-    assert!(error(&out, &fixture("nv.quaternion.out")) < 1e-14);
-    let gradients = (out * fixture("nv.quaternion.cotangent")).unwrap().sum_all().unwrap().backward().unwrap();
-    assert!(error(gradients.get(&quaternions).unwrap(), &fixture("nv.quaternion.grad.q")) < 1e-13);
+    let [quaternions, cotangent] = ["q", "cotangent"].map(|name| fixture(&format!("nv.quaternion.{name}")));
+    let found = with_gradients(&[quaternions], &cotangent, |[quaternions]| rotations(quaternions));
+    assert!(error(&found[0], &fixture("nv.quaternion.out")) < 1e-14);
+    assert!(error(&found[1], &fixture("nv.quaternion.grad.q")) < 1e-13);
 }
 
 /// The decoded grids in f64 (rounded in the fixture) and f32.

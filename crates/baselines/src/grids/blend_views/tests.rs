@@ -1,20 +1,18 @@
 use candle_core::{DType, Device, Var};
 
 use super::*;
-use crate::grids::reference::{error, fixture, ramp, values};
+use crate::grids::reference::{channels_last, error, fixture, ramp, values, with_gradients};
 
-/// `[1, c, z, y, x]` to `[z, y, x, c]`.
 fn lattice(name: &str) -> Tensor {
-    fixture(name).squeeze(0).unwrap().permute((1, 2, 3, 0)).unwrap().contiguous().unwrap()
+    channels_last(&fixture(name))
 }
 
 #[test]
 fn values_and_gradients_are_torch_s() {
-    let raw = Var::from_tensor(&lattice("llff.mix.raw")).unwrap();
-    let out = blend_views(&raw, &lattice("llff.mix.sweep")).unwrap();
-    assert!(error(&out, &lattice("llff.mix.out")) < 1e-14);
-    let gradients = (out * lattice("llff.mix.cotangent")).unwrap().sum_all().unwrap().backward().unwrap();
-    assert!(error(gradients.get(&raw).unwrap(), &lattice("llff.mix.grad.raw")) < 1e-13);
+    let [raw, sweep, cotangent] = ["raw", "sweep", "cotangent"].map(|name| lattice(&format!("llff.mix.{name}")));
+    let found = with_gradients(&[raw], &cotangent, |[raw]| blend_views(raw, &sweep));
+    assert!(error(&found[0], &lattice("llff.mix.out")) < 1e-14);
+    assert!(error(&found[1], &lattice("llff.mix.grad.raw")) < 1e-13);
 }
 
 /// Sweeps are what views see, not what is learned: the reference's slope along them is that of the weights, which colours show.

@@ -1,6 +1,5 @@
 use super::*;
-use crate::grids::reference::{error, fixture, on_any_threads, ramp, values};
-use candle_core::{DType, Var};
+use crate::grids::reference::{channels_last, error, fixture, on_any_threads, ramp, single, values, with_gradients};
 
 /// Weights `[out, in, z, y, x]`, or `[in, out, z, y, x]` of transposed convolutions, in the order of taps.
 fn in_order(product: &Conv3d, weight: &Tensor, transposed: bool) -> Tensor {
@@ -12,21 +11,9 @@ fn in_order(product: &Conv3d, weight: &Tensor, transposed: bool) -> Tensor {
     flat.index_select(&Tensor::new(order, &Device::Cpu).unwrap(), 0).unwrap()
 }
 
-/// `[1, channels, z, y, x]` with channels last.
-fn channels_last(x: &Tensor) -> Tensor {
-    x.squeeze(0).unwrap().permute([1, 2, 3, 0]).unwrap().contiguous().unwrap()
-}
-
-fn f32_of(tensor: &Tensor) -> Tensor {
-    tensor.to_dtype(DType::F32).unwrap()
-}
-
 /// Result and gradients of `sum(out * cotangent)` in x, weight and bias.
 fn all_of(product: &Conv3d, arguments: &[Tensor; 3], cotangent: &Tensor) -> Vec<Tensor> {
-    let [x, weight, bias] = arguments.each_ref().map(|tensor| Var::from_tensor(tensor).unwrap());
-    let out = product.forward(&x, &weight, &bias).unwrap();
-    let gradients = (&out * cotangent).unwrap().sum_all().unwrap().backward().unwrap();
-    std::iter::once(out).chain([x, weight, bias].map(|var| gradients.get(&var).unwrap().clone())).collect()
+    with_gradients(arguments, cotangent, |[x, weight, bias]| product.forward(x, weight, bias))
 }
 
 /// Numbers of the original modules, in f64 to 1e-6 (they are rounded to f32) and in f32 to 1e-5.
@@ -52,7 +39,7 @@ fn numbers_are_those_of_torch() {
         for (found, expected) in all_of(&product, &arguments, &cotangent).iter().zip(&expected) {
             assert!(error(found, expected) < 1e-6, "{name}, plain: {}", error(found, expected));
         }
-        let found = all_of(&product, &arguments.each_ref().map(f32_of), &f32_of(&cotangent));
+        let found = all_of(&product, &arguments.each_ref().map(single), &single(&cotangent));
         for (found, expected) in found.iter().zip(&expected) {
             assert!(error(found, expected) < 1e-5, "{name}, fast: {}", error(found, expected));
         }
@@ -84,7 +71,7 @@ fn shapes() -> Vec<(Conv3d, [Tensor; 3], Tensor)> {
 fn fast_products_are_the_plain_ones_on_any_number_of_threads() {
     for (product, arguments, cotangent) in shapes() {
         let plain = all_of(&product, &arguments, &cotangent);
-        let (arguments, cotangent) = (arguments.each_ref().map(f32_of), f32_of(&cotangent));
+        let (arguments, cotangent) = (arguments.each_ref().map(single), single(&cotangent));
         let fast = on_any_threads(|| all_of(&product, &arguments, &cotangent));
         for (index, (fast, plain)) in fast.iter().zip(&plain).enumerate() {
             let error = error(fast, plain);

@@ -1,17 +1,12 @@
 #![allow(clippy::needless_range_loop, reason = "rows of several tables are counted")]
 
 use super::*;
-use crate::grids::reference::{error, fixture, on_any_threads, ramp, values};
-use candle_core::{DType, Var};
+use crate::grids::reference::{channels_last, error, fixture, on_any_threads, ramp, single, values, with_gradients};
+use candle_core::Var;
 
 fn lines(origins: &Tensor, directions: &Tensor) -> Arc<[Line]> {
     let rows = |tensor: &Tensor| tensor.to_vec2::<f64>().unwrap().into_iter().map(|row| [row[0], row[1], row[2]]);
     rows(origins).zip(rows(directions)).map(|(origin, direction)| Line { origin, direction }).collect()
-}
-
-/// `[1, channels, z, y, x]` with channels last.
-fn channels_last(grid: &Tensor) -> Tensor {
-    grid.squeeze(0).unwrap().permute([1, 2, 3, 0]).unwrap().contiguous().unwrap()
 }
 
 fn reference_march() -> March {
@@ -45,14 +40,11 @@ fn grids() -> [Tensor; 2] {
 /// Result and gradients of `sum(out * cotangent)` in template and warp.
 fn all_of(
     march: &March,
-    grids: [Tensor; 2],
+    grids: &[Tensor; 2],
     forward: impl Fn(&March, &Tensor, Option<&Tensor>) -> Result<Tensor>,
 ) -> Vec<Tensor> {
-    let [template, warp] = grids.each_ref().map(|grid| Var::from_tensor(grid).unwrap());
-    let out = forward(march, &template, Some(warp.as_tensor())).unwrap();
-    let cotangent = ramp(&[march.lines.len(), 5], 0.6).to_dtype(out.dtype()).unwrap();
-    let gradients = (&out * cotangent).unwrap().sum_all().unwrap().backward().unwrap();
-    vec![out, gradients.get(&template).unwrap().clone(), gradients.get(&warp).unwrap().clone()]
+    let cotangent = ramp(&[march.lines.len(), 5], 0.6).to_dtype(grids[0].dtype()).unwrap();
+    with_gradients(grids, &cotangent, |[template, warp]| forward(march, template, Some(warp)))
 }
 
 /// Asserts that positions and values of all samples are the original's, to 1e-9 of their size.
@@ -120,12 +112,12 @@ fn rays_and_gradients_are_the_originals() {
 #[test]
 fn fast_marches_are_the_plain_ones_on_any_number_of_threads() {
     for (march, name) in [(drawn(150, Pace::Even), "even"), (drawn(150, DRAWN), "drawn")] {
-        let plain = all_of(&march, grids(), |march, template, warp| march.plain(template, warp, 0..150));
+        let plain = all_of(&march, &grids(), |march, template, warp| march.plain(template, warp, 0..150));
         let full = values(&plain[0].narrow(1, 3, 1).unwrap()).iter().filter(|acc| **acc == 1.0).count();
         assert!((20..130).contains(&full), "{full} rays are full");
-        let double = all_of(&march, grids(), March::forward);
-        let single = grids().map(|grid| grid.to_dtype(DType::F32).unwrap());
-        let fast = on_any_threads(|| all_of(&march, single.clone(), March::forward));
+        let double = all_of(&march, &grids(), March::forward);
+        let in_f32 = grids().each_ref().map(single);
+        let fast = on_any_threads(|| all_of(&march, &in_f32, March::forward));
         for index in 0..3 {
             let of = |found: &[Tensor]| error(&found[index], &plain[index]);
             assert!(of(&double) < 1e-11, "{name} {index}: {}", of(&double));
@@ -138,9 +130,9 @@ fn fast_marches_are_the_plain_ones_on_any_number_of_threads() {
 #[test]
 fn marches_in_parts_are_whole_ones() {
     let march = drawn(150, DRAWN);
-    let whole = all_of(&march, grids(), |march, template, warp| march.plain(template, warp, 0..150));
+    let whole = all_of(&march, &grids(), |march, template, warp| march.plain(template, warp, 0..150));
     for rays in [1, 64, 150, 1000] {
-        let parts = all_of(&march, grids(), |march, template, warp| march.in_parts(template, warp, rays));
+        let parts = all_of(&march, &grids(), |march, template, warp| march.in_parts(template, warp, rays));
         (0..3).for_each(|index| assert!(error(&parts[index], &whole[index]) < 1e-12, "{rays} rays, {index}"));
     }
     let [template, _] = grids().map(|grid| Var::from_tensor(&grid).unwrap());

@@ -1,6 +1,6 @@
-use candle_core::{DType, Device, Var};
+use candle_core::Device;
 
-use crate::grids::reference::{error, fixture, on_any_threads, ramp, values};
+use crate::grids::reference::{error, fixture, on_any_threads, ramp, single, values, with_gradients};
 
 use super::*;
 
@@ -12,16 +12,10 @@ fn all_kinds() -> impl Iterator<Item = LayerNorm> {
         .flat_map(|group| [false, true].map(|relu| LayerNorm { group, epsilon: if relu { 1e-5 } else { 1e-12 }, relu }))
 }
 
-/// The result, and gradients of x, scale and shift of `sum(y * cotangent)`.
-fn run(
-    [x, scale, shift, cotangent]: [&Tensor; 4],
-    apply: impl Fn(&Tensor, &Tensor, &Tensor) -> Result<Tensor>,
-) -> [Tensor; 4] {
-    let variables = [x, scale, shift].map(|tensor| Var::from_tensor(tensor).unwrap());
-    let y = apply(&variables[0], &variables[1], &variables[2]).unwrap();
-    let store = (&y * cotangent).unwrap().sum_all().unwrap().backward().unwrap();
-    let [dx, d_scale, d_shift] = variables.each_ref().map(|variable| store.get(variable).unwrap().clone());
-    [y, dx, d_scale, d_shift]
+/// The result, and gradients of x, scale and shift of `sum(y * cotangent)`, of the fast path or of the plain one.
+fn run(norm: LayerNorm, given: &[Tensor; 3], cotangent: &Tensor, is_fast: bool) -> Vec<Tensor> {
+    let apply = if is_fast { LayerNorm::apply } else { LayerNorm::reference };
+    with_gradients(given, cotangent, |[x, scale, shift]| apply(&norm, x, scale, shift))
 }
 
 #[test]
@@ -45,9 +39,8 @@ fn numbers_are_those_of_the_original_modules() {
             // PyTorch's volumes have their channels first.
             if tensor.rank() == 5 { tensor.permute([0, 2, 3, 4, 1]).unwrap() } else { tensor }
         };
-        let given = ["x", "scale", "shift", "cotangent"].map(get);
         let norm = LayerNorm { group, epsilon, relu: false };
-        let found = run(given.each_ref(), |x, scale, shift| norm.apply(x, scale, shift));
+        let found = run(norm, &["x", "scale", "shift"].map(get), &get("cotangent"), true);
         for (found, name) in found.iter().zip(["out", "grad.x", "grad.scale", "grad.shift"]) {
             let far = error(found, &get(name));
             assert!(far < RELATIVE, "{prefix}.{name}: {far}");
@@ -60,13 +53,10 @@ fn numbers_are_those_of_the_original_modules() {
 fn value_and_gradients_are_those_of_plain_operations() {
     for norm in all_kinds() {
         for shape in [[2, 3, 5], [3, 1500, 24]] {
-            let (x, cotangent) = (ramp(&shape, 0.1), ramp(&shape, 0.9));
-            let (scale, shift) = (ramp(&[shape[2]], 0.5), ramp(&[shape[2]], 0.2));
-            let given = [&x, &scale, &shift, &cotangent];
-            let plain = run(given, |x, scale, shift| norm.reference(x, scale, shift));
-            let found = run(given, |x, scale, shift| norm.apply(x, scale, shift));
-            let single = given.map(|tensor| tensor.to_dtype(DType::F32).unwrap());
-            let found_single = run(single.each_ref(), |x, scale, shift| norm.apply(x, scale, shift));
+            let cotangent = ramp(&shape, 0.9);
+            let given = [ramp(&shape, 0.1), ramp(&[shape[2]], 0.5), ramp(&[shape[2]], 0.2)];
+            let [plain, found] = [false, true].map(|is_fast| run(norm, &given, &cotangent, is_fast));
+            let found_single = run(norm, &given.each_ref().map(single), &single(&cotangent), true);
             for ((found, single), plain) in found.iter().zip(&found_single).zip(&plain) {
                 let (far, far_single) = (error(found, plain), error(single, plain));
                 assert!(far < RELATIVE && far_single < 1e-4, "{norm:?} {shape:?}: {far} {far_single}");
@@ -78,9 +68,9 @@ fn value_and_gradients_are_those_of_plain_operations() {
 #[test]
 fn bits_do_not_depend_on_threads_and_nan_stays() {
     for norm in all_kinds() {
-        let given = [ramp(&[3, 1500, 24], 0.1), ramp(&[24], 0.5), ramp(&[24], 0.2), ramp(&[3, 1500, 24], 0.9)];
-        let given = given.map(|tensor| tensor.to_dtype(DType::F32).unwrap());
-        on_any_threads(|| run(given.each_ref(), |x, scale, shift| norm.apply(x, scale, shift)).to_vec());
+        let given = [ramp(&[3, 1500, 24], 0.1), ramp(&[24], 0.5), ramp(&[24], 0.2)].each_ref().map(single);
+        let cotangent = single(&ramp(&[3, 1500, 24], 0.9));
+        on_any_threads(|| run(norm, &given, &cotangent, true));
         let broken = (&given[0] * f64::NAN).unwrap();
         let y = norm.apply(&broken, &given[1], &given[2]).unwrap();
         assert!(values(&y).iter().all(|value| value.is_nan()), "{norm:?}");

@@ -1,12 +1,5 @@
-use candle_core::Var;
-
 use super::*;
-use crate::grids::reference::{error, fixture, ramp};
-
-/// `[1, c, z, y, x]` to `[z, y, x, c]`.
-fn lattice(tensor: &Tensor) -> Tensor {
-    tensor.squeeze(0).unwrap().permute((1, 2, 3, 0)).unwrap().contiguous().unwrap()
-}
+use crate::grids::reference::{channels_last, error, fixture, ramp, single, with_gradients};
 
 /// The finer lattice as it is said: each cell eight times.
 fn finer(x: &Tensor) -> Tensor {
@@ -16,24 +9,8 @@ fn finer(x: &Tensor) -> Tensor {
     })
 }
 
-/// Result and gradients of `sum(out * cotangent)` in x, weight and bias.
-fn all_of(
-    of: impl Fn(&Tensor, &Tensor, &Tensor) -> Tensor,
-    arguments: &[Tensor; 3],
-    cotangent: &Tensor,
-) -> Vec<Tensor> {
-    let [x, weight, bias] = arguments.each_ref().map(|tensor| Var::from_tensor(tensor).unwrap());
-    let out = of(&x, &weight, &bias);
-    let gradients = (&out * cotangent).unwrap().sum_all().unwrap().backward().unwrap();
-    std::iter::once(out).chain([x, weight, bias].map(|var| gradients.get(&var).unwrap().clone())).collect()
-}
-
-fn up(x: &Tensor, weight: &Tensor, bias: &Tensor) -> Tensor {
-    convolution(x, weight, bias).unwrap()
-}
-
-fn f32_of(tensor: &Tensor) -> Tensor {
-    tensor.to_dtype(DType::F32).unwrap()
+fn up([x, weight, bias]: [&Tensor; 3]) -> Result<Tensor> {
+    convolution(x, weight, bias)
 }
 
 fn case(sides: [usize; 3], inputs: usize, outputs: usize) -> ([Tensor; 3], Tensor) {
@@ -45,30 +22,30 @@ fn case(sides: [usize; 3], inputs: usize, outputs: usize) -> ([Tensor; 3], Tenso
 /// With a kernel that copies, values and gradients are those of torch's nearest neighbours.
 #[test]
 fn copies_are_torch_s() {
-    let x = lattice(&fixture("llff.up.x"));
+    let x = channels_last(&fixture("llff.up.x"));
     let channels = x.dim(3).unwrap();
     let one = Tensor::eye(channels, DType::F64, &Device::Cpu).unwrap().unsqueeze(0).unwrap();
     let zeros = Tensor::zeros((TAPS / 2, channels, channels), DType::F64, &Device::Cpu).unwrap();
     let copy = Tensor::cat(&[&zeros, &one, &zeros], 0).unwrap();
     let bias = Tensor::zeros(channels, DType::F64, &Device::Cpu).unwrap();
-    let found = all_of(up, &[x.clone(), copy, bias], &lattice(&fixture("llff.up.cotangent")));
-    assert_eq!(error(&found[0], &lattice(&fixture("llff.up.out"))), 0.0);
-    assert_eq!(error(&finer(&x), &lattice(&fixture("llff.up.out"))), 0.0);
-    assert!(error(&found[1], &lattice(&fixture("llff.up.grad.x"))) < 1e-14);
+    let found = with_gradients(&[x.clone(), copy, bias], &channels_last(&fixture("llff.up.cotangent")), up);
+    assert_eq!(error(&found[0], &channels_last(&fixture("llff.up.out"))), 0.0);
+    assert_eq!(error(&finer(&x), &channels_last(&fixture("llff.up.out"))), 0.0);
+    assert!(error(&found[1], &channels_last(&fixture("llff.up.grad.x"))) < 1e-14);
 }
 
 #[test]
 fn it_is_the_convolution_of_the_finer_lattice() {
-    let slow = |x: &Tensor, weight: &Tensor, bias: &Tensor| {
+    let slow = |[x, weight, bias]: [&Tensor; 3]| {
         let x = finer(x);
         let (z, y, width, _) = x.dims4().unwrap();
-        Conv3d::convolution([z, y, width], 1, 1).forward(&x, weight, bias).unwrap()
+        Conv3d::convolution([z, y, width], 1, 1).forward(&x, weight, bias)
     };
     for (sides, inputs, outputs) in [([1, 1, 1], 2, 3), ([2, 3, 4], 5, 2), ([3, 2, 5], 33, 8)] {
         let (arguments, cotangent) = case(sides, inputs, outputs);
-        let expected = all_of(slow, &arguments, &cotangent);
-        let plain = all_of(up, &arguments, &cotangent);
-        let fast = all_of(up, &arguments.each_ref().map(f32_of), &f32_of(&cotangent));
+        let expected = with_gradients(&arguments, &cotangent, slow);
+        let plain = with_gradients(&arguments, &cotangent, up);
+        let fast = with_gradients(&arguments.each_ref().map(single), &single(&cotangent), up);
         for ((expected, plain), fast) in expected.iter().zip(&plain).zip(&fast) {
             assert!(error(plain, expected) < 1e-13, "{sides:?}: {}", error(plain, expected));
             assert!(error(fast, expected) < 3e-6, "{sides:?}: {}", error(fast, expected));

@@ -3,7 +3,7 @@
 use candle_core::{DType, Device, Tensor};
 
 use crate::data::{RayBuffer, RayParts, Scene};
-use crate::grids::reference::{error, ramp};
+use crate::grids::reference::{error, ramp, values};
 use crate::methods::Learner;
 use crate::methods::Renderer;
 use crate::methods::StepResult;
@@ -11,7 +11,7 @@ use crate::planes::windows::Work;
 use crate::planes::{MpiNetwork, PlanesLearner, PlanesRenderer};
 use crate::settings::{Config, PixelOrigin, PlanesLoss, Resolved};
 
-use super::{config, numbers, scene};
+use super::{config, scene};
 
 fn network(config: &Config, dtype: DType) -> MpiNetwork {
     MpiNetwork::init(config, dtype, &Device::Cpu).unwrap()
@@ -32,7 +32,7 @@ fn parameters_are_those_of_the_network() {
     let variables = network(&config, DType::F32).parameters.variables;
     for ((name, shape), (own, var)) in names.iter().zip(&variables) {
         assert_eq!((name, &shape[..]), (own, var.dims()));
-        let values = numbers(var);
+        let values = values(var);
         match name.rsplit_once('.').unwrap().1 {
             "weight" => {
                 let limit = (6.0 / (27 * (shape[1] + shape[2])) as f64).sqrt();
@@ -68,7 +68,7 @@ fn gradients_of_a_step_are_central_differences() {
         let variables = network.parameters.variables;
         assert!(gradients.iter().all(Option::is_some) && gradients.len() == variables.len());
         for (index, (name, var)) in variables.into_iter().enumerate().filter(|(index, _)| index % every == every - 1) {
-            let (found, at) = (numbers(gradients[index].as_ref().unwrap()), numbers(&var));
+            let (found, at) = (values(gradients[index].as_ref().unwrap()), values(&var));
             let place = at.len() * 2 / 3;
             let set = |values: Vec<f64>| var.set(&Tensor::from_vec(values, var.dims(), &Device::Cpu).unwrap()).unwrap();
             let mut moved = |by: f64| {
@@ -86,7 +86,7 @@ fn gradients_of_a_step_are_central_differences() {
 }
 
 fn bits(learned: &StepResult) -> Vec<u64> {
-    let gradients = learned.gradients.0.iter().flatten().flat_map(numbers).map(f64::to_bits);
+    let gradients = learned.gradients.0.iter().flatten().flat_map(values).map(f64::to_bits);
     gradients.chain([learned.report.loss.to_bits()]).collect()
 }
 
@@ -155,7 +155,7 @@ fn multiplane_images_are_those_of_the_weights_as_they_are() {
     };
     let planes = |scene: &Scene| of(&network.renderer(&config, scene).unwrap());
     let before = planes(&scene);
-    // Millions of numbers, which a message would print.
+    // Millions of values, which a message would print.
     assert!(planes(&scene) == before);
     let mut darker = scene.clone();
     let mut image = (*darker.train[2].image).clone();

@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 
-use candle_core::{DType, Device, Tensor};
+use candle_core::{Device, Tensor};
 
 use crate::base::Image;
 use crate::data::{Camera, Scene, View};
@@ -92,8 +92,4 @@ fn made(all: Vec<Mpi>, depths: Vec<f64>) -> Arc<Mpis> {
 
 fn f64s(values: Vec<f64>, shape: &[usize]) -> Tensor {
     Tensor::from_vec(values, shape, &Device::Cpu).unwrap()
-}
-
-fn numbers(tensor: &Tensor) -> Vec<f64> {
-    tensor.to_dtype(DType::F64).unwrap().flatten_all().unwrap().to_vec1().unwrap()
 }

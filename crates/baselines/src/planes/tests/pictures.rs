@@ -6,6 +6,7 @@ use crate::base::Image;
 use crate::data::{RayBuffer, RayParts};
 use crate::grids::alpha_over::alpha_over;
 use crate::grids::planes::plane_sample;
+use crate::grids::reference::values;
 use crate::methods::{RenderedRays, Renderer};
 use crate::planes::geometry::{Viewpoint, depths, nearest};
 use crate::planes::mpi::Mpi;
@@ -13,7 +14,7 @@ use crate::planes::sweep::{Window, padded, sweep};
 use crate::planes::{PlanesRenderer, blend::blend};
 use crate::settings::PixelOrigin;
 
-use super::{eye, f64s, made, numbers, picture, texture};
+use super::{eye, f64s, made, picture, texture};
 
 /// Planes that are empty but for one, which has a picture.
 fn wall(image: &Image, planes: usize, opaque: usize) -> Tensor {
@@ -47,7 +48,7 @@ fn a_shifted_camera_sees_a_shifted_wall() {
         let other = eye([b, 0.0], width, height, focal);
         let places = own.places(&rays(&other), &four());
         let seen = alpha_over(&plane_sample(&wall(&image, 4, 1), &places).unwrap()).unwrap();
-        for (i, seen) in numbers(&seen).chunks(4).enumerate() {
+        for (i, seen) in values(&seen).chunks(4).enumerate() {
             let (column, row) = (i % width + pixels, i / width);
             let inside = column < width;
             assert!((seen[3] - f64::from(inside)).abs() < 1e-9, "{b} {i}: {seen:?}");
@@ -68,7 +69,7 @@ fn sweeps_of_two_views_agree_where_the_wall_is() {
     let seen = [(&own, &pictures[0]), (&other, &pictures[1])];
     // The middle, which both see on every plane.
     let window = Window { left: 8, top: 8, width: 8, height: 8 };
-    let volume = numbers(&sweep(&own, &seen, &four(), window, DType::F64, &Device::Cpu).unwrap());
+    let volume = values(&sweep(&own, &seen, &four(), window, DType::F64, &Device::Cpu).unwrap());
     let differences: Vec<f64> = volume
         .chunks(64 * 6)
         .map(|plane| {
@@ -86,14 +87,14 @@ fn a_blend_of_equals_is_what_each_is() {
     let alone = blend(vec![(one.clone(), 1.0)], None).unwrap();
     let many = blend(vec![(one.clone(), 1.0), (one.clone(), 0.3), (one, 0.05)], None).unwrap();
     for (a, b) in [(&alone.rgb, &many.rgb), (&alone.acc, &many.acc)] {
-        assert!(numbers(a).iter().zip(numbers(b)).all(|(a, b)| (a - b).abs() < 1e-7));
+        assert!(values(a).iter().zip(values(b)).all(|(a, b)| (a - b).abs() < 1e-7));
     }
 }
 
 /// Three views in a row whose planes are a wall at depth 2.
 fn renderer(background: Option<[f32; 3]>) -> PlanesRenderer {
     let eyes: Vec<Viewpoint> = [0.0, 0.2, 1.0].map(|x| eye([x, 0.0], 16, 8, 20.0)).to_vec();
-    // Whole numbers of 8 bits, a little above, so that cutting off keeps them.
+    // Whole values of 8 bits, a little above, so that cutting off keeps them.
     let bits = |mut image: Image| {
         image.pixels.iter_mut().for_each(|value| *value = ((*value * 255.0).round() + 0.25).min(255.0) / 255.0);
         image
@@ -116,11 +117,11 @@ fn at_its_own_camera_a_view_is_its_picture() {
     for eye in &renderer.eyes {
         let rendered = render(&renderer, eye);
         let expected = picture(eye, 2.0).pixels;
-        for (found, expected) in numbers(&rendered.rgb).iter().zip(expected) {
+        for (found, expected) in values(&rendered.rgb).iter().zip(expected) {
             assert!((found - f64::from(expected)).abs() < 0.5 / 255.0 + 1e-4);
         }
-        assert!(numbers(&rendered.acc).iter().all(|acc| (acc - 1.0).abs() < 1e-4));
-        assert!(numbers(&rendered.depth).iter().all(|depth| (depth - 2.0).abs() < 1e-3));
+        assert!(values(&rendered.acc).iter().all(|acc| (acc - 1.0).abs() < 1e-4));
+        assert!(values(&rendered.depth).iter().all(|depth| (depth - 2.0).abs() < 1e-3));
     }
 }
 
@@ -137,7 +138,7 @@ fn the_nearest_views_are_blended() {
         let (origin, direction) = between.ray([(i % 16) as f64, (i / 16) as f64]);
         texture(origin[0] + 2.0 * direction[0], origin[1] + 2.0 * direction[1], c)
     };
-    for (i, pixel) in numbers(&rendered.rgb).chunks(3).enumerate().filter(|(i, _)| (1..14).contains(&(i % 16))) {
+    for (i, pixel) in values(&rendered.rgb).chunks(3).enumerate().filter(|(i, _)| (1..14).contains(&(i % 16))) {
         assert!((0..3).all(|c| (pixel[c] - expected(i, c)).abs() < 0.02), "{i}: {pixel:?}");
     }
 }
@@ -150,8 +151,8 @@ fn beside_all_planes_the_background_is_seen() {
     // Turned around.
     (away.camera.pose[0][0], away.camera.pose[2][2]) = (-1.0, -1.0);
     let rendered = render(&renderer, &away);
-    assert!(numbers(&rendered.rgb).chunks(3).all(|p| (p[0] - 0.1).abs() < 1e-6 && (p[1] - 0.6).abs() < 1e-6));
-    assert!(numbers(&rendered.acc).iter().chain(&numbers(&rendered.depth)).all(|value| *value == 0.0));
+    assert!(values(&rendered.rgb).chunks(3).all(|p| (p[0] - 0.1).abs() < 1e-6 && (p[1] - 0.6).abs() < 1e-6));
+    assert!(values(&rendered.acc).iter().chain(&values(&rendered.depth)).all(|value| *value == 0.0));
 }
 
 #[test]

@@ -1,13 +1,13 @@
 //! The authors' functions: `llff.*` of `tests/fixtures/baselines.safetensors`.
 
-use candle_core::{DType, Device, Tensor, Var};
+use candle_core::{DType, Device, Tensor};
 
 use crate::base::Image;
 use crate::data::formats::llff::{POSES_FILE, Poses};
 use crate::data::{Camera, Rays, npy};
 use crate::grids::alpha_over::alpha_over;
 use crate::grids::planes::plane_sample;
-use crate::grids::reference::{error, fixture, values};
+use crate::grids::reference::{error, fixture, values, with_gradients};
 use crate::methods::Renderer;
 use crate::planes::PlanesRenderer;
 use crate::planes::blend::{blend, blend_weight};
@@ -15,7 +15,7 @@ use crate::planes::geometry::{Viewpoint, depths, inputs_of, nearest};
 use crate::planes::mpi::{Mpi, stored};
 use crate::planes::sweep::{Window, sweep};
 
-use super::{f64s, made, numbers};
+use super::{f64s, made};
 
 const WIDTH: usize = 8;
 const HEIGHT: usize = 6;
@@ -171,16 +171,17 @@ fn slopes_of_a_blend_are_torch_s() {
     let index: Vec<usize> = values(&fixture("llff.pair.index")).into_iter().map(|view| view as usize).collect();
     let pair = weights(2);
     assert_eq!(pair.iter().map(|(view, _)| *view).collect::<Vec<usize>>(), index);
-    let variables: Vec<Var> = index.iter().map(|&view| Var::from_tensor(&mpi(view)).unwrap()).collect();
-    let renderings = pair.iter().zip(&variables).map(|((view, weight), var)| (rendered(*view, var), *weight)).collect();
-    let found = blend(renderings, None).unwrap().rgb;
-    assert!(error(&found, &fixture("llff.pair.out").reshape((48, 3)).unwrap()) < BLENDED);
+    let blended = |mpis: [&Tensor; 2]| -> crate::base::Result<Tensor> {
+        let renderings = pair.iter().zip(mpis).map(|((view, weight), mpi)| (rendered(*view, mpi), *weight));
+        Ok(blend(renderings.collect(), None)?.rgb)
+    };
     let cotangent = fixture("llff.pair.cotangent").reshape((48, 3)).unwrap();
-    let gradients = (found * cotangent).unwrap().sum_all().unwrap().backward().unwrap();
+    let found = with_gradients(&[mpi(index[0]), mpi(index[1])], &cotangent, blended);
+    assert!(error(&found[0], &fixture("llff.pair.out").reshape((48, 3)).unwrap()) < BLENDED);
     let expected = fixture("llff.pair.grad.mpis");
-    for (i, var) in variables.iter().enumerate() {
+    for (i, found) in found[1..].iter().enumerate() {
         let expected = expected.narrow(0, i, 1).unwrap().squeeze(0).unwrap().permute((2, 0, 1, 3)).unwrap();
-        assert!(error(gradients.get(var).unwrap(), &expected.contiguous().unwrap()) < ROUNDED, "{i}");
+        assert!(error(found, &expected.contiguous().unwrap()) < ROUNDED, "{i}");
     }
 }
 
@@ -217,6 +218,6 @@ fn a_renderer_shows_what_the_operations_give() {
     let [origins, directions] = [0, 1].map(|i| f64s(flat(i), &[48, 3]));
     let rendered = renderer.render(&Rays::new(origins, directions.clone(), directions).unwrap()).unwrap();
     assert!(error(&rendered.rgb, &expected.rgb) < 1e-9);
-    let expected: Vec<f64> = numbers(&expected.acc).into_iter().map(|acc| acc.min(1.0)).collect();
+    let expected: Vec<f64> = values(&expected.acc).into_iter().map(|acc| acc.min(1.0)).collect();
     assert!(error(&rendered.acc, &f64s(expected, &[48])) < 1e-9);
 }
