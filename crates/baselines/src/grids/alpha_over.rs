@@ -35,14 +35,8 @@ impl Passing {
 
 /// Composites planes `[rays, planes, 4]` (RGBA, straight alpha). Returns the weighted sum of colours and the sum of
 /// weights, `[rays, 4]`.
-///
-/// # Errors
-/// If the shape is wrong; those of candle.
 pub fn alpha_over(planes: &Tensor) -> Result<Tensor> {
-    let (rays, count, channels) = planes.dims3()?;
-    if channels != CHANNELS {
-        candle_core::bail!("alpha over: planes have red, green, blue and alpha, not {channels} channels");
-    }
+    let (rays, count, _) = planes.dims3()?;
     let mut transmittance = Tensor::ones((rays, 1), planes.dtype(), planes.device())?;
     let mut sum = Tensor::zeros((rays, CHANNELS), planes.dtype(), planes.device())?;
     for k in (0..count).rev() {

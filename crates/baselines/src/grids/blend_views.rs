@@ -5,15 +5,9 @@ use candle_nn::ops::{sigmoid, softmax};
 
 /// Maps `raw [.., inputs]` and `sweep [.., 3 inputs]` to RGBA `[.., 4]`, with a gradient of `raw`. Alpha is the sigmoid
 /// of channel 0. The softmax of the other channels and of a last 0 weights the views' colours.
-///
-/// # Errors
-/// If shapes do not fit; those of candle.
 pub fn blend_views(raw: &Tensor, sweep: &Tensor) -> Result<Tensor> {
-    let (inputs, before) = raw.dims().split_last().unwrap_or((&0, &[]));
-    let (inputs, shape) = (*inputs, [before, &[4]].concat());
-    if inputs == 0 || sweep.dims() != [before, &[3 * inputs]].concat() || raw.dtype() != sweep.dtype() {
-        candle_core::bail!("blend views: {:?} and {:?} do not fit", raw.shape(), sweep.shape());
-    }
+    let mut shape = raw.dims().to_vec();
+    let inputs = std::mem::replace(shape.last_mut().expect("there are channels"), 4);
     let raw = raw.reshape(((), inputs))?;
     let first = raw.narrow(1, 0, 1)?;
     let weights =

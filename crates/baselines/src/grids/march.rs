@@ -140,10 +140,6 @@ impl March {
     /// background. `template [z, y, x, 4]` has red, green, blue and opacity per length. It is looked up at the
     /// positions that `warp [z, y, x, 3]` has at the ray's points, or at the points themselves without a warp.
     pub fn forward(&self, template: &Tensor, warp: Option<&Tensor>) -> Result<Tensor> {
-        if template.dims4()?.3 != CHANNELS || warp.is_some_and(|warp| warp.dims().len() != 4 || warp.dims()[3] != 3) {
-            let warp = warp.map(Tensor::shape);
-            candle_core::bail!("march: template {:?}, warp {warp:?} do not fit", template.shape());
-        }
         if !is_ours(template) {
             let most = (2.0 * 3f64.sqrt() / self.step).ceil() as usize + 1;
             return self.in_parts(template, warp, (PLAIN_SAMPLES / most).max(1));

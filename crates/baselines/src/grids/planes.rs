@@ -49,14 +49,8 @@ pub fn corners([column, row]: [f64; 2], width: usize, height: usize) -> [Corner;
 
 /// Returns the values of `planes [planes, height, width, channels]` along rays: `[rays, planes, channels]`, with a
 /// gradient of `planes`: the sum over four corners.
-///
-/// # Errors
-/// If the number of planes differs; those of candle.
 pub fn plane_sample(planes: &Tensor, places: &Locations) -> Result<Tensor> {
     let (count, height, width, channels) = planes.dims4()?;
-    if count != places.planes || !places.of_rays.len().is_multiple_of(count.max(1)) {
-        candle_core::bail!("plane sample: {count} planes and places of {}", places.planes);
-    }
     let pixels = planes.reshape((count * height * width, channels))?;
     let corners: Vec<[Corner; 4]> = places.of_rays.iter().map(|place| corners(*place, width, height)).collect();
     let of_corner = |corner: usize| -> Result<Tensor> {

@@ -17,11 +17,7 @@ pub enum Outside {
 /// Returns values `[n, channels]` of a grid `[z, y, x, channels]` at points `[n, 3]`, each x, y, z.
 pub fn trilinear(grid: &Tensor, points: &Tensor, outside: Outside) -> Result<Tensor> {
     let (depth, height, width, channels) = grid.dims4()?;
-    let (n, axes) = points.dims2()?;
-    let cells = depth * height * width;
-    if axes != 3 || cells == 0 {
-        candle_core::bail!("trilinear: grid {:?}, points {:?} do not fit", grid.shape(), points.shape());
-    }
+    let (n, cells) = (points.dim(0)?, depth * height * width);
     let nothing = Tensor::zeros((1, channels), grid.dtype(), grid.device())?;
     let rows = Tensor::cat(&[&grid.reshape((cells, channels))?, &nothing], 0)?;
     let mut along = Vec::new();
