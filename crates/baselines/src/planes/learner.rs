@@ -49,11 +49,6 @@ impl PlanesLearner {
         draw(config, &stage, 0).map(drop)
     }
 
-    /// Returns the network that is trained.
-    pub fn network(&self) -> &MpiNetwork {
-        &self.network
-    }
-
     /// Blends the references' planes on the crop.
     fn blended(&self, weights: &Weights, work: &Work, stop_check: &StopCheck) -> Result<Blended> {
         let nearest = work.references.iter().map(|reference| reference.distance).fold(f64::INFINITY, f64::min);

@@ -3,9 +3,9 @@
 
 use candle_core::{DType, Device, Tensor};
 
+use crate::base::Result;
 use crate::base::place::is_ours_in_f32;
 use crate::base::rng::{Random, Stream};
-use crate::base::Result;
 use crate::data::Rays;
 use crate::field::dense;
 use crate::grids::norm::{LayerNorm, NormGroup};

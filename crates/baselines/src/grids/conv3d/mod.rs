@@ -60,11 +60,6 @@ impl Conv3d {
         &self.kernel
     }
 
-    /// Returns the sides of the result, along z, y, x.
-    pub fn sides(&self) -> [usize; 3] {
-        self.plan.sides
-    }
-
     /// Applies the convolution: `x [z, y, x, inputs]`, `weight [taps, inputs, outputs]` in the order of
     /// [`Conv3d::kernel`], `bias [outputs]` -> `[z', y', x', outputs]`.
     pub fn forward(&self, x: &Tensor, weight: &Tensor, bias: &Tensor) -> Result<Tensor> {

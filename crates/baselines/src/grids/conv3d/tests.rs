@@ -60,7 +60,7 @@ fn shapes() -> Vec<(Conv3d, [Tensor; 3], Tensor)> {
             let [z, y, x] = sides;
             let weight = ramp(&[product.kernel().len(), inputs, outputs], 0.4);
             let arguments = [ramp(&[z, y, x, inputs], 0.1), weight, ramp(&[outputs], 0.9)];
-            let [z, y, x] = product.sides();
+            let [z, y, x] = product.plan.sides;
             all.push((product, arguments, ramp(&[z, y, x, outputs], 0.7)));
         }
     }
@@ -75,7 +75,7 @@ fn fast_products_are_the_plain_ones_on_any_number_of_threads() {
         let fast = on_any_threads(|| all_of(&product, &arguments, &cotangent));
         for (index, (fast, plain)) in fast.iter().zip(&plain).enumerate() {
             let error = error(fast, plain);
-            assert!(error < 3e-6, "{:?} -> {:?}, {index}: {error}", product.plan.sources, product.sides());
+            assert!(error < 3e-6, "{:?} -> {:?}, {index}: {error}", product.plan.sources, product.plan.sides);
         }
     }
 }
@@ -92,7 +92,7 @@ fn plain_products_are_the_sums_of_the_definition() {
         let found = values(&product.forward(&x, &weight, &bias).unwrap());
         let (x, weight, bias) = (values(&x), values(&weight), values(&bias));
         let out = sides.map(|side| side.div_ceil(stride));
-        assert_eq!(product.sides(), out);
+        assert_eq!(product.plan.sides, out);
         // TensorFlow's: as many cells are missing as the last window reaches beyond, the smaller half of them before.
         let before = [0, 1, 2].map(|i| ((out[i] - 1) * stride + 2 * dilation + 1).saturating_sub(sides[i]) / 2);
         for (row, found) in found.chunks(outputs).enumerate() {
