@@ -62,7 +62,7 @@ impl Network for Srn {
     }
 
     fn renderer(&self, _: &Config, _: &Scene) -> Result<Box<dyn Renderer>> {
-        Ok(Box::new(SrnRenderer::new(self)?))
+        Ok(Box::new(SrnRenderer::new(self)))
     }
 }
 

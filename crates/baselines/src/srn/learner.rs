@@ -10,11 +10,10 @@ use crate::methods::{Learner, LogColumns, StepReport, StepResult, StopCheck, Ter
 use crate::runtime::over_parts;
 use crate::settings::Resolved;
 
-use super::fast::Network;
 use super::network::Srn;
-use super::step::{Chunk, StepWork, Sums, Weights};
+use super::step::{StepWork, Sums, Weights};
 
-/// Number of parts of a step, which threads share. Each sums its gradients in place.
+/// Number of parts of a step, which threads share.
 const PARTS: usize = 16;
 
 /// Trains the SRN of one scene.
@@ -57,16 +56,12 @@ impl SrnLearner {
         let (rays, size) = (work.z_0.len(), self.config.train.chunk);
         let srn = &self.config.srn;
         let weights = Weights { image: srn.image_weight / (3 * rays) as f64, depth: srn.depth_weight / rays as f64 };
-        let network = self.srn.is_fast().then(|| Network::of(&self.srn)).transpose()?;
         let of_part = |starts: &[usize]| -> Result<Sums> {
-            let mut sums = Sums::new(network.as_ref(), &self.srn);
+            let mut sums = Sums::new(&self.srn);
             for &start in starts {
                 stop_check()?;
-                let chunk = Chunk { work, rays: start..rays.min(start + size), weights };
-                match &network {
-                    Some(network) => chunk.step_fast(network, &mut sums),
-                    None => chunk.step_plain(&self.srn, (self.dtype, &self.device), &mut sums)?,
-                }
+                let chunk = start..rays.min(start + size);
+                work.march(&self.srn, chunk, weights, (self.dtype, &self.device), &mut sums)?;
             }
             Ok(sums)
         };
@@ -103,6 +98,6 @@ impl Learner for SrnLearner {
         ];
         let loss = srn.image_weight * image + srn.depth_weight * depth;
         let report = StepReport::new(terms, loss, sums.error / (3.0 * rays), sums.extremes);
-        Ok(StepResult { gradients: sums.gradients(&self.srn)?, report })
+        Ok(StepResult { gradients: sums.gradients, report })
     }
 }

@@ -13,7 +13,6 @@
 //! background is learned as well.
 
 mod cell;
-mod fast;
 mod learner;
 mod network;
 mod renderer;

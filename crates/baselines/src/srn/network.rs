@@ -1,10 +1,8 @@
-//! An SRN's parameters, and its march in candle's operations. The march is the reference, and serves other devices and
-//! f64.
+//! An SRN's parameters, and its march.
 
 use candle_core::{DType, Device, Tensor};
 
 use crate::base::Result;
-use crate::base::place::is_ours_in_f32;
 use crate::base::rng::{Random, Stream};
 use crate::data::Rays;
 use crate::field::dense;
@@ -15,13 +13,13 @@ use crate::settings::SrnConfig;
 use super::cell::{Lstm, clamp_gradient};
 
 /// Size of the recurrent cell's state.
-pub(super) const HIDDEN: usize = 16;
+const HIDDEN: usize = 16;
 /// Bound of the gradient at each of its outputs.
-pub(super) const GRADIENT_LIMIT: f64 = 10.0;
+const GRADIENT_LIMIT: f64 = 10.0;
 /// Added to a layer's variance.
-pub(super) const EPSILON: f64 = 1e-5;
+const EPSILON: f64 = 1e-5;
 /// Parameters of a layer: weight, bias, and the normalization's scale and shift.
-pub(super) const OF_BLOCK: usize = 4;
+const OF_BLOCK: usize = 4;
 
 /// How a parameter is initialized.
 enum Init {
@@ -156,16 +154,6 @@ impl Srn {
     /// Returns the configuration of the section.
     pub fn config(&self) -> &SrnConfig {
         &self.config
-    }
-
-    /// Returns whether the march in f32 on packed weights supports the parameters.
-    pub(super) fn is_fast(&self) -> bool {
-        self.tensors.iter().all(is_ours_in_f32)
-    }
-
-    /// Returns the parameters in their fixed order.
-    pub(super) fn tensors(&self) -> &[Tensor] {
-        &self.tensors
     }
 
     /// Marches rays from depths `z_0 [rays, 1]`, in scene units times `srn.scale`.

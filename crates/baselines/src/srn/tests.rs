@@ -1,14 +1,11 @@
 //! The march, its loss and its gradients against the original modules' numbers and closed forms.
 
-mod march;
-
 use std::collections::HashMap;
 
 use candle_core::{DType, Device, Tensor, Var};
 
 use crate::data::{Camera, Rays};
 use crate::grids::reference::{error, fixture, values, with_gradients};
-use crate::methods::Gradients;
 use crate::settings::SrnConfig;
 
 use super::cell::Lstm;
@@ -44,9 +41,9 @@ fn march(srn: &Srn) -> SrnMarch {
 /// Loss of a step with `factor` times its weights, and its sums.
 fn step(srn: &Srn, factor: f64) -> (Sums, f64) {
     let weights = Weights { image: WEIGHTS.image * factor, depth: WEIGHTS.depth * factor };
-    let mut sums = Sums::new(None, srn);
+    let mut sums = Sums::new(srn);
     let target: Vec<f32> = values(&get("target")).into_iter().map(|value| value as f32).collect();
-    sums.add_plain(srn, &march(srn), &target, weights).unwrap();
+    sums.add(srn, &march(srn), &target, weights).unwrap();
     let loss = weights.image * sums.image + weights.depth * sums.behind;
     (sums, loss)
 }
@@ -74,8 +71,7 @@ fn the_loss_and_its_gradients_are_the_original_modules() {
     near(sums.image / (3 * RAYS) as f64, scalar("image_loss"));
     near(1e4 * sums.behind / RAYS as f64, scalar("depth_loss"));
     near(loss, scalar("loss"));
-    let Gradients(found) = sums.gradients(&srn).unwrap();
-    for ((name, _), found) in srn.parameters.variables.iter().zip(found) {
+    for ((name, _), found) in srn.parameters.variables.iter().zip(sums.gradients.0) {
         assert_near(name, &found.unwrap(), &get(&format!("grad.{name}")), 1e-10);
     }
 }
@@ -84,7 +80,7 @@ fn the_loss_and_its_gradients_are_the_original_modules() {
 #[test]
 fn gradients_at_the_cells_outputs_are_cut_as_in_the_original() {
     let srn = original();
-    let Gradients(found) = step(&srn, 64.0).0.gradients(&srn).unwrap();
+    let found = step(&srn, 64.0).0.gradients.0;
     let mut cut = 0;
     for ((name, _), found) in srn.parameters.variables.iter().zip(found) {
         if !(name.starts_with("phi.") || name.starts_with("lstm.")) {

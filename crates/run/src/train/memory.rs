@@ -128,12 +128,13 @@ fn windows(config: &Resolved, scene: &Scene) -> Need {
     }
 }
 
-/// Returns the memory of each layer's normalized output, at every step along the rays of the active chunks.
+/// Returns the memory of each layer's product and of its normalized output, at every step along the rays of the active
+/// chunks.
 fn marches(config: &Resolved, threads: usize) -> Need {
     let (train, srn) = (&config.train, &config.srn);
     let chunk = train.chunk.min(train.rays).max(1);
     let at_work = parts(train.rays.div_ceil(chunk)).min(threads);
-    let layers = srn.phi_layers * (srn.steps + 1) + srn.pixel_layers;
+    let layers = 2 * (srn.phi_layers * (srn.steps + 1) + srn.pixel_layers);
     Need {
         what: "the layers' outputs of the active chunks, which the backward pass needs,",
         settings: format!(
@@ -226,9 +227,9 @@ mod tests {
     #[test]
     fn marches_count_by_their_layers_and_steps() {
         let of = |settings: &[&str]| needs_of(&[&["method=srn", "train.rays=1024"], settings].concat())[1].mib;
-        // Two chunks of 128 rays: 4 layers at 11 points each, and 5, of 256 numbers.
-        assert_eq!(of(&[]), 256.0 * 49.0 * 256.0 * 4.0 / f64::from(1 << 20));
-        assert_eq!(of(&["train.chunk=1024", "srn.steps=21"]), 1024.0 * 93.0 * 256.0 * 4.0 / f64::from(1 << 20));
+        // Two chunks of 128 rays: 4 layers at 11 points each, and 5, of 256 numbers before and after normalization.
+        assert_eq!(of(&[]), 2.0 * 256.0 * 49.0 * 256.0 * 4.0 / f64::from(1 << 20));
+        assert_eq!(of(&["train.chunk=1024", "srn.steps=21"]), 2.0 * 1024.0 * 93.0 * 256.0 * 4.0 / f64::from(1 << 20));
     }
 
     #[test]
