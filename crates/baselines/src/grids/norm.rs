@@ -6,13 +6,14 @@
 
 use std::sync::{Mutex, PoisonError};
 
-use candle_core::{CpuStorage, CustomOp3, D, DType, Layout, Result, Shape, Tensor, WithDType};
+use candle_core::{CpuStorage, CustomOp3, D, Device, Layout, Result, Shape, Tensor};
 use rayon::prelude::*;
 
-use crate::base::place::is_ours;
+use crate::base::place::is_ours_in_f32;
+use crate::base::tensors::leaky_relu;
 use augnerf_fast::simd::{LANES, vectorized};
 
-use super::values::{Values, slice};
+use super::values::{Values, slice, summed};
 
 /// The numbers with a common mean and variance.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -35,10 +36,9 @@ pub struct LayerNorm {
 }
 
 impl LayerNorm {
-    /// Returns `x [.., channels]` normalized, times `scale [channels]`, plus `shift [channels]`, in f32 or f64, on any
-    /// device. The bits do not depend on the number of threads.
+    /// Returns `x [.., channels]` normalized, times `scale [channels]`, plus `shift [channels]`, on any device. The bits do not depend on the number of threads.
     pub fn apply(&self, x: &Tensor, scale: &Tensor, shift: &Tensor) -> Result<Tensor> {
-        if !is_ours(x) {
+        if !is_ours_in_f32(x) {
             return self.reference(x, scale, shift);
         }
         let operation = Normalize { norm: *self, moments: Mutex::default() };
@@ -55,34 +55,13 @@ impl LayerNorm {
         let deviation = (centred.sqr()?.mean_keepdim(1)? + self.epsilon)?.sqrt()?;
         let normal = centred.broadcast_div(&deviation)?.reshape(x.shape())?;
         let y = normal.broadcast_mul(scale)?.broadcast_add(shift)?;
-        if self.relu { y.relu() } else { Ok(y) }
+        // Not `relu`: NaN must stay.
+        if self.relu { leaky_relu(&y, 0.0) } else { Ok(y) }
     }
 }
 
 /// Numbers per thread and iteration. Sums are taken block by block, in order.
 const BLOCK: usize = 1 << 15;
-
-/// f32 or f64. Sums are in f64.
-trait Number: WithDType + Into<f64> {
-    const ZERO: Self;
-    fn of(value: f64) -> Self;
-}
-
-impl Number for f32 {
-    const ZERO: f32 = 0.0;
-    #[inline(always)]
-    fn of(value: f64) -> f32 {
-        value as f32
-    }
-}
-
-impl Number for f64 {
-    const ZERO: f64 = 0.0;
-    #[inline(always)]
-    fn of(value: f64) -> f64 {
-        value
-    }
-}
 
 /// Mean and 1 / sqrt(v + epsilon) of a group.
 #[derive(Clone, Copy)]
@@ -125,16 +104,16 @@ struct Normalize {
 }
 
 impl Normalize {
-    fn forward<T: Number>(&self, cut: Cut, x: &[T], scale: &[T], shift: &[T]) -> Vec<T> {
-        let mut y = vec![T::ZERO; x.len()];
-        let of_group = |(x, y): (&[T], &mut [T])| -> Moments {
+    fn forward(&self, cut: Cut, x: &[f32], scale: &[f32], shift: &[f32]) -> Vec<f32> {
+        let mut y = vec![0f32; x.len()];
+        let of_group = |(x, y): (&[f32], &mut [f32])| -> Moments {
             let moments = self.moments_of(x);
             let blocks = x.par_chunks(cut.block()).zip(y.par_chunks_mut(cut.block()));
             blocks.for_each(|(x, y)| normalize(x, moments, (scale, shift), self.norm.relu, y));
             moments
         };
         let parts = x.par_chunks(cut.part).zip(y.par_chunks_mut(cut.part));
-        let of_part = |(x, y): (&[T], &mut [T])| -> Vec<Moments> {
+        let of_part = |(x, y): (&[f32], &mut [f32])| -> Vec<Moments> {
             x.chunks(cut.group).zip(y.chunks_mut(cut.group)).map(of_group).collect()
         };
         let moments: Vec<Vec<Moments>> = parts.map(of_part).collect();
@@ -142,108 +121,73 @@ impl Normalize {
         y
     }
 
-    fn moments_of<T: Number>(&self, group: &[T]) -> Moments {
+    fn moments_of(&self, group: &[f32]) -> Moments {
         let count = group.len() as f64;
         let mean = sum_of(group, |value| value) / count;
         let variance = sum_of(group, |value| (value - mean) * (value - mean)) / count;
         Moments { mean, inverse: 1.0 / (variance + self.norm.epsilon).sqrt() }
     }
 
-    /// Returns gradients of x, scale and shift from that of `y`, the result of the forward pass.
-    fn backward<T: Number>(&self, cut: Cut, [x, y, dy]: [&[T]; 3], scale: &[T]) -> [Vec<T>; 3] {
+    /// Returns the gradient of x, and those of scale and shift, one after the other, from that of `y`, the result of the
+    /// forward pass.
+    fn backward(&self, cut: Cut, [x, y, dy]: [&[f32]; 3], scale: &[f32]) -> (Vec<f32>, Vec<f64>) {
         let moments = self.moments.lock().unwrap_or_else(PoisonError::into_inner);
-        let mut dx = vec![T::ZERO; x.len()];
-        let of_part = |(part, dx): (usize, &mut [T])| -> Gradients {
-            let mut gradients = Gradients::none(cut.channels);
+        let mut dx = vec![0f32; x.len()];
+        let of_part = |(part, dx): (usize, &mut [f32])| -> Vec<f64> {
+            let mut sums = vec![0f64; 2 * cut.channels];
             for (i, dx) in dx.chunks_mut(cut.group).enumerate() {
                 let first = part * cut.part + i * cut.group;
                 let [x, y, dy] = [x, y, dy].map(|values| &values[first..first + cut.group]);
                 let back = Back { x, y, dy, moments: moments[first / cut.group], relu: self.norm.relu, cut };
-                gradients.add(&back.group(scale, dx));
+                sums.iter_mut().zip(back.group(scale, dx)).for_each(|(sum, value)| *sum += value);
             }
-            gradients
+            sums
         };
-        let parts: Vec<Gradients> = dx.par_chunks_mut(cut.part).enumerate().map(of_part).collect();
-        let Gradients { scale, shift } = Gradients::sum(cut.channels, &parts);
-        let numbers = |sums: Vec<f64>| sums.into_iter().map(T::of).collect();
-        [dx, numbers(scale), numbers(shift)]
-    }
-}
-
-impl Normalize {
-    /// Returns gradients of x, scale and shift.
-    fn gradients<T: Number>(&self, x: &Tensor, scale: &Tensor, y: &Tensor, dy: &Tensor) -> Result<[Tensor; 3]> {
-        let cut = Cut::new(self.norm.group, x.shape());
-        let (y, dy) = (y.contiguous()?, dy.contiguous()?);
-        let [of_x, of_y, of_dy, of_scale] = [x, &y, &dy, scale].map(Values::of);
-        let all = [of_x.slice::<T>()?, of_y.slice()?, of_dy.slice()?];
-        let [dx, d_scale, d_shift] = self.backward(cut, all, of_scale.slice()?);
-        let tensor = |values, like: &Tensor| Tensor::from_vec(values, like.shape(), like.device());
-        Ok([tensor(dx, x)?, tensor(d_scale, scale)?, tensor(d_shift, scale)?])
-    }
-}
-
-/// Gradients of scale and shift, `[channels]` each.
-struct Gradients {
-    scale: Vec<f64>,
-    shift: Vec<f64>,
-}
-
-impl Gradients {
-    fn none(channels: usize) -> Gradients {
-        Gradients { scale: vec![0.0; channels], shift: vec![0.0; channels] }
-    }
-
-    fn sum(channels: usize, parts: &[Gradients]) -> Gradients {
-        let mut sum = Gradients::none(channels);
-        parts.iter().for_each(|part| sum.add(part));
-        sum
-    }
-
-    fn add(&mut self, other: &Gradients) {
-        self.scale.iter_mut().zip(&other.scale).for_each(|(sum, value)| *sum += value);
-        self.shift.iter_mut().zip(&other.shift).for_each(|(sum, value)| *sum += value);
+        let parts = dx.par_chunks_mut(cut.part).enumerate().map(of_part).collect();
+        (dx, summed(parts, 2 * cut.channels))
     }
 }
 
 /// The backward pass of one group.
-struct Back<'a, T> {
-    x: &'a [T],
-    y: &'a [T],
-    dy: &'a [T],
+struct Back<'a> {
+    x: &'a [f32],
+    y: &'a [f32],
+    dy: &'a [f32],
     moments: Moments,
     relu: bool,
     cut: Cut,
 }
 
-impl<T: Number> Back<'_, T> {
-    /// Writes the gradient of x, and returns the others.
-    fn group(&self, scale: &[T], dx: &mut [T]) -> Gradients {
+impl Back<'_> {
+    /// Writes the gradient of x, and returns those of scale and shift, one after the other.
+    fn group(&self, scale: &[f32], dx: &mut [f32]) -> Vec<f64> {
         let (channels, block, count) = (self.cut.channels, self.cut.block(), self.x.len() as f64);
         let blocks = self.x.par_chunks(block).zip(self.y.par_chunks(block)).zip(self.dy.par_chunks(block));
-        let parts: Vec<Gradients> = blocks.clone().map(|((x, y), dy)| self.gradients(x, y, dy)).collect();
-        let gradients = Gradients::sum(channels, &parts);
-        let weighted = |sums: &[f64]| sums.iter().zip(scale).map(|(sum, scale)| sum * (*scale).into()).sum::<f64>();
-        let means = [weighted(&gradients.shift) / count, weighted(&gradients.scale) / count];
+        let parts = blocks.clone().map(|((x, y), dy)| self.gradients(x, y, dy)).collect();
+        let sums = summed(parts, 2 * channels);
+        let weighted = |sums: &[f64]| sums.iter().zip(scale).map(|(sum, scale)| sum * f64::from(*scale)).sum::<f64>();
+        let means = [weighted(&sums[channels..]) / count, weighted(&sums[..channels]) / count];
         let blocks = blocks.zip(dx.par_chunks_mut(block));
         blocks.for_each(|(((x, y), dy), dx)| self.input(x, y, dy, (scale, means), dx));
-        gradients
+        sums
     }
 
     /// Returns a block's part of the gradients of scale and shift.
-    fn gradients(&self, x: &[T], y: &[T], dy: &[T]) -> Gradients {
-        let (mut sums, channels) = (Gradients::none(self.cut.channels), self.cut.channels);
+    fn gradients(&self, x: &[f32], y: &[f32], dy: &[f32]) -> Vec<f64> {
+        let channels = self.cut.channels;
+        let mut sums = vec![0f64; 2 * channels];
+        let (of_scale, of_shift) = sums.split_at_mut(channels);
         let Moments { mean, inverse } = self.moments;
         vectorized(
             #[inline(always)]
             || {
                 let rows = x.chunks_exact(channels).zip(y.chunks_exact(channels)).zip(dy.chunks_exact(channels));
                 for ((x, y), dy) in rows {
-                    let sums = sums.scale.iter_mut().zip(&mut sums.shift);
+                    let sums = of_scale.iter_mut().zip(of_shift.iter_mut());
                     for ((x, (y, dy)), (scale, shift)) in x.iter().zip(y.iter().zip(dy)).zip(sums) {
-                        let dy: f64 = masked(*dy, *y, self.relu).into();
+                        let dy = f64::from(masked(*dy, *y, self.relu));
                         *shift += dy;
-                        *scale += dy * (((*x).into() - mean) * inverse);
+                        *scale += dy * ((f64::from(*x) - mean) * inverse);
                     }
                 }
             },
@@ -252,8 +196,9 @@ impl<T: Number> Back<'_, T> {
     }
 
     /// Writes a block of the gradient of x. `means`: of e, and of e n.
-    fn input(&self, x: &[T], y: &[T], dy: &[T], (scale, means): (&[T], [f64; 2]), dx: &mut [T]) {
-        let [mean, inverse, of_e, of_e_n] = [self.moments.mean, self.moments.inverse, means[0], means[1]].map(T::of);
+    fn input(&self, x: &[f32], y: &[f32], dy: &[f32], (scale, means): (&[f32], [f64; 2]), dx: &mut [f32]) {
+        let [mean, inverse, of_e, of_e_n] =
+            [self.moments.mean, self.moments.inverse, means[0], means[1]].map(|value| value as f32);
         let channels = self.cut.channels;
         vectorized(
             #[inline(always)]
@@ -273,13 +218,13 @@ impl<T: Number> Back<'_, T> {
 
 /// Returns a gradient behind the optional ReLU.
 #[inline(always)]
-fn masked<T: Number>(dy: T, y: T, relu: bool) -> T {
-    if !relu || y > T::ZERO { dy } else { T::ZERO }
+fn masked(dy: f32, y: f32, relu: bool) -> f32 {
+    if !relu || y > 0.0 { dy } else { 0.0 }
 }
 
 /// Normalizes a block of complete rows.
-fn normalize<T: Number>(x: &[T], moments: Moments, (scale, shift): (&[T], &[T]), relu: bool, y: &mut [T]) {
-    let (mean, inverse) = (T::of(moments.mean), T::of(moments.inverse));
+fn normalize(x: &[f32], moments: Moments, (scale, shift): (&[f32], &[f32]), relu: bool, y: &mut [f32]) {
+    let (mean, inverse) = (moments.mean as f32, moments.inverse as f32);
     vectorized(
         #[inline(always)]
         || {
@@ -287,7 +232,7 @@ fn normalize<T: Number>(x: &[T], moments: Moments, (scale, shift): (&[T], &[T]),
                 for ((x, y), (scale, shift)) in x.iter().zip(y).zip(scale.iter().zip(shift)) {
                     let value = (*x - mean) * inverse * *scale + *shift;
                     // Not `max`: NaN must stay, to be found and reported.
-                    *y = if relu && value < T::ZERO { T::ZERO } else { value };
+                    *y = if relu && value < 0.0 { 0.0 } else { value };
                 }
             }
         },
@@ -295,8 +240,8 @@ fn normalize<T: Number>(x: &[T], moments: Moments, (scale, shift): (&[T], &[T]),
 }
 
 /// Sums `term` of numbers, block by block in order.
-fn sum_of<T: Number>(numbers: &[T], term: impl Fn(f64) -> f64 + Sync) -> f64 {
-    let of_block = |block: &[T]| {
+fn sum_of(numbers: &[f32], term: impl Fn(f64) -> f64 + Sync) -> f64 {
+    let of_block = |block: &[f32]| {
         let mut lanes = [0f64; LANES];
         let (whole, rest) = block.as_chunks::<LANES>();
         vectorized(
@@ -333,18 +278,8 @@ impl CustomOp3 for Normalize {
     ) -> Result<(CpuStorage, Shape)> {
         let shape = x_layout.shape();
         let cut = Cut::new(self.norm.group, shape);
-        let y = match x {
-            CpuStorage::F32(_) => {
-                let (scale, shift) = (slice(scale, scale_layout)?, slice(shift, shift_layout)?);
-                CpuStorage::F32(self.forward(cut, slice::<f32>(x, x_layout)?, scale, shift))
-            }
-            CpuStorage::F64(_) => {
-                let (scale, shift) = (slice(scale, scale_layout)?, slice(shift, shift_layout)?);
-                CpuStorage::F64(self.forward(cut, slice::<f64>(x, x_layout)?, scale, shift))
-            }
-            _ => candle_core::bail!("layer norm is for f32 and f64"),
-        };
-        Ok((y, shape.clone()))
+        let (scale, shift) = (slice(scale, scale_layout)?, slice(shift, shift_layout)?);
+        Ok((CpuStorage::F32(self.forward(cut, slice(x, x_layout)?, scale, shift)), shape.clone()))
     }
 
     fn bwd(
@@ -355,11 +290,13 @@ impl CustomOp3 for Normalize {
         y: &Tensor,
         dy: &Tensor,
     ) -> Result<(Option<Tensor>, Option<Tensor>, Option<Tensor>)> {
-        let [dx, d_scale, d_shift] = match x.dtype() {
-            DType::F32 => self.gradients::<f32>(x, scale, y, dy)?,
-            _ => self.gradients::<f64>(x, scale, y, dy)?,
-        };
-        Ok((Some(dx), Some(d_scale), Some(d_shift)))
+        let (y, dy) = (y.contiguous()?, dy.contiguous()?);
+        let [of_x, of_y, of_dy, of_scale] = [x, &y, &dy, scale].map(Values::of);
+        let all = [of_x.slice()?, of_y.slice()?, of_dy.slice()?];
+        let (dx, sums) = self.backward(Cut::new(self.norm.group, x.shape()), all, of_scale.slice()?);
+        let (d_scale, d_shift) = sums.split_at(scale.elem_count());
+        let parameter = |sums: &[f64]| Tensor::from_iter(sums.iter().map(|sum| *sum as f32), &Device::Cpu).map(Some);
+        Ok((Some(Tensor::from_vec(dx, x.shape(), &Device::Cpu)?), parameter(d_scale)?, parameter(d_shift)?))
     }
 }
 
