@@ -5,21 +5,14 @@ use std::fs::File;
 use std::io::{BufReader, Read};
 
 use candle_core::DType;
+use safetensors::tensor::TensorInfo;
 use serde::Deserialize;
 use serde_json::Value;
 
-use super::{Contents, Parsed, Stored, dims, elements, length, text};
+use super::{Contents, Parsed, Stored, elements, length, text};
 
 /// Longest header: names, shapes and places of some ten thousand tensors.
 const MAX_HEADER: u64 = 1 << 22;
-
-/// A tensor as the header describes it; bytes from the header's end.
-#[derive(Deserialize)]
-struct Described {
-    dtype: String,
-    shape: Vec<u64>,
-    data_offsets: [u64; 2],
-}
 
 /// Reads the length of the header and the header.
 pub(super) fn read(file: &mut BufReader<&File>) -> Parsed<Contents> {
@@ -37,22 +30,13 @@ pub(super) fn read(file: &mut BufReader<&File>) -> Parsed<Contents> {
 }
 
 fn place(entry: Value, data: u64, whole: u64) -> Parsed<Stored> {
-    let Described { dtype, shape, data_offsets: [start, end] } = Described::deserialize(entry).map_err(text)?;
-    let dtype = match dtype.as_str() {
-        "F64" => DType::F64,
-        "F32" => DType::F32,
-        "F16" => DType::F16,
-        "BF16" => DType::BF16,
-        "I64" => DType::I64,
-        "I32" => DType::I32,
-        "I16" => DType::I16,
-        "U32" => DType::U32,
-        "U8" => DType::U8,
-        other => return Err(format!("its numbers are {other}, which are not read")),
-    };
+    let TensorInfo { dtype, shape, data_offsets: (start, end) } = TensorInfo::deserialize(entry).map_err(text)?;
+    let dtype = DType::try_from(dtype).map_err(text)?;
+    let (start, end) = (start as u64, end as u64);
+    let sizes: Vec<u64> = shape.iter().map(|&size| size as u64).collect();
     let bytes = end.checked_sub(start).filter(|_| end <= whole - data).ok_or("it reaches past the file")?;
-    if elements(&shape, dtype, bytes).is_none_or(|count| count * dtype.size_in_bytes() as u64 != bytes) {
+    if elements(&sizes, dtype, bytes).is_none_or(|count| count * dtype.size_in_bytes() as u64 != bytes) {
         return Err(format!("the header gives it {bytes} bytes and the shape {shape:?}"));
     }
-    Ok(Stored { dtype, shape: dims(&shape), offset: data + start })
+    Ok(Stored { dtype, shape, offset: data + start })
 }
