@@ -7,7 +7,7 @@ use std::process::Command;
 
 use crate::common::assert_says;
 use crate::common::files::{json, text};
-use crate::common::program::{Place, augnerf, demand, printed, set};
+use crate::common::program::{Place, augnerf, demand, set};
 use serde_json::Value;
 
 /// A run of a second at 16 x 16.
@@ -237,19 +237,19 @@ fn a_scene_that_is_not_here_is_looked_for_below_the_data_folder() {
 
 #[test]
 fn the_version_says_what_was_built() {
-    let short = printed(&["-V"]);
+    let short = Place::new().printed("-V");
     assert!(short.starts_with("augnerf ") && short.contains(augnerf::base::revision()), "{short}");
-    assert_says(&printed(&["--version"]), &[augnerf::base::revision(), "features: ", "instructions: "]);
+    assert_says(&Place::new().printed("--version"), &[augnerf::base::revision(), "features: ", "instructions: "]);
 }
 
 #[test]
 fn completions_come_from_the_definition() {
     for shell in ["bash", "elvish", "fish", "powershell", "zsh"] {
-        let script = printed(&["--completions", shell]);
+        let script = Place::new().printed(&format!("--completions {shell}"));
         assert!(script.contains("print-config") && script.contains("export-builtin"), "{shell}");
     }
     assert!(demand(&mut augnerf(&["--completions", "bash", "train"]), 2).contains("cannot be used with"));
-    let place = Place::with("augnerf.bash", &printed(&["--completions", "bash"]));
+    let place = Place::with("augnerf.bash", &Place::new().printed("--completions bash"));
     // What bash does when the tabulator is pressed.
     let ask = |line: &str| {
         let program = format!(

@@ -10,6 +10,7 @@ use augnerf::settings::{Config, PerturbConfig, Preset, ResolvedPerturb, Sizes};
 use candle_core::{DType, Device, Tensor};
 
 use crate::common::built;
+use crate::common::pass::geometry;
 
 const CPU: Device = Device::Cpu;
 const LLFF: bool = true;
@@ -39,19 +40,9 @@ fn coarse(samples: usize) -> Of {
 /// All sites' sets of a pass, in the run's geometry and in the paper's.
 fn sets(numbers: &ResolvedPerturb, t_vals: &Tensor, of: Of, width: usize, pixel: PixelScale) -> [Sets; 2] {
     let direction_norm = Tensor::full(2.1, (t_vals.dims()[0], 1), &CPU).unwrap().to_dtype(t_vals.dtype()).unwrap();
-    let samples = t_vals.dims()[1];
-    let own = PassGeometry {
-        is_coarse: of.is_coarse,
-        t_vals,
-        samples,
-        direction_norm: &direction_norm,
-        bounds: (0.0, 1.0),
-        coarse_samples: of.coarse,
-        cap_samples: of.coarse,
-        width,
-        pixel,
-        sample_density: SampleDensity::OWN,
-    };
+    let Of { is_coarse, coarse, .. } = of;
+    let pass = geometry(t_vals, &direction_norm);
+    let own = PassGeometry { is_coarse, coarse_samples: coarse, cap_samples: coarse, width, pixel, ..pass };
     let of_pass = |pass: &PassGeometry| Sets::new(numbers.sites_of_pass(pass.is_coarse), pass).unwrap();
     [of_pass(&own), of_pass(&own.of_paper(&PaperPass::of_scenes(of.forward)).unwrap())]
 }

@@ -2,23 +2,22 @@
 
 use std::fs;
 use std::path::{Path, PathBuf};
-use std::sync::OnceLock;
 
 use tempfile::TempDir;
 
-use crate::common::files::entries;
+use crate::common::files::{entries, fixture};
 use crate::common::program::{Place, set};
 use crate::fuzz::memory::most_taken;
-
-fn fixture(name: &str) -> PathBuf {
-    Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/fixtures/hostile").join(name)
-}
 
 /// Tries to import a file; nothing may be left where the run would be.
 fn import_is_refused(name: &str, words: &[&str]) {
     let place = Place::new();
     let small = set("data.width=12 train.rays=16 perturb.injection_layer=1");
-    place.says(&format!("import {} --out run --preset smoke{small}", fixture(name).display()), 3, words);
+    place.says(
+        &format!("import {} --out run --preset smoke{small}", fixture(&format!("hostile/{name}")).display()),
+        3,
+        words,
+    );
     assert_eq!(entries(place.path()), Vec::<PathBuf>::new(), "{name}");
 }
 
@@ -31,9 +30,7 @@ fn an_import_loses_no_layer() {
 
 /// A folder with a small finished run of the built-in scene.
 fn trained() -> Place {
-    static RUN: OnceLock<Place> = OnceLock::new();
-    let small = set("data.width=12 field.width=16 train.rays=32 train.steps=4 eval.pictures=1");
-    Place::copy_of(&RUN, |place| drop(place.run(&format!("train --preset smoke --quiet --out run{small}"), 0)))
+    Place::trained(&set("data.width=12 field.width=16 train.rays=32 train.steps=4 eval.pictures=1"))
 }
 
 /// Whoever measures a run of somebody else writes into its folder alone.
@@ -102,7 +99,7 @@ fn a_run_s_files_are_files_with_content() {
 /// 65 kB that unpack to 64 MiB of colour profile.
 #[test]
 fn a_colour_profile_takes_no_more_memory_than_a_picture() {
-    let file = fixture("profile_64_mib.png");
+    let file = fixture("hostile/profile_64_mib.png");
     // The picture is read, with or without its profile, or refused.
     let (_, taken) = most_taken(|| augnerf::data::images::read(&file, (16, 16)).is_ok());
     assert!(taken < 40 << 20, "{taken} bytes");

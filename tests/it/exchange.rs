@@ -1,16 +1,10 @@
 //! Weights of nerf-pytorch, and runs that begin with another's weights.
 
-use std::path::{Path, PathBuf};
-
 use safetensors::SafeTensors;
 use serde_json::{Value, json};
 
-use crate::common::files::{json as read_json, newest, rows};
+use crate::common::files::{fixture, json as read_json, newest, rows};
 use crate::common::program::{Place, set};
-
-fn fixture(name: &str) -> PathBuf {
-    Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/fixtures").join(name)
-}
 
 /// A training of some steps on the embedded scene.
 fn train(place: &Place, out: &str, steps: usize) {
@@ -104,7 +98,9 @@ fn more_steps_are_the_steps_that_a_longer_run_takes() {
 fn what_cannot_be_taken_over_is_refused() {
     let place = Place::new();
     train(&place, "short", 2);
-    place.run(&format!("train --preset fast{} --out hash -q", set("train.steps=1 data.width=8 eval.pictures=0")), 0);
+    let grid =
+        set("train.steps=1 data.width=8 train.rays=16 field.hash.levels=2 field.hash.log2_table=8 eval.pictures=0");
+    place.run(&format!("train --preset fast{grid} --out hash -q"), 0);
     place.write("bad.tar", "no archive");
     let tar = &fixture("nerf_pytorch.tar").display().to_string();
     let far = "regularizer.kind=tv regularizer.domain=[[50,50,50],[51,51,51]]";

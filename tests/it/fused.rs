@@ -1,4 +1,4 @@
-//! The fused field against the plain one: outputs, every gradient, odd sizes, NaN. (Threads: tests/it/cli.rs.)
+//! The fused field against the plain one: outputs, every gradient, odd sizes, NaN. (Threads: runtime.rs, controls.rs.)
 
 use crate::common::flat;
 use augnerf::base::rng::{Random, Stream};

@@ -1,71 +1,54 @@
 //! `--device gpu` as a user runs it. The nightly run builds the program with the feature; Mesa plays a device.
 
-use std::fs;
-use std::path::Path;
+use serde_json::{Value, json};
 
-use crate::common::files::json;
-use crate::common::program::{augnerf, demand, printed, succeed};
+use crate::common::files::{number, rows};
+use crate::common::program::{Place, set};
 
 /// A hash grid on small views of the built-in scene.
-const SMALL: [&str; 6] = [
-    "data.width=32",
-    "train.rays=64",
-    "field.hash.log2_table=11",
-    "train.steps=80",
-    "train.log_every=20",
-    "eval.pictures=1",
-];
+const SMALL: &str =
+    "data.width=32 train.rays=64 field.hash.log2_table=11 train.steps=80 train.log_every=20 eval.pictures=1";
 
-fn train<'a>(out: &'a str, device: &'a str, more: &'a [&'a str]) -> Vec<&'a str> {
-    let mut arguments = vec!["train", "--quiet", "--overwrite", "--out", out, "--device", device];
-    SMALL.iter().chain(more).for_each(|setting| arguments.extend(["--set", setting]));
-    arguments
+fn train(out: &str, device: &str, more: &str) -> String {
+    format!("train --quiet --overwrite --out {out} --device {device}{}{}", set(SMALL), set(more))
 }
 
-fn psnr(run: &Path) -> f64 {
-    json(&run.join("metrics.json"))["mean"]["psnr"].as_f64().unwrap()
+fn psnr(place: &Place, run: &str) -> f64 {
+    place.json(&format!("{run}/metrics.json"))["mean"]["psnr"].as_f64().unwrap()
 }
 
-fn state(run: &Path, step: u64) -> serde_json::Value {
-    json(&run.join(format!("checkpoints/step_{step:09}/state.json")))
+fn state(place: &Place, run: &str) -> Value {
+    place.json(&format!("{run}/checkpoints/step_000000080/state.json"))
 }
 
 #[test]
 fn a_training_ends_where_the_processor_s_does() {
-    let dir = tempfile::tempdir().unwrap();
+    let place = Place::new();
     for method in ["method=nerf", "method=aug-nerf"] {
-        let runs = ["gpu", "cpu"].map(|device| {
-            let run = dir.path().join(format!("{device}-{method}"));
-            succeed(&train(run.to_str().unwrap(), device, &[method]));
-            run
+        let [on_gpu, on_cpu] = ["gpu", "cpu"].map(|device| {
+            place.run(&train(device, device, method), 0);
+            psnr(&place, device)
         });
-        let [on_gpu, on_cpu] = runs.each_ref().map(|run| psnr(run));
         assert!((on_gpu - on_cpu).abs() < 0.3 && on_cpu > 16.0, "{method}: {on_gpu} dB and {on_cpu} dB");
-        let state = state(&runs[0], 80);
-        assert_eq!(state["devices"], serde_json::json!(["gpu"]));
+        let state = state(&place, "gpu");
+        assert_eq!(state["devices"], json!(["gpu"]));
         assert!(!state["adapters"][0].as_str().unwrap().is_empty());
-        let metrics = json(&runs[0].join("metrics.json"));
-        let device = metrics["protocol"]["device"].as_str().unwrap();
-        assert!(device.starts_with("gpu ("), "{device}");
+        let device = &place.json("gpu/metrics.json")["protocol"]["device"];
+        assert!(device.as_str().unwrap().starts_with("gpu ("), "{device}");
     }
 }
 
 /// A surface and its smoothness, of a training with a term in space.
 #[test]
 fn surfaces_and_measures_are_the_processor_s() {
-    let dir = tempfile::tempdir().unwrap();
-    let run = dir.path().join("run");
-    let path = run.to_str().unwrap();
-    succeed(&train(path, "gpu", &["regularizer.kind=tv", "regularizer.weight=1e-5"]));
+    let place = Place::new();
+    place.run(&train("run", "gpu", "regularizer.kind=tv regularizer.weight=1e-5"), 0);
     let [on_gpu, on_cpu] = ["gpu", "cpu"].map(|device| {
-        succeed(&["mesh", path, "--device", device, "--resolution", "24", "--threshold", "1", "--quiet"]);
-        let mesh = json(&run.join("mesh/mesh.json"));
-        succeed(&["eval", "--smoothness", path, "--device", device, "--lattice", "16", "--quiet"]);
-        let mut smoothness = csv::Reader::from_path(run.join("smoothness.csv")).unwrap();
-        let head = smoothness.headers().unwrap().clone();
-        let values = smoothness.records().next().unwrap().unwrap();
-        let of = |name: &str| -> f64 { values[head.iter().position(|known| known == name).unwrap()].parse().unwrap() };
-        [mesh["area"].as_f64().unwrap(), of("l1"), of("tv"), of("largest_density")]
+        place.run(&format!("mesh run --device {device} --resolution 24 --threshold 1 --quiet"), 0);
+        place.run(&format!("eval --smoothness run --device {device} --lattice 16 --quiet"), 0);
+        let row = rows(&place.text("run/smoothness.csv")).remove(0);
+        let [l1, tv, largest] = ["l1", "tv", "largest_density"].map(|name| number(&row, name));
+        [place.json("run/mesh/mesh.json")["area"].as_f64().unwrap(), l1, tv, largest]
     });
     for (found, expected) in on_gpu.into_iter().zip(on_cpu) {
         assert!(expected > 0.0 && (found / expected - 1.0).abs() < 1e-3, "{on_gpu:?} and {on_cpu:?}");
@@ -74,47 +57,40 @@ fn surfaces_and_measures_are_the_processor_s() {
 
 #[test]
 fn a_run_goes_on_on_another_device() {
-    let dir = tempfile::tempdir().unwrap();
+    let place = Place::new();
     for (first, second) in [("gpu", "cpu"), ("cpu", "gpu")] {
-        let run = dir.path().join(first);
-        let path = run.to_str().unwrap();
-        succeed(&train(path, first, &["train.checkpoint_every=40"]));
-        let whole = psnr(&run);
-        fs::remove_dir_all(run.join("checkpoints/step_000000080")).unwrap();
-        succeed(&["resume", path, "--device", second, "--quiet"]);
-        assert_eq!(state(&run, 80)["devices"], serde_json::json!([first, second]));
-        assert!((psnr(&run) - whole).abs() < 0.3, "{first} then {second}: {} dB and {whole} dB", psnr(&run));
-        let measured = printed(&["eval", path, "--device", second]);
+        place.run(&train(first, first, "train.checkpoint_every=40"), 0);
+        let whole = psnr(&place, first);
+        std::fs::remove_dir_all(place.at(first).join("checkpoints/step_000000080")).unwrap();
+        place.run(&format!("resume {first} --device {second} --quiet"), 0);
+        assert_eq!(state(&place, first)["devices"], json!([first, second]));
+        let resumed = psnr(&place, first);
+        assert!((resumed - whole).abs() < 0.3, "{first} then {second}: {resumed} dB and {whole} dB");
+        let measured = place.printed(&format!("eval {first} --device {second}"));
         assert!(measured.contains("psnr"), "{measured}");
     }
 }
 
 #[test]
 fn devices_are_listed_and_timed() {
-    let listed = printed(&["bench", "--devices"]);
+    let place = Place::new();
+    let listed = place.printed("bench --devices");
     assert!(listed.starts_with("cpu ") && listed.contains("\ngpu:0 "), "{listed}");
-    let arguments =
-        ["bench", "--device", "gpu", "--rays", "64", "--coarse", "8", "--fine", "8", "--width", "32", "--steps", "1"];
-    let timed: serde_json::Value = serde_json::from_str(&printed(&arguments)).unwrap();
+    let timed = place.printed("bench --device gpu --rays 64 --coarse 8 --fine 8 --width 32 --steps 1");
+    let timed: Value = serde_json::from_str(&timed).unwrap();
     assert!(timed["device"] == "gpu" && timed["seconds_per_step"].as_f64().unwrap() > 0.0, "{timed}");
 }
 
 #[test]
 fn what_it_does_not_do_is_refused() {
-    let dir = tempfile::tempdir().unwrap();
-    let out = dir.path().join("run");
-    let out = out.to_str().unwrap();
-    for (setting, words) in [
+    let place = Place::new();
+    for (settings, words) in [
         ("method=mip-nerf", "method mip-nerf"),
-        ("field.encoding=positional", "regularizer laplacian"),
+        ("field.encoding=positional regularizer.kind=laplacian", "regularizer laplacian"),
         ("field.width=30", "width 30"),
     ] {
-        let laplacian = if words.contains("laplacian") { "regularizer.kind=laplacian" } else { "regularizer.kind=[]" };
-        let said = demand(&mut augnerf(&train(out, "gpu", &[setting, laplacian])), 2);
-        assert!(said.contains(words) && said.contains("--device cpu"), "{said}");
+        place.says(&train("run", "gpu", settings), 2, &[words, "--device cpu"]);
     }
-    let said = demand(&mut augnerf(&train(out, "gpu:99", &[])), 2);
-    assert!(said.contains("augnerf bench --devices"), "{said}");
-    let said = demand(&mut augnerf(&train(out, "cpu", &["field.precision=f16"])), 2);
-    assert!(said.contains("field.precision = \"f16\" needs --device gpu"), "{said}");
+    place.says(&train("run", "gpu:99", ""), 2, &["augnerf bench --devices"]);
+    place.says(&train("run", "cpu", "field.precision=f16"), 2, &["field.precision = \"f16\" needs --device gpu"]);
 }

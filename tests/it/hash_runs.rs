@@ -2,9 +2,9 @@
 
 use crate::common::files::rows;
 use crate::common::program::{Place, set};
-use crate::common::{parameters, tiny_config, trained};
+use crate::common::{parameters, put_on_grid, tiny_config, trained};
 use augnerf::perturb::{PaperSite, Passes};
-use augnerf::settings::{DensityActivation, Encoding, Method, OutputPlace, REGULARIZERS};
+use augnerf::settings::{DensityActivation, Method, OutputPlace};
 
 /// A run of half a second on the embedded scene at 16 x 16, in a box that rays enter and leave.
 const SMALL: &str = "data.width=16 field.encoding=hash field.width=16 field.view_width=16 field.hash.levels=4 \
@@ -51,23 +51,11 @@ fn runs_on_a_grid_go_through_every_command() {
     );
 }
 
-#[test]
-fn weights_of_terms_are_balanced_on_a_grid() {
-    let smooth = set(&format!("{SMALL} field.hash.interpolation=smoothstep regularizer.points_per_step=64"));
-    let table = rows(&Place::new().printed(&format!("train --balance=3 --quiet --preset fast{smooth}")));
-    // The scene has no triangulated points.
-    assert_eq!(table.len(), 5 * (REGULARIZERS.len() - 1), "five shares of each term: {table:?}");
-    for row in table.into_iter().filter(|row| row["term_norm"].parse() != Ok(0.0)) {
-        assert!(row["weight"].parse::<f64>().unwrap() > 0.0, "{row:?}");
-    }
-}
-
 /// The methods' small configuration on a grid.
 fn on_a_grid(method: Method, change: impl FnOnce(&mut augnerf::settings::Config)) -> augnerf::settings::Resolved {
     tiny_config(method, |config| {
-        config.field.encoding = Encoding::Hash;
+        put_on_grid(config, 10);
         config.field.density_activation = DensityActivation::Exp;
-        (config.field.hash.levels, config.field.hash.log2_table) = (4, 10);
         (config.field.hash.coarsest, config.field.hash.finest) = (4, Some(32));
         config.train.adam_epsilon = 1e-15;
         change(config);

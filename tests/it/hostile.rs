@@ -3,10 +3,10 @@
 
 use std::fs;
 use std::io::Write;
-use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
-use crate::common::program::{Place, augnerf, refuse, set};
+use crate::common::files::fixture;
+use crate::common::program::{Place, augnerf, set};
 use crate::common::{assert_says, built};
 use augnerf::base::Error;
 use augnerf::mesh::read_mesh;
@@ -19,10 +19,6 @@ use tempfile::TempDir;
 const HANG: Duration = Duration::from_secs(600);
 /// Longest message for a person.
 const MESSAGE: usize = 20_000;
-
-fn fixture(name: &str) -> PathBuf {
-    Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/fixtures/hostile").join(name)
-}
 
 /// Demands an error, short and without a hang, and gives its sentence.
 #[track_caller]
@@ -42,7 +38,7 @@ fn refused<T>(read: impl FnOnce() -> augnerf::base::Result<T>) -> String {
 fn weights_ask_for_no_more_than_they_hold() {
     let start = b"\x80\x02\x8a\x0a\x6c\xfc\x9c\x46\xf9\x20\x6a\xa8\x50\x19.\x80\x02K\x01.\x80\x02K\x01.";
     let pickled = |parts: &[&[u8]]| [&start[..], &parts.concat(), b"."].concat();
-    let stored = |name: &str| fs::read(fixture(name)).unwrap();
+    let stored = |name: &str| fs::read(fixture(&format!("hostile/{name}"))).unwrap();
     for (file, words) in [
         (stored("shape.pth"), "2 sizes and 0 strides"),
         (stored("shape3.pth"), "squeeze"),
@@ -66,7 +62,7 @@ fn weights_ask_for_no_more_than_they_hold() {
 
 #[test]
 fn rows_without_properties_are_not_counted() {
-    for name in ["pl6.ply", "pl7.ply"] {
+    for name in ["hostile/pl6.ply", "hostile/pl7.ply"] {
         let message = refused(|| read_mesh(&fixture(name)));
         assert_says(&message, &[name, "1000000000000 rows of 0 properties"]);
     }
@@ -132,5 +128,5 @@ fn pipes_are_read_where_a_user_names_them_alone() {
     let scene = scene();
     fs::remove_file(scene.path().join("0.png")).unwrap();
     std::os::unix::fs::symlink("/dev/zero", scene.path().join("0.png")).unwrap();
-    refuse(&["data", "check", scene.path().to_str().unwrap()], 3, &["transforms.json", "frame 0"]);
+    Place::new().says(&format!("data check {}", scene.path().display()), 3, &["transforms.json", "frame 0"]);
 }

@@ -2,12 +2,10 @@
 
 use std::path::Path;
 use std::process::{Command, Stdio};
-use std::sync::OnceLock;
 use std::time::Duration;
 
 use crate::common::assert_says;
-use crate::common::files::{assert_same_files, copy, entries, files, text};
-use crate::common::learning::FLEETING;
+use crate::common::files::{FLEETING, assert_same_files, copy, entries, files, text};
 use crate::common::program::{Place, demand, set, signalled, tiny_sweep, wait_for};
 
 /// Settings of a run of a second, with a checkpoint every 10 steps of 30, all of which are kept.
@@ -20,8 +18,7 @@ fn train(out: &str, further: &str) -> String {
 
 /// A folder with a run in it.
 fn trained() -> Place {
-    static RUN: OnceLock<Place> = OnceLock::new();
-    Place::copy_of(&RUN, |place| drop(place.run(&train("run", ""), 0)))
+    Place::trained(&set(TINY))
 }
 
 fn checkpoint(step: u64) -> String {
@@ -124,21 +121,6 @@ fn a_full_standard_output_is_an_error() {
         let code = child.wait().unwrap().code();
         assert!(code == Some(0) || line.contains("export-builtin"), "{line}: {code:?}");
     }
-}
-
-/// Each waits for the one before it: none deletes what another writes.
-#[test]
-fn many_collect_one_sweep_at_once() {
-    let place = Place::new();
-    place.write("tiny.toml", tiny_sweep(&[0], &["psnr"], "train.steps=2 eval.pictures=0", &[]));
-    place.run("sweep run tiny.toml --out sweep --quiet", 0);
-    place.run("sweep collect sweep", 0);
-    let results = place.at("sweep/results");
-    let before = files(&results, &[]);
-    // What one that was killed left.
-    std::fs::write(results.join(".augnerf-tmp-table.md.1"), "half").unwrap();
-    std::thread::scope(|scope| (0..5).for_each(|_| drop(scope.spawn(|| place.run("sweep collect sweep", 0)))));
-    assert!(files(&results, &[]) == before, "the same files with the same bytes");
 }
 
 /// Runs of a step that takes minutes: the first signal is heard and acts within it.

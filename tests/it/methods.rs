@@ -221,11 +221,7 @@ fn runs_without_fields_refuse_what_needs_them() {
         place.says(&format!("eval --smoothness {method}"), 2, &words);
         let words = ["a profile along a ray with method", method, "augnerf compare"];
         place.says(&format!("compare {method} --ray 8,8"), 2, &words);
-        let metrics = || place.json(&format!("{method}/metrics.json"));
-        let before = metrics();
-        place.run(&format!("eval --quiet {method}"), 0);
-        assert_eq!(metrics(), before, "{method}: the checkpoint gives the numbers of the trained method");
-        let protocol = &before["protocol"];
+        let protocol = &place.json(&format!("{method}/metrics.json"))["protocol"];
         assert!(protocol["field_width"].is_null() && protocol[method].is_string(), "{protocol}");
     }
     for bench in [

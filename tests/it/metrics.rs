@@ -6,7 +6,7 @@
 use std::collections::HashMap;
 use std::path::Path;
 
-use crate::common::files::{json, rows};
+use crate::common::files::{fixture, json, rows};
 use crate::common::needs;
 use crate::common::program::{Place, set};
 use augnerf::base::Image;
@@ -206,12 +206,11 @@ fn read_png(path: &Path) -> Image {
 fn photographs_give_the_numbers_of_other_implementations() {
     let lpips = Lpips::load(&needs::lpips_weights(), Backbone::Squeeze, &Device::Cpu).unwrap();
     let lpips = [lpips.expect("the weights folder lacks the squeeze backbone")];
-    let fixtures = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/fixtures");
     let read = |name: &str| match name.strip_prefix("data/") {
         Some(relative) => read_png(&needs::scene(relative)),
-        None => read_png(&fixtures.join(Path::new(name).file_name().unwrap())),
+        None => read_png(&fixture(Path::new(name).file_name().unwrap().to_str().unwrap())),
     };
-    let references = json(&fixtures.join("metrics.json"));
+    let references = json(&fixture("metrics.json"));
     let references = references.as_array().unwrap();
     assert_eq!(references.len(), 3);
     for reference in references {

@@ -1,9 +1,10 @@
 //! What moves during a training: encodings that open, samples that spread, gradients near cameras, the perturbed pass's weight.
 
-use crate::common::{assert_refused, assert_same_bytes, parameters, put_on_grid, tiny_config, tiny_scene, trained};
+use crate::common::{
+    assert_refused, assert_same_bytes, parameters, put_on_grid, runtime, tiny_config, tiny_scene, trained,
+};
 use augnerf::data::{RayBuffer, RayParts};
 use augnerf::methods::{FieldRenderer, Fields, Renderer};
-use augnerf::runtime::Runtime;
 use augnerf::settings::{Config, Method, PixelOrigin, Resolved, WeightSchedule};
 use augnerf::train::Trainer;
 use candle_core::{DType, Device};
@@ -53,13 +54,12 @@ fn all_of_it_together_has_the_same_bytes_on_threads_and_after_a_stop() {
 #[test]
 fn pictures_have_the_frequencies_that_are_open() {
     let scene = tiny_scene();
-    let runtime = Runtime::new("cpu", Some(1)).unwrap();
     let pixels: Vec<_> = (0..16).map(|x| (&scene.test[0].camera, x, 7)).collect();
     let rays = RayBuffer::new(&pixels, None, PixelOrigin::Corner, RayParts::default());
     let rays = rays.to_tensors(DType::F32, &Device::Cpu).unwrap();
     for on_grid in [false, true] {
         let config = config(on_grid, |config| config.field.frequency_steps = 5);
-        let mut trainer = Trainer::new(&config, &scene, DType::F32, &runtime).unwrap();
+        let mut trainer = trained(&config, 0);
         for step in 1..=6 {
             trainer.step(false).unwrap();
             let folder = tempfile::tempdir().unwrap();
@@ -70,7 +70,7 @@ fn pictures_have_the_frequencies_that_are_open() {
             };
             let fields = trainer.model().unwrap().fields().unwrap();
             let shown = colours(fields);
-            let loaded = Trainer::resume(&checkpoint, &config, &scene, DType::F32, &runtime).unwrap();
+            let loaded = Trainer::resume(&checkpoint, &config, &scene, DType::F32, runtime()).unwrap();
             assert_eq!(shown, colours(loaded.model().unwrap().fields().unwrap()), "step {step}");
             let all_open = colours(&fields.at_step(&config, u64::MAX).unwrap());
             // The last of n levels is open after (n - 1) / n of the end.
@@ -85,11 +85,10 @@ fn pictures_have_the_frequencies_that_are_open() {
 fn gradients_near_cameras_change_what_is_learned() {
     let mut scene = tiny_scene();
     scene.near = 0.1;
-    let runtime = Runtime::new("cpu", Some(1)).unwrap();
     for method in [Method::Nerf, Method::AugNerf] {
         let learned = |scales: bool| {
             let config = tiny_config(method, |config| config.train.gradient_scaling = scales);
-            let mut trainer = Trainer::new(&config, &scene, DType::F32, &runtime).unwrap();
+            let mut trainer = Trainer::new(&config, &scene, DType::F32, runtime()).unwrap();
             let loss = trainer.step(false).unwrap().loss;
             (0..3).for_each(|_| drop(trainer.step(false).unwrap()));
             (loss, parameters(&trainer, &ROLES))

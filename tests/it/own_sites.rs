@@ -7,7 +7,7 @@ use augnerf::settings::{Config, Core, DeltaSource, Method, Resolved, SecondPass}
 use augnerf::train::{StepStats, Trainer};
 use candle_core::DType;
 
-use crate::common::{tiny_config, tiny_scene};
+use crate::common::{tiny_config, tiny_scene, trained};
 
 /// One number for each ray, spread over its samples, channels or units at any place; or a delta of the place's own shape.
 struct OfRays {
@@ -102,9 +102,7 @@ fn a_seventh_site_raises_the_loss_of_both_cores_at_every_place() {
         let radius = if place == PaperSite::View { 0.3 } else { 0.1 };
         // The losses of two steps without a log and one with it, and how far that one's deltas move colours.
         let losses = |core: Core, steps: Option<usize>| {
-            let runtime = Runtime::new("cpu", Some(2)).unwrap();
-            let config = alone(|config| config.field.core = core);
-            let mut trainer = Trainer::new(&config, &tiny_scene(), DType::F32, &runtime).unwrap();
+            let mut trainer = trained(&alone(|config| config.field.core = core), 0);
             let site = |steps| OfRays { spreads, ..of_rays(place, radius, steps) };
             steps.into_iter().for_each(|steps| trainer.add_site(site(steps)).unwrap());
             let stats = [false, false, true].map(|log| trainer.step(log).unwrap());
@@ -138,8 +136,7 @@ fn a_site_of_no_size_changes_nothing() {
 #[test]
 fn sites_that_cannot_be_are_refused_in_words() {
     let refused = |config: &Resolved, sites: Vec<OfRays>| {
-        let runtime = Runtime::new("cpu", Some(1)).unwrap();
-        let mut trainer = Trainer::new(config, &tiny_scene(), DType::F32, &runtime).unwrap();
+        let mut trainer = trained(config, 0);
         let added: Vec<_> = sites.into_iter().map(|site| trainer.add_site(site)).collect();
         added.into_iter().last().unwrap().unwrap_err().to_string()
     };

@@ -1,7 +1,5 @@
 //! The page of a sweep or of runs: whole, escaped, the same twice.
 
-use std::sync::OnceLock;
-
 use augnerf::base::Image;
 use augnerf::report::page::{Film, Page, ShownScene, ViewOfRow, ViewOfScene};
 use augnerf::report::tables::{AttackLine, Table};
@@ -218,8 +216,7 @@ fn train(place: &Place, out: &str, settings: &str) {
 
 /// Two seeds of NeRF and one of Aug-NeRF.
 fn trained() -> Place {
-    static RUNS: OnceLock<Place> = OnceLock::new();
-    Place::copy_of(&RUNS, |place| {
+    Place::once("page", |place| {
         for (out, settings) in [("a0", "seed=0"), ("a1", "seed=1"), ("b0", "method=aug-nerf")] {
             train(place, out, settings);
         }

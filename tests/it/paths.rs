@@ -6,9 +6,9 @@ use augnerf::data::formats::builtin;
 use augnerf::data::pose::{self, Pose, Vec3};
 use augnerf::data::{self, Camera, Scene, path};
 use augnerf::settings::{DataConfig, DataKind};
-use serde_json::{Value, json};
 use tempfile::TempDir;
 
+use crate::captures::Folder;
 use crate::common::files::json as read_json;
 use crate::common::needs::scene as scene_folder;
 
@@ -41,32 +41,18 @@ fn assert_shown(scene: &Scene, most: f64) {
     assert!(worst <= most, "{}: {worst}", scene.kind);
 }
 
-/// The embedded scene as a transforms.json: its training views that `keep` picks, moved and grown.
-fn transforms(dir: &Path, keep: impl Fn(&Pose) -> bool) {
-    builtin::export(dir, WIDTH, None).unwrap();
-    let mut document = read_json(&dir.join("transforms_train.json"));
-    let moved = |frame: &Value| {
-        let number = |row: usize, column: usize| frame["transform_matrix"][row][column].as_f64().unwrap();
-        let pose: Pose = std::array::from_fn(|row| std::array::from_fn(|column| number(row, column)));
-        let shift = [7.0, -3.0, 2.0];
-        let matrix: Vec<[f64; 4]> =
-            (0..3).map(|i| [pose[i][0], pose[i][1], pose[i][2], 2.0 * pose[i][3] + shift[i]]).collect();
-        keep(&pose).then(|| json!({"file_path": frame["file_path"], "transform_matrix": matrix}))
-    };
-    let frames: Vec<Value> = document["frames"].as_array().unwrap().iter().filter_map(moved).collect();
-    document["frames"] = frames.into();
-    std::fs::write(dir.join("transforms.json"), document.to_string()).unwrap();
-    for split in ["train", "val", "test"] {
-        std::fs::remove_file(dir.join(format!("transforms_{split}.json"))).unwrap();
-    }
-}
-
 #[test]
 fn embedded_scenes_are_in_every_frame() {
     for (kind, most) in [(DataKind::BuiltinBlender, 1e-6), (DataKind::BuiltinForward, 0.2)] {
         let config = DataConfig { kind, width: WIDTH as u32, downscale: Some(1), ..DataConfig::default() };
         assert_shown(&data::load(&config, 0, &()).unwrap(), most);
     }
+}
+
+/// Cameras all around that look at one point are followed.
+#[test]
+fn captures_are_in_the_middle_of_every_frame() {
+    assert_shown(&Folder::new(12).load(|_| {}), 1e-6);
 }
 
 /// NeRF-Synthetic's sphere has nerf-pytorch's path; splits of another place and size one of their own.
@@ -90,17 +76,6 @@ fn scenes_of_splits_are_in_every_frame() {
         std::fs::write(&file, document.to_string()).unwrap();
     }
     assert_shown(&load(dir.path(), |_| ()), 0.2);
-}
-
-/// All around, and from one side.
-#[test]
-fn captures_are_in_the_middle_of_every_frame() {
-    let all = TempDir::new().unwrap();
-    transforms(all.path(), |_| true);
-    assert_shown(&load(all.path(), |_| ()), 1e-6);
-    let side = TempDir::new().unwrap();
-    transforms(side.path(), |pose| pose[0][3] > 0.0 && pose[1][3] > 0.0 || pose[0][3] > 2.0);
-    assert_shown(&load(side.path(), |_| ()), 1e-6);
 }
 
 #[test]

@@ -1,10 +1,10 @@
 //! What the perturbed pass and the search promise.
 
-use crate::common::pass::Setting;
+use crate::common::pass::{Setting, geometry};
 use crate::common::{flat, parameters, put_on_grid, tiny_config, tiny_scene, trained};
 use augnerf::base::rng::{Random, Stream};
 use augnerf::field::Field;
-use augnerf::perturb::{Deltas, Draw, Norm, PaperSite, PassGeometry, Passes, PixelScale, SampleDensity, Sets, SiteSet};
+use augnerf::perturb::{Deltas, Draw, Norm, PaperSite, PassGeometry, Passes, PixelScale, Sets, SiteSet};
 use augnerf::render::{clean_pass, perturbed_pass};
 use augnerf::runtime::Runtime;
 use augnerf::settings::{DeltaSource, Method, OutputPlace, PerturbConfig, PerturbField, SecondPass, Sizes};
@@ -13,29 +13,6 @@ use candle_core::{DType, Device, Tensor, Var};
 use proptest::prelude::*;
 
 const CPU: Device = Device::Cpu;
-
-/// The coarse pass on `t_vals`.
-fn geometry<'a>(
-    t_vals: &'a Tensor,
-    direction_norm: &'a Tensor,
-    bounds: (f64, f64),
-    width: usize,
-    pixel: PixelScale,
-) -> PassGeometry<'a> {
-    let samples = t_vals.dims()[1];
-    PassGeometry {
-        is_coarse: true,
-        t_vals,
-        samples,
-        direction_norm,
-        bounds,
-        coarse_samples: samples,
-        cap_samples: samples,
-        width,
-        pixel,
-        sample_density: SampleDensity::OWN,
-    }
-}
 
 /// A pass of a small f64 field.
 fn setting(method: Method, seed: u64, size: (usize, usize), change: impl FnOnce(&mut PerturbConfig)) -> Setting {
@@ -114,48 +91,44 @@ fn loss_gradients_in_every_delta_equal_finite_differences() {
 
 #[test]
 fn loss_gradients_in_weights_equal_finite_differences() {
-    [Method::AugNerf, Method::AugMipNerf].into_iter().for_each(weights_equal_finite_differences);
-}
-
-fn weights_equal_finite_differences(method: Method) {
-    let setting = setting(method, 1, (4, 6), |_| {});
-    let deltas = setting.search(setting.draw(0));
-    let gradients = setting.loss(&deltas).0.backward().unwrap();
-    for (name, var) in setting.field.variables() {
-        let gradient = gradients.get(var).unwrap().flatten_all().unwrap().to_vec1::<f64>().unwrap();
-        let original = var.as_tensor().copy().unwrap();
-        let at = |i: usize, by: f64| {
-            var.set(&nudged(&original, i, by)).unwrap();
-            let loss = setting.loss_value(&deltas);
-            var.set(&original).unwrap();
-            loss
-        };
-        let step = (gradient.len() / 12).max(1);
-        let pairs = (0..gradient.len()).step_by(step).map(|i| (gradient[i], (at(i, H) - at(i, -H)) / (2.0 * H)));
-        let pairs: Vec<(f64, f64)> = pairs.collect();
-        if pairs.iter().any(|(g, d)| *g != 0.0 || *d != 0.0) {
-            compare(name, pairs);
+    for method in [Method::AugNerf, Method::AugMipNerf] {
+        let setting = setting(method, 1, (4, 6), |_| {});
+        let deltas = setting.search(setting.draw(0));
+        let gradients = setting.loss(&deltas).0.backward().unwrap();
+        for (name, var) in setting.field.variables() {
+            let gradient = gradients.get(var).unwrap().flatten_all().unwrap().to_vec1::<f64>().unwrap();
+            let original = var.as_tensor().copy().unwrap();
+            let at = |i: usize, by: f64| {
+                var.set(&nudged(&original, i, by)).unwrap();
+                let loss = setting.loss_value(&deltas);
+                var.set(&original).unwrap();
+                loss
+            };
+            let step = (gradient.len() / 12).max(1);
+            let pairs = (0..gradient.len()).step_by(step).map(|i| (gradient[i], (at(i, H) - at(i, -H)) / (2.0 * H)));
+            let pairs: Vec<(f64, f64)> = pairs.collect();
+            if pairs.iter().any(|(g, d)| *g != 0.0 || *d != 0.0) {
+                compare(name, pairs);
+            }
         }
     }
 }
 
 #[test]
 fn epsilon_zero_is_the_clean_pass_exactly() {
-    [Method::AugNerf, Method::AugMipNerf].into_iter().for_each(epsilon_zero_is_clean);
-}
-
-fn epsilon_zero_is_clean(method: Method) {
-    let setting = setting(method, 2, (5, 7), |config| {
-        for site in PaperSite::ALL {
-            config[site].epsilon = Some(0.0.into());
-        }
-    });
-    let deltas = setting.search(setting.draw(0));
-    let perturbed = perturbed_pass(&setting.field, setting.pass(), setting.perturbation(&deltas)).unwrap();
-    let clean = clean_pass(&setting.field, setting.pass()).unwrap();
-    let rows = |tensor: &Tensor| tensor.to_vec2::<f64>().unwrap();
-    assert_eq!(rows(&perturbed.pass.composite.rgb), rows(&clean.composite.rgb));
-    assert_eq!(rows(&perturbed.pass.composite.weights), rows(&clean.composite.weights));
+    for method in [Method::AugNerf, Method::AugMipNerf] {
+        let setting = setting(method, 2, (5, 7), |config| {
+            for site in PaperSite::ALL {
+                config[site].epsilon = Some(0.0.into());
+            }
+        });
+        let deltas = setting.search(setting.draw(0));
+        let perturbed = perturbed_pass(&setting.field, setting.pass(), setting.perturbation(&deltas)).unwrap();
+        let clean = clean_pass(&setting.field, setting.pass()).unwrap();
+        let rows = |tensor: &Tensor| tensor.to_vec2::<f64>().unwrap();
+        assert_eq!(rows(&perturbed.pass.composite.rgb), rows(&clean.composite.rgb));
+        assert_eq!(rows(&perturbed.pass.composite.weights), rows(&clean.composite.weights));
+    }
 }
 
 /// Every delta within its set, colours in 0..=1, densities not negative, samples sorted.
@@ -229,8 +202,7 @@ proptest! {
         config[PaperSite::T].epsilon = Some(0.5.into());
         let config = config.resolve(1.0, 1, 16);
         let pixel = PixelScale { width: 16.0, height: 16.0, focal: 20.0, ndc: true };
-        let geometry = geometry(&t_vals, &norm, (0.0, 1.0), 4, pixel);
-        let sets = Sets::new(config.sites_of_pass(geometry.is_coarse), &geometry).unwrap();
+        let sets = Sets::new(config.sites_of_pass(true), &PassGeometry { pixel, ..geometry(&t_vals, &norm) }).unwrap();
         let set = sets.get(PaperSite::T).unwrap();
         for signs in 0..(1usize << samples.min(6)) {
             let far: Vec<f32> = (0..samples).map(|i| if signs >> (i % 6) & 1 == 1 { 9.0 } else { -9.0 }).collect();

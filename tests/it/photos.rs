@@ -14,9 +14,8 @@ use tempfile::TempDir;
 use crate::captures::{self, Folder, all, each, photograph, turned_jpeg};
 use crate::colmap::{arc_of, draw_mesh};
 use crate::common::assert_says;
-use crate::common::files::copy;
-use crate::common::program::{Place, demand, printed, set};
-use crate::strangers::fixture;
+use crate::common::files::{copy, fixture};
+use crate::common::program::{Place, demand, set};
 
 /// Damages a PNG's pixels behind its header.
 fn damage(file: &Path) {
@@ -97,7 +96,7 @@ fn turned_photographs_are_turned_if_only_that_fits_their_cameras() {
     };
     let colmap = |size: [u64; 2]| {
         let dir = TempDir::new().unwrap();
-        copy(&fixture("colmap_only1"), dir.path());
+        copy(&fixture("captures3/colmap_only1"), dir.path());
         let [width, height] = write(dir.path(), size, 8, |i| format!("000{}.jpg", i + 1));
         let camera = format!("1 SIMPLE_PINHOLE {width} {height} 15 {} {}", width / 2, height / 2);
         fs::write(dir.path().join("sparse/1/cameras.txt"), camera).unwrap();
@@ -160,7 +159,7 @@ fn photographs_that_show_nothing_are_told() {
     // Only as many are decoded as tell whether there is a background: the others may be damaged.
     let folder = with_alpha(9, |_, x| 16 * x as u8);
     (1..9).for_each(|i| damage(&folder.path().join(format!("images/{i}.png"))));
-    let said = printed(&["data", "check", folder.path().to_str().unwrap(), "--set", "data.downscale=1"]);
+    let said = Place::new().printed(&format!("data check {} --set data.downscale=1", folder.path().display()));
     assert_says(&said, &["background  [1.0, 1.0, 1.0]"]);
 
     // Opaque ones of one colour, the held-out ones alone.

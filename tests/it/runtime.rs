@@ -9,8 +9,7 @@ use augnerf::run::{Existing, Job, Setup};
 use augnerf::runtime::{Runtime, Work};
 use augnerf::settings::Method;
 
-use crate::common::files::{assert_same_files, files};
-use crate::common::learning::FLEETING;
+use crate::common::files::{FLEETING, assert_same_files, files};
 use crate::common::program::Place;
 use crate::common::{tiny_config, tiny_scene};
 

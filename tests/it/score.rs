@@ -1,7 +1,6 @@
 //! Pictures of any program under our protocol, and rows of a real sweep under their names.
 
 use std::path::Path;
-use std::sync::OnceLock;
 
 use crate::common::files::{entries, points_of, rows};
 use crate::common::program::{Place, demand, set, tiny_sweep};
@@ -18,8 +17,7 @@ fn scored(place: &Place, further: &str) -> Value {
 
 /// A sweep of a few steps.
 fn swept() -> Place {
-    static SWEPT: OnceLock<Place> = OnceLock::new();
-    Place::copy_of(&SWEPT, |place| {
+    Place::once("score", |place| {
         let settings = "train.steps=3 train.eval_every=2 train.log_every=1 eval.pictures=100";
         let rows = [("Aug-NeRF", "method = \"aug-nerf\"")];
         place.write("tiny.toml", tiny_sweep(&[0, 1], &["psnr", "ssim"], settings, &rows));

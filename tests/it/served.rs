@@ -3,7 +3,6 @@
 use std::io::{BufRead, BufReader, Write};
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, ExitStatus, Stdio};
-use std::sync::OnceLock;
 use std::sync::mpsc::{Receiver, channel};
 use std::time::Duration;
 
@@ -19,8 +18,7 @@ const PATIENCE: Duration = Duration::from_secs(600);
 
 /// A folder with the run that most tests serve, `RUN`.
 fn shared() -> Place {
-    static RUN: OnceLock<Place> = OnceLock::new();
-    Place::copy_of(&RUN, |place| train(place, ""))
+    Place::once("served", |place| train(place, ""))
 }
 
 /// A run of a second at 16 x 16, with further settings.

@@ -1,19 +1,13 @@
 //! Captures of strangers: small copies of each kind of fault that was found in published scenes (tests/fixtures/captures3).
 
 use std::fs;
-use std::path::{Path, PathBuf};
 
 use serde_json::json;
 
 use crate::captures::{Folder, KEY, each, turn};
 use crate::common::assert_says;
-use crate::common::files::copy;
+use crate::common::files::{copy, fixture};
 use crate::common::program::{Place, set};
-
-/// The folder of a capture.
-pub fn fixture(name: &str) -> PathBuf {
-    Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/fixtures/captures3").join(name)
-}
 
 /// A copy of a capture after changes, and the command line that checks it. A case is the capture's name with settings and, each
 /// after `; `, the changes: `mv FROM TO`, `cp FROM TO`, `rm FILES`, `put FILE TEXT` and `sub FILE OLD NEW`.
@@ -23,7 +17,7 @@ pub fn changed(case: &str) -> (Place, String) {
     let (name, settings) = first.split_once(' ').unwrap_or((first, ""));
     let place = Place::new();
     let folder = place.at(name);
-    copy(&fixture(name), &folder);
+    copy(&fixture("captures3").join(name), &folder);
     for change in parts {
         let words: Vec<&str> = change.split(' ').collect();
         let file = folder.join(words[1]);

@@ -1,10 +1,10 @@
 //! What training promises besides the numbers of one step.
 
-use crate::common::{assert_says, parameters, runtime, tiny_config, tiny_scene, trained};
+use crate::common::{assert_says, runtime, tiny_config, tiny_scene, trained};
 use augnerf::base::{Error, Image};
 use augnerf::metrics::psnr_float;
 use augnerf::run::Viewer;
-use augnerf::settings::{DataKind, DensityActivation, Encoding, Method, PerturbField, Resolved, Schedule};
+use augnerf::settings::{DataKind, DensityActivation, Encoding, Method, Resolved, Schedule};
 use augnerf::train::{Trainer, learning_rate};
 use candle_core::{DType, Device, Tensor};
 
@@ -115,17 +115,6 @@ fn the_start_of_a_hash_field_is_judged_within_its_box() {
         let refusal = start(activation, (50.0, 51.0)).err().expect("no ray meets the box").to_string();
         assert_says(&refusal, &["field.hash.bounds", "outside", "[50.000, 50.000, 50.000]"]);
     }
-}
-
-#[test]
-fn rows_of_a_seed_start_from_the_same_weights() {
-    let start = |method, field| {
-        let config = tiny_config(method, |config| config.perturb.field = field);
-        parameters(&trained(&config, 0), &["coarse", "fine"])
-    };
-    let nerf = start(Method::Nerf, PerturbField::Shared);
-    assert_eq!(nerf, start(Method::AugNerf, PerturbField::Shared));
-    assert_eq!(nerf, start(Method::AugNerf, PerturbField::Separate));
 }
 
 #[test]

@@ -1,16 +1,12 @@
 //! `augnerf verify`: what is committed holds, and what is changed does not.
 
-use std::collections::HashMap;
 use std::path::{Path, PathBuf};
 
 use crate::common::assert_says;
-use crate::common::files::{assert_same_files, copy, points_of, rows, text};
+use crate::common::files::{Cells, assert_same_files, copy, number, points_of, rows, text};
 use crate::common::program::{Place, augnerf, demand, tiny_sweep};
 
 const ROOT: &str = env!("CARGO_MANIFEST_DIR");
-
-/// A line of a CSV file by its columns.
-type Cells = HashMap<String, String>;
 
 /// Where committed results of this name lie, from the repository's root.
 fn committed(name: &str) -> String {
@@ -219,7 +215,6 @@ fn a_comparison_over_scenes_is_made_again() {
     assert_says(&text(&folder.join("over_scenes.svg")), &["difference in PSNR (dB) to NeRF"]);
     assert_says(&text(&folder.join("over_scenes.txt")), &["Rows against NeRF over 3 scenes", "Faint dots are scenes"]);
     let scenes = rows(&text(&folder.join("scenes.csv")));
-    let number = |row: &Cells, column: &str| row[column].parse::<f64>().unwrap();
     for (scene, name) in [("builtin", "precision"), ("fern", "precision"), ("chair", "precision_chair")] {
         let table = table_of(name);
         let of = |row: &str| table.iter().find(|line| line["row"] == row && line["scene"] == scene).unwrap();

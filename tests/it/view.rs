@@ -16,8 +16,7 @@ use augnerf::settings::{Axes, Config, Encoding, Method};
 use augnerf::view::{Attack, PerturbedRenderer, Server, ShownRun, SkippingRenderer};
 use candle_core::DType;
 
-use crate::common::learning::Small;
-use crate::common::program::succeed;
+use crate::common::program::{Place, set};
 use crate::common::{runtime, tiny_config, tiny_scene, trained};
 
 /// A run of the soft ball after some steps.
@@ -315,11 +314,12 @@ fn a_recorded_path_is_what_render_reads() {
 /// A run is shown while it trains, and who has recorded a path renders it while the page is open.
 #[test]
 fn a_shown_run_is_free_for_other_commands() {
-    let (_dir, out) = Small { method: "nerf", settings: "" }.once();
+    let place = Place::trained(&set("data.width=16 train.rays=64 train.steps=40 eval.pictures=0"));
+    let out = place.at("run");
     let training = RunDir::take(&out).unwrap();
     let run = ShownRun::open(&out, None, &Runtime::new("cpu", Some(1)).unwrap(), &()).unwrap();
     drop(training);
-    succeed(&["eval", "--quiet", out.to_str().unwrap()]);
+    place.run("eval --quiet run", 0);
     assert_eq!(run.weights().unwrap().step, 40);
 }
 

@@ -6,7 +6,6 @@ use std::process::{Child, Command, Stdio};
 
 use crate::common::assert_says;
 use crate::common::files::files;
-use crate::common::learning::Small;
 use crate::common::program::{Place, augnerf, demand, set};
 
 /// The program with a page, killed when it is dropped.
@@ -36,7 +35,8 @@ impl Drop for Page {
 /// What is printed can be opened here, and names are addresses, too.
 #[test]
 fn the_address_of_an_interface_opens_on_this_computer() {
-    let (_dir, out) = Small { method: "nerf", settings: "" }.once();
+    let place = Place::trained(&set("data.width=16 train.rays=64 train.steps=40 eval.pictures=0"));
+    let out = place.at("run");
     let view = ["view", out.to_str().unwrap(), "--port", "0", "--host"];
     let everywhere = ["warning: other computers can reach this page", "replace the address's host by"];
     for (host, words) in [("0.0.0.0", &everywhere[..]), ("localhost", &["open this address"])] {
@@ -57,13 +57,14 @@ fn the_address_of_an_interface_opens_on_this_computer() {
 #[test]
 fn a_page_that_may_not_be_ready_yet_ends() {
     use std::os::unix::process::ExitStatusExt;
-    let (_dir, out) = Small { method: "nerf", settings: "field.width=256 field.depth=8" }.once();
-    let mut command = augnerf(&["view", out.to_str().unwrap(), "--port", "0", "--threads", "1"]);
+    let small = "data.width=16 train.rays=64 train.steps=1 eval.pictures=0 field.width=256 field.depth=8";
+    let place = Place::trained(&set(small));
+    let mut command = place.command("view run --port 0 --threads 1");
     let mut child = command.stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap();
     let mut first = String::new();
     let mut errors = BufReader::new(child.stderr.take().unwrap());
     errors.read_line(&mut first).unwrap();
-    assert_says(&first, &["opening", out.to_str().unwrap()]);
+    assert_says(&first, &["opening run"]);
     assert!(Command::new("kill").args(["-TERM", &child.id().to_string()]).status().unwrap().success());
     let ended = child.wait().unwrap();
     let printed = std::io::read_to_string(child.stdout.take().unwrap()).unwrap();

@@ -12,7 +12,7 @@ use augnerf::run::{Existing, Job, RunDir, Setup, Viewer, load_scene, read_pictur
 use augnerf::settings::{DataConfig, DataKind, EvalSplit, Preset, TrainViews};
 use tempfile::TempDir;
 
-use crate::common::files::{assert_same_files, entries, json, rows, text};
+use crate::common::files::{FLEETING, assert_same_files, entries, json, rows, text};
 use crate::common::needs::scene as scene_folder;
 use crate::common::{built, runtime, tiny_config, tiny_scene, trained};
 
@@ -188,6 +188,6 @@ fn a_first_picture_comes_early_and_leaves_a_run_as_it_was() {
         resumed.train(&(), &signal).unwrap();
         let last = picture.with_file_name(format!("{}_beside.png", scene.test[0].name));
         assert!(!picture.exists() && last.is_file(), "{}", last.display());
-        assert_same_files(&plain, &path, &["timing.json", "run.lock"]);
+        assert_same_files(&plain, &path, &FLEETING);
     }
 }

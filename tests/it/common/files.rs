@@ -6,6 +6,14 @@ use std::path::{Path, PathBuf};
 use augnerf::base::csv::plain_hash;
 use augnerf::data::npy::header;
 
+/// Of a run, what need not repeat: clocks and locks.
+pub const FLEETING: [&str; 2] = ["timing.json", "run.lock"];
+
+/// A file or folder below `tests/fixtures`.
+pub fn fixture(name: &str) -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/fixtures").join(name)
+}
+
 /// A file's text.
 #[track_caller]
 pub fn text(path: &Path) -> String {
@@ -26,8 +34,17 @@ pub fn json(path: &Path) -> serde_json::Value {
     serde_json::from_str(&text(path)).unwrap_or_else(|e| panic!("{}: {e}", path.display()))
 }
 
+/// A line of a CSV file by its columns.
+pub type Cells = HashMap<String, String>;
+
+/// A cell's number.
+#[track_caller]
+pub fn number(row: &Cells, column: &str) -> f64 {
+    row[column].parse().unwrap_or_else(|_| panic!("{column}: {row:?}"))
+}
+
 /// The rows of a CSV text: each its cells by column.
-pub fn rows(csv: &str) -> Vec<HashMap<String, String>> {
+pub fn rows(csv: &str) -> Vec<Cells> {
     csv::Reader::from_reader(csv.as_bytes()).deserialize().map(|row| row.unwrap()).collect()
 }
 
@@ -44,7 +61,7 @@ pub fn seal(checkpoint: &Path) {
 
 /// A line of `points.csv` with what all lines share.
 #[derive(Clone, Debug, PartialEq)]
-pub struct PointCells(HashMap<String, String>);
+pub struct PointCells(Cells);
 
 impl std::ops::Index<&str> for PointCells {
     type Output = String;
@@ -66,7 +83,7 @@ pub fn points_of(results: &Path) -> Vec<PointCells> {
         other => (name, other.to_string()),
     });
     let shared: Vec<(String, String)> = shared.collect();
-    let whole = |row: HashMap<String, String>| {
+    let whole = |row: Cells| {
         let is_done = row["status"] == "done";
         let all = row.into_iter().chain(shared.iter().filter(|_| is_done).cloned());
         PointCells(all.map(|(name, cell)| (name, plain_hash(&cell).to_string())).collect())

@@ -1,7 +1,6 @@
 //! Small things that several test files share.
 
 pub mod files;
-pub mod learning;
 pub mod needs;
 pub mod pass;
 pub mod program;

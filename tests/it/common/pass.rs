@@ -10,6 +10,23 @@ use candle_core::{DType, Device, Tensor};
 
 use super::{tiny_config, tiny_scene};
 
+/// A coarse pass on `t_vals` between 0 and 1, of a field 16 wide.
+pub fn geometry<'a>(t_vals: &'a Tensor, direction_norm: &'a Tensor) -> PassGeometry<'a> {
+    let samples = t_vals.dims()[1];
+    PassGeometry {
+        is_coarse: true,
+        t_vals,
+        samples,
+        direction_norm,
+        bounds: (0.0, 1.0),
+        coarse_samples: samples,
+        cap_samples: samples,
+        width: 16,
+        pixel: PixelScale { width: 16.0, height: 16.0, focal: 20.0, ndc: false },
+        sample_density: SampleDensity::OWN,
+    }
+}
+
 /// Rays of the tiny scene through a new field, with density noise, on white.
 pub struct Setting {
     pub config: Resolved,
@@ -46,18 +63,7 @@ impl Setting {
         let (bounds, depth) = ((2.0, 6.0), Spacing::Depth);
         let t_vals = sampling::stratified(bounds, depth, rays.len(), columns, Some(&jitter), &rays.origins).unwrap();
         let (noise, target) = (draw(&[rays.len(), samples]), draw(&[rays.len(), 3]));
-        let geometry = PassGeometry {
-            is_coarse: true,
-            t_vals: &t_vals,
-            samples,
-            direction_norm: &rays.direction_norm,
-            bounds,
-            coarse_samples: columns,
-            cap_samples: columns,
-            width: config.field.width,
-            pixel: PixelScale { width: 16.0, height: 16.0, focal: 20.0, ndc: false },
-            sample_density: SampleDensity::OWN,
-        };
+        let geometry = PassGeometry { samples, bounds, ..geometry(&t_vals, &rays.direction_norm) };
         let sets = Sets::new(config.perturb.sites_of_pass(geometry.is_coarse), &geometry).unwrap();
         let field = Field::init(&config.field, seed, 0, dtype, &Device::Cpu).unwrap();
         Setting { config, field, rays, t_vals, noise: Some(noise), background: Some([1.0; 3]), target, sets }

@@ -1,8 +1,9 @@
 //! The program as a user runs it, in a folder that is not the repository.
 
+use std::collections::HashMap;
 use std::path::{Path, PathBuf};
-use std::process::{Child, Command, Output, Stdio};
-use std::sync::OnceLock;
+use std::process::{Child, Command, Stdio};
+use std::sync::{Arc, LazyLock, Mutex, OnceLock};
 use std::time::Duration;
 
 use augnerf::runtime::with_own_variables;
@@ -23,25 +24,6 @@ pub fn augnerf(arguments: &[&str]) -> Command {
     command
 }
 
-/// Runs it to its end.
-pub fn run(arguments: &[&str]) -> Output {
-    augnerf(arguments).output().unwrap()
-}
-
-/// Runs and demands success.
-#[track_caller]
-pub fn succeed(arguments: &[&str]) -> Output {
-    let output = run(arguments);
-    assert!(output.status.success(), "{arguments:?}: {}", String::from_utf8_lossy(&output.stderr));
-    output
-}
-
-/// Runs, demands success and returns what it printed.
-#[track_caller]
-pub fn printed(arguments: &[&str]) -> String {
-    String::from_utf8(succeed(arguments).stdout).unwrap()
-}
-
 /// Runs a command, demands an exit code and no panic, and returns its messages with what it printed.
 #[track_caller]
 pub fn demand(command: &mut Command, code: i32) -> String {
@@ -50,12 +32,6 @@ pub fn demand(command: &mut Command, code: i32) -> String {
     assert_eq!(output.status.code(), Some(code), "{command:?}: {message}");
     assert!(!message.contains("panicked"), "{message}");
     message + &String::from_utf8_lossy(&output.stdout)
-}
-
-/// Runs and demands the exit code and words of a refusal: one sentence, no panic.
-#[track_caller]
-pub fn refuse(arguments: &[&str], code: i32, words: &[&str]) {
-    assert_says(&demand(&mut augnerf(arguments), code), words);
 }
 
 /// Waits until something holds. What does not for ten minutes never does, on a busy machine, too.
@@ -85,9 +61,11 @@ impl Place {
         place
     }
 
-    /// A copy of a folder that is made once, for tests that change it.
-    pub fn copy_of(once: &OnceLock<Place>, make: impl FnOnce(&Place)) -> Place {
-        let made = once.get_or_init(|| {
+    /// A copy of the folder of a name, which is made once, for tests that change it.
+    pub fn once(name: &str, make: impl FnOnce(&Place)) -> Place {
+        static MADE: LazyLock<Mutex<HashMap<String, Arc<OnceLock<Place>>>>> = LazyLock::new(Mutex::default);
+        let made = MADE.lock().unwrap().entry(name.into()).or_default().clone();
+        let made = made.get_or_init(|| {
             let place = Place::new();
             make(&place);
             place
@@ -95,6 +73,11 @@ impl Place {
         let place = Place::new();
         copy(made.path(), place.path());
         place
+    }
+
+    /// A copy of the folder of a run on the embedded scene with these flags, `run`.
+    pub fn trained(flags: &str) -> Place {
+        Place::once(flags, |place| drop(place.run(&format!("train --quiet --preset smoke --out run {flags}"), 0)))
     }
 
     pub fn path(&self) -> &Path {

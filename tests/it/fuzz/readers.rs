@@ -20,7 +20,7 @@ use augnerf::sweep::{Definition, PublishedCosts, StepCosts, SweepFolder, SweepOu
 use augnerf::train::checkpoint;
 use candle_core::{DType, Device};
 
-use crate::common::files::{copy, entries, files, seal};
+use crate::common::files::{copy, entries, files, fixture, seal};
 use crate::common::program::{Place, tiny_sweep};
 use crate::common::{runtime, tiny_config, tiny_scene, trained};
 use crate::sweep_run::Costs;
@@ -34,21 +34,17 @@ pub struct Reader {
 /// The name of a folder of sound files, and how each of them is read.
 type Kind = (&'static str, fn(&Path) -> Result<()>);
 
-fn fixtures() -> PathBuf {
-    Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/fixtures")
-}
-
 /// All readers, their files in folders below `folder`.
 pub fn all(folder: &Path) -> Vec<Reader> {
-    copy(&fixtures().join("sound"), folder);
+    copy(&fixture("sound"), folder);
     fs::create_dir_all(folder.join("import")).unwrap();
     fs::write(folder.join("config/defaults.toml"), Config::default().to_toml()).unwrap();
     for name in ["nerf_pytorch.tar", "hostile/short_storage.tar", "hostile/missing_storage.tar"] {
-        let from = fixtures().join(name);
+        let from = fixture(name);
         fs::copy(&from, folder.join("import").join(from.file_name().unwrap())).unwrap();
     }
     for name in ["colmap_split", "masks_llff", "masks_dynamic"] {
-        copy(&fixtures().join("captures3").join(name), &folder.join("scenes").join(name));
+        copy(&fixture("captures3").join(name), &folder.join("scenes").join(name));
     }
     let kinds: [Kind; 8] = [
         ("mesh", |file| sample(&read_mesh(file)?, 16, 0).map(drop)),
@@ -186,7 +182,7 @@ fn sweep(folder: &Path) -> Vec<Reader> {
     copy(&place.at("results/small"), &results);
     for (point, name) in entries(&open.join("points")).iter().zip(["claim.json", "failed.json"]) {
         fs::remove_file(point.join("result.json")).unwrap();
-        fs::copy(fixtures().join("sound/point").join(name), point.join(name)).unwrap();
+        fs::copy(fixture("sound/point").join(name), point.join(name)).unwrap();
     }
     let seconds = folder.join("step_seconds.json");
     let config = tiny_config(Method::Nerf, |_| {});

@@ -1,9 +1,14 @@
-//! Terms of few-view training, on training rays, unseen rays, points and tables: each is descended, on networks and on hash grids, and costs no reproducibility.
+//! Terms in space and of few-view training, on training rays, unseen rays, points and tables: each is descended, on networks and
+//! on hash grids, and costs no reproducibility.
 
 use super::*;
 use crate::common::{assert_refused, assert_same_bytes, put_on_grid};
 use augnerf::methods::Learner;
-use augnerf::settings::{DataKind, TermRays, WeightSchedule};
+use augnerf::settings::{DataKind, LatticePoints, TermRays, WeightSchedule};
+
+/// The paper's three in space.
+const IN_SPACE: [(Regularizer, f64); 3] =
+    [(Regularizer::L1, 5e-3), (Regularizer::Tv, 5e-4), (Regularizer::Laplacian, 5e-6)];
 
 /// Terms on rays, in space and on tables that are not the paper's, with weights that show.
 const FEW_VIEWS: [(Regularizer, f64); 11] = [
@@ -37,24 +42,31 @@ fn terms_of(on_grid: bool) -> impl Iterator<Item = (Regularizer, f64)> {
 }
 
 /// The first step reports a term's value and adds weight times it to the loss. Trained for some steps with a weight, the
-/// term is smaller than without.
+/// term is smaller than without. Those in space are computed at all points of the lattice or, on a grid, at some.
 #[test]
 fn each_term_is_reported_and_descended() {
     for (on_grid, rays) in
         [(false, TermRays::Training), (true, TermRays::Training), (false, TermRays::Unseen), (true, TermRays::Unseen)]
     {
-        for (term, weight) in terms_of(on_grid) {
-            if rays == TermRays::Unseen
-                && ![Regularizer::Occlusion, Regularizer::Entropy, Regularizer::Orientation].contains(&term)
-            {
-                continue;
-            }
-            let one = |weight: f64| {
-                with(on_grid, |config| (config.kind, config.weight, config.rays) = (vec![term], vec![weight], rays))
-            };
+        // A trilinear grid has no second derivatives.
+        let in_space = IN_SPACE.into_iter().filter(|(term, _)| !on_grid || *term != Regularizer::Laplacian);
+        let may_be_unseen = [Regularizer::Occlusion, Regularizer::Entropy, Regularizer::Orientation];
+        let is_tried = |(term, _): &(Regularizer, f64)| rays == TermRays::Training || may_be_unseen.contains(term);
+        let all: Vec<(Regularizer, f64)> = terms_of(on_grid).chain(in_space).filter(is_tried).collect();
+        let of = |terms: &[(Regularizer, f64)]| {
+            with(on_grid, |config| {
+                (config.kind, config.weight) = terms.iter().copied().unzip();
+                config.rays = rays;
+                config.points = if on_grid { LatticePoints::Sampled } else { LatticePoints::Full };
+            })
+        };
+        // All terms are measured, and none is descended.
+        let idle: Vec<(Regularizer, f64)> = all.iter().map(|(term, _)| (*term, 1e-12)).collect();
+        let without = trained(&of(&idle), 60).step(false).unwrap();
+        for (term, weight) in all {
             let column = format!("regularizer.{}", term.name());
-            let [mut weak, mut strong] = [1e-12, weight].map(|weight| trained(&one(weight), 0));
-            let (a, b) = (weak.step(false).unwrap(), strong.step(false).unwrap());
+            let after = |weight: f64, steps: u64| trained(&of(&[(term, weight)]), steps).step(false).unwrap();
+            let (a, b) = (after(1e-12, 0), after(weight, 0));
             let value = b.term(&column).unwrap();
             assert!(value.is_finite() && a.term(&column) == Some(value), "{column} {on_grid}: {value}");
             let added = b.loss - a.loss;
@@ -63,13 +75,25 @@ fn each_term_is_reported_and_descended() {
                 "{column}: {added} for {}",
                 weight * value
             );
-            let after = |weight: f64| {
-                let mut trainer = trained(&one(weight), 60);
-                trainer.step(false).unwrap().term(&column).unwrap()
-            };
-            let (weak, strong) = (after(1e-12), after(weight));
+            let [weak, strong] = [&without, &after(weight, 60)].map(|stats| stats.term(&column).unwrap());
             assert!(strong < 0.95 * weak, "{column} on a grid ({on_grid}): {strong} with the term, {weak} without");
         }
+    }
+}
+
+/// Of the clean passes, whatever the method's others are.
+#[test]
+fn a_term_on_rays_is_added_to_the_loss_of_every_method() {
+    for method in [Method::AugNerf, Method::MipNerf] {
+        let step = |weight: f64| {
+            let config = tiny_config(method, |config| {
+                (config.regularizer.kind, config.regularizer.weight) = (vec![Regularizer::Distortion], vec![weight]);
+            });
+            trained(&config, 0).step(false).unwrap()
+        };
+        let (a, b) = (step(1e-9), step(0.3));
+        let value = b.term("regularizer.distortion").unwrap();
+        assert!(a.mse == b.mse && value > 0.0 && (b.loss - a.loss - 0.3 * value).abs() < 1e-6, "{a:?} {b:?}");
     }
 }
 
@@ -133,8 +157,7 @@ fn the_gradients_of_a_term_on_a_hash_grid_are_those_of_f64() {
 #[test]
 fn all_terms_together_have_the_same_bytes_on_threads_and_after_a_stop() {
     let config = with(true, |config| {
-        let in_space = [(Regularizer::L1, 0.1), (Regularizer::Tv, 0.01)];
-        let terms: Vec<(Regularizer, f64)> = terms_of(true).chain(in_space).collect();
+        let terms: Vec<(Regularizer, f64)> = terms_of(true).chain(IN_SPACE.into_iter().take(2)).collect();
         config.kind = terms.iter().map(|(term, _)| *term).collect();
         config.weight = terms.iter().map(|(_, weight)| 0.01 * weight).collect();
         config.schedule = vec![WeightSchedule::Constant; terms.len()];
@@ -182,11 +205,10 @@ fn unseen_rays_disturb_nothing_and_need_cameras_that_meet() {
     for (i, view) in scene.train.iter_mut().enumerate() {
         view.camera.pose = [[1.0, 0.0, 0.0, i as f64], [0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 1.0, 4.0]];
     }
-    let runtime = augnerf::runtime::Runtime::new("cpu", Some(1)).unwrap();
-    let said = Trainer::new(&idle, &scene, DType::F32, &runtime).err().unwrap().to_string();
+    let said = Trainer::new(&idle, &scene, DType::F32, runtime()).err().unwrap().to_string();
     let to_points = with(false, |config| config.kind = vec![Regularizer::SparseDepth]);
     scene.space.sightings.clear();
-    let none = Trainer::new(&to_points, &scene, DType::F32, &runtime).err().unwrap().to_string();
+    let none = Trainer::new(&to_points, &scene, DType::F32, runtime()).err().unwrap().to_string();
     assert_says(&none, &["depth at points", "COLMAP"]);
     assert_says(&said, &["unseen_poses = \"sphere\"", "no common point", "\"between\""]);
 }
