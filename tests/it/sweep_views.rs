@@ -3,7 +3,7 @@
 use std::path::{Path, PathBuf};
 
 use crate::common::assert_says;
-use crate::common::files::{Cells, ending, entries, files, number, rows, text};
+use crate::common::files::{ending, entries, files, rows, text};
 use crate::common::program::Place;
 use crate::sweep_run::Costs;
 use augnerf::report::PointResult;
