@@ -58,11 +58,9 @@ texts! {
     "composite": "sizes", "common", "rays", "composite";
     "loss": "sizes", "rays", "loss";
     "shift": "sizes", "shift";
-    "t_radius": "common", "t_radius";
-    "xyz_radius": "common", "rays", "xyz_radius";
-    "draw": "common", "set", "draw";
-    "ascend": "common", "set", "ascend";
-    "at_bound": "common", "set", "at_bound";
+    "draw": "common", "rays", "set", "draw";
+    "ascend": "common", "rays", "set", "ascend";
+    "at_bound": "common", "rays", "set", "at_bound";
     "multiply": "common", "multiply";
     "reduce": "common", "reduce";
     "check": "sizes", "common", "finite", "check";

@@ -40,10 +40,16 @@ struct SiteSet {
 enum SiteRadius {
     /// One for all.
     One(f64),
-    /// That of `t`: kind, share, coarse, drawn, coarse gap, reach, as in `t_radius.wgsl`.
+    /// That of `t`: kind, share, coarse, drawn, coarse gap, reach, as in `set.wgsl`.
     OfGaps(usize, [f64; 5]),
     /// That of `xyz`: a pixel, capped by a part of the ray; both times epsilon.
     Pixel { pixel: f64, cap: f64 },
+}
+
+impl SiteSet {
+    fn has_pixel(&self) -> bool {
+        matches!(self.radius, SiteRadius::Pixel { .. })
+    }
 }
 
 impl PassSets {
@@ -131,8 +137,6 @@ pub(crate) struct SetBuffers {
     random: PerSite<Option<Buffer>>,
     /// Deltas of the output level as the complete pass used them, for the diagnostics.
     used: PerSite<Option<Buffer>>,
-    t_radius: Buffer,
-    xyz_radius: Buffer,
 }
 
 impl SetBuffers {
@@ -141,14 +145,10 @@ impl SetBuffers {
             let set = sets.sites.iter().find(|set| set.site == site)?;
             Some(gpu.numbers(rays * set.per_ray * set.size))
         };
-        let columns =
-            sets.sites.iter().filter(|set| set.site == PaperSite::T).map(|set| set.per_ray).max().unwrap_or(1);
         SetBuffers {
             deltas: PerSite::from_fn(of),
             random: PerSite::from_fn(of),
             used: PerSite::from_fn(|site| of(site).filter(|_| site.about().level == Level::Output)),
-            t_radius: gpu.numbers(rays * columns),
-            xyz_radius: gpu.numbers(rays),
         }
     }
 
@@ -215,7 +215,7 @@ impl HostChunks {
     }
 }
 
-impl Recorder<'_> {
+impl<'a> Recorder<'a> {
     /// Records so many words of a stream from an offset on: `count` of each of `chunks`.
     pub(crate) fn random(&mut self, now: &Buffer, numbers: &Buffer, at: Stretch) {
         let Stretch { stream, part, part_step, chunks, count, offset, first } = at;
@@ -236,44 +236,22 @@ impl Recorder<'_> {
         }
     }
 
-    /// Records the radii that depend on samples and rays.
-    pub(crate) fn radii(&mut self, sets: &PassSets, buffers: &SetBuffers, pass: &PassAt) {
-        for set in &sets.sites {
-            match set.radius {
-                SiteRadius::One(_) => {}
-                SiteRadius::OfGaps(kind, [share, coarse, drawn, gap, reach]) => {
-                    let count = pass.rays * pass.columns;
-                    let words = Words::default().u(pass.rays).u(pass.columns).u(kind).f(share);
-                    let words = words.f(coarse).f(drawn).f(gap).f(reach);
-                    let bound = [(1, pass.t_vals), (2, &buffers.t_radius)];
-                    self.run(Kernel::new("t_radius"), words, &bound, groups(count));
-                }
-                SiteRadius::Pixel { pixel, cap } => {
-                    let words = Words::default().u(pass.rays).u(pass.ray0).f(pixel).f(cap);
-                    let bound = [(1, self.rays), (2, &buffers.xyz_radius)];
-                    self.run(Kernel::new("xyz_radius"), words, &bound, groups(pass.rays));
-                }
-            }
-        }
-    }
-
     /// The parameters of a set's kernels.
     fn set_words(&self, set: &SiteSet, pass: &PassAt, rest: SetWords) -> Words {
-        let every = match set.radius {
-            SiteRadius::One(_) => 0,
-            SiteRadius::OfGaps(..) => 1,
-            SiteRadius::Pixel { .. } => set.per_ray,
-        };
-        let radius = if let SiteRadius::One(radius) = set.radius { radius } else { 0.0 };
+        let (mut of_all, mut of_pixel, mut of_gaps) = (0.0, [0.0; 2], (0, [0.0; 5]));
+        match set.radius {
+            SiteRadius::One(radius) => of_all = radius,
+            SiteRadius::Pixel { pixel, cap } => of_pixel = [pixel, cap],
+            SiteRadius::OfGaps(kind, numbers) => of_gaps = (kind, numbers),
+        }
         let (near, far) = rest.range.unwrap_or(self.bounds);
         let is = |on: bool| usize::from(on);
-        Words::default()
+        let words = Words::default()
             .u(pass.rays * set.per_ray)
             .u(set.size)
             .u(is(set.numbers.norm == Norm::L2))
-            .u(every)
-            .f(radius)
-            .u(is(set.site == PaperSite::T))
+            .u(set.per_ray)
+            .f(of_all)
             .f(near)
             .f(far)
             .u(if set.masks { pass.samples } else { 0 })
@@ -286,31 +264,23 @@ impl Recorder<'_> {
             .u(rest.normals)
             .u(rest.first)
             .u(rest.first_distance)
-            .u(0)
-            .u(0)
+            .u(pass.ray0);
+        let words = of_pixel.into_iter().fold(words, Words::f).u(of_gaps.0);
+        of_gaps.1.into_iter().fold(words, Words::f).u(0).u(0)
     }
 
     fn set_kernel(&self, name: &'static str, set: &SiteSet) -> Kernel {
-        let has_radii = !matches!(set.radius, SiteRadius::One(_));
-        Kernel::new(name).with("RADII", has_radii).with("BOUNDED", set.site == PaperSite::T)
+        Kernel::new(name).with("PIXEL", set.has_pixel()).with("BOUNDED", set.site == PaperSite::T)
     }
 
-    /// The buffers of a set's kernels: the delta, its radii, the positions that bound it.
-    fn set_buffers<'b>(
-        set: &SiteSet,
-        delta: &'b Buffer,
-        buffers: &'b SetBuffers,
-        pass: &PassAt<'b>,
-    ) -> Vec<(u32, &'b Buffer)> {
+    /// The buffers of a set's kernels: the delta, the rays and the positions that its radii and bounds depend on.
+    fn set_buffers<'b>(&self, set: &SiteSet, delta: &'b Buffer, pass: &PassAt<'b>) -> Vec<(u32, &'b Buffer)>
+    where
+        'a: 'b,
+    {
         let mut bound = vec![(1, delta)];
-        match set.radius {
-            SiteRadius::One(_) => {}
-            SiteRadius::OfGaps(..) => bound.push((2, &buffers.t_radius)),
-            SiteRadius::Pixel { .. } => bound.push((2, &buffers.xyz_radius)),
-        }
-        if set.site == PaperSite::T {
-            bound.push((3, pass.t_vals));
-        }
+        bound.extend(set.has_pixel().then_some((2, self.rays)));
+        bound.extend((set.site == PaperSite::T).then_some((3, pass.t_vals)));
         bound
     }
 
@@ -355,7 +325,7 @@ impl Recorder<'_> {
             let words = self.set_words(set, pass, words);
             let to = if at.random { &buffers.random } else { &buffers.deltas };
             let delta = to[set.site].as_ref().expect("a site that is on");
-            let mut bound = Recorder::set_buffers(set, delta, buffers, pass);
+            let mut bound = self.set_buffers(set, delta, pass);
             bound.push((4, numbers));
             let threads = groups(pass.rays * set.per_ray);
             self.run(self.set_kernel("draw", set), words, &bound, threads);
@@ -374,7 +344,7 @@ impl Recorder<'_> {
         let set = sets.set(site);
         let words = self.set_words(set, pass, SetWords { stride, offset, ..SetWords::default() });
         let delta = buffers.deltas[site].as_ref().expect("a site that is on");
-        let mut bound = Recorder::set_buffers(set, delta, buffers, pass);
+        let mut bound = self.set_buffers(set, delta, pass);
         bound.push((4, gradient));
         let used = self.used(site);
         bound.extend(used.map(|used| (5, used)));
@@ -414,7 +384,7 @@ impl Recorder<'_> {
             Some(used) => used,
             None => buffers.deltas[site].as_ref().expect("a site that is on"),
         };
-        let mut bound = Recorder::set_buffers(set, delta, buffers, pass);
+        let mut bound = self.set_buffers(set, delta, pass);
         bound.push((4, counts));
         if is_output {
             bound.push((5, &self.scratch.values));

@@ -229,7 +229,6 @@ impl<'a> ChunkRecorder<'a> {
         let sets = steps.sets[index].as_ref().expect("a perturbed pass has sets");
         let buffers = steps.buffers.sets[index].as_ref().expect("a perturbed pass has deltas");
         let before = perturb.output == OutputPlace::Before;
-        recorder.radii(sets, buffers, &pass);
         let draw = if source == DeltaSource::Gaussian { Draw::Gaussian } else { Draw::Uniform };
         let at = self.draw_at(index, &pass, draw, Stream::Search, false);
         recorder.draw(&at);

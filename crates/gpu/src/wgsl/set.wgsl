@@ -3,9 +3,8 @@ struct Set {
     vectors: u32,       // of the chunk
     size: u32,
     ball: u32,
-    radius_every: u32,  // vectors that share a radius; 0: `radius` for all
-    radius: f32,
-    bounded: u32,       // within near - t and far - t
+    per_ray: u32,
+    radius: f32,        // of all, if it is neither a pixel's nor that of a gap
     near: f32, far: f32,
     masks_last: u32,    // 0, or the samples of a ray, the last of which has no delta
     step: f32,          // of the search
@@ -17,21 +16,44 @@ struct Set {
     normals: u32,       // numbers of such a chunk
     first: u32,         // place of the first vector's chunk
     first_distance: u32,
+    // Of a pixel: the first ray of the chunk, a pixel, and a part of the ray in lengths of its direction.
+    ray0: u32, pixel: f32, cap: f32,
+    // Of the gap to the nearer neighbour.
+    kind: u32,          // 0 epsilon over a uniform density, 1 over the paper's density around, 2 reach
+    share: f32,         // 0: of the nearer gap; 1: epsilon; 2: the largest part
+    coarse: f32, drawn: f32, coarse_gap: f32,
+    reach: f32,
     pad0: u32, pad1: u32,
 }
 @group(0) @binding(0) var<uniform> p: Set;
 @group(0) @binding(1) var<storage, read_write> delta: array<f32>;
-//#if RADII
-@group(0) @binding(2) var<storage, read> radii: array<f32>;
-//#end
+@group(0) @binding(2) var<storage, read> rays: array<f32>;
 //#if BOUNDED
 @group(0) @binding(3) var<storage, read> t_vals: array<f32>;
 //#end
+// Two roundings below 1.
+const SHORT: f32 = 0.99999976158142;
 fn radius_of(v: u32) -> f32 {
-    //#if RADII
-    return radii[v / p.radius_every];
+    //#if PIXEL
+    return min(p.cap * rays[RAY * (p.ray0 + v / p.per_ray) + NORM], p.pixel);
+    //#else
+    //#if BOUNDED
+    let k = v % p.per_ray;
+    var before = 0.0;
+    var after = 0.0;
+    if (k > 0u) { before = t_vals[v] - t_vals[v - 1u]; }
+    if (k + 1u < p.per_ray) { after = t_vals[v + 1u] - t_vals[v]; }
+    if (k == 0u) { before = after; }
+    if (k + 1u == p.per_ray) { after = before; }
+    let nearer = min(before, after);
+    if (p.kind == 0u) { return nearer * (p.share * SHORT); }
+    if (p.kind == 2u) { return min(nearer * (p.share * SHORT), p.reach); }
+    let coarse_share = min(0.5 * (before + after) / p.coarse_gap, 1.0);
+    let density = coarse_share * (p.coarse - p.drawn) + p.drawn;
+    return nearer * min(p.share / density, 0.5) * SHORT;
     //#else
     return p.radius;
+    //#end
     //#end
 }
 fn low_of(v: u32) -> f32 {

@@ -1,4 +1,4 @@
-//! Constraint sets: radii, random points, steps of the search, and what is at its bound.
+//! Constraint sets and their radii: random points, steps of the search, and what is at its bound.
 
 use augnerf_nerf::perturb::{DeltaSet, Norm};
 
@@ -10,27 +10,42 @@ struct Case {
     norm: Norm,
     size: usize,
     per_ray: usize,
-    /// Vectors that share a radius; 0: one for all.
-    every: usize,
-    /// Within near - t and far - t, for vectors of one number.
-    is_bounded: bool,
+    radius: Radius,
     masks_last: bool,
     relative: bool,
 }
 
-const PLAIN: Case =
-    Case { norm: Norm::Linf, size: 3, per_ray: 5, every: 0, is_bounded: false, masks_last: false, relative: false };
+/// The radius of a set.
+#[derive(Clone, Copy, PartialEq)]
+enum Radius {
+    One,
+    /// A pixel, or a part of the ray if that is shorter.
+    Pixel,
+    /// Of positions, which are bounded by near - t and far - t: by one of the three rules of `set.wgsl`.
+    OfGaps(usize),
+}
 
-const CASES: [Case; 5] = [
+const PLAIN: Case =
+    Case { norm: Norm::Linf, size: 3, per_ray: 5, radius: Radius::One, masks_last: false, relative: false };
+
+const CASES: [Case; 7] = [
     PLAIN,
     Case { norm: Norm::L2, relative: true, ..PLAIN },
-    Case { norm: Norm::L2, every: 5, ..PLAIN },
-    Case { size: 1, every: 1, is_bounded: true, relative: true, ..PLAIN },
+    Case { norm: Norm::L2, radius: Radius::Pixel, ..PLAIN },
+    Case { size: 1, radius: Radius::OfGaps(0), relative: true, ..PLAIN },
+    Case { size: 1, radius: Radius::OfGaps(1), relative: true, ..PLAIN },
+    Case { size: 1, radius: Radius::OfGaps(2), ..PLAIN },
     Case { size: 1, masks_last: true, ..PLAIN },
 ];
 
 const RAYS: usize = 14;
+/// The first ray of the chunk.
+const RAY0: usize = 5;
 const RADIUS: f64 = 0.3;
+const PIXEL: f64 = 0.2;
+const CAP: f64 = 0.5;
+/// Share, coarse, drawn, coarse gap, reach.
+const GAPS: [f64; 5] = [0.4, 1.5, 2.5, 0.25, 0.05];
 const STEP: f64 = 0.25;
 const BOUNDS: (f64, f64) = (2.0, 4.0);
 
@@ -39,23 +54,54 @@ impl Case {
         RAYS * self.per_ray
     }
 
-    fn radii(self) -> Vec<f32> {
-        numbers(self.vectors(), 0.4, 140).iter().map(|x| x.abs()).collect()
+    fn is_bounded(self) -> bool {
+        matches!(self.radius, Radius::OfGaps(_))
     }
 
+    fn rays(self) -> Vec<f32> {
+        numbers((RAY0 + RAYS) * RAY, 1.0, 150).iter().map(|x| x.abs()).collect()
+    }
+
+    /// Positions that grow along each ray.
     fn t_vals(self) -> Vec<f32> {
-        numbers(self.vectors(), 1.0, 141).iter().map(|x| 3.0 + x).collect()
+        let gaps: Vec<f32> = numbers(self.vectors(), 0.3, 149).iter().map(|x| x.abs() + 0.01).collect();
+        let grown =
+            |gaps: &[f32]| -> Vec<f32> { (1..=gaps.len()).map(|k| 2.0 + gaps[..k].iter().sum::<f32>()).collect() };
+        gaps.chunks(self.per_ray).flat_map(grown).collect()
+    }
+
+    fn radii(self) -> Vec<f64> {
+        let (rays, t_vals) = (self.rays(), self.t_vals());
+        let of = |v: usize| match self.radius {
+            Radius::One => f64::from(RADIUS as f32),
+            Radius::Pixel => f64::min(CAP * f64::from(rays[RAY * (RAY0 + v / self.per_ray) + 18]), PIXEL),
+            Radius::OfGaps(kind) => {
+                let gap = |from: usize| f64::from(t_vals[from + 1]) - f64::from(t_vals[from]);
+                let (before, after) = match v % self.per_ray {
+                    0 => (gap(v), gap(v)),
+                    k if k + 1 == self.per_ray => (gap(v - 1), gap(v - 1)),
+                    _ => (gap(v - 1), gap(v)),
+                };
+                let ([share, coarse, drawn, coarse_gap, reach], nearer) = (GAPS, before.min(after));
+                match kind {
+                    0 => nearer * share,
+                    1 => {
+                        let of_coarse = (0.5 * (before + after) / coarse_gap).min(1.0);
+                        nearer * (share / (of_coarse * coarse + (1.0 - of_coarse) * drawn)).min(0.5)
+                    }
+                    _ => (nearer * share).min(reach),
+                }
+            }
+        };
+        (0..self.vectors()).map(of).collect()
     }
 
     /// The same set in f64.
     fn set(self) -> DeltaSet {
-        let (vectors, every) = (self.vectors(), self.every);
-        let radii: Vec<f32> = match every {
-            0 => vec![RADIUS as f32; vectors],
-            _ => (0..vectors).map(|v| self.radii()[v / every]).collect(),
-        };
-        let mut set = DeltaSet::new(self.norm, wide(&radii, &[vectors, 1]), &[vectors, self.size]);
-        if self.is_bounded {
+        let vectors = self.vectors();
+        let radii = Tensor::from_vec(self.radii(), (vectors, 1), &Device::Cpu).unwrap();
+        let mut set = DeltaSet::new(self.norm, radii, &[vectors, self.size]);
+        if self.is_bounded() {
             let t_vals = wide(&self.t_vals(), &[vectors, 1]);
             let to = |end: f64| (t_vals.neg().unwrap() + end).unwrap();
             set.bounds = Some((to(BOUNDS.0).minimum(0.0).unwrap(), to(BOUNDS.1).maximum(0.0).unwrap()));
@@ -72,22 +118,24 @@ impl Case {
     /// of the first distance.
     fn words(self, rest: [usize; 7], (near, far): (f64, f64)) -> Words {
         let is = |on: bool| usize::from(on);
-        let words = Words::default().u(self.vectors()).u(self.size).u(is(self.norm == Norm::L2)).u(self.every);
-        let words = words.f(RADIUS).u(is(self.is_bounded)).f(near).f(far);
+        let words = Words::default().u(self.vectors()).u(self.size).u(is(self.norm == Norm::L2)).u(self.per_ray);
+        let words = words.f(RADIUS).f(near).f(far);
         let words = words.u(if self.masks_last { self.per_ray } else { 0 }).f(STEP).u(is(self.relative));
-        rest.into_iter().fold(words, Words::u).u(0).u(0)
+        let kind = if let Radius::OfGaps(kind) = self.radius { kind } else { 0 };
+        let words = rest.into_iter().fold(words, Words::u).u(RAY0).f(PIXEL).f(CAP).u(kind);
+        GAPS.into_iter().fold(words, Words::f).u(0).u(0)
     }
 
     fn kernel(self, name: &'static str) -> Kernel {
-        Kernel::new(name).with("RADII", self.every > 0).with("BOUNDED", self.is_bounded)
+        Kernel::new(name).with("PIXEL", self.radius == Radius::Pixel).with("BOUNDED", self.is_bounded())
     }
 
-    /// Runs a kernel on a delta, with its radii, its positions and more buffers.
+    /// Runs a kernel on a delta, with the rays, the positions and more buffers.
     fn run(self, gpu: &Gpu, kernel: Kernel, words: Words, delta: &Buffer, more: &[(u32, &Buffer)]) {
-        let (radii, t_vals) = (gpu.storage(&self.radii()), gpu.storage(&self.t_vals()));
+        let (rays, t_vals) = (gpu.storage(&self.rays()), gpu.storage(&self.t_vals()));
         let mut buffers = vec![(1, delta)];
-        buffers.extend((self.every > 0).then_some((2, &radii)));
-        buffers.extend(self.is_bounded.then_some((3, &t_vals)));
+        buffers.extend((self.radius == Radius::Pixel).then_some((2, &rays)));
+        buffers.extend(self.is_bounded().then_some((3, &t_vals)));
         buffers.extend_from_slice(more);
         run(gpu, kernel, words, &buffers, groups(self.vectors()));
     }
@@ -208,59 +256,4 @@ fn counts_at_bounds() {
     };
     let counted: Vec<u32> = bytemuck::pod_collect_to_vec(&gpu.read(&[&counts]).unwrap()[0]);
     assert_eq!(counted[..2], [(0..vectors).filter(at).count() as u32, vectors as u32]);
-}
-
-/// Radii of positions, by the three rules of `t_radius.wgsl`, and those of points in pixels.
-#[test]
-fn radii() {
-    let gpu = gpu();
-    let (rays, columns) = (20, 7);
-    let gaps: Vec<f32> = numbers(rays * columns, 0.3, 149).iter().map(|x| x.abs() + 0.01).collect();
-    let t_vals: Vec<f32> = gaps
-        .chunks(columns)
-        .flat_map(|gaps| {
-            gaps.iter()
-                .scan(2.0, |t, gap| {
-                    *t += gap;
-                    Some(*t)
-                })
-                .collect::<Vec<f32>>()
-        })
-        .collect();
-    let (share, coarse, drawn, coarse_gap, reach) = (0.4, 1.5, 2.5, 0.25, 0.05);
-    let buffer = gpu.storage(&t_vals);
-    for kind in 0..3 {
-        let out = gpu.numbers(rays * columns);
-        let words = Words::default().u(rays).u(columns).u(kind).f(share).f(coarse).f(drawn).f(coarse_gap).f(reach);
-        run(&gpu, Kernel::new("t_radius"), words, &[(1, &buffer), (2, &out)], groups(rays * columns));
-        let of = |i: usize| {
-            let (k, t) = (i % columns, |i: usize| f64::from(t_vals[i]));
-            let gap = |from: usize| t(from + 1) - t(from);
-            let (before, after) = match k {
-                0 => (gap(i), gap(i)),
-                _ if k + 1 == columns => (gap(i - 1), gap(i - 1)),
-                _ => (gap(i - 1), gap(i)),
-            };
-            let nearer = before.min(after);
-            match kind {
-                0 => nearer * share,
-                1 => {
-                    let of_coarse = (0.5 * (before + after) / coarse_gap).min(1.0);
-                    nearer * (share / (of_coarse * coarse + (1.0 - of_coarse) * drawn)).min(0.5)
-                }
-                _ => (nearer * share).min(reach),
-            }
-        };
-        let expected: Vec<f64> = (0..rays * columns).map(of).collect();
-        near("t_radius", &gpu.read_f32(&out, rays * columns).unwrap(), &expected, 1e-6);
-    }
-
-    let packed: Vec<f32> = numbers(25 * RAY, 1.0, 150).iter().map(|x| x.abs()).collect();
-    let (rays_buffer, ray0, rays) = (gpu.storage(&packed), 5, 20);
-    let (pixel, cap) = (0.2, 0.5);
-    let out = gpu.numbers(rays);
-    let words = Words::default().u(rays).u(ray0).f(pixel).f(cap);
-    run(&gpu, Kernel::new("xyz_radius"), words, &[(1, &rays_buffer), (2, &out)], groups(rays));
-    let of = |ray: usize| f64::min(cap * f64::from(packed[RAY * (ray0 + ray) + 18]), pixel);
-    near("xyz_radius", &gpu.read_f32(&out, rays).unwrap(), &(0..rays).map(of).collect::<Vec<f64>>(), 1e-6);
 }
