@@ -3,7 +3,7 @@
 use crate::common::{assert_same_bytes, built, parameters, put_on_grid, tiny_config, trained};
 use augnerf::run::load_scene;
 use augnerf::runtime::Runtime;
-use augnerf::settings::{Config, Method, Preset, Resolved, SamDirection, VolumeConfig};
+use augnerf::settings::{Config, Method, Preset, Resolved, SamDirection};
 use augnerf::train::{StepStats, Trainer};
 use candle_core::DType;
 
@@ -103,7 +103,7 @@ fn methods_without_fields_have_sharpness_aware_steps() {
     for method in [Method::Srn, Method::Nv] {
         let with = |radius: f64| {
             tiny_config(method, |config| {
-                config.nv = VolumeConfig { resolution: 16, divide: 16, warp_resolution: 4, ..VolumeConfig::default() };
+                (config.nv.resolution, config.nv.divide, config.nv.warp_resolution) = (16, 16, 4);
                 config.train.sam_radius = radius;
             })
         };
