@@ -31,7 +31,9 @@ const NOTE_LETTERS: usize = 105;
 const MEANS: usize = 3;
 const DIFFERENCES: usize = 2;
 /// Rows of an environment: a page with margins of 2 cm has more, for captions and rules.
-const ROWS: usize = 58;
+const ROWS: usize = 62;
+/// Environments in a row that LaTeX surely holds: of more than 52 it gives up.
+const FLOATS: usize = 20;
 /// Rows of a part besides those of its lines.
 const HEAD_ROWS: usize = 6;
 
@@ -144,12 +146,20 @@ fn p_cell(comparison: Comparison) -> String {
     if comparison.is_equivalent() { format!("{p} ≈") } else { p }
 }
 
+/// A line of the table, with its height in rows.
+type Tall<'t> = (&'t Line, usize);
+
 /// Returns the parts of a table, of as many metrics side by side as `across`; each fits on a page.
 fn parts(lines: &[&Line], metrics: &[Vec<Column>], across: usize) -> Vec<Block> {
+    let rows = |index: usize| {
+        let begins_scene = index == 0 || lines[index - 1].scene != lines[index].scene;
+        label_rows(lines[index]) + if begins_scene { 2 } else { 0 }
+    };
+    let lines: Vec<Tall> = lines.iter().enumerate().map(|(index, line)| (*line, rows(index))).collect();
     let mut blocks = Vec::new();
     for metrics in metrics.chunks(across) {
         let columns: Vec<&Column> = metrics.iter().flatten().collect();
-        blocks.extend(runs(lines, ROWS - HEAD_ROWS, |line| label_rows(line)).map(|lines| tabular(&columns, lines)));
+        blocks.extend(runs(&lines, ROWS - HEAD_ROWS, |(_, rows)| *rows).map(|lines| tabular(&columns, lines)));
     }
     blocks
 }
@@ -158,22 +168,22 @@ fn label_rows(line: &Line) -> usize {
     marked_label(line).chars().count().div_ceil(LABEL_LETTERS)
 }
 
-fn tabular(columns: &[&Column], lines: &[&Line]) -> Block {
+fn tabular(columns: &[&Column], lines: &[Tall]) -> Block {
     let head = |column: &&Column| format!("\\parbox[b]{{{}}}{{\\raggedleft {}}}", column.room, escape(&column.head));
     let heads: Vec<String> = columns.iter().map(head).collect();
     let mut text = format!("\\begin{{tabular}}{{p{{{LABEL}}}{}}}\n\\toprule\n", "r".repeat(columns.len()));
     text += &format!("{{}} & {} \\\\\n", heads.join(" & "));
-    for lines in lines.chunk_by(|a, b| a.scene == b.scene) {
+    for lines in lines.chunk_by(|(a, _), (b, _)| a.scene == b.scene) {
         let across = columns.len() + 1;
-        text += &format!("\\midrule\n\\multicolumn{{{across}}}{{l}}{{\\emph{{{}}}}} \\\\\n", escape(&lines[0].scene));
-        for line in lines {
+        text += &format!("\\midrule\n\\multicolumn{{{across}}}{{l}}{{\\emph{{{}}}}} \\\\\n", escape(&lines[0].0.scene));
+        for (line, _) in lines {
             // Braces or a paragraph's end would double the height of the row.
             let label = format!("\\raggedright {}", escape(&rounded(&marked_label(line))));
             let cells: Vec<String> = std::iter::once(label).chain(columns.iter().map(|c| c.text(line))).collect();
             text += &format!("{} \\\\\n", cells.join(" & "));
         }
     }
-    let rows: usize = lines.iter().map(|line| label_rows(line)).sum();
+    let rows: usize = lines.iter().map(|(_, rows)| rows).sum();
     (text + "\\bottomrule\n\\end{tabular}\n", rows + HEAD_ROWS)
 }
 
@@ -208,10 +218,11 @@ fn note_blocks(notes: &[String]) -> Vec<Block> {
 fn environments(caption: &str, blocks: &[Block]) -> String {
     let environment = |(index, blocks): (usize, &[Block])| {
         let again = if index == 0 { "" } else { " (continued)" };
+        let clear = if (index + 1).is_multiple_of(FLOATS) { "\\clearpage\n" } else { "" };
         let blocks: Vec<&str> = blocks.iter().map(|(text, _)| text.as_str()).collect();
         format!(
             "\\begin{{table}}\n\\centering\n\\setlength{{\\abovecaptionskip}}{{0pt}}\n\\setlength{{\\belowcaptionskip}}{{6pt}}\n\
-             \\caption{{{}{again}}}\n\\footnotesize\n\\setlength{{\\tabcolsep}}{{4pt}}\n{}\\end{{table}}\n",
+             \\caption{{{}{again}}}\n\\footnotesize\n\\setlength{{\\tabcolsep}}{{4pt}}\n{}\\end{{table}}\n{clear}",
             escape(caption),
             blocks.join("\n\\medskip\n")
         )
