@@ -79,6 +79,12 @@ pub fn working_sizes(size: Size, from: &[(usize, usize)], file: &Path) -> Result
     Ok(from.iter().map(|&(width, height)| (scaled(width), scaled(height))).collect())
 }
 
+/// Returns width and height of photos reduced by a factor, to the nearest pixel, as ImageMagick made the published folders.
+pub(super) fn reduced((width, height): (usize, usize), factor: usize) -> (usize, usize) {
+    let divide = |side: usize| ((side as f64 / factor.max(1) as f64).round() as usize).max(1);
+    (divide(width), divide(height))
+}
+
 /// Returns whether the file has one of the [`ENDINGS`].
 pub fn is_image(path: &Path) -> bool {
     let ending = path.extension().map(|e| e.to_string_lossy().to_ascii_lowercase());
@@ -121,6 +127,13 @@ pub(super) fn folders(dir: &Path) -> Result<Vec<(usize, PathBuf)>> {
         named.filter_map(|entry| Some((factor(&entry.file_name())?, entry.path()))).collect();
     found.sort();
     Ok(found)
+}
+
+/// Returns the names of these folders, for people.
+pub(super) fn folder_names(dir: &Path) -> Result<String> {
+    let name = |folder: &Path| folder.file_name().unwrap_or_default().to_string_lossy().into_owned();
+    let names: Vec<String> = folders(dir)?.iter().map(|(_, folder)| name(folder)).collect();
+    Ok(if names.is_empty() { "no images_* folder at all".into() } else { names.join(", ") })
 }
 
 /// Returns the factor in the name of an image folder: `images`, `images_{factor}`.

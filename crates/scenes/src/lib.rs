@@ -19,6 +19,7 @@ mod lookalikes;
 mod mask;
 pub mod npy;
 pub mod path;
+mod photo_files;
 pub mod ply;
 mod points;
 pub mod pose;

@@ -22,11 +22,11 @@ use crate::found;
 use crate::frame::{self, Frame, Reading};
 use crate::images::{self, Header, Size};
 use crate::mask;
+use crate::photo_files::Chosen;
 use crate::pose::Pose;
 use crate::settings::{DataConfig, DataKind, scene_name};
 use crate::{Camera, Photos, Scene, SceneSpace, WorldToScene, background, path};
 use augnerf_base::{Error, Event, Listener, Result, first_names};
-use folder::Source;
 use model::{Lens, Model, Photograph};
 
 /// Returns whether a folder holds a model.
@@ -56,15 +56,12 @@ fn shown(name: &str) -> String {
 pub fn load(config: &DataConfig, photos: Photos, events: &dyn Listener) -> Result<Scene> {
     let dir = Path::new(&config.dir);
     let model = read::model(dir, &config.colmap_model, events)?;
-    let source = folder::find(dir, &model.photographs, Size::of(config))?;
+    let names: Vec<&str> = model.photographs.iter().map(|photograph| &*photograph.name).collect();
+    let source = folder::find(dir, &names, Size::of(config))?;
     let missing = note_missing(dir, &model, &source, events);
-    source.moved.iter().for_each(|moved| events.on(Event::Note(&format!("{}: {moved}", dir.display()))));
-    if source.renamed > 0 {
-        events.on(Event::Note(&format!(
-            "{}: the names of {} photos differ from those of the COLMAP model in letter case or Unicode form",
-            dir.display(),
-            source.renamed
-        )));
+    match &source.elsewhere {
+        Some(words) => events.on(Event::Note(&format!("{}: {words}", dir.display()))),
+        None => note_renamed(dir, &names, &source, events),
     }
     found::note_unused(dir, source.files.iter().flatten(), "are not in the COLMAP model", events);
     let mut poses: Vec<Pose> = model.photographs.iter().map(|photograph| photograph.pose).collect();
@@ -101,8 +98,23 @@ pub fn load(config: &DataConfig, photos: Photos, events: &dyn Listener) -> Resul
     Ok(capture.hold_out_listed(scene_name(config), DataKind::Colmap.name(), config, &there))
 }
 
+/// Notes photos whose names differ from the model's.
+fn note_renamed(dir: &Path, names: &[&str], source: &Chosen, events: &dyn Listener) {
+    let is_renamed = |(file, name): &(&Option<PathBuf>, &&str)| {
+        let own = Path::new(name).with_extension("");
+        file.as_ref().is_some_and(|file| !file.with_extension("").ends_with(&own))
+    };
+    let renamed = source.files.iter().zip(names).filter(is_renamed).count();
+    if renamed > 0 {
+        events.on(Event::Note(&format!(
+            "{}: the names of {renamed} photos differ from those of the COLMAP model in letter case or Unicode form",
+            dir.display()
+        )));
+    }
+}
+
 /// Notes missing photos.
-fn note_missing(dir: &Path, model: &Model, source: &Source, events: &dyn Listener) -> Vec<String> {
+fn note_missing(dir: &Path, model: &Model, source: &Chosen, events: &dyn Listener) -> Vec<String> {
     let is_missing =
         |(photograph, file): (&Photograph, &Option<PathBuf>)| file.is_none().then(|| photograph.name.clone());
     let missing: Vec<String> = model.photographs.iter().zip(&source.files).filter_map(is_missing).collect();
@@ -124,7 +136,7 @@ fn note_missing(dir: &Path, model: &Model, source: &Source, events: &dyn Listene
 
 /// Returns all existing photos, with their cameras and their names among all. `poses` are those of all photos in the
 /// scene.
-fn frames(dir: &Path, model: &Model, source: &Source, poses: &[Pose]) -> Result<(Vec<Frame>, Vec<String>)> {
+fn frames(dir: &Path, model: &Model, source: &Chosen, poses: &[Pose]) -> Result<(Vec<Frame>, Vec<String>)> {
     let Model { photographs, lenses, .. } = model;
     let names = images::names(&photographs.iter().map(|photograph| photograph.name.clone().into()).collect::<Vec<_>>());
     let (mut frames, mut found) = (Vec::new(), Vec::new());
@@ -172,20 +184,18 @@ fn frame(lens: &Lens, photograph: &Photograph, path: PathBuf, dir: &Path) -> Res
 
 /// Returns the working resolutions. For a factor, the rest after the folder's factor is applied, to the nearest pixel,
 /// as the smaller folders are made. For a width, one scale applies to all.
-fn targets(config: &DataConfig, source: &Source, frames: &[Frame]) -> Result<Vec<(usize, usize)>> {
+fn targets(config: &DataConfig, source: &Chosen, frames: &[Frame]) -> Result<Vec<(usize, usize)>> {
     let stored: Vec<(usize, usize)> = frames.iter().map(Frame::size).collect();
     match Size::of(config) {
         Size::Factor(factor) => {
-            let rest = (factor / source.factor).max(1) as f64;
-            let divide = |side: usize| ((side as f64 / rest).round() as usize).max(1);
-            Ok(stored.into_iter().map(|(width, height)| (divide(width), divide(height))).collect())
+            Ok(stored.into_iter().map(|size| images::reduced(size, factor / source.factor)).collect())
         }
         width => images::working_sizes(width, &stored, &frames[0].path),
     }
 }
 
 /// Notes what was found and chosen, for people.
-fn notes(space: &mut SceneSpace, model: &Model, frames: &[Frame], missing: &[String], source: &Source) {
+fn notes(space: &mut SceneSpace, model: &Model, frames: &[Frame], missing: &[String], source: &Chosen) {
     let mut models: Vec<&str> = model.lenses.values().map(|lens| lens.model).collect();
     models.sort_unstable();
     models.dedup();
