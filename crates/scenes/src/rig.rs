@@ -95,21 +95,18 @@ impl Subject {
 
     /// Describes how these ends were found.
     pub fn extent_words(&self) -> String {
-        let [least, _, largest] = self.depths;
-        format!(
-            "the cameras, which are {least:.3} to {largest:.3} away from what they look at (radius {:.3}): from a radius before it \
-             to a radius behind it, since the views show one object on one colour",
-            self.radius
-        )
+        self.words("from a radius before it to a radius behind it, since the views show one object on one colour")
     }
 
     /// Describes how the ends of [`Subject::bounds`] were found.
     pub fn bounds_words(&self) -> String {
-        let [least, _, largest] = self.depths;
+        self.words(&format!("half way to it from the nearest one, {BEHIND} radii behind it for the farthest"))
+    }
+
+    fn words(&self, ends: &str) -> String {
+        let ([least, _, largest], radius) = (self.depths, self.radius);
         format!(
-            "the cameras, which are {least:.3} to {largest:.3} away from what they look at (radius {:.3}): half way to it from the \
-             nearest one, {BEHIND} radii behind it for the farthest",
-            self.radius
+            "the cameras, which are {least:.3} to {largest:.3} away from what they look at (radius {radius:.3}): {ends}"
         )
     }
 }

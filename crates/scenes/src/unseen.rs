@@ -13,7 +13,7 @@ use augnerf_base::{Error, Result};
 
 use super::path;
 use super::pose::{self, Pose, Vec3};
-use super::{Camera, tangents};
+use super::{Camera, Rig, tangents};
 
 /// Where cameras without photographs are. All placements are made from the training cameras alone.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -114,7 +114,7 @@ impl UnseenCameras {
         };
         let place = match poses {
             UnseenPoses::Between => Place::Between,
-            UnseenPoses::Box => Place::Box { corners: corners(&all), focus: at, up },
+            UnseenPoses::Box => Place::Box { corners: Rig::of(cameras).extent, focus: at, up },
             UnseenPoses::Sphere => around(&all, at, up),
         };
         Ok(UnseenCameras { cameras: cameras.to_vec(), place, focus })
@@ -222,14 +222,6 @@ fn patch(camera: Camera, random: &mut Random) -> Vec<UnseenRay> {
     (0..side * side).map(|i| (camera, x + i % side, y + i / side)).collect()
 }
 
-fn corners(poses: &[Pose]) -> [Vec3; 2] {
-    let corner = |pick: fn(f64, f64) -> f64| {
-        let origins = poses.iter().map(|pose| pose::column(pose, 3));
-        origins.reduce(|a, b| std::array::from_fn(|axis| pick(a[axis], b[axis]))).expect("there are cameras")
-    };
-    [corner(f64::min), corner(f64::max)]
-}
-
 fn around(poses: &[Pose], focus: Vec3, up: Vec3) -> Place {
     let offsets = || poses.iter().map(|pose| pose::sub(pose::column(pose, 3), focus));
     let sine = |offset: Vec3| pose::dot(offset, up) / pose::length(offset).max(f64::MIN_POSITIVE);
@@ -297,7 +289,7 @@ mod tests {
     #[test]
     fn cameras_are_where_their_placement_says_and_look_at_the_focus() {
         let cameras = ring();
-        let [low, high] = corners(&cameras.iter().map(|camera| camera.pose).collect::<Vec<Pose>>());
+        let [low, high] = Rig::of(&cameras).extent;
         let mut random = random();
         for poses in [UnseenPoses::Box, UnseenPoses::Sphere] {
             let unseen = UnseenCameras::of(&cameras, poses).unwrap();

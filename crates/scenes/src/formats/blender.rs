@@ -5,7 +5,7 @@ use std::f64::consts::PI;
 use std::path::{Path, PathBuf};
 
 use crate::formats::transforms::frames::{self, Listed};
-use crate::formats::transforms::{notes, transforms_file};
+use crate::formats::transforms::{Role, notes, transforms_file};
 use crate::found;
 use crate::frame::{self, Frame, Reading};
 use crate::json::{self, Object};
@@ -33,10 +33,7 @@ const OFF_SPHERE: f64 = 0.15;
 
 /// Reads a Blender scene. The evaluation views are those of `config.eval_split`.
 pub fn load(config: &DataConfig, photos: Photos, events: &dyn Listener) -> Result<Scene> {
-    let eval = match config.eval_split {
-        EvalSplit::Test => "test",
-        EvalSplit::Val => "val",
-    };
+    let eval = Role::evaluated(config).name();
     let train = read_split(config, "train", events)?;
     let lacks_split = has_no_photos(config, eval)?;
     let (train, listed) = match lacks_split {

@@ -11,8 +11,9 @@ use serde_json::json;
 use super::mesh::Mesh;
 use super::picture::Picture;
 use super::stage::Stage;
-use super::views::{ANGLE_X, Split, around};
+use super::views::{ANGLE_X, around};
 use super::{MAX_WIDTH, blender_stage};
+use crate::formats::transforms::{Role, transforms_file};
 use crate::settings::PixelOrigin;
 use crate::{Camera, npy};
 use augnerf_base::files::AtomicDir;
@@ -59,10 +60,10 @@ fn fill(dir: &Path, width: usize, seed: Option<u64>) -> Result<Exported> {
     }
     let stage = blender_stage(seed);
     let mut pictures = 0;
-    for split in [Split::Train, Split::Val, Split::Test] {
+    for split in Role::ALL {
         pictures += export_split(dir, &stage, split, width)?;
     }
-    let depths = around(Split::Test, width).len();
+    let depths = around(Role::Test, width).len();
     write(&dir.join("depth").join("depth.json"), depth_notes().as_bytes())?;
     let mesh = Mesh::of(&stage);
     let mut ply = Vec::new();
@@ -72,21 +73,21 @@ fn fill(dir: &Path, width: usize, seed: Option<u64>) -> Result<Exported> {
 }
 
 /// Writes images, depths and the JSON file of one split, and returns the number of images.
-fn export_split(dir: &Path, stage: &Stage, split: Split, width: usize) -> Result<usize> {
+fn export_split(dir: &Path, stage: &Stage, split: Role, width: usize) -> Result<usize> {
     let cameras = around(split, width);
     cameras.par_iter().try_for_each(|(name, camera)| {
         let picture = stage.render(camera, PixelOrigin::Corner);
         write_rgba(&dir.join(split.name()).join(format!("{name}.png")), &picture.image)?;
         let depth = dir.join("depth").join(format!("{name}.npy"));
-        if split == Split::Test { write_depth(&depth, &picture) } else { Ok(()) }
+        if split == Role::Test { write_depth(&depth, &picture) } else { Ok(()) }
     })?;
-    let path = dir.join(format!("transforms_{}.json", split.name()));
+    let path = dir.join(transforms_file(split.name()));
     write(&path, transforms(split, &cameras).as_bytes())?;
     Ok(cameras.len())
 }
 
 /// Returns the JSON of a split, as in NeRF-synthetic.
-fn transforms(split: Split, cameras: &[(String, Camera)]) -> String {
+fn transforms(split: Role, cameras: &[(String, Camera)]) -> String {
     let frame = |(name, camera): &(String, Camera)| {
         let [x, y, z] = camera.pose;
         json!({

@@ -21,11 +21,11 @@ pub use picture::Picture;
 pub use stage::{Frame, Hit, Stage};
 
 use crate::formats::Capture;
+use crate::formats::transforms::Role;
 use crate::resample::composite;
-use crate::settings::{DataConfig, DataKind, EvalSplit, scene_name};
+use crate::settings::{DataConfig, DataKind, scene_name};
 use crate::{Camera, Ndc, Scene, SceneSpace, View, background};
 use augnerf_base::{Error, Result};
-use views::Split;
 
 /// Default width of the built-in scene's images.
 const WIDTH: usize = 100;
@@ -56,18 +56,15 @@ pub fn load_blender(config: &DataConfig) -> Result<Scene> {
     let width = columns(config)?;
     let stage = blender_stage(config.scene_number());
     let background = background(config);
-    let split = match config.eval_split {
-        EvalSplit::Test => Split::Test,
-        EvalSplit::Val => Split::Val,
-    };
     let render = |cameras: &[(String, Camera)]| -> Vec<View> {
         cameras.par_iter().map(|(name, camera)| view(&stage, name, camera, config, background)).collect()
     };
-    let held_out: Vec<_> = views::around(split, width).into_iter().step_by(config.test_skip.max(1)).collect();
+    let held_out: Vec<_> =
+        views::around(Role::evaluated(config), width).into_iter().step_by(config.test_skip.max(1)).collect();
     Ok(Scene {
         name: scene_name(config),
         kind: DataKind::BuiltinBlender.name(),
-        train: render(&views::around(Split::Train, width)),
+        train: render(&views::around(Role::Train, width)),
         test: render(&held_out),
         near: 2.0,
         far: 6.0,

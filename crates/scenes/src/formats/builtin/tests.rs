@@ -1,6 +1,7 @@
 use super::material::Material;
 use super::shapes::{Shape, Solid};
 use super::*;
+use crate::settings::EvalSplit;
 use crate::vector::{add, along, cross, dot, length, scale, sub, unit};
 
 /// Agreement of a closed-form crossing with sphere tracing, which stops this near the surface.
@@ -241,7 +242,7 @@ fn settings_that_make_no_scene_are_refused_in_words() {
 
 #[test]
 fn the_number_of_threads_changes_nothing() {
-    let camera = views::around(Split::Test, 40)[2].1;
+    let camera = views::around(Role::Test, 40)[2].1;
     let render = |threads: usize| {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
         pool.install(|| blender_stage(None).render(&camera, crate::settings::PixelOrigin::Corner))

@@ -4,6 +4,7 @@ use std::f64::consts::{PI, TAU};
 
 use super::stage::Frame;
 use crate::Camera;
+use crate::formats::transforms::Role;
 use crate::vector::{Vec3, add, cross, scale, sub, unit};
 
 /// Horizontal field of view of the Blender-style cameras in radians, as in NeRF-synthetic.
@@ -21,34 +22,12 @@ const FOCUS: f64 = 2.6;
 /// Range of the forward-facing cameras to the sides, up and along the view.
 const SPREAD: Vec3 = [0.30, 0.20, 0.08];
 
-/// The splits of the scene with cameras all around.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Split {
-    /// Training views.
-    Train,
-    /// Validation views.
-    Val,
-    /// Test views.
-    Test,
-}
-
-impl Split {
-    /// Returns the name in files.
-    pub fn name(self) -> &'static str {
-        match self {
-            Split::Train => "train",
-            Split::Val => "val",
-            Split::Test => "test",
-        }
-    }
-}
-
 /// Returns named cameras of a split on the upper hemisphere, with square images of `width` pixels per side.
-pub fn around(split: Split, width: usize) -> Vec<(String, Camera)> {
+pub fn around(split: Role, width: usize) -> Vec<(String, Camera)> {
     let directions: Vec<Vec3> = match split {
-        Split::Train => (0..40).map(|i| fibonacci(i, 40)).collect(),
-        Split::Val => (0..4).map(|i| on_ring(i as f64 / 4.0 + 0.06, [0.35, 0.75][i % 2])).collect(),
-        Split::Test => (0..8).map(|i| on_ring(i as f64 / 8.0 + 0.03, [0.45, 0.20, 0.65, 0.90][i % 4])).collect(),
+        Role::Train => (0..40).map(|i| fibonacci(i, 40)).collect(),
+        Role::Val => (0..4).map(|i| on_ring(i as f64 / 4.0 + 0.06, [0.35, 0.75][i % 2])).collect(),
+        Role::Test => (0..8).map(|i| on_ring(i as f64 / 8.0 + 0.03, [0.45, 0.20, 0.65, 0.90][i % 4])).collect(),
     };
     let named = |(i, d): (usize, Vec3)| (format!("r_{i}"), square(scale(d, DISTANCE), width));
     directions.into_iter().enumerate().map(named).collect()

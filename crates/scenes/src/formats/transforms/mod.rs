@@ -79,10 +79,7 @@ pub fn load(config: &DataConfig, photos: Photos, events: &dyn Listener) -> Resul
     if !by_author {
         return Ok(capture.hold_out_listed(name, kind, config, &there));
     }
-    let wanted = match config.eval_split {
-        EvalSplit::Test => Role::Test,
-        EvalSplit::Val => Role::Val,
-    };
+    let wanted = Role::evaluated(config);
     let of = |wanted: Role| roles.iter().map(|uses| uses[wanted as usize]).collect::<Vec<bool>>();
     if !of(wanted).contains(&true) {
         return Err(split::without(wanted, &config.dir, &roles));

@@ -11,7 +11,7 @@ use super::{TRANSFORMS_FILE, frames, lens, transforms_file};
 use crate::found;
 use crate::json::{self, Object};
 use crate::mask;
-use crate::settings::{DataConfig, Split};
+use crate::settings::{DataConfig, EvalSplit, Split};
 use augnerf_base::{Error, Event, Listener, Result};
 
 /// The role of a view.
@@ -28,6 +28,14 @@ pub enum Role {
 impl Role {
     /// All roles.
     pub const ALL: [Role; 3] = [Role::Train, Role::Val, Role::Test];
+
+    /// Returns the role of the views that are evaluated.
+    pub(in crate::formats) fn evaluated(config: &DataConfig) -> Role {
+        match config.eval_split {
+            EvalSplit::Test => Role::Test,
+            EvalSplit::Val => Role::Val,
+        }
+    }
 
     /// Returns the name in files.
     pub fn name(self) -> &'static str {
