@@ -16,7 +16,7 @@ const IN_FOLDERS: &str = "mask";
 /// The value of `data.masks` for masks that lie beside their photos.
 const BESIDE: &str = "beside";
 /// The value of `data.masks` for none at all.
-pub(crate) const NONE: &str = "none";
+const NONE: &str = "none";
 /// Begin of the names of instant-ngp's masks, in the photos' folder. White is left out there.
 const DYNAMIC: &str = "dynamic_mask_";
 
@@ -48,35 +48,36 @@ pub(crate) struct MaskFile {
     inverted: bool,
 }
 
-/// Finds the masks of photos by `data.masks`. Masks that lie there and are not asked for are noted.
+/// Gives photos the masks of `data.masks`, before those that their file names. Masks that lie there and are not asked for are
+/// noted.
 ///
 /// # Errors
 /// `data.masks` names a folder that has none of them.
 pub(crate) fn find<'a>(
+    frames: impl Iterator<Item = &'a mut Frame>,
     config: &DataConfig,
-    photos: impl Iterator<Item = &'a Path>,
     events: &dyn Listener,
-) -> Result<Vec<Option<MaskFile>>> {
-    let finder = Finder::new(Path::new(&config.dir), photos.collect());
-    let (dir, all) = (finder.dir.display(), finder.photos.len());
-    let name = match config.masks.as_str() {
-        "" => {
-            finder.note_unused(events);
-            return Ok(vec![None; all]);
+) -> Result<()> {
+    let mut frames: Vec<&mut Frame> = frames.collect();
+    let (name, dir, all) = (config.masks.as_str(), &config.dir, frames.len());
+    match name {
+        NONE => frames.iter_mut().for_each(|frame| frame.mask = None),
+        "" if frames.iter().any(|frame| frame.mask.is_some()) => {}
+        "" => Finder::new(Path::new(dir), &frames).note_unused(events),
+        _ => {
+            let files = Finder::new(Path::new(dir), &frames).find(name);
+            let found = files.iter().flatten().count();
+            if found == 0 {
+                return Err(Error::Data(format!(
+                    "data.masks = \"{name}\": {dir} has no mask of its {all} photos there; a mask is called like its photo, with \
+                     the ending .png"
+                )));
+            }
+            events.on(Event::Note(&format!("{dir}: {found} of {all} photos have masks, by data.masks = \"{name}\"")));
+            frames.iter_mut().zip(files).for_each(|(frame, mask)| frame.mask = mask.or(frame.mask.take()));
         }
-        NONE => return Ok(vec![None; all]),
-        name => name,
-    };
-    let files = finder.find(name);
-    let found = files.iter().flatten().count();
-    if found == 0 {
-        return Err(Error::Data(format!(
-            "data.masks = \"{name}\": {dir} has no mask of its {all} photos there; a mask is called like its photo, with the ending \
-             .png"
-        )));
     }
-    events.on(Event::Note(&format!("{dir}: {found} of {all} photos have masks, by data.masks = \"{name}\"")));
-    Ok(files)
+    Ok(())
 }
 
 /// Finds masks of photos by their names.
@@ -91,7 +92,8 @@ struct Finder<'a> {
 type Images = HashMap<String, PathBuf>;
 
 impl<'a> Finder<'a> {
-    fn new(dir: &'a Path, photos: Vec<&'a Path>) -> Finder<'a> {
+    fn new(dir: &'a Path, frames: &'a [&mut Frame]) -> Finder<'a> {
+        let photos: Vec<&Path> = frames.iter().map(|frame| &*frame.path).collect();
         let mut stems = HashMap::new();
         photos.iter().filter_map(|photo| stem(photo)).for_each(|stem| *stems.entry(stem).or_default() += 1);
         Finder { dir, photos, stems }

@@ -9,6 +9,7 @@ use crate::formats::transforms::{Role, notes, transforms_file};
 use crate::found;
 use crate::frame::{self, Frame, Reading};
 use crate::json::{self, Object};
+use crate::mask;
 use crate::pose::{self, Pose};
 use crate::settings::{DataConfig, DataKind, EvalSplit, scene_name};
 use crate::{Camera, Photos, Rig, Scene, SceneSpace, Subject, View, background, depth, path};
@@ -45,7 +46,7 @@ pub fn load(config: &DataConfig, photos: Photos, events: &dyn Listener) -> Resul
     found::note_unused(Path::new(&config.dir), used.iter(), "are in no transforms_*.json that is read", events);
     let (mut train, train_names) = frames::found(train);
     let (mut test, test_names) = frames::found(listed.into_iter().step_by(config.test_skip.max(1)).collect());
-    frames::find_masks(train.iter_mut().chain(&mut test), config, events)?;
+    mask::find(train.iter_mut().chain(&mut test), config, events)?;
     test.iter_mut().for_each(|frame| frame.depth = depth::file_of(&frame.path).map(|map| (map, BOUNDS)));
     let both: Vec<&Frame> = train.iter().chain(&test).collect();
     let sizes = frames::working_sizes(&both, config)?;

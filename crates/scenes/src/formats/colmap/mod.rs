@@ -72,8 +72,7 @@ pub fn load(config: &DataConfig, photos: Photos, events: &dyn Listener) -> Resul
     let path = path::around(&poses);
     let there: Vec<bool> = source.files.iter().map(Option::is_some).collect();
     let (mut frames, names) = frames(dir, &model, &source, &poses)?;
-    let masks = mask::find(config, frames.iter().map(|frame| &*frame.path), events)?;
-    frames.iter_mut().zip(masks).for_each(|(frame, mask)| frame.mask = mask);
+    mask::find(frames.iter_mut(), config, events)?;
     let targets = targets(config, &source, &frames)?;
     let cameras: Vec<Camera> =
         frames.iter().zip(targets).map(|(frame, target)| frame.camera(target, by_ratio)).collect();

@@ -17,7 +17,7 @@ use crate::formats::{Capture, colmap};
 use crate::found;
 use crate::frame::{self, Frame, Reading};
 use crate::images::{self, Header, Size};
-use crate::mask::{self, MaskFile};
+use crate::mask;
 use crate::pose::Pose;
 use crate::settings::{DataConfig, DataKind, scene_name};
 use crate::{Camera, Ndc, Photos, Rig, Scene, SceneSpace, background, path};
@@ -67,13 +67,12 @@ pub fn load(config: &DataConfig, photos: Photos, events: &dyn Listener) -> Resul
         check_facing(&cameras, &names, &file)?;
     }
     found::note_twins(dir, source.paths.iter(), events);
-    let masks = mask::find(config, source.paths.iter().map(|path| &**path), events)?;
     let lens = Intrinsics { focal: camera.focal, centre: camera.centre };
-    let frame = |((path, header), mask): ((&PathBuf, &Header), Option<MaskFile>)| {
-        let frame = Frame::new(path.clone(), *header, lens, Distortion::default()).expect("nothing to undo");
-        Frame { mask, ..frame }
+    let frame = |(path, header): (&PathBuf, &Header)| {
+        Frame::new(path.clone(), *header, lens, Distortion::default()).expect("nothing to undo")
     };
-    let frames: Vec<Frame> = source.paths.iter().zip(&source.headers).zip(masks).map(frame).collect();
+    let mut frames: Vec<Frame> = source.paths.iter().zip(&source.headers).map(frame).collect();
+    mask::find(frames.iter_mut(), config, events)?;
     let background = background(config);
     let how = Reading { scene: dir, background: (background, false), photos, what: "photos", events };
     let (views, clear) = frame::views(&frames, &names, &cameras, how)?;

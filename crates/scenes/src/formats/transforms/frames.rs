@@ -237,23 +237,6 @@ pub fn found(listed: Vec<Listed>) -> (Vec<Frame>, Vec<String>) {
     named.filter_map(|(Listed { pose, frame, .. }, name)| Some((Frame { pose, ..frame? }, name))).unzip()
 }
 
-/// Gives photos the masks of `data.masks`, before those that their file names.
-pub fn find_masks<'a>(
-    frames: impl Iterator<Item = &'a mut Frame>,
-    config: &DataConfig,
-    events: &dyn Listener,
-) -> Result<()> {
-    let mut frames: Vec<&mut Frame> = frames.collect();
-    if frames.iter().any(|frame| frame.mask.is_some()) && config.masks.is_empty() {
-        return Ok(());
-    }
-    let masks = mask::find(config, frames.iter().map(|frame| &*frame.path), events)?;
-    for (frame, mask) in frames.iter_mut().zip(masks) {
-        frame.mask = if config.masks == mask::NONE { None } else { mask.or(frame.mask.take()) };
-    }
-    Ok(())
-}
-
 /// Returns the working sizes of the frames' photos.
 pub fn working_sizes(frames: &[&Frame], config: &DataConfig) -> Result<Vec<(usize, usize)>> {
     let sizes: Vec<(usize, usize)> = frames.iter().map(|frame| frame.size()).collect();

@@ -22,6 +22,7 @@ pub use split::{Role, is_named};
 use crate::formats::Capture;
 use crate::found;
 use crate::frame::{self, Frame, Reading};
+use crate::mask;
 use crate::pose::Pose;
 use crate::settings::{DataConfig, DataKind, EvalSplit, Split, scene_name};
 use crate::{Camera, Photos, Scene, SceneSpace, WorldToScene, background, path};
@@ -55,7 +56,7 @@ pub fn load(config: &DataConfig, photos: Photos, events: &dyn Listener) -> Resul
     let path = path::around(&listed.iter().map(|listed| listed.pose).collect::<Vec<Pose>>());
     let there: Vec<bool> = listed.iter().map(|listed| listed.frame.is_some()).collect();
     let (mut frames, names) = frames::found(listed);
-    frames::find_masks(frames.iter_mut(), config, events)?;
+    mask::find(frames.iter_mut(), config, events)?;
     let used = frames.iter().map(|frame| &frame.path).chain(&aside);
     found::note_unused(Path::new(&config.dir), used, "have no pose in transforms.json", events);
     let targets = frames::working_sizes(&frames.iter().collect::<Vec<_>>(), config)?;
