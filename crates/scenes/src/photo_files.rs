@@ -24,6 +24,14 @@ impl Chosen {
     pub(super) fn found(&self) -> usize {
         self.files.iter().flatten().count()
     }
+
+    /// Returns a photo's width and height, from those as stored, reduced by the rest of a factor: to the nearest pixel, as
+    /// ImageMagick made the published folders. Photos whose factor does not divide it stay as they are.
+    pub(super) fn reduced(&self, (width, height): (usize, usize), factor: usize) -> (usize, usize) {
+        let rest = if factor.is_multiple_of(self.factor) { factor / self.factor } else { 1 };
+        let divide = |side: usize| ((side as f64 / rest as f64).round() as usize).max(1);
+        (divide(width), divide(height))
+    }
 }
 
 /// What is chosen for.

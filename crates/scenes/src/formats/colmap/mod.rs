@@ -186,9 +186,7 @@ fn frame(lens: &Lens, photograph: &Photograph, path: PathBuf, dir: &Path) -> Res
 fn targets(config: &DataConfig, source: &Chosen, frames: &[Frame]) -> Result<Vec<(usize, usize)>> {
     let stored: Vec<(usize, usize)> = frames.iter().map(Frame::size).collect();
     match Size::of(config) {
-        Size::Factor(factor) => {
-            Ok(stored.into_iter().map(|size| images::reduced(size, factor / source.factor)).collect())
-        }
+        Size::Factor(factor) => Ok(stored.into_iter().map(|size| source.reduced(size, factor)).collect()),
         width => images::working_sizes(width, &stored, &frames[0].path),
     }
 }

@@ -43,11 +43,11 @@ pub(super) fn find(
         chosen => chosen,
     };
     let Some(chosen) = chosen else { return Err(none(dir, size)?) };
-    let paths: Vec<PathBuf> = chosen.files.into_iter().flatten().collect();
+    let paths: Vec<PathBuf> = chosen.files.iter().flatten().cloned().collect();
     let headers = images::headers_of_one_size(&paths, |size| is_of_shape(size, shape))?;
     let stored = headers[0].size;
     let target = match size {
-        Size::Factor(factor) => images::reduced(stored, factor / chosen.factor),
+        Size::Factor(factor) => chosen.reduced(stored, factor),
         width => width.apply(stored, &paths[0])?,
     };
     Ok(Source { paths, headers, stored, target, passed: chosen.passed, reduced: chosen.elsewhere })
