@@ -7,7 +7,6 @@ use tempfile::TempDir;
 
 use crate::common::files::{entries, fixture};
 use crate::common::program::{Place, set};
-use crate::fuzz::memory::most_taken;
 
 /// Tries to import a file; nothing may be left where the run would be.
 fn import_is_refused(name: &str, words: &[&str]) {
@@ -94,15 +93,6 @@ fn a_run_s_files_are_files_with_content() {
     for command in ["resume", "eval", "render"] {
         place.says(&format!("{command} run"), 5, &["config.toml is empty"]);
     }
-}
-
-/// 65 kB that unpack to 64 MiB of colour profile.
-#[test]
-fn a_colour_profile_takes_no_more_memory_than_a_picture() {
-    let file = fixture("hostile/profile_64_mib.png");
-    // The picture is read, with or without its profile, or refused.
-    let (_, taken) = most_taken(|| augnerf::data::images::read(&file, (16, 16)).is_ok());
-    assert!(taken < 40 << 20, "{taken} bytes");
 }
 
 /// A limit of file sizes ends in a sentence, not in a signal.

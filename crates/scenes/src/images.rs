@@ -17,17 +17,11 @@ use augnerf_base::{Error, Event, Image, Listener, Result};
 
 /// Largest size of an image file in bytes.
 const MOST_BYTES: u64 = 1 << 30;
-/// Largest size of a decoded WebP image in bytes. Its decoder needs more than twice as much temporarily.
+/// Largest size of a decoded WebP image in bytes. Its decoder needs more than twice as much temporarily. For other images the
+/// decoders' own limit counts, 512 MiB.
 const MOST_WEBP: u64 = 384 << 20;
 
 const MIB: f64 = (1 << 20) as f64;
-
-/// Most bytes of a decoded pixel: four channels of 16 bits.
-const MOST_PIXEL_BYTES: u64 = 8;
-/// Largest size of a decoded PNG image in bytes.
-const MOST_PNG: u64 = 512 << 20;
-/// Most bytes for a PNG's colour profile and texts, which are unpacked with it. Profiles take a few kB.
-const MOST_NOTES: u64 = 16 << 20;
 
 /// File extensions of images, in lower case.
 pub const ENDINGS: [&str; 4] = ["png", "jpg", "jpeg", "webp"];
@@ -79,12 +73,6 @@ pub fn working_sizes(size: Size, from: &[(usize, usize)], file: &Path) -> Result
     Ok(from.iter().map(|&(width, height)| (scaled(width), scaled(height))).collect())
 }
 
-/// Returns width and height of photos reduced by a factor, to the nearest pixel, as ImageMagick made the published folders.
-pub(super) fn reduced((width, height): (usize, usize), factor: usize) -> (usize, usize) {
-    let divide = |side: usize| ((side as f64 / factor.max(1) as f64).round() as usize).max(1);
-    (divide(width), divide(height))
-}
-
 /// Returns whether the file has one of the [`ENDINGS`].
 pub fn is_image(path: &Path) -> bool {
     let ending = path.extension().map(|e| e.to_string_lossy().to_ascii_lowercase());
@@ -109,7 +97,7 @@ pub fn list(dir: &Path) -> Result<Vec<PathBuf>> {
 
 /// Returns width and height from a file's header.
 pub fn size(path: &Path) -> Result<(usize, usize)> {
-    let (width, height) = limited(open(path)?, 0).into_dimensions().map_err(|e| undecodable(path, &e))?;
+    let (width, height) = limited(open(path)?).into_dimensions().map_err(|e| undecodable(path, &e))?;
     sound(path, (width, height))
 }
 
@@ -160,7 +148,7 @@ pub(super) struct Header {
 impl Header {
     /// Reads a file's header.
     pub(super) fn read(path: &Path) -> Result<Header> {
-        let mut decoder = limited(open(path)?, 0).into_decoder().map_err(|e| undecodable(path, &e))?;
+        let mut decoder = limited(open(path)?).into_decoder().map_err(|e| undecodable(path, &e))?;
         let (size, has_alpha) = (sound(path, decoder.dimensions())?, decoder.color_type().has_alpha());
         // Damaged EXIF data does not make an image damaged.
         let exif = decoder.orientation().unwrap_or(Orientation::NoTransforms);
@@ -186,26 +174,14 @@ fn open(path: &Path) -> Result<ImageReader<BufReader<File>>> {
     reader.and_then(ImageReader::with_guessed_format).map_err(|e| Error::unreadable(path, &e))
 }
 
-/// Limits the memory that a decoder may take: that of pixels, and a little more for what stands beside them in a file.
-fn limited<R: std::io::BufRead + std::io::Seek>(mut reader: ImageReader<R>, pixel_bytes: u64) -> ImageReader<R> {
-    let most = match reader.format() {
-        Some(ImageFormat::WebP) => Some(MOST_WEBP),
-        Some(ImageFormat::Png) => Some(pixel_bytes.saturating_add(MOST_NOTES)),
-        _ => None,
-    };
-    if let Some(most) = most {
+/// Limits the memory that a decoder may take.
+fn limited<R: std::io::BufRead + std::io::Seek>(mut reader: ImageReader<R>) -> ImageReader<R> {
+    if reader.format() == Some(ImageFormat::WebP) {
         let mut limits = Limits::default();
-        limits.max_alloc = Some(most);
+        limits.max_alloc = Some(MOST_WEBP);
         reader.limits(limits);
     }
     reader
-}
-
-/// Returns the number of pixels in a PNG's header; 0 for other files.
-fn png_pixels(bytes: &[u8]) -> u64 {
-    let number =
-        |at: usize| bytes.get(at..at + 4).map_or(0, |four| u64::from(u32::from_be_bytes(four.try_into().unwrap())));
-    if bytes.starts_with(b"\x89PNG") { number(16) * number(20) } else { 0 }
 }
 
 fn sound(path: &Path, (width, height): (u32, u32)) -> Result<(usize, usize)> {
@@ -244,9 +220,7 @@ pub fn decode(path: &Path) -> Result<DynamicImage> {
         return Err(undecodable(path, &"its end-of-image marker is missing"));
     }
     let reader = ImageReader::with_format(Cursor::new(&bytes), format);
-    limited(reader, png_pixels(&bytes).saturating_mul(MOST_PIXEL_BYTES).min(MOST_PNG))
-        .decode()
-        .map_err(|e| undecodable(path, &e))
+    limited(reader).decode().map_err(|e| undecodable(path, &e))
 }
 
 /// Returns whether an end-of-image marker closes the last scan of a JPEG. The decoder fills what is missing with grey,
