@@ -39,9 +39,9 @@
 //!
 //! Then `sweep/src/layout.rs` makes a sweep's points of rows, axes and seeds.
 //!
-//! These files are the reference. On a CPU in f32 the crate `augnerf-fast` computes the network, compositing, projections and
-//! updates in their place, which tests compare with them. `field.core = "plain"` takes candle's operations for the network and
-//! the loss.
+//! These files are the reference: candle's operations, for f64 and for any device. In f32 on a CPU the crate `augnerf-fast`
+//! computes the network (by `nerf/src/field/fast`), compositing, projections and updates in their place, which tests compare
+//! with them. `field.core = "plain"` takes candle's operations for the network and the loss.
 //!
 //! # The pipeline
 //!

@@ -49,6 +49,13 @@ impl Parameters {
     }
 }
 
+/// Returns `x weight^T + bias`: x `[n, inputs]`, weight `[outputs, inputs]`, bias `[outputs]`. The bias is multiplied by ones,
+/// because candle adds up a broadcast bias's gradient over rows number by number.
+pub(crate) fn linear(x: &Tensor, weight: &Tensor, bias: &Tensor) -> candle_core::Result<Tensor> {
+    let ones = Tensor::ones((x.dim(0)?, 1), x.dtype(), x.device())?;
+    x.matmul(&weight.t()?)? + ones.matmul(&bias.unsqueeze(0)?)?
+}
+
 #[cfg(test)]
 mod tests {
     use candle_core::{DType, Device};

@@ -3,9 +3,8 @@
 //! f64. Their error doubles with each octave and stays far below f32's. A Gaussian's damping is the fourth power of the
 //! octave's below. Gradients need the encoding alone.
 
-use augnerf_base::place::is_ours;
-use augnerf_base::tensors::slice;
-use candle_core::{CpuStorage, CustomOp1, CustomOp2, Layout, Result, Shape, Tensor, WithDType};
+use augnerf_base::tensors::{Values, slice};
+use candle_core::{CpuStorage, CustomOp1, Layout, Result, Shape, Tensor};
 
 /// Returns the number of channels of the encoding of a 3-vector.
 pub fn encoded_channels(octaves: usize) -> usize {
@@ -18,15 +17,15 @@ pub fn integrated_channels(octaves: usize) -> usize {
 }
 
 /// Encodes 3-vectors row by row.
-pub(crate) fn encode_into<T: WithDType>(x: &[T], octaves: usize, out: &mut [T]) {
+pub(crate) fn encode_into(x: &[f32], octaves: usize, out: &mut [f32]) {
     let channels = encoded_channels(octaves);
     for (x, out) in x.chunks_exact(3).zip(out.chunks_exact_mut(channels)) {
         out[..3].copy_from_slice(x);
         for (axis, value) in x.iter().enumerate() {
-            let (mut sin, mut cos) = value.to_f64().sin_cos();
+            let (mut sin, mut cos) = f64::from(*value).sin_cos();
             for octave in out[3..].chunks_exact_mut(6) {
-                octave[axis] = T::from_f64(sin);
-                octave[3 + axis] = T::from_f64(cos);
+                octave[axis] = sin as f32;
+                octave[3 + axis] = cos as f32;
                 (sin, cos) = (2.0 * sin * cos, (cos - sin) * (cos + sin));
             }
         }
@@ -34,19 +33,19 @@ pub(crate) fn encode_into<T: WithDType>(x: &[T], octaves: usize, out: &mut [T]) 
 }
 
 /// d/dx of sin(f x) is f cos(f x), of cos(f x) it is -f sin(f x).
-pub(crate) fn gradient_into<T: WithDType>(encoded: &[T], gradient: &[T], octaves: usize, out: &mut [T]) {
+pub(crate) fn gradient_into(encoded: &[f32], gradient: &[f32], octaves: usize, out: &mut [f32]) {
     let channels = encoded_channels(octaves);
     let rows = encoded.chunks_exact(channels).zip(gradient.chunks_exact(channels));
     for ((encoded, gradient), out) in rows.zip(out.chunks_exact_mut(3)) {
         for (axis, out) in out.iter_mut().enumerate() {
-            let mut sum = gradient[axis].to_f64();
+            let mut sum = f64::from(gradient[axis]);
             let mut frequency = 1.0;
             for (wave, g) in encoded[3..].chunks_exact(6).zip(gradient[3..].chunks_exact(6)) {
-                let turned = wave[3 + axis].to_f64() * g[axis].to_f64() - wave[axis].to_f64() * g[3 + axis].to_f64();
-                sum += frequency * turned;
+                let [s, c, g_s, g_c] = [wave[axis], wave[3 + axis], g[axis], g[3 + axis]].map(f64::from);
+                sum += frequency * (c * g_s - s * g_c);
                 frequency *= 2.0;
             }
-            *out = T::from_f64(sum);
+            *out = sum as f32;
         }
     }
 }
@@ -54,20 +53,20 @@ pub(crate) fn gradient_into<T: WithDType>(encoded: &[T], gradient: &[T], octaves
 /// Octaves with a smaller factor are set to 0. It is far below the precision of a sum of numbers near 1, even in f64.
 /// Some of them would be subnormal in f32 (below 1e-38), and so could products of the others with weights and
 /// gradients. CPUs multiply subnormal numbers many times slower.
-pub const LEAST_KEPT: f64 = 1e-20;
+const LEAST_KEPT: f64 = 1e-20;
 
 /// Encodes Gaussians row by row.
-pub(crate) fn integrated_into<T: WithDType>(gaussians: &[T], octaves: usize, out: &mut [T]) {
+pub(crate) fn integrated_into(gaussians: &[f32], octaves: usize, out: &mut [f32]) {
     for (gaussian, out) in gaussians.chunks_exact(6).zip(out.chunks_exact_mut(integrated_channels(octaves))) {
         for axis in 0..3 {
-            let (mut sin, mut cos) = gaussian[axis].to_f64().sin_cos();
-            let mut kept = (-0.5 * gaussian[3 + axis].to_f64()).exp();
+            let (mut sin, mut cos) = f64::from(gaussian[axis]).sin_cos();
+            let mut kept = (-0.5 * f64::from(gaussian[3 + axis])).exp();
             for octave in out.chunks_exact_mut(6) {
                 if kept < LEAST_KEPT {
                     kept = 0.0;
                 }
-                octave[axis] = T::from_f64(kept * sin);
-                octave[3 + axis] = T::from_f64(kept * cos);
+                octave[axis] = (kept * sin) as f32;
+                octave[3 + axis] = (kept * cos) as f32;
                 (sin, cos) = (2.0 * sin * cos, (cos - sin) * (cos + sin));
                 kept = (kept * kept) * (kept * kept);
             }
@@ -76,20 +75,20 @@ pub(crate) fn integrated_into<T: WithDType>(gaussians: &[T], octaves: usize, out
 }
 
 /// With s = k sin(f m), c = k cos(f m), k = exp(-f^2 v / 2): ds/dm = f c, dc/dm = -f s, ds/dv = -f^2 s / 2, dc/dv = -f^2 c / 2.
-pub fn integrated_gradient_into<T: WithDType>(encoded: &[T], gradient: &[T], octaves: usize, out: &mut [T]) {
+fn integrated_gradient_into(encoded: &[f32], gradient: &[f32], octaves: usize, out: &mut [f32]) {
     let channels = integrated_channels(octaves);
     let rows = encoded.chunks_exact(channels).zip(gradient.chunks_exact(channels));
     for ((encoded, gradient), out) in rows.zip(out.chunks_exact_mut(6)) {
         for axis in 0..3 {
             let (mut of_mean, mut of_variance, mut frequency) = (0.0, 0.0, 1.0);
             for (wave, g) in encoded.chunks_exact(6).zip(gradient.chunks_exact(6)) {
-                let [s, c, g_s, g_c] = [wave[axis], wave[3 + axis], g[axis], g[3 + axis]].map(T::to_f64);
+                let [s, c, g_s, g_c] = [wave[axis], wave[3 + axis], g[axis], g[3 + axis]].map(f64::from);
                 of_mean += frequency * (c * g_s - s * g_c);
                 of_variance -= 0.5 * frequency * frequency * (s * g_s + c * g_c);
                 frequency *= 2.0;
             }
-            out[axis] = T::from_f64(of_mean);
-            out[3 + axis] = T::from_f64(of_variance);
+            out[axis] = of_mean as f32;
+            out[3 + axis] = of_variance as f32;
         }
     }
 }
@@ -125,8 +124,8 @@ impl Code {
     }
 
     /// Encodes positions row by row.
-    pub fn rows<T: WithDType>(self, x: &[T]) -> Vec<T> {
-        let mut out = vec![T::from_f64(0.0); x.len() / self.inputs() * self.channels()];
+    pub fn rows(self, x: &[f32]) -> Vec<f32> {
+        let mut out = vec![0.0; x.len() / self.inputs() * self.channels()];
         match self {
             Code::Positional(octaves) => encode_into(x, octaves, &mut out),
             Code::Integrated(octaves) => integrated_into(x, octaves, &mut out),
@@ -136,7 +135,7 @@ impl Code {
     }
 
     /// Computes the gradient in the positions from the encoding and its gradient.
-    pub fn gradient_into<T: WithDType>(self, encoded: &[T], gradient: &[T], out: &mut [T]) {
+    pub fn gradient_into(self, encoded: &[f32], gradient: &[f32], out: &mut [f32]) {
         match self {
             Code::Positional(octaves) => gradient_into(encoded, gradient, octaves, out),
             Code::Integrated(octaves) => integrated_gradient_into(encoded, gradient, octaves, out),
@@ -145,25 +144,22 @@ impl Code {
     }
 
     /// Returns the same.
-    pub fn gradient_rows<T: WithDType>(self, encoded: &[T], gradient: &[T]) -> Vec<T> {
-        let mut out = vec![T::from_f64(0.0); encoded.len() / self.channels() * self.inputs()];
+    pub fn gradient_rows(self, encoded: &[f32], gradient: &[f32]) -> Vec<f32> {
+        let mut out = vec![0.0; encoded.len() / self.channels() * self.inputs()];
         self.gradient_into(encoded, gradient, &mut out);
         out
     }
 }
 
-/// Encodes positions in candle's graph. `None` if candle's own operations have to.
+/// Encodes f32 positions on the CPU in candle's graph.
 ///
 /// # Errors
 /// The positions are not `[n, inputs]`.
-pub fn encode(positions: &Tensor, code: Code) -> Result<Option<Tensor>> {
-    if !is_ours(positions) {
-        return Ok(None);
-    }
-    Ok(Some(positions.contiguous()?.apply_op1(Encode(code))?))
+pub fn encode(positions: &Tensor, code: Code) -> Result<Tensor> {
+    positions.contiguous()?.apply_op1(Encode(code))
 }
 
-/// The encodings on the CPU. The backward pass needs only the result.
+/// The backward pass needs only the result.
 struct Encode(Code);
 
 impl CustomOp1 for Encode {
@@ -176,44 +172,42 @@ impl CustomOp1 for Encode {
         if components != self.0.inputs() {
             candle_core::bail!("encode takes [n, {}], got {:?}", self.0.inputs(), layout.shape());
         }
-        let out = match x {
-            CpuStorage::F32(_) => CpuStorage::F32(self.0.rows(slice(x, layout)?)),
-            CpuStorage::F64(_) => CpuStorage::F64(self.0.rows(slice(x, layout)?)),
-            _ => candle_core::bail!("encode is for f32 and f64"),
-        };
-        Ok((out, Shape::from((n, self.0.channels()))))
+        Ok((CpuStorage::F32(self.0.rows(slice(x, layout)?)), Shape::from((n, self.0.channels()))))
     }
 
-    fn bwd(&self, _x: &Tensor, encoded: &Tensor, gradient: &Tensor) -> Result<Option<Tensor>> {
-        let backward = EncodeBackward(self.0);
-        Ok(Some(encoded.detach().contiguous()?.apply_op2_no_bwd(&gradient.contiguous()?, &backward)?))
+    fn bwd(&self, x: &Tensor, encoded: &Tensor, gradient: &Tensor) -> Result<Option<Tensor>> {
+        let gradient = gradient.contiguous()?;
+        let rows = self.0.gradient_rows(Values::of(encoded).slice()?, Values::of(&gradient).slice()?);
+        Ok(Some(Tensor::from_vec(rows, x.shape(), x.device())?))
     }
 }
 
-struct EncodeBackward(Code);
+#[cfg(test)]
+mod tests {
+    use super::*;
 
-impl CustomOp2 for EncodeBackward {
-    fn name(&self) -> &'static str {
-        "encode-backward"
-    }
-
-    fn cpu_fwd(
-        &self,
-        encoded: &CpuStorage,
-        encoded_layout: &Layout,
-        gradient: &CpuStorage,
-        gradient_layout: &Layout,
-    ) -> Result<(CpuStorage, Shape)> {
-        let (n, _) = encoded_layout.shape().dims2()?;
-        let out = match encoded {
-            CpuStorage::F32(_) => CpuStorage::F32(
-                self.0.gradient_rows(slice(encoded, encoded_layout)?, slice(gradient, gradient_layout)?),
-            ),
-            CpuStorage::F64(_) => CpuStorage::F64(
-                self.0.gradient_rows(slice(encoded, encoded_layout)?, slice(gradient, gradient_layout)?),
-            ),
-            _ => candle_core::bail!("encode is for f32 and f64"),
+    /// Zeros stand for numbers that do not count alone.
+    #[test]
+    fn integrated_encodings_have_no_subnormal_number() {
+        let wave = |i: usize, phase: f64| (i as f64 * 1.3 + phase).sin();
+        let gaussian = |i: usize| {
+            let variance = |phase: f64| 10f64.powf(-2.5 + 2.0 * wave(i, phase));
+            [wave(i, 0.0), wave(i, 1.0), 2.0 * wave(i, 2.0), variance(3.0), variance(4.0), variance(5.0)]
         };
-        Ok((out, Shape::from((n, self.0.inputs()))))
+        let gaussians: Vec<f32> = (0..200).flat_map(gaussian).map(|x| x as f32).collect();
+        let code = Code::Integrated(16);
+        let mut subnormal = 0;
+        for (gaussian, row) in gaussians.chunks_exact(6).zip(code.rows(&gaussians).chunks_exact(code.channels())) {
+            for (i, found) in row.iter().enumerate() {
+                let (octave, axis) = (i / 6, i % 3);
+                let [mean, variance] = [gaussian[axis], gaussian[3 + axis]].map(f64::from);
+                let (sin, cos) = (2f64.powi(octave as i32) * mean).sin_cos();
+                let exact = (-0.5 * 4f64.powi(octave as i32) * variance).exp() * if i % 6 < 3 { sin } else { cos };
+                subnormal += usize::from((exact as f32).is_subnormal());
+                assert!(!found.is_subnormal() && (*found != 0.0 || exact.abs() <= LEAST_KEPT), "{found} for {exact}");
+                assert!((f64::from(*found) - exact).abs() < 1e-6, "{found} for {exact}");
+            }
+        }
+        assert!(subnormal > 0, "these Gaussians do not show it");
     }
 }

@@ -2,38 +2,33 @@
 
 use std::sync::Arc;
 
-use augnerf_base::place::is_ours;
 use augnerf_base::tensors::slice;
-use candle_core::{CpuStorage, CustomOp1, Layout, Result, Shape, Tensor, WithDType};
+use candle_core::{CpuStorage, CustomOp1, Layout, Result, Shape, Tensor};
 
-/// Returns `values`, whose last numbers belong to points, with `by` at points that are not `inside`, where they have no
-/// gradient. NaN stays NaN. `None` if candle's own operations have to.
+/// Returns f32 `values` on the CPU, whose last numbers belong to points, with `by` at points that are not `inside`, where they
+/// have no gradient. NaN stays NaN.
 ///
 /// # Errors
 /// There are fewer numbers than points.
-pub fn replaced_outside(values: &Tensor, inside: &Arc<[bool]>, by: f64) -> Result<Option<Tensor>> {
-    if !is_ours(values) {
-        return Ok(None);
-    }
-    Ok(Some(values.contiguous()?.apply_op1(Replace { inside: inside.clone(), by })?))
+pub fn replaced_outside(values: &Tensor, inside: &Arc<[bool]>, by: f32) -> Result<Tensor> {
+    values.contiguous()?.apply_op1(Replace { inside: inside.clone(), by })
 }
 
 /// Replaces those of its argument's last `n` numbers whose points are outside.
 struct Replace {
     inside: Arc<[bool]>,
-    by: f64,
+    by: f32,
 }
 
 impl Replace {
-    fn replaced<T: WithDType>(&self, values: &[T]) -> Result<Vec<T>> {
+    fn replaced(&self, values: &[f32]) -> Result<Vec<f32>> {
         let Some(first) = values.len().checked_sub(self.inside.len()) else {
             candle_core::bail!("{} numbers do not end with those of {} points", values.len(), self.inside.len());
         };
-        let by = T::from_f64(self.by);
         let mut values = values.to_vec();
         for (value, _) in values[first..].iter_mut().zip(&*self.inside).filter(|(_, inside)| !**inside) {
             // Adds 0, or NaN if the value was NaN.
-            *value = *value * T::zero() + by;
+            *value = *value * 0.0 + self.by;
         }
         Ok(values)
     }
@@ -45,12 +40,7 @@ impl CustomOp1 for Replace {
     }
 
     fn cpu_fwd(&self, values: &CpuStorage, layout: &Layout) -> Result<(CpuStorage, Shape)> {
-        let replaced = match values {
-            CpuStorage::F32(_) => CpuStorage::F32(self.replaced(slice(values, layout)?)?),
-            CpuStorage::F64(_) => CpuStorage::F64(self.replaced(slice(values, layout)?)?),
-            _ => candle_core::bail!("raw density is f32 or f64"),
-        };
-        Ok((replaced, layout.shape().clone()))
+        Ok((CpuStorage::F32(self.replaced(slice(values, layout)?)?), layout.shape().clone()))
     }
 
     fn bwd(&self, _raw: &Tensor, _replaced: &Tensor, gradient: &Tensor) -> Result<Option<Tensor>> {

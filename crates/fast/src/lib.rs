@@ -1,6 +1,7 @@
 //! Kernels for CPUs, in place of candle's operations. `augnerf-nerf` has each in candle's own operations, to which its tests
-//! compare them. A kernel that answers `None` leaves the work to these. For `adam`, `fused` and `hash` the caller asks
-//! [`augnerf_base::place`] first. Operations of the hash grid's points and the fused loss are in `augnerf-nerf`.
+//! compare them, and which compute f64 and other devices. Who calls a kernel asks [`augnerf_base::place`] first, or, of
+//! [`sets`], leaves the work to candle if the answer is `None`. Operations of the hash grid's points and the fused loss are in
+//! `augnerf-nerf`.
 //!
 //! | kernel | in place of |
 //! |---|---|
@@ -8,7 +9,6 @@
 //! | [`fused`] | a field's layers, forward and backward, and the slope of its density |
 //! | [`hash`] | the hash grid, its derivatives and its tables' Adam |
 //! | [`inside`] | the density of empty space around a grid |
-//! | [`relu`] | ReLU's backward pass |
 //! | [`scan`] | `composite` |
 //! | [`sets`] | a constraint set's draw and PGD step |
 //! | [`adam`] | `Adam::update` |
@@ -22,7 +22,6 @@ pub mod fused;
 pub mod hash;
 pub mod inside;
 mod peak;
-pub mod relu;
 pub mod scan;
 pub mod sets;
 pub mod simd;

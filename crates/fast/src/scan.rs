@@ -1,26 +1,7 @@
 //! Compositing as one differentiable operation on the CPU: a scan along each ray, and one back.
 
-use augnerf_base::place::is_ours;
 use augnerf_base::tensors::slice;
-use candle_core::{CpuStorage, CustomOp3, DType, Layout, Result, Shape, Tensor, WithDType};
-
-/// Number types of the scans. Sums along a ray are in f64.
-pub trait Real: WithDType {
-    /// Returns exp(-self).
-    fn exp_neg(self) -> Self;
-}
-
-impl Real for f32 {
-    fn exp_neg(self) -> f32 {
-        (-self).exp()
-    }
-}
-
-impl Real for f64 {
-    fn exp_neg(self) -> f64 {
-        (-self).exp()
-    }
-}
+use candle_core::{CpuStorage, CustomOp3, DType, Layout, Result, Shape, Tensor};
 
 /// From colours `[rays, samples, 3]`, densities `[rays, samples]` and positions to one flat tensor. Positions are
 /// points `[rays, samples]`, or edges of intervals `[rays, samples + 1]`. The tensor holds colour `[3 rays]`, depth
@@ -35,65 +16,63 @@ pub struct Scan {
 }
 
 /// Inputs and results of a forward pass.
-pub struct Passed<'a, T> {
+pub struct Passed<'a> {
     /// `[rays, samples, 3]`.
-    pub rgb: &'a [T],
+    pub rgb: &'a [f32],
     /// `[rays, samples]`.
-    pub density: &'a [T],
+    pub density: &'a [f32],
     /// `[rays, samples]`, or edges `[rays, samples + 1]`.
-    pub t_vals: &'a [T],
+    pub t_vals: &'a [f32],
     /// `[rays, samples]`.
-    pub weights: &'a [T],
+    pub weights: &'a [f32],
     /// Transmittance behind each sample.
-    pub behind: &'a [T],
+    pub behind: &'a [f32],
 }
 
 /// Gradients of rendered rays. A missing one counts as 0.
-pub struct Gradients<'a, T> {
+pub struct Gradients<'a> {
     /// `[rays, 3]`.
-    pub colours: &'a [T],
+    pub colours: &'a [f32],
     /// `[rays]`.
-    pub depths: Option<&'a [T]>,
+    pub depths: Option<&'a [f32]>,
     /// `[rays]`.
-    pub accs: Option<&'a [T]>,
+    pub accs: Option<&'a [f32]>,
     /// `[rays, samples]`.
-    pub weights: Option<&'a [T]>,
+    pub weights: Option<&'a [f32]>,
     /// Whether positions need a gradient. It stays 0 otherwise.
     pub wants_t_vals: bool,
 }
 
 /// One ray's samples.
-struct Ray<'a, T> {
-    rgb: &'a [T],
-    density: &'a [T],
-    t_vals: &'a [T],
+struct Ray<'a> {
+    rgb: &'a [f32],
+    density: &'a [f32],
+    t_vals: &'a [f32],
     norm: f64,
     last_interval: f64,
 }
 
 /// The contribution of one sample to a ray.
 struct Contribution {
-    /// T_k, transmittance before it.
-    before: f64,
     /// T_k alpha_k, its weight.
     weight: f64,
     /// T_k (1 - alpha_k), transmittance behind it.
     behind: f64,
 }
 
-impl<T: Real> Ray<'_, T> {
+impl Ray<'_> {
     /// Returns interval `k` in scene units.
-    fn interval(&self, k: usize) -> T {
+    fn interval(&self, k: usize) -> f32 {
         let length = match self.t_vals.get(k + 1) {
-            Some(next) => (*next - self.t_vals[k]).to_f64(),
+            Some(next) => f64::from(*next - self.t_vals[k]),
             None => self.last_interval,
         };
-        T::from_f64(length * self.norm)
+        (length * self.norm) as f32
     }
 
     /// Returns the position of sample `k`: its point, or the middle of its interval.
     fn position(&self, k: usize) -> f64 {
-        if self.has_edges() { 0.5 * (self.t_vals[k] + self.t_vals[k + 1]).to_f64() } else { self.t_vals[k].to_f64() }
+        if self.has_edges() { 0.5 * f64::from(self.t_vals[k] + self.t_vals[k + 1]) } else { f64::from(self.t_vals[k]) }
     }
 
     /// Returns whether samples are intervals between `t_vals`, not points at them.
@@ -106,25 +85,18 @@ impl<T: Real> Ray<'_, T> {
         let mut before = 0.0;
         for (k, density) in self.density.iter().enumerate() {
             let optical = *density * self.interval(k);
-            let kept = optical.exp_neg();
-            let transmittance = T::from_f64(before).exp_neg();
-            let alpha = T::from_f64(1.0) - kept;
-            let before_it = transmittance.to_f64();
+            let (kept, transmittance) = ((-optical).exp(), (-(before as f32)).exp());
+            let alpha = 1.0 - kept;
             visit(
                 k,
-                Contribution {
-                    before: before_it,
-                    weight: (alpha * transmittance).to_f64(),
-                    behind: (kept * transmittance).to_f64(),
-                },
+                Contribution { weight: f64::from(alpha * transmittance), behind: f64::from(kept * transmittance) },
             );
-            before += optical.to_f64();
+            before += f64::from(optical);
         }
     }
 }
 
-/// Composites colours, densities and positions in candle's graph, to what a [`Scan`] returns. `None` if candle's own
-/// operations have to.
+/// Composites f32 colours, densities and positions on the CPU in candle's graph, to what a [`Scan`] returns.
 ///
 /// # Errors
 /// Those of candle.
@@ -133,17 +105,14 @@ pub fn composite(
     direction_norm: &Tensor,
     last_interval: f64,
     background: Option<[f32; 3]>,
-) -> Result<Option<Tensor>> {
-    if !is_ours(rgb) {
-        return Ok(None);
-    }
+) -> Result<Tensor> {
     let direction_norm = direction_norm.to_dtype(DType::F64)?.flatten_all()?.to_vec1()?;
     let scan = Scan { direction_norm, last_interval, background };
-    Ok(Some(rgb.contiguous()?.apply_op3(&density.contiguous()?, &t_vals.contiguous()?, scan)?))
+    rgb.contiguous()?.apply_op3(&density.contiguous()?, &t_vals.contiguous()?, scan)
 }
 
 impl Scan {
-    fn ray<'a, T>(&self, ray: usize, samples: usize, rgb: &'a [T], density: &'a [T], t_vals: &'a [T]) -> Ray<'a, T> {
+    fn ray<'a>(&self, ray: usize, samples: usize, rgb: &'a [f32], density: &'a [f32], t_vals: &'a [f32]) -> Ray<'a> {
         let row = ray * samples..(ray + 1) * samples;
         let columns = t_vals.len() / self.direction_norm.len();
         Ray {
@@ -160,10 +129,10 @@ impl Scan {
     }
 
     /// Returns the flat output, and the transmittance behind each sample.
-    pub fn forward<T: Real>(&self, rgb: &[T], density: &[T], t_vals: &[T]) -> (Vec<T>, Vec<T>) {
+    pub fn forward(&self, rgb: &[f32], density: &[f32], t_vals: &[f32]) -> (Vec<f32>, Vec<f32>) {
         let rays = self.direction_norm.len();
         let samples = density.len().checked_div(rays).unwrap_or(0);
-        let mut out = vec![T::from_f64(0.0); rays * (5 + samples)];
+        let mut out = vec![0.0; rays * (5 + samples)];
         let mut all_behind = Vec::with_capacity(density.len());
         let (colours, rest) = out.split_at_mut(3 * rays);
         let (depths, rest) = rest.split_at_mut(rays);
@@ -172,52 +141,38 @@ impl Scan {
             let ray = self.ray(i, samples, rgb, density, t_vals);
             let (mut colour, mut depth, mut acc) = ([0f64; 3], 0.0, 0.0);
             let weights = &mut weights[i * samples..][..samples];
-            ray.scan(|k, Contribution { weight, behind, .. }| {
-                weights[k] = T::from_f64(weight);
-                all_behind.push(T::from_f64(behind));
+            ray.scan(|k, Contribution { weight, behind }| {
+                weights[k] = weight as f32;
+                all_behind.push(behind as f32);
                 for (sum, c) in colour.iter_mut().zip(&ray.rgb[3 * k..3 * k + 3]) {
-                    *sum += weight * c.to_f64();
+                    *sum += weight * f64::from(*c);
                 }
                 depth += weight * ray.position(k);
                 acc += weight;
             });
             for (out, (sum, fill)) in colours[3 * i..][..3].iter_mut().zip(colour.into_iter().zip(self.fill())) {
-                *out = T::from_f64(sum + (1.0 - acc) * fill);
+                *out = (sum + (1.0 - acc) * fill) as f32;
             }
-            depths[i] = T::from_f64(depth);
-            accs[i] = T::from_f64(acc);
+            depths[i] = depth as f32;
+            accs[i] = acc as f32;
         }
         (out, all_behind)
-    }
-
-    /// Returns the accumulation of each ray, the sum of its weights.
-    pub fn accumulations<T: Real>(&self, density: &[T], t_vals: &[T]) -> Vec<T> {
-        let rays = self.direction_norm.len();
-        let [samples, columns] = [density, t_vals].map(|values| values.len().checked_div(rays).unwrap_or(0));
-        let acc = |(i, &norm): (usize, &f64)| {
-            let (density, t_vals) = (&density[i * samples..][..samples], &t_vals[i * columns..][..columns]);
-            let ray = Ray { rgb: &[], density, t_vals, norm, last_interval: self.last_interval };
-            let mut acc = 0.0;
-            ray.scan(|_, sample| acc += sample.weight);
-            T::from_f64(acc)
-        };
-        self.direction_norm.iter().enumerate().map(acc).collect()
     }
 
     /// Returns the gradients of colours, densities and positions. With G_k the gradient of weight k, that of the
     /// optical depth o_k = density_k * interval_k is G_k T_k exp(-o_k) - sum over l > k of G_l w_l. The last interval's
     /// o is in no other weight.
-    pub fn backward<T: Real>(&self, passed: Passed<T>, gradients: Gradients<T>) -> [Vec<T>; 3] {
+    pub fn backward(&self, passed: Passed, gradients: Gradients) -> [Vec<f32>; 3] {
         let Passed { rgb, density, t_vals, weights, behind } = passed;
         let rays = self.direction_norm.len();
         let samples = density.len().checked_div(rays).unwrap_or(0);
-        let zeros = |n: usize| vec![T::from_f64(0.0); n];
+        let zeros = |n: usize| vec![0.0; n];
         let mut out = [zeros(rgb.len()), zeros(density.len()), zeros(t_vals.len())];
         let [d_rgb, d_density, d_t] = &mut out;
-        let entry = |gradient: Option<&[T]>, at: usize| gradient.map_or(0.0, |gradient| gradient[at].to_f64());
+        let entry = |gradient: Option<&[f32]>, at: usize| gradient.map_or(0.0, |gradient| f64::from(gradient[at]));
         for i in 0..rays {
             let ray = self.ray(i, samples, rgb, density, t_vals);
-            let g_colour: [f64; 3] = std::array::from_fn(|c| gradients.colours[3 * i + c].to_f64());
+            let g_colour: [f64; 3] = std::array::from_fn(|c| f64::from(gradients.colours[3 * i + c]));
             let (g_depth, fill) = (entry(gradients.depths, i), self.fill());
             let g_acc = entry(gradients.accs, i) - (0..3).map(|c| g_colour[c] * fill[c]).sum::<f64>();
             let row = i * samples;
@@ -225,22 +180,22 @@ impl Scan {
             let mut later = 0.0;
             for k in (0..samples).rev() {
                 let colour = &ray.rgb[3 * k..3 * k + 3];
-                let weight = weights[row + k].to_f64();
-                let of_colour: f64 = (0..3).map(|c| g_colour[c] * colour[c].to_f64()).sum();
+                let weight = f64::from(weights[row + k]);
+                let of_colour: f64 = (0..3).map(|c| g_colour[c] * f64::from(colour[c])).sum();
                 let g_weight = of_colour + g_depth * ray.position(k) + g_acc + entry(gradients.weights, row + k);
                 for c in 0..3 {
-                    d_rgb[3 * (row + k) + c] = T::from_f64(weight * g_colour[c]);
+                    d_rgb[3 * (row + k) + c] = (weight * g_colour[c]) as f32;
                 }
-                let d_optical = g_weight * behind[row + k].to_f64() - later;
-                d_density[row + k] = T::from_f64(d_optical * ray.interval(k).to_f64());
+                let d_optical = g_weight * f64::from(behind[row + k]) - later;
+                d_density[row + k] = (d_optical * f64::from(ray.interval(k))) as f32;
                 later += g_weight * weight;
                 if !gradients.wants_t_vals {
                     continue;
                 }
-                let d_length = d_optical * ray.density[k].to_f64() * ray.norm;
+                let d_length = d_optical * f64::from(ray.density[k]) * ray.norm;
                 let mut add = |column: usize, value: f64| {
                     let at = &mut d_t[i * ray.t_vals.len() + column];
-                    *at = T::from_f64(at.to_f64() + value);
+                    *at = (f64::from(*at) + value) as f32;
                 };
                 let along = g_depth * weight;
                 if ray.has_edges() {
@@ -259,14 +214,6 @@ impl Scan {
     }
 }
 
-/// Returns the transmittance before each sample of one ray, as `transmittance` of `augnerf_nerf::render::volume`.
-pub fn transmittance(t_vals: &[f64], density: &[f64], norm: f64, last_interval: f64) -> Vec<f64> {
-    let ray = Ray { rgb: &[], density, t_vals, norm, last_interval };
-    let mut before = Vec::with_capacity(density.len());
-    ray.scan(|_, sample| before.push(sample.before));
-    before
-}
-
 impl CustomOp3 for Scan {
     fn name(&self) -> &'static str {
         "composite"
@@ -281,19 +228,10 @@ impl CustomOp3 for Scan {
         t_vals: &CpuStorage,
         t_layout: &Layout,
     ) -> Result<(CpuStorage, Shape)> {
-        macro_rules! forward {
-            ($kind:ident) => {{
-                let (rgb, density) = (slice(rgb, rgb_layout)?, slice(density, density_layout)?);
-                let (out, _) = self.forward(rgb, density, slice(t_vals, t_layout)?);
-                let n = out.len();
-                Ok((CpuStorage::$kind(out), Shape::from(n)))
-            }};
-        }
-        match rgb {
-            CpuStorage::F32(_) => forward!(F32),
-            CpuStorage::F64(_) => forward!(F64),
-            _ => candle_core::bail!("compositing is for f32 and f64"),
-        }
+        let (rgb, density) = (slice(rgb, rgb_layout)?, slice(density, density_layout)?);
+        let (out, _) = self.forward(rgb, density, slice(t_vals, t_layout)?);
+        let n = out.len();
+        Ok((CpuStorage::F32(out), Shape::from(n)))
     }
 
     fn bwd(
@@ -304,21 +242,7 @@ impl CustomOp3 for Scan {
         _out: &Tensor,
         gradient: &Tensor,
     ) -> Result<(Option<Tensor>, Option<Tensor>, Option<Tensor>)> {
-        match gradient.dtype() {
-            DType::F64 => self.gradients::<f64>([rgb, density, t_vals], gradient),
-            _ => self.gradients::<f32>([rgb, density, t_vals], gradient),
-        }
-    }
-}
-
-impl Scan {
-    fn gradients<T: Real>(
-        &self,
-        arguments: [&Tensor; 3],
-        gradient: &Tensor,
-    ) -> Result<(Option<Tensor>, Option<Tensor>, Option<Tensor>)> {
-        let values = |tensor: &Tensor| tensor.flatten_all()?.to_vec1::<T>();
-        let [rgb, density, t_vals] = arguments;
+        let values = |tensor: &Tensor| tensor.flatten_all()?.to_vec1::<f32>();
         let (of_rgb, of_density, of_t) = (values(rgb)?, values(density)?, values(t_vals)?);
         let rays = self.direction_norm.len();
         let (out, behind) = self.forward(&of_rgb, &of_density, &of_t);
@@ -336,7 +260,7 @@ impl Scan {
             wants_t_vals: t_vals.track_op(),
         };
         let [d_rgb, d_density, d_t] = self.backward(passed, gradients);
-        let tensor = |values: Vec<T>, like: &Tensor| {
+        let tensor = |values: Vec<f32>, like: &Tensor| {
             like.track_op().then(|| Tensor::from_vec(values, like.shape(), like.device())).transpose()
         };
         Ok((tensor(d_rgb, rgb)?, tensor(d_density, density)?, tensor(d_t, t_vals)?))

@@ -2,7 +2,6 @@
 
 use super::*;
 use crate::common::assert_refused;
-use augnerf::field::Spatial;
 use augnerf::settings::{Contraction, HashConfig, Interpolation};
 
 const CONTRACTIONS: [Contraction; 3] = [Contraction::None, Contraction::Axes, Contraction::Ball];
@@ -55,10 +54,10 @@ fn rough(config: &FieldConfig, seed: u64, points: &Tensor) -> Field {
 }
 
 #[test]
-fn the_adjoint_equals_forward_tangents_and_autodiff() {
+fn the_gradient_is_that_of_autodiff() {
     for (i, config) in grids().iter().enumerate() {
         let points = points(i as u64, 33);
-        assert_adjoint_is_exact(&rough(config, i as u64, &points), &points);
+        assert_gradient_is_exact(&rough(config, i as u64, &points), &points);
     }
 }
 
@@ -73,7 +72,7 @@ fn nothing_is_outside_the_box() {
             assert_eq!(flat(&spatial.at.density), [0.0; 3]);
             assert_eq!(flat(&spatial.at.gradient), [0.0; 9]);
             for used in subsets(&config) {
-                for gradient in spatial.weight_gradients(&chosen(used, 3)).unwrap().into_iter().flatten() {
+                for gradient in weight_gradients(&field, &spatial, &chosen(used, 3)).into_iter().flatten() {
                     assert!(flat(&gradient).iter().all(|value| *value == 0.0), "{config:?} {used:?}");
                 }
             }
@@ -81,7 +80,7 @@ fn nothing_is_outside_the_box() {
     }
 }
 
-/// The kernels, behind the plain networks and behind the fused ones, against f64.
+/// The fused core's kernels, and candle's operations in f32, against f64.
 #[test]
 fn kernels_equal_the_reference() {
     for (i, config) in grids().iter().enumerate() {
@@ -102,13 +101,7 @@ fn kernels_equal_the_reference() {
             assert!(off < 1e-3, "{name} {off} {config:?}");
             for used in subsets(config) {
                 let odd = chosen(used, 64);
-                let narrow = |d: &Option<Tensor>| d.as_ref().map(|d| d.to_dtype(DType::F32).unwrap());
-                let single = Cotangents {
-                    density: narrow(&odd.density),
-                    gradient: narrow(&odd.gradient),
-                    laplacian: narrow(&odd.laplacian),
-                };
-                let (a, b) = (a.weight_gradients(&single).unwrap(), b.weight_gradients(&odd).unwrap());
+                let (a, b) = (weight_gradients(&field, &a, &narrow(&odd)), weight_gradients(&exact, &b, &odd));
                 assert_same_gradients(&format!("{name} {used:?} {config:?}"), &a, &b, 1e-3);
             }
         }

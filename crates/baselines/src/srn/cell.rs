@@ -3,7 +3,7 @@
 use candle_core::backend::BackendStorage;
 use candle_core::{CpuStorage, CudaStorage, CustomOp1, Layout, MetalStorage, Result, Shape, Tensor};
 
-use crate::field::dense;
+use crate::parameters::linear;
 
 /// Weights of a recurrent layer: of its input `[4 hidden, inputs]` and its state `[4 hidden, hidden]`, each with a bias
 /// `[4 hidden]`. Gates are in the order input, forget, candidate, output.
@@ -17,9 +17,9 @@ pub(super) struct Lstm<'a> {
 impl Lstm<'_> {
     /// Returns the state `(h, c)` after `(h, c)` and x `[n, inputs]`, `[n, hidden]` each (Hochreiter and Schmidhuber
     /// 1997, with forget gates).
-    pub(super) fn apply(&self, x: &Tensor, (h, c): (&Tensor, &Tensor), trainable: bool) -> Result<(Tensor, Tensor)> {
-        let gates = dense(x, self.weight_ih, self.bias_ih, false, trainable)?;
-        let gates = (gates + dense(h, self.weight_hh, self.bias_hh, false, trainable)?)?.chunk(4, 1)?;
+    pub(super) fn apply(&self, x: &Tensor, (h, c): (&Tensor, &Tensor)) -> Result<(Tensor, Tensor)> {
+        let gates = linear(x, self.weight_ih, self.bias_ih)?;
+        let gates = (gates + linear(h, self.weight_hh, self.bias_hh)?)?.chunk(4, 1)?;
         let sigmoid = |gate: &Tensor| candle_nn::ops::sigmoid(gate);
         let kept = (sigmoid(&gates[1])? * c)?;
         let c = (kept + (sigmoid(&gates[0])? * gates[2].tanh()?)?)?;

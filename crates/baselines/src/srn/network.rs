@@ -5,9 +5,8 @@ use candle_core::{DType, Device, Tensor};
 use crate::base::Result;
 use crate::base::rng::{Random, Stream};
 use crate::data::Rays;
-use crate::field::dense;
 use crate::grids::norm::{LayerNorm, NormGroup};
-use crate::parameters::Parameters;
+use crate::parameters::{self, Parameters};
 use crate::settings::SrnConfig;
 
 use super::cell::{Lstm, clamp_gradient};
@@ -113,7 +112,6 @@ pub struct Srn {
     pub(crate) parameters: Parameters,
     /// The same, with gradients if it is trainable.
     tensors: Vec<Tensor>,
-    is_trainable: bool,
 }
 
 /// The end of a march.
@@ -143,12 +141,12 @@ impl Srn {
     /// Those of [`Parameters::new`].
     pub fn from_parameters(config: &SrnConfig, values: Vec<Tensor>) -> Result<Srn> {
         let parameters = Parameters::new(Srn::parameter_names(config), values)?;
-        Ok(Srn { config: config.clone(), tensors: parameters.tensors(true), parameters, is_trainable: true })
+        Ok(Srn { config: config.clone(), tensors: parameters.tensors(true), parameters })
     }
 
     /// Returns the same parameters (shared, not copied), without gradients.
     pub fn frozen(&self) -> Srn {
-        Srn { tensors: self.parameters.tensors(false), is_trainable: false, ..self.clone() }
+        Srn { tensors: self.parameters.tensors(false), ..self.clone() }
     }
 
     /// Returns the configuration of the section.
@@ -164,7 +162,7 @@ impl Srn {
         let (mut z, mut hidden, mut memory) = (z_0.clone(), state.clone(), state);
         for _ in 0..self.config.steps {
             let feature = self.phi(&position)?;
-            let (output, next) = self.lstm().apply(&feature, (&hidden, &memory), self.is_trainable)?;
+            let (output, next) = self.lstm().apply(&feature, (&hidden, &memory))?;
             (hidden, memory) = (clamp_gradient(&output, GRADIENT_LIMIT)?, next);
             let length = self.step(&hidden)?;
             position = (position + rays.viewdirs.broadcast_mul(&length)?)?;
@@ -206,7 +204,7 @@ impl Srn {
     }
 
     fn linear(&self, at: usize, x: &Tensor) -> Result<Tensor> {
-        Ok(dense(x, &self.tensors[at], &self.tensors[at + 1], false, self.is_trainable)?)
+        Ok(parameters::linear(x, &self.tensors[at], &self.tensors[at + 1])?)
     }
 
     /// Applies a linear layer, layer normalization and ReLU.

@@ -98,7 +98,7 @@ fn gradients_at_the_cells_outputs_are_cut_as_in_the_original() {
 fn the_cell_is_pytorchs() {
     let names = ["x", "h", "c", "weight_ih", "weight_hh", "bias_ih", "bias_hh"];
     let apply = |[x, h, c, weight_ih, weight_hh, bias_ih, bias_hh]: [&Tensor; 7]| {
-        let (h, c) = Lstm { weight_ih, weight_hh, bias_ih, bias_hh }.apply(x, (h, c), true)?;
+        let (h, c) = Lstm { weight_ih, weight_hh, bias_ih, bias_hh }.apply(x, (h, c))?;
         Tensor::cat(&[h, c], 1)
     };
     let given = names.map(|name| get(&format!("cell.{name}")));

@@ -4,10 +4,10 @@ use candle_core::{D, DType, Device, Tensor};
 
 use crate::base::Result;
 use crate::base::tensors::leaky_relu;
-use crate::field::dense;
 use crate::grids::conv3d::Conv3d;
 use crate::grids::softplus::softplus;
 use crate::grids::trilinear::{Outside, trilinear};
+use crate::parameters;
 
 use super::parameters::{NeuralVolume, Pair, SLOPE, WarpSizes, next};
 
@@ -55,7 +55,7 @@ impl NeuralVolume {
 }
 
 fn linear(x: &Tensor, [weight, bias]: &Pair) -> Result<Tensor> {
-    Ok(dense(x, weight, bias, false, true)?)
+    Ok(parameters::linear(x, weight, bias)?)
 }
 
 /// Returns a mixture of affine maps `A(x) = s R(q) (x - t)`, weighted by their grids at the mapped points.

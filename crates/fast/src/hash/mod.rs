@@ -30,7 +30,7 @@ pub(crate) use adam::Moving;
 pub use domain::{Contraction, Domain};
 pub use encode::fetch_tables;
 pub use operator::Operator;
-pub use reference::Real;
+pub use reference::{Real, Vertex};
 pub use scatter::Cotangents;
 
 use serde::{Deserialize, Serialize};

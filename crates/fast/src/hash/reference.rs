@@ -23,9 +23,9 @@ impl Real for f64 {
 }
 
 /// A vertex of a point's cell.
-struct Vertex {
+pub struct Vertex {
     /// Its entry, counted over all tables.
-    entry: usize,
+    pub entry: usize,
     /// Its weight along each axis, with the first and second derivative in the point's coordinate.
     along: [[f64; 3]; 3],
 }
@@ -37,7 +37,7 @@ impl Vertex {
     }
 
     /// Returns its weight, or the result of an operator on it.
-    fn operated(&self, operator: Option<&Operator<f64>>) -> f64 {
+    pub fn operated(&self, operator: Option<&Operator<f64>>) -> f64 {
         match operator {
             None => self.weight([0; 3]),
             Some(operator) => operator.iter().zip(ORDERS).map(|(factor, order)| factor * self.weight(order)).sum(),
@@ -65,6 +65,12 @@ impl HashGrid {
             }
             Vertex { entry: level.offset + level.entry(vertex), along }
         })
+    }
+
+    /// Returns the eight vertices around each of `points [n, 3]` in each level.
+    pub fn corners(&self, points: &[f64]) -> Vec<Vertex> {
+        let levels = |point| self.levels.iter().flat_map(move |level| self.vertices(level, point));
+        points.as_chunks().0.iter().copied().flat_map(levels).collect()
     }
 
     /// Calls `visit` with each point's number, channel, entry in the tables' array, and vertex.

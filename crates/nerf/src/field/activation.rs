@@ -4,6 +4,8 @@ use candle_core::{Result, Tensor};
 
 use crate::field::settings::DensityActivation;
 
+use super::nerf::relu;
+
 /// Derivatives of a loss in density, its gradient and its Laplacian. An absent one is 0.
 #[derive(Default)]
 pub struct Cotangents {
@@ -87,7 +89,11 @@ pub(super) struct Activated {
 
 impl Activated {
     pub(super) fn new(activation: DensityActivation, raw: &Tensor) -> Result<Activated> {
-        let value = activate_density(activation, raw)?;
+        let value = match activation {
+            // With slope 0 at 0, as the first derivative below.
+            DensityActivation::Relu => relu(raw)?,
+            _ => activate_density(activation, raw)?,
+        };
         match activation {
             DensityActivation::Relu => {
                 let first = raw.detach().gt(0f64)?.to_dtype(raw.dtype())?;

@@ -4,9 +4,8 @@
 //! delta that is added to one trunk layer's output. A field with integrated encoding is queried at Gaussians, mean and
 //! diagonal variance `[n, 6]`, instead of points `[n, 3]`.
 //!
-//! A field has two implementations with one signature. The plain one uses candle's operations, works in f32 and f64 on
-//! any device, and is the reference. The fused one (`fused`) serves [`Field::frozen`] and [`Field::recording`] fields
-//! in f32 on the CPU.
+//! These files compute a field by candle's operations, in f32 and f64 on any device. In f32 on the CPU, `fast` computes
+//! [`Field::frozen`] and [`Field::recording`] fields, and derivatives in space, in their place.
 
 use std::sync::{Arc, Mutex, PoisonError};
 
@@ -20,37 +19,34 @@ use crate::base::rng::{Random, Stream};
 use crate::field::settings::{Core, Encoding, FieldConfig, Precision};
 
 mod activation;
-mod dense;
 mod density;
 mod encoding;
+mod fast;
 mod grid;
-mod grid_plain;
 mod inside;
 mod nerf;
 mod open;
 mod rgb_limit;
 pub mod settings;
-mod slopes;
 mod spatial;
+mod waves;
 
 pub use activation::Cotangents;
 pub use activation::{density_of, raw_density_gradient};
-pub use augnerf_fast::encoding::{encoded_channels, integrated_channels};
-use augnerf_fast::fused;
 pub use augnerf_fast::fused::forget as forget_buffers;
 pub use augnerf_fast::{hash, peak_gflops};
-pub use dense::{dense, dense_reference};
 pub use density::{Density, FieldDensity};
-pub use encoding::{encode, encode_integrated, encode_integrated_reference, encode_reference};
-use encoding::{encode_positions, position_code};
+use encoding::encode_positions;
+pub use encoding::{encode, encode_integrated, encoded_channels, position_channels};
+pub use fast::TableRecord;
+use fast::{FastField, PrefixCache};
 use grid::Grid;
-pub use grid::TableRecord;
 use hash::HashGrid;
-use inside::{Inside, NOTHING};
+use inside::Inside;
 pub use nerf::{FeatureDelta, Nerf, RawOutput};
 pub use open::opening_factors;
 pub(crate) use rgb_limit::leads_away;
-pub use spatial::{DensityAt, Order, Spatial, spatial_reference};
+pub use spatial::{DensityAt, Order, Spatial};
 
 /// A network `(points, viewdirs) -> (raw rgb, raw density)`.
 #[derive(Clone)]
@@ -61,21 +57,19 @@ pub struct Field {
     grid: Option<Grid>,
     /// The parameters as variables, in the order of [`Field::parameter_names`]. Empty if frozen.
     variables: Vec<(String, Var)>,
-    /// A copy of the weights in the layout of the fused core, if it applies (see [`Field::prepared`]).
-    network: Option<Arc<fused::Network>>,
     /// For each layer, factors of its inputs, `[1, inputs]`, if some are hidden (see [`Field::opened`]). The weights above
     /// are multiplied by them.
     hidden: Option<Arc<Vec<Option<Tensor>>>>,
-    /// Receives the gradients of the weights outside of candle's graph.
-    recorder: Option<Arc<fused::Recorder>>,
+    /// What computes in candle's place, if it applies (see [`Field::prepared`]).
+    fast: Option<FastField>,
 }
 
-/// Points at which a search queries a field many times, without gradients of weights or points. The fused core computes
+/// Points at which a search queries a field many times, without gradients of weights or points. The fast path computes
 /// the trunk below the feature delta, or all of it, once.
 pub struct FixedPoints<'a> {
     field: &'a Field,
     inputs: Inputs,
-    below: fused::PrefixCache,
+    below: PrefixCache,
 }
 
 impl FixedPoints<'_> {
@@ -97,28 +91,10 @@ struct Inputs {
 }
 
 impl Inputs {
-    /// Removes raw density where there can be none. It takes raw density `[n]`, or raw output that ends with it.
+    /// Removes raw density `[n]` where there can be none.
     fn only_inside(&self, raw: Tensor) -> Result<Tensor> {
         Ok(self.inside.as_ref().map_or(Ok(raw.clone()), |inside| inside.only(&raw))?)
     }
-}
-
-/// Returns what the fused core knows of a field.
-fn architecture(config: &FieldConfig) -> fused::Architecture {
-    fused::Architecture {
-        code: position_code(config),
-        view_octaves: config.view_octaves,
-        depth: config.depth,
-        width: config.width,
-        skips: config.skips.clone(),
-        view_depth: config.view_depth,
-        bf16: config.precision == Precision::Bf16,
-    }
-}
-
-/// Returns the number of channels of a position's encoding.
-pub fn position_channels(config: &FieldConfig) -> usize {
-    position_code(config).channels()
 }
 
 impl Field {
@@ -194,7 +170,7 @@ impl Field {
         let grid = Grid::new(config, &builder)?;
         let nerf = Nerf::new(config, builder)?;
         let (config, variables) = (config.clone(), Vec::new());
-        Ok(Field { config, nerf, grid, variables, network: None, hidden: None, recorder: None })
+        Ok(Field { config, nerf, grid, variables, hidden: None, fast: None })
     }
 
     /// Returns the same field with the low frequencies of its encodings alone (FreeNeRF, equation 3): of the channels of each
@@ -218,13 +194,13 @@ impl Field {
             };
             Ok(Linear::new(weight, Some(bias.clone())))
         })?;
-        Ok(Field { nerf, hidden: factors.map(Arc::new), network: None, recorder: None, ..self.clone() })
+        Ok(Field { nerf, hidden: factors.map(Arc::new), fast: None, ..self.clone() })
     }
 
     /// Returns the current parameters as passes read them, in the order of [`Field::parameter_names`]: weights of hidden
     /// inputs are multiplied ([`Field::opened`]).
     pub fn opened_parameters(&self) -> Vec<Tensor> {
-        let table = self.grid.iter().map(|grid| grid.table().detach());
+        let table = self.grid.iter().map(|grid| grid.table.detach());
         table.chain(self.parameters_of_layers().map(Tensor::detach)).collect()
     }
 
@@ -239,39 +215,34 @@ impl Field {
         Ok(())
     }
 
-    /// Returns the same field with a copy of its current weights in the layout of the fused core, if it applies. Fields
-    /// derived from it share the copy. After an update of the weights it is out of date.
+    /// Returns the same field with a copy of its current weights in the layout of the fast path, if it applies: to f32 weights
+    /// on the CPU, unless `field.core` is plain. Fields derived from it share the copy. After an update of the weights it
+    /// is out of date.
     pub fn prepared(&self) -> Result<Field> {
         let weight = self.nerf.density.weight();
-        if self.network.is_some() || self.config.core == Core::Plain || !is_ours_in_f32(weight) {
+        if self.fast.is_some() || self.config.core == Core::Plain || !is_ours_in_f32(weight) {
             return Ok(self.clone());
         }
-        if let Some(grid) = &self.grid {
-            grid.fetch()?;
-        }
-        let parameters: Vec<Tensor> = self.parameters_of_layers().cloned().collect();
-        Ok(Field { network: Some(Arc::new(fused::prepare(architecture(&self.config), &parameters)?)), ..self.clone() })
+        Ok(Field { fast: Some(FastField::new(self)?), ..self.clone() })
     }
 
     /// Returns a field with the same weights and a record of their gradients. Backward passes through it add to the
-    /// record (see [`Field::recorded`]). If the fused core does not apply, candle's gradient store has them.
+    /// record (see [`Field::recorded`]). If the fast path does not apply, candle's gradient store has them.
     pub fn recording(&self) -> Result<Field> {
         let field = self.prepared()?;
-        let recorder = field.network.clone().map(|network| Arc::new(fused::Recorder::new(network)));
-        let grid = field.grid.as_ref().map(|grid| if recorder.is_some() { grid.recording() } else { grid.clone() });
-        Ok(Field { recorder, grid, ..field })
+        Ok(Field { fast: field.fast.as_ref().map(FastField::recording), ..field })
     }
 
     /// Returns the gradients of the weights that backward passes through this field have added up, in the order of
     /// parameters. Entries are `None` if the field does not record, and for a hash grid's table: see
     /// [`Field::table_records`].
     pub fn recorded(&self) -> Result<Vec<Option<Tensor>>> {
-        let Some(recorder) = &self.recorder else { return Ok(vec![None; self.variables.len()]) };
-        let table = self.grid.iter().map(|_| None);
         let shapes = self.parameters_of_layers().map(|parameter| parameter.dims().to_vec()).collect();
-        let mut of_layers: Vec<Option<Tensor>> = recorder.gradients(shapes)?.into_iter().map(Some).collect();
+        let recorded = self.fast.as_ref().map(|fast| fast.recorded(shapes)).transpose()?.flatten();
+        let Some(recorded) = recorded else { return Ok(vec![None; self.variables.len()]) };
+        let mut of_layers: Vec<Option<Tensor>> = recorded.into_iter().map(Some).collect();
         self.hide(&mut of_layers)?;
-        Ok(table.chain(of_layers).collect())
+        Ok(self.grid.iter().map(|_| None).chain(of_layers).collect())
     }
 
     /// Returns the hash grid that encodes positions, if there is one. Its table is the first parameter.
@@ -281,32 +252,41 @@ impl Field {
 
     /// Returns the records for the table of the hash grid that backward passes have left, in their order.
     pub fn table_records(&self) -> Vec<TableRecord> {
-        self.grid.as_ref().map_or_else(Vec::new, Grid::take_records)
+        self.with_table_records(std::mem::take)
+    }
+
+    /// Adds a record to those of a field that records.
+    pub(crate) fn add_table_record(&self, record: Option<TableRecord>) {
+        self.with_table_records(|records| records.extend(record));
     }
 
     /// Marks the records after the first `count` as those of a step's second pass.
     pub fn mark_second_pass(&self, count: usize) {
-        self.grid.iter().for_each(|grid| grid.mark_second_pass(count));
+        self.with_table_records(|records| {
+            records.iter_mut().skip(count).for_each(|record| record.is_of_second_pass = true)
+        });
     }
 
     /// Returns the number of records for the table that backward passes have left.
     pub fn record_count(&self) -> usize {
-        self.grid.as_ref().map_or(0, Grid::record_count)
+        self.with_table_records(|records| records.len())
+    }
+
+    fn with_table_records<T: Default>(&self, work: impl FnOnce(&mut Vec<TableRecord>) -> T) -> T {
+        self.fast.as_ref().and_then(|fast| fast.with_table_records(work)).unwrap_or_default()
     }
 
     /// Returns the gradient of the hash grid's table, `[entries, features]`, from records in their order. `None`
     /// without a grid or records.
     pub fn table_gradient<'a>(&self, records: impl IntoIterator<Item = &'a TableRecord>) -> Result<Option<Tensor>> {
         let mut records = records.into_iter().peekable();
-        let Some(grid) = self.grid.as_ref().filter(|_| records.peek().is_some()) else { return Ok(None) };
-        Ok(Some(grid.table_gradient(records)?))
+        let grid = self.grid.as_ref().filter(|_| records.peek().is_some());
+        grid.map(|grid| fast::table_gradient(grid, records)).transpose()
     }
 
-    /// Returns the fused core, if it applies and candle's graph needs no gradients of the weights.
-    fn query<'a>(&self, below: Option<&'a fused::PrefixCache>) -> Option<fused::Query<'a>> {
-        let network = self.network.clone()?;
-        let applies = self.recorder.is_some() || self.variables.is_empty();
-        applies.then(|| fused::Query { network, recorder: self.recorder.clone(), below })
+    /// Returns the fast path, if it applies and candle's graph needs no gradients of the weights.
+    fn fast(&self) -> Option<&FastField> {
+        self.fast.as_ref().filter(|fast| fast.records() || self.variables.is_empty())
     }
 
     /// Iterates over weight and bias of all layers, in the order of parameters.
@@ -322,14 +302,15 @@ impl Field {
     /// Fixes points `[n, 3]` that do not move any more. They get no gradient.
     pub fn fix(&self, points: &Tensor) -> Result<FixedPoints<'_>> {
         let inputs = self.inputs(&points.detach())?;
-        Ok(FixedPoints { field: self, inputs, below: fused::PrefixCache::default() })
+        Ok(FixedPoints { field: self, inputs, below: PrefixCache::default() })
     }
 
     fn detached(&self) -> Field {
         let detached = |layer: &Linear| Ok(Linear::new(layer.weight().detach(), Some(nerf::bias(layer).detach())));
         let nerf = self.nerf.map(detached).expect("nothing is computed");
         let grid = self.grid.as_ref().map(Grid::detached);
-        Field { nerf, grid, variables: Vec::new(), recorder: None, ..self.clone() }
+        let fast = self.fast.as_ref().map(FastField::detached);
+        Field { nerf, grid, variables: Vec::new(), fast, ..self.clone() }
     }
 
     /// Returns the parameters in their fixed order. Empty for a frozen field.
@@ -361,7 +342,11 @@ impl Field {
     /// Returns the networks' input at `positions`: the positions, or their features in the hash grid.
     fn inputs(&self, positions: &Tensor) -> Result<Inputs> {
         let Some(grid) = &self.grid else { return Ok(Inputs { values: positions.clone(), inside: None }) };
-        Ok(Inputs { values: grid.encode(positions)?, inside: grid.inside(positions)? })
+        let values = match self.fast() {
+            Some(fast) => fast.features(grid, positions)?,
+            None => grid.encode(positions)?,
+        };
+        Ok(Inputs { values, inside: grid.inside(positions)? })
     }
 
     fn raw_at(
@@ -369,23 +354,15 @@ impl Field {
         inputs: &Inputs,
         viewdirs: &Tensor,
         delta: Option<FeatureDelta>,
-        below: Option<&fused::PrefixCache>,
+        below: Option<&PrefixCache>,
     ) -> Result<RawOutput> {
-        let (n, _) = inputs.values.dims2()?;
-        if let Some(query) = self.query(below) {
-            let raw = query.run(&inputs.values, viewdirs, delta.map(|delta| (delta.layer, delta.delta)))?;
-            let raw = inputs.only_inside(raw)?;
-            let (rgb, density) = (raw.narrow(0, 0, 3 * n)?.reshape((n, 3))?, raw.narrow(0, 3 * n, n)?);
-            return Ok(RawOutput { rgb, density, joined: Some(raw) });
+        if let Some(fast) = self.fast() {
+            return fast.forward(inputs, viewdirs, delta, below);
         }
+        let (n, _) = inputs.values.dims2()?;
         let directions = self.encode_views(viewdirs, n / viewdirs.dim(0)?.max(1))?;
-        let raw = self.nerf.forward(&self.encoded(inputs)?, &directions, delta)?;
+        let raw = self.nerf.forward(&encode_positions(&self.config, &inputs.values)?, &directions, delta)?;
         Ok(RawOutput { density: inputs.only_inside(raw.density)?, ..raw })
-    }
-
-    /// Returns the encoding of a network's inputs, `[n, channels]`.
-    fn encoded(&self, inputs: &Inputs) -> Result<Tensor> {
-        Ok(encode_positions(position_code(&self.config), &inputs.values)?)
     }
 
     /// Returns 1 where density can be and 0 elsewhere, for points `[n, 3]`, as `[n]`. `None` if it is 1 everywhere.
@@ -396,28 +373,14 @@ impl Field {
 
     /// Returns raw density, `[n]`, without colour.
     pub fn raw_density(&self, points: &Tensor) -> Result<Tensor> {
-        if let Some(query) = self.query(None).filter(|query| query.recorder.is_none() && !points.track_op()) {
-            return self.queried_density(query, points);
+        match self.fast().filter(|fast| !fast.records()) {
+            Some(fast) if points.track_op() => return fast.raw_density_in_graph(self, points),
+            Some(fast) => return fast.raw_density(self, points),
+            None => {}
         }
         let inputs = self.inputs(points)?;
-        let hidden = self.nerf.trunk(&self.encoded(&inputs)?, None)?;
+        let hidden = self.nerf.trunk(&encode_positions(&self.config, &inputs.values)?, None)?;
         inputs.only_inside(self.nerf.raw_density(&hidden)?)
-    }
-
-    /// The same by the fused core, without points outside a grid's box.
-    fn queried_density(&self, query: fused::Query, points: &Tensor) -> Result<Tensor> {
-        let Some(grid) = &self.grid else { return Ok(query.density(points)?) };
-        let Some(inside) = grid.are_inside(points)? else { return Ok(query.density(&grid.encode(points)?)?) };
-        let asked: Vec<u32> = (0..).zip(&inside).filter_map(|(i, inside)| inside.then_some(i)).collect();
-        let mut raw = vec![NOTHING as f32; inside.len()];
-        if !asked.is_empty() {
-            let points = points.index_select(&Tensor::new(asked.as_slice(), points.device())?, 0)?;
-            let found = query.density(&grid.encode(&points)?)?.to_vec1::<f32>()?;
-            for (i, found) in asked.iter().zip(found) {
-                raw[*i as usize] = found;
-            }
-        }
-        Ok(Tensor::new(raw, points.device())?)
     }
 
     /// Returns colour from raw colour, of any shape: a sigmoid, padded by `field.rgb_padding` on both sides. Within it raw

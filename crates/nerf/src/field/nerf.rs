@@ -2,12 +2,12 @@
 //! figure 7).
 
 use candle_core::{Result, Tensor};
-use candle_nn::{Init, Linear, VarBuilder};
+use candle_nn::{Init, Linear, Module, VarBuilder};
 
 use crate::field::settings::FieldConfig;
 
 use super::settings;
-use super::{dense, encoded_channels, position_channels};
+use super::{encoded_channels, position_channels};
 
 /// A network (encoded position, encoded view direction) -> (raw colour, raw density).
 #[derive(Clone)]
@@ -82,58 +82,32 @@ impl Nerf {
     pub fn forward(&self, position: &Tensor, direction: &Tensor, delta: Option<FeatureDelta>) -> Result<RawOutput> {
         let hidden = self.trunk(position, delta)?;
         let density = self.raw_density(&hidden)?;
-        let feature = affine(&self.feature, &hidden)?;
+        let feature = self.feature.forward(&hidden)?;
         let mut view = Tensor::cat(&[&feature, direction], 1)?;
         for layer in &self.view {
-            view = relu(layer, &view)?;
+            view = relu(&layer.forward(&view)?)?;
         }
-        Ok(RawOutput { rgb: affine(&self.rgb, &view)?, density, joined: None })
+        Ok(RawOutput { rgb: self.rgb.forward(&view)?, density, joined: None })
     }
 
     /// Returns the trunk's last output, `[n, width]`.
     pub fn trunk(&self, position: &Tensor, delta: Option<FeatureDelta>) -> Result<Tensor> {
-        let mut hidden = None;
-        for i in 0..self.trunk.len() {
-            let mut output = self.trunk_layer(i, position, hidden.as_ref())?;
-            if let Some(delta) = delta.filter(|delta| delta.layer == i + 1) {
-                output = (output + delta.delta)?;
+        let mut hidden = position.clone();
+        for (i, layer) in self.trunk.iter().enumerate() {
+            if self.skips.contains(&i) {
+                hidden = Tensor::cat(&[position, &hidden], 1)?;
             }
-            hidden = Some(output);
+            hidden = relu(&layer.forward(&hidden)?)?;
+            if let Some(delta) = delta.filter(|delta| delta.layer == i + 1) {
+                hidden = (hidden + delta.delta)?;
+            }
         }
-        Ok(hidden.expect("a trunk has layers"))
-    }
-
-    /// Returns the output of trunk layer `i` (from 0), `[n, width]`, above the output `below`.
-    pub(super) fn trunk_layer(&self, i: usize, position: &Tensor, below: Option<&Tensor>) -> Result<Tensor> {
-        relu(&self.trunk[i], &self.trunk_input(i, position, below)?)
-    }
-
-    /// Returns the input of trunk layer `i` (from 0): the encoded position, the layer below, or both.
-    pub(super) fn trunk_input(&self, i: usize, position: &Tensor, below: Option<&Tensor>) -> Result<Tensor> {
-        match below {
-            None => Ok(position.clone()),
-            Some(below) if self.skips.contains(&i) => Tensor::cat(&[position, below], 1),
-            Some(below) => Ok(below.clone()),
-        }
+        Ok(hidden)
     }
 
     /// Returns raw density `[n]` from the trunk's last output.
     pub fn raw_density(&self, hidden: &Tensor) -> Result<Tensor> {
-        affine(&self.density, hidden)?.squeeze(1)
-    }
-
-    /// Returns the columns of trunk layer `i`'s weight that read the encoded position and the layer below.
-    pub(super) fn split_inputs(&self, i: usize) -> Result<(Option<Tensor>, Option<Tensor>)> {
-        let weight = self.trunk[i].weight();
-        if i == 0 {
-            return Ok((Some(weight.clone()), None));
-        }
-        if !self.skips.contains(&i) {
-            return Ok((None, Some(weight.clone())));
-        }
-        let (width, inputs) = weight.dims2()?;
-        let part = |start: usize, count: usize| weight.narrow(1, start, count)?.contiguous();
-        Ok((Some(part(0, inputs - width)?), Some(part(inputs - width, width)?)))
+        self.density.forward(hidden)?.squeeze(1)
     }
 
     /// Iterates over all layers in the order of parameters.
@@ -162,14 +136,9 @@ fn linear(init: settings::Init, inputs: usize, outputs: usize, vb: VarBuilder) -
     Ok(Linear::new(weight, Some(vb.get_with_hints(outputs, "bias", bias)?)))
 }
 
-/// Returns `layer.forward(x)`, computed as one operation.
-fn affine(layer: &Linear, x: &Tensor) -> Result<Tensor> {
-    dense(x, layer.weight(), bias(layer), false, layer.weight().track_op())
-}
-
-/// Returns `layer.forward(x)?.relu()`, computed as one operation.
-fn relu(layer: &Linear, x: &Tensor) -> Result<Tensor> {
-    dense(x, layer.weight(), bias(layer), true, layer.weight().track_op())
+/// Returns x if it is positive, and 0 otherwise, with slope 0 at 0. NaN stays, to be found and reported.
+pub(super) fn relu(x: &Tensor) -> Result<Tensor> {
+    x.detach().le(0.0)?.where_cond(&x.zeros_like()?, x)
 }
 
 /// Returns the bias of a layer of [`Nerf`], `[outputs]`.

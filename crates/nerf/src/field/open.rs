@@ -127,7 +127,7 @@ mod tests {
                     let ones = Some(spatial.at.density.ones_like().unwrap());
                     let along = Some(spatial.at.gradient.ones_like().unwrap());
                     let cotangents = crate::field::Cotangents { density: ones, gradient: along, laplacian: None };
-                    (spatial.at.gradient.clone(), spatial.weight_gradients(&cotangents).unwrap())
+                    (spatial.at.gradient.clone(), spatial.weight_gradients(&cotangents).unwrap().0)
                 };
                 let ((slope, found), (expected, by_hand)) = (slopes(&opened), slopes(&multiplied));
                 assert!(largest(&(slope - expected).unwrap()) <= most * 10.0);

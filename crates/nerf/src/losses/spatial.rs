@@ -71,7 +71,7 @@ fn chunk_at(field: &Field, points: &Tensor, terms: &[WeightedSpaceTerm], volume:
     let spatial = field.spatial_up_to(order, points)?;
     let values: Vec<Tensor> = terms.iter().map(|(term, _)| term_sum(*term, &spatial.at)).collect::<Result<_>>()?;
     let values = (Tensor::stack(&values, 0)? * volume)?;
-    let (gradients, record) = spatial.recorded_gradients(&cotangents(&spatial.at, terms, volume)?)?;
+    let (gradients, record) = spatial.weight_gradients(&cotangents(&spatial.at, terms, volume)?)?;
     Ok(Chunk { regularized: Regularized { values, gradients }, records: record.into_iter().collect() })
 }
 

@@ -7,8 +7,7 @@
 use candle_core::{CpuStorage, CustomOp3, DType, Device, Layout, Result as TensorResult, Shape, Tensor};
 
 use crate::base::Result;
-use crate::base::place::is_ours_in_f32;
-use crate::base::tensors::with_values;
+use crate::base::tensors::Values;
 use crate::field::settings::DensityActivation;
 use crate::field::{Field, RawOutput, density_of, leads_away, raw_density_gradient};
 use crate::perturb::{DeltaSet, Deltas, Norm, PaperSite, Sets, SiteSet, larger, output_range, smaller};
@@ -145,7 +144,7 @@ impl Samples<'_> {
     /// Returns the loss against `target` `[rays, 3]`, or `None` if the fused path does not support these samples.
     pub(super) fn fused_loss(&self, target: &Tensor) -> Result<Option<ShadedLoss>> {
         let Samples { field, pass, t_vals, raw, .. } = *self;
-        let Some(joined) = raw.joined.as_ref().filter(|joined| is_ours_in_f32(joined)) else { return Ok(None) };
+        let Some(joined) = &raw.joined else { return Ok(None) };
         let added = match Added::of(self)? {
             Added::Nothing => None,
             Added::Boxes(boxes) => Some(boxes),
@@ -168,13 +167,9 @@ impl Samples<'_> {
             wants_delta: added.as_ref().is_some_and(|added| added.delta.track_op()),
         };
         let t_vals = t_vals.contiguous()?;
-        let activations = with_values(joined, |raw| operation.activate(raw, added.as_ref(), samples));
-        let Some(activations) = activations.transpose()? else { return Ok(None) };
-        let Some((out, behind)) =
-            with_values(&t_vals, |t| operation.scan.forward(&activations.rgb, &activations.density, t))
-        else {
-            return Ok(None);
-        };
+        let activations = operation.activate(Values::of(joined).slice()?, added.as_ref(), samples)?;
+        let (out, behind) =
+            operation.scan.forward(&activations.rgb, &activations.density, Values::of(&t_vals).slice()?);
         let device = joined.device();
         operation.activations = Activations { weights: out[5 * rays..].to_vec(), behind, ..activations };
         let composite = Composite::of_flat(&Tensor::from_vec(out, rays * (5 + samples), device)?, rays, samples)?;
@@ -323,10 +318,7 @@ impl CustomOp3 for FusedLoss {
         gradient: &Tensor,
     ) -> TensorResult<(Option<Tensor>, Option<Tensor>, Option<Tensor>)> {
         let gradient = gradient.to_scalar()?;
-        let found = with_values(raw, |raw| with_values(t_vals, |t_vals| self.gradients(raw, t_vals, gradient)));
-        let Some([d_raw, d_t, d_delta]) = found.flatten() else {
-            candle_core::bail!("fused loss: arguments are not laid out one number behind another");
-        };
+        let [d_raw, d_t, d_delta] = self.gradients(Values::of(raw).slice()?, Values::of(t_vals).slice()?, gradient);
         let tensor = |values: Vec<f32>, like: &Tensor| {
             like.track_op().then(|| Tensor::from_vec(values, like.shape(), like.device())).transpose()
         };

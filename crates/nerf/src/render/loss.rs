@@ -1,10 +1,9 @@
 //! Passes with their photometric loss. After the field they use the fused operation if it supports the pass.
 
-use candle_core::{D, DType, Tensor};
+use candle_core::{D, Tensor};
 
 use crate::base::Result;
-use crate::base::tensors::with_values;
-use crate::field::{Field, density_of};
+use crate::field::Field;
 use crate::perturb::settings::OutputPlace;
 use crate::perturb::{Deltas, PaperSite};
 
@@ -12,8 +11,7 @@ use super::fused_loss::{Samples, ShadedLoss};
 use super::pass::{Pass, PassOutput, activate, clean_raw, finish};
 use super::perturbed::{FixedSamples, Perturbation, PerturbedOutput, Queried, query};
 use super::photometric_loss;
-use super::volume::{self, Composite, LAST_INTERVAL};
-use augnerf_fast::scan::Scan;
+use super::volume::{self, Composite};
 
 /// A pass with its photometric loss. Only the loss must have a graph.
 pub struct PassLoss {
@@ -88,66 +86,13 @@ fn pass_of(ShadedLoss { loss, composite, used }: ShadedLoss, samples: Samples) -
     (PassLoss { loss, composite, t_vals, raw_density }, used)
 }
 
-/// Returns the accumulation of rays without density noise, `[rays]`, as in an evaluation.
+/// Returns the accumulation of rays without density noise, `[rays]`, as in an evaluation: 1 - exp(-sum of density *
+/// interval).
 pub fn noiseless_acc(field: &Field, out: &PassLoss, pass: Pass) -> Result<Tensor> {
     if pass.density_noise.is_none() {
         return Ok(out.composite.acc.detach());
     }
-    let direction_norm: Vec<f64> = pass.rays.direction_norm.to_dtype(DType::F64)?.flatten_all()?.to_vec1()?;
-    let activation = field.config().density_activation;
-    let accumulate = |raw: &[f32], t_vals: &[f32]| {
-        let density: Vec<f32> = raw.iter().map(|&raw| density_of(activation, raw)).collect();
-        Scan { direction_norm, last_interval: LAST_INTERVAL, background: None }.accumulations(&density, t_vals)
-    };
-    let acc = with_values(&out.raw_density, |raw| with_values(pass.t_vals, |t_vals| accumulate(raw, t_vals))).flatten();
-    match acc {
-        Some(acc) => Ok(Tensor::from_vec(acc, pass.rays.len(), out.raw_density.device())?),
-        None => noiseless_acc_reference(field, out, pass),
-    }
-}
-
-/// The same in tensor operations.
-fn noiseless_acc_reference(field: &Field, out: &PassLoss, pass: Pass) -> Result<Tensor> {
     let intervals = volume::intervals(pass.t_vals, &pass.rays.direction_norm, out.raw_density.dim(1)?)?;
-    Ok(volume::weights_from_density(&field.activate_density(&out.raw_density)?, &intervals)?.sum(D::Minus1)?)
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-    use crate::base::rng::{Random, Stream};
-    use crate::data::Rays;
-    use crate::field::settings::{DensityActivation, FieldConfig};
-    use candle_core::Device;
-
-    #[test]
-    fn noise_is_left_out_of_accumulations() {
-        let draw = |index: u64, shape: &[usize]| {
-            Random::new(index, Stream::Init, 0).uniform_tensor(shape, DType::F32, &Device::Cpu).unwrap()
-        };
-        let rays = Rays::new(draw(1, &[4, 3]), draw(2, &[4, 3]), draw(3, &[4, 3])).unwrap();
-        let (raw_density, noise) = ((draw(4, &[4, 6]) - 0.4).unwrap(), draw(5, &[4, 6]));
-        use DensityActivation::{Exp, Relu, Softplus};
-        for (activation, columns) in [(Relu, 6), (Softplus, 7), (Exp, 6)] {
-            let config = FieldConfig { width: 8, density_activation: activation, ..FieldConfig::default() };
-            let field = Field::init(&config, 0, 0, DType::F32, &Device::Cpu).unwrap();
-            let t_vals = draw(6, &[4, columns]).cumsum(1).unwrap().contiguous().unwrap();
-            let none = draw(7, &[4]);
-            let composite =
-                Composite { rgb: none.clone(), depth: none.clone(), acc: none.clone(), weights: none.clone() };
-            let out = PassLoss { loss: none, composite, t_vals: t_vals.clone(), raw_density: raw_density.clone() };
-            let pass = Pass {
-                rays: &rays,
-                t_vals: &t_vals,
-                density_noise: Some(&noise),
-                background: None,
-                scales_gradients: false,
-            };
-            let found = noiseless_acc(&field, &out, pass).unwrap().to_vec1::<f32>().unwrap();
-            let expected = noiseless_acc_reference(&field, &out, pass).unwrap().to_vec1::<f32>().unwrap();
-            for (found, expected) in found.iter().zip(&expected) {
-                assert!((found - expected).abs() < 1e-6 && *found > 0.0, "{activation:?}: {found} {expected}");
-            }
-        }
-    }
+    let optical = (field.activate_density(&out.raw_density)? * intervals)?;
+    Ok((1.0 - optical.sum(D::Minus1)?.neg()?.exp()?)?)
 }

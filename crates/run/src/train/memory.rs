@@ -61,10 +61,10 @@ pub fn graphs_mib(config: &Resolved, threads: usize) -> f64 {
     let at_work = parts(train.rays.div_ceil(chunk)).min(threads);
     let (width, depth) = (field.width as f64, field.depth as f64);
     let (position, view) = (position_channels(field) as f64, encoded_channels(field.view_octaves) as f64);
-    // A layer's product, its sum with the bias and its ReLU; the encoding, its sines and their concatenation.
-    let trunk = 3.0 * (width * depth + position) + field.skips.len() as f64 * (width + position);
+    // A layer's product, its sum with the bias, its ReLU and that one's zeros; the encoding, its sines and their concatenation.
+    let trunk = 4.0 * width * depth + 3.0 * position + field.skips.len() as f64 * (width + position);
     // The feature concatenated with the encoded direction, and the layers after it.
-    let colour = 2.0 * width + width + view + 3.0 * (field.view_neurons() * field.view_depth) as f64;
+    let colour = 2.0 * width + width + view + 4.0 * (field.view_neurons() * field.view_depth) as f64;
     let samples = match (config.representation().has_coarse_loss(), config.samples()) {
         (true, _) => config.sampling.coarse + config.sampling.fine,
         // The coarse pass keeps no graph.
@@ -247,8 +247,8 @@ mod tests {
     fn chunks_of_the_plain_core_count_by_the_rays_that_there_are() {
         let all = needs_of(&["field.core=plain", "train.chunk=1048576", "eval.chunk=1048576"]);
         let [_, training, evaluation] = &all[..] else { panic!("three needs") };
-        // 1,024 rays, 64 coarse and 64 fine samples; three tensors of each of 8 layers of 256 numbers are most of it.
-        let trunk = 1024.0 * 128.0 * 3.0 * 8.0 * 256.0 * 4.0 / f64::from(1 << 20);
+        // 1,024 rays, 64 coarse and 64 fine samples; four tensors of each of 8 layers of 256 numbers are most of it.
+        let trunk = 1024.0 * 128.0 * 4.0 * 8.0 * 256.0 * 4.0 / f64::from(1 << 20);
         assert!((1.1..1.3).contains(&(training.mib / trunk)), "{} of {trunk}", training.mib);
         let refusal = check(training, 100.0).unwrap_err().to_string();
         assert!(refusal.contains("train.chunk = 1048576 of 1024 rays on 2 threads"), "{refusal}");

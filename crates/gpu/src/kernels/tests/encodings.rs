@@ -15,7 +15,7 @@ fn waves() {
     let buffers = [(1, &encoded), (2, &d_buffer), (3, &d_points)];
     run(&gpu, Kernel::new("frequency_back"), words(), &buffers, groups(3 * n));
     let points = var(&points, &[n, 3]);
-    let expected = encode_reference(&points, octaves).unwrap();
+    let expected = encode(&points, octaves).unwrap();
     let padded = Tensor::cat(&[&expected, &Tensor::zeros((n, 1), DType::F64, &Device::Cpu).unwrap()], 1).unwrap();
     near("frequency", &gpu.read_f32(&encoded, n * channels).unwrap(), &flat(&padded), 1e-6);
     let loss = (padded * wide(&d_encoded, &[n, channels])).unwrap().sum_all().unwrap();
@@ -96,7 +96,7 @@ fn jets_of_waves() {
     let of = |shift: [f64; 3]| -> Vec<f64> {
         let shift = Tensor::new(&shift, &Device::Cpu).unwrap();
         let points = wide(&points, &[n, 3]).broadcast_add(&shift).unwrap();
-        flat(&encode_reference(&points, octaves).unwrap().pad_with_zeros(1, 0, 1).unwrap())
+        flat(&encode(&points, octaves).unwrap().pad_with_zeros(1, 0, 1).unwrap())
     };
     near("frequency, jets", &gpu.read_f32(&encoded, 4 * n * channels).unwrap(), &jets(of, n, channels, h), 1e-5);
 }
@@ -221,7 +221,7 @@ fn views() {
         let values: Vec<f32> = random_rays.chunks(RAY).flat_map(|ray| ray[at..at + 3].to_vec()).collect();
         wide(&values, &[rays, 3])
     };
-    let padded = |unit: &Tensor| encode_reference(unit, octaves).unwrap().pad_with_zeros(1, 0, 1).unwrap();
+    let padded = |unit: &Tensor| encode(unit, octaves).unwrap().pad_with_zeros(1, 0, 1).unwrap();
     near("view", &gpu.read_f32(&plain, rays * channels).unwrap(), &flat(&padded(&part(6))), 1e-6);
     let tilt = var(&tilt, &[rays, 2]);
     let angle = |i: usize, at: usize| tilt.narrow(1, i, 1).unwrap().broadcast_mul(&part(at)).unwrap();

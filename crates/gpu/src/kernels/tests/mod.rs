@@ -1,7 +1,7 @@
 //! Each kernel against the same in f64. A table of differences is printed with `--nocapture`.
 
 use augnerf_base::rng::{Random, Stream};
-use augnerf_nerf::field::encode_reference;
+use augnerf_nerf::field::encode;
 use augnerf_nerf::field::hash::{Domain, HashGrid};
 use augnerf_nerf::optimizer::{Adam, AdamSettings};
 use augnerf_nerf::render::sampling::importance;

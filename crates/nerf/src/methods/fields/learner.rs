@@ -227,21 +227,12 @@ pub(super) fn unseen_cameras(
     Ok(unseen)
 }
 
-/// Returns an error for terms on derivatives of hash grids on a device of candle that is no CPU, and for clean entries where
-/// they are not recorded.
+/// Returns an error for clean entries where they are not recorded.
 pub(super) fn check_device(config: &Resolved, dtype: DType, device: &Device) -> Result<()> {
     let masks = config.method.is_augmented() && config.perturb.entries == ChangedEntries::Clean;
     if masks && !(is_host(device) && dtype == DType::F32) {
         let message = "perturb.entries = \"clean\" needs --device cpu in single precision";
         return Err(Error::Config(message.into()));
     }
-    let read = config.regularizer.terms().find(|(term, _)| term.reads_points());
-    match read {
-        Some((term, _)) if config.field.encoding == Encoding::Hash && !is_host(device) => Err(Error::Config(format!(
-            "regularizer {} of a hash grid needs --device cpu (l1 and tv: or --device gpu); candle's other devices have no derivatives \
-             of hash grids",
-            term.name()
-        ))),
-        _ => Ok(()),
-    }
+    Ok(())
 }

@@ -143,8 +143,9 @@ impl SampleSlopes<'_> {
     ) -> Result<()> {
         let Some(slope) = store.get(&self.at_samples) else { return Ok(()) };
         let slope = slope.detach().flatten(0, 1)?;
-        let of_field =
-            self.spatial.recording_gradients(&Cotangents { gradient: Some(slope), ..Cotangents::default() })?;
+        let cotangents = Cotangents { gradient: Some(slope), ..Cotangents::default() };
+        let (of_field, record) = self.spatial.weight_gradients(&cotangents)?;
+        field.add_table_record(record);
         let first = field.variables().first().expect("a field that trains has parameters");
         let start =
             variables.iter().position(|(_, var)| var.id() == first.1.id()).expect("the field is one of the model's");

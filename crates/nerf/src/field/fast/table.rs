@@ -1,0 +1,110 @@
+//! A hash grid's encoding by kernels, and the records behind its table's gradient.
+//!
+//! The gradient of a table is as large as the table, and a chunk of rays changes little of it. A recording field
+//! therefore keeps what each chunk would add. The gradient is summed once per step, with the levels in parallel.
+
+use std::sync::{Arc, Mutex, PoisonError};
+
+use candle_core::{CpuStorage, CustomOp1, Device, Layout, Result, Shape, Tensor, Var};
+
+use crate::base::tensors::{Values, slice};
+use crate::field::grid::Grid;
+use augnerf_fast::hash::{Cotangents, Operator};
+
+/// The records of a field, in the order of its backward passes.
+pub(super) type Records = Arc<Mutex<Vec<TableRecord>>>;
+
+/// A contribution to the table's gradient: points in the grid's cube, and the gradient of their encoding, or of what
+/// operators make of it.
+pub struct TableRecord {
+    pub(super) points: Vec<f32>,
+    pub(super) gradient: Vec<f32>,
+    pub(super) operators: Option<Vec<Operator<f32>>>,
+    /// Left by a step's second pass.
+    pub is_of_second_pass: bool,
+}
+
+impl TableRecord {
+    /// Returns the number of points in the record.
+    pub fn count(&self) -> usize {
+        self.points.len() / 3
+    }
+
+    fn cotangents(&self) -> Cotangents<'_> {
+        Cotangents { points: &self.points, d_out: &self.gradient, operators: self.operators.as_deref() }
+    }
+}
+
+/// Returns the table's gradient, `[entries, features]`, from records in their order.
+pub(super) fn table_gradient<'a>(grid: &Grid, records: impl IntoIterator<Item = &'a TableRecord>) -> Result<Tensor> {
+    let shape = &grid.shape;
+    let mut sum = vec![0f32; shape.entries() * shape.features()];
+    let records: Vec<Cotangents> = records.into_iter().map(TableRecord::cotangents).collect();
+    shape.table_gradient(&records, &mut sum);
+    Tensor::from_vec(sum, (shape.entries(), shape.features()), &Device::Cpu)
+}
+
+/// Returns features `[n, channels]` at points `[n, 3]`. Backward passes leave what the table's gradient needs in `records`, if
+/// there are any.
+pub(super) fn encode(grid: &Grid, points: &Tensor, records: Option<Records>) -> Result<Tensor> {
+    let points = points.contiguous()?;
+    // If points are not tracked, candle's backward pass would not reach the table.
+    let tracked = match &records {
+        Some(_) if !points.track_op() => Var::from_tensor(&points)?.as_tensor().clone(),
+        _ => points.clone(),
+    };
+    let operation = Encode { grid: grid.clone(), records, wants_points: points.track_op(), unit: Mutex::default() };
+    tracked.apply_op1(operation)
+}
+
+/// The encoding, without the table in the graph.
+struct Encode {
+    grid: Grid,
+    records: Option<Records>,
+    wants_points: bool,
+    /// The points in the grid's cube, kept from the forward to the backward pass.
+    unit: Mutex<Vec<f32>>,
+}
+
+impl CustomOp1 for Encode {
+    fn name(&self) -> &'static str {
+        "hash-encode"
+    }
+
+    fn cpu_fwd(&self, points: &CpuStorage, layout: &Layout) -> Result<(CpuStorage, Shape)> {
+        let points: &[f32] = slice(points, layout)?;
+        let Grid { shape, domain, table } = &self.grid;
+        let mut unit = vec![0f32; points.len()];
+        let n = points.len() / 3;
+        domain.map(points, &mut unit, &mut vec![false; n]);
+        let mut out = vec![0f32; n * shape.channels()];
+        shape.encode(Values::of(&table.contiguous()?).slice()?, &unit, None, &mut out);
+        *self.unit.lock().unwrap_or_else(PoisonError::into_inner) = unit;
+        Ok((CpuStorage::F32(out), Shape::from((n, shape.channels()))))
+    }
+
+    fn bwd(&self, points: &Tensor, _features: &Tensor, gradient: &Tensor) -> Result<Option<Tensor>> {
+        let Grid { shape, domain, table } = &self.grid;
+        let unit = std::mem::take(&mut *self.unit.lock().unwrap_or_else(PoisonError::into_inner));
+        if unit.is_empty() && points.elem_count() > 0 {
+            candle_core::bail!("hash encoding: a second backward pass through one forward pass");
+        }
+        let gradient = gradient.contiguous()?;
+        let gradient = Values::of(&gradient).slice()?.to_vec();
+        let d_points = if self.wants_points {
+            let mut d_unit = vec![0f32; unit.len()];
+            shape.point_gradient(Values::of(&table.contiguous()?).slice()?, &unit, &gradient, &mut d_unit);
+            let points = points.contiguous()?;
+            let mut d_points = vec![0f32; unit.len()];
+            domain.backward(Values::of(&points).slice()?, &d_unit, &mut d_points);
+            Some(Tensor::from_vec(d_points, points.shape(), &Device::Cpu)?)
+        } else {
+            None
+        };
+        if let Some(records) = &self.records {
+            let record = TableRecord { points: unit, gradient, operators: None, is_of_second_pass: false };
+            records.lock().unwrap_or_else(PoisonError::into_inner).push(record);
+        }
+        Ok(d_points)
+    }
+}
