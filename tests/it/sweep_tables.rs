@@ -325,7 +325,7 @@ fn what_is_said_of_a_row_holds_for_most_of_its_seeds() {
         assert!(notes.iter().all(|note| markdown.lines().any(|line| line.ends_with(note))), "{notes:?}: {markdown}");
         assert_eq!(csv_of(&table)[0]["inactive_levels"], cell);
         let heads = warnings(&table).join("\n");
-        assert_eq!(heads.contains("‖ no better than one colour: 1 of 1 rows"), lost == 3, "{heads}");
+        assert_eq!(heads.contains("‖ no better than one colour: 1 row"), lost == 3, "{heads}");
         assert_eq!(heads.contains(by_colour), inactive == 4, "{heads}");
     }
 }

@@ -171,7 +171,10 @@ fn two_sweeps_stand_in_one_table_where_they_agree() {
     let refused = "sweep collect runs/monday --merge runs/wednesday --out third";
     place.says(refused, 9, &["width is `16` in NeRF", "`32`", "they differ in code_revision as well", "--force"]);
     place.run(&format!("{refused} --force"), 0);
-    assert_says(&place.text("third/table.md"), &["NOT COMPARABLE", "B (wednesday) (width, code_revision)"]);
+    assert_says(
+        &place.text("third/table.md"),
+        &["NOT COMPARABLE", "B (wednesday) (differs from the scene's first row in width, code_revision)"],
+    );
 }
 
 #[test]

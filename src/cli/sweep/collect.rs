@@ -18,8 +18,8 @@ pub const EXAMPLES: &str = "Examples:
   augnerf sweep collect runs/tab4_fern  # tables and figures, in results/
   augnerf sweep collect runs/a --merge runs/b --out figures/both
 
---merge needs --out. Other rows, metrics or another baseline need a sweep file of their own, and their own points: `augnerf sweep run \
-FILE --name OTHER`. Rows of committed results cannot be chosen so.
+--merge needs --out. Other rows, metrics or another baseline need a sweep file of their own, and their own points: \
+`augnerf sweep run FILE --name OTHER`. Rows of committed results cannot be chosen so.
 Exit codes: 0 all points are done; else the tables are written, and 7 points failed, 11 points are not done yet, 8 scenes are \
 missing, 9 rows are not comparable.";
 

@@ -2,7 +2,7 @@
 
 use std::collections::BTreeSet;
 
-use crate::report::tables::text::warnings as warnings_of;
+use crate::report::tables::text::{of_rows, warnings as warnings_of};
 use crate::report::tables::{Table, epochs_of, is_brief};
 use crate::report::{Record, Status, distinct};
 
@@ -63,7 +63,7 @@ pub fn warnings(table: &Table, records: &[Record]) -> Vec<String> {
     let mut warnings = warnings_of(table);
     let brief = table.lines.iter().filter(|line| is_brief(line)).count();
     if brief > 0 {
-        warnings.push(format!("each training pixel seen less than once: {brief} rows"));
+        warnings.push(format!("each training pixel seen less than once: {}", of_rows(table, brief)));
     }
     let done = records.iter().filter(|record| record.status == Status::Done);
     if distinct(done.filter_map(|record| record.seed)).len() == 1

@@ -199,8 +199,8 @@ impl<'f, 'a> Axes<'f, 'a> {
     fn caption(&self, records: &[&Record]) -> String {
         let mut text = SPREAD_NOTE.to_string();
         if self.all.iter().any(|series| best(series, self.metric).is_some()) {
-            text +=
-                " The best mean of each panel is marked with its value; no test says that it differs from the others.";
+            text += " The best mean of each panel's first line is marked with its value; no test says that it differs from \
+                     the others.";
         }
         let places = || self.all.iter().map(|s| places(self.all, s.axis, s.panel));
         if places().any(|places| places.has_zero_apart()) {

@@ -38,7 +38,8 @@ fn drawing(table: &Table, lines: &[&Line], width: u16) -> (Drawing, Vec<String>)
     let of_metric =
         |(index, metric): (usize, &String)| column(metric, &move |line: &Line| cell_text(&line.cells[index]));
     let unknown = column("paper, unknown backbone", &unknown_text);
-    let all = std::iter::once(names).chain(table.metrics.iter().enumerate().map(of_metric)).chain([unknown]);
+    // The paper's column is second, so that a narrow terminal does not drop it first.
+    let all = [names, unknown].into_iter().chain(table.metrics.iter().enumerate().map(of_metric));
     // A note says why a metric has no number.
     let mut columns: Vec<Vec<String>> = all.filter(|cells| cells[1..].iter().any(|cell| !cell.is_empty())).collect();
     // Room in which the words of a column stay whole, with the space around it.
@@ -50,7 +51,8 @@ fn drawing(table: &Table, lines: &[&Line], width: u16) -> (Drawing, Vec<String>)
     let rooms: Vec<u16> = columns.iter().enumerate().map(room).collect();
     let fits = |count: &usize| rooms[..*count].iter().map(|room| u32::from(*room)).sum::<u32>() <= u32::from(width);
     // One metric at least.
-    let fitting = (2..=columns.len()).rev().find(fits).unwrap_or(2).min(columns.len());
+    let least = columns.iter().position(|cells| table.metrics.contains(&cells[0])).map_or(2, |first| first + 1);
+    let fitting = (least..=columns.len()).rev().find(fits).unwrap_or(least).min(columns.len());
     let left_out = columns.split_off(fitting).into_iter().map(|cells| cells[0].clone()).collect();
     let mut drawing = Drawing::new();
     drawing.load_style(UTF8_HORIZONTAL_ONLY).set_content_arrangement(ContentArrangement::Dynamic).set_width(width);

@@ -34,7 +34,9 @@ const MARKS: [Mark; 9] = [
     quiet("*", "not in the paper", |line| line.ours.then(String::new)),
     loud("†", InactiveBy::Loss.meaning(), |line| line.inactive_sites(InactiveBy::Loss)),
     loud("†", InactiveBy::Colour.meaning(), |line| line.inactive_sites(InactiveBy::Colour)),
-    loud("‡", "NOT COMPARABLE with the scene's first row, built by force", |line| joined(&line.mixed)),
+    loud("‡", "NOT COMPARABLE, built by force", |line| {
+        joined(&line.mixed).map(|fields| format!("differs from the scene's first row in {fields}"))
+    }),
     loud("§", "points without numbers", |line| line.unfinished().then(|| status_and_reason(line))),
     loud("‖", "no better than one colour", most_of_one_colour),
     quiet("", "sites that are inactive with at most half of the seeds", |line| line.inactive(false)),
@@ -51,12 +53,19 @@ const fn loud(symbol: &'static str, meaning: &'static str, of: fn(&Line) -> Opti
 
 /// Returns what a reader must know before the numbers: the number of rows of each such mark.
 pub fn warnings(table: &Table) -> Vec<String> {
-    let all = table.lines.iter().filter(|line| !line.quoted).count();
     let warning = |Mark { symbol, meaning, of, .. }: &Mark| {
         let rows = table.lines.iter().filter(|line| of(line).is_some()).count();
-        (rows > 0).then(|| format!("{symbol} {meaning}: {rows} of {all} rows"))
+        (rows > 0).then(|| format!("{symbol} {meaning}: {}", of_rows(table, rows)))
     };
     MARKS.iter().filter(|mark| mark.loud).filter_map(warning).collect()
+}
+
+/// Returns `2 of 5 rows` of all that are run here, or `1 row` of a single one.
+pub fn of_rows(table: &Table, count: usize) -> String {
+    match table.lines.iter().filter(|line| !line.quoted).count() {
+        1 => "1 row".into(),
+        all => format!("{count} of {all} rows"),
+    }
 }
 
 fn joined(names: &[String]) -> Option<String> {
