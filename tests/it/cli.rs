@@ -146,7 +146,7 @@ fn balance_prints_a_grid_of_weights() {
 fn killed_and_resumed_equals_not_having_stopped() {
     let network = set("train.steps=80 train.eval_every=40");
     let grid = set("field.hash.levels=4 field.hash.log2_table=10 train.steps=90 train.eval_every=30");
-    killed_and_resumed("smoke", 20, &format!("--method aug-nerf{network}"));
+    killed_and_resumed("smoke", 20, &format!("--method aug-nerf --set field.precision=bf16{network}"));
     killed_and_resumed("smoke", 20, &format!("--method aug-mip-nerf{network}"));
     killed_and_resumed("fast", 20, &grid);
     killed_and_resumed("fast", 20, &format!("--method aug-nerf --set field.precision=bf16{grid}"));

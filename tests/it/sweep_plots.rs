@@ -253,7 +253,8 @@ fn odd_input_draws_or_says_that_there_is_nothing() {
     let figure = axes_figure(Style { spec: &two }, &one, "fern", "psnr").unwrap();
     assert!(figure.svg.contains("worst-case"));
     let equal: Vec<Record> = (0..6).map(|i| word(["a", "b"][i as usize % 2], i / 2, Some(20.0))).collect();
-    assert!(axes_figure(Style { spec: &two }, &equal, "fern", "psnr").is_some());
+    let figure = axes_figure(Style { spec: &two }, &equal, "fern", "psnr").unwrap();
+    assert!(["a", "b"].iter().all(|value| texts(&figure.svg).iter().any(|(_, text)| text == value)));
     let broken = [word("a", 0, Some(f64::NAN)), word("b", 0, None)];
     assert!(axes_figure(Style { spec: &two }, &broken, "fern", "psnr").is_none());
     // A row whose points failed has failed; it does not lack data.

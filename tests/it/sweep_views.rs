@@ -92,7 +92,11 @@ fn a_table_of_several_sweeps_has_a_folder_of_its_own() {
     collect("results/one --merge runs/two --out kept", 0);
     assert_eq!(place.text("kept/table.csv"), place.text("both/table.csv"));
     assert!(place.text("both/view.toml").contains("points_sha256"));
-    place.says("sweep collect results/one", 2, &["results, not points", "verify --update"]);
+    place.says(
+        "sweep collect results/one",
+        2,
+        &["a results folder, not points", "--merge FOLDER --out DIR", "verify --update"],
+    );
     // A point that several lines show counts once.
     let shared = format!("{}/results/paper/fig_embedded", env!("CARGO_MANIFEST_DIR"));
     assert_eq!(rows(&text(&Path::new(&shared).join("points.csv"))).len(), 117);

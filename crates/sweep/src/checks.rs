@@ -127,17 +127,17 @@ impl Definition {
         Ok(())
     }
 
-    /// Returns the number of points before equal ones are merged.
+    /// Returns the number of points before equal ones are merged. An empty list, an error of its own, counts as 1.
     fn count(&self) -> usize {
         let of_axes = |axes: &[Axis]| {
-            let values = axes.iter().map(Axis::count);
+            let values = axes.iter().map(|axis| axis.count().max(1));
             match self.combine {
                 Combine::Product => values.fold(1, usize::saturating_mul),
                 Combine::OneAtATime => values.fold(0, usize::saturating_add).max(1),
             }
         };
         let of_rows = self.row.iter().map(|row| of_axes(self.axes_of(row))).fold(0, usize::saturating_add);
-        of_rows.saturating_mul(self.scenes.len()).saturating_mul(self.seeds.len())
+        of_rows.saturating_mul(self.scenes.len().max(1)).saturating_mul(self.seeds.len().max(1))
     }
 }
 

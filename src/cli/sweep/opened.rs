@@ -45,7 +45,7 @@ impl Opened {
             return Ok(());
         }
         Err(Error::Config(format!(
-            "{}: results, not points; join it with others by --merge and --out, or write its tables again with \
+            "{}: a results folder, not points; use it with --merge FOLDER --out DIR, or write its tables again with \
              `augnerf verify --update`",
             self.folder.path().display()
         )))

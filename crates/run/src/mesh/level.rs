@@ -214,7 +214,45 @@ impl Drawing {
 
 #[cfg(test)]
 mod tests {
+    use candle_core::{DType, Device, Tensor};
+
     use super::*;
+
+    /// Density is y.
+    struct Ramp;
+
+    impl Density for Ramp {
+        fn density(&self, points: &Tensor, _: [f64; 3]) -> Result<Tensor> {
+            Ok(points.narrow(1, 1, 1)?.squeeze(1)?)
+        }
+
+        fn gradient(&self, _: &Tensor, _: [f64; 3]) -> Result<Tensor> {
+            unreachable!("a level set needs density alone")
+        }
+
+        fn rgb(&self, _: &Tensor, _: [f64; 3], _: &Tensor) -> Result<Tensor> {
+            unreachable!("a level set needs density alone")
+        }
+
+        fn dtype(&self) -> DType {
+            DType::F32
+        }
+
+        fn device(&self) -> &Device {
+            &Device::Cpu
+        }
+    }
+
+    /// Midpoints are at y = 0.5, 1.5, 2.5 and 3.5.
+    #[test]
+    fn the_surface_of_a_linear_density_is_the_plane_of_the_threshold() {
+        let lattice = Lattice { domain: [[-1.0, 0.0, -1.0], [1.0, 4.0, 1.0]], side: 4 };
+        let drawing = Drawing { lattice, threshold: 2.25, cap: false, most_mib: 100.0 };
+        let LevelSet { mesh, range } = level_set(&Ramp, &drawing, None, || Ok(())).unwrap();
+        assert!(mesh.vertices.iter().all(|[_, y, _]| (y - 2.25).abs() < 1e-6), "{:?}", mesh.vertices);
+        assert_eq!(mesh.vertices.len(), 16, "one for each column of midpoints");
+        assert_eq!(range, DensityRange { least: 0.5, largest: 3.5, inside: 0.5 });
+    }
 
     #[test]
     fn a_cap_empties_the_border_alone() {

@@ -49,7 +49,7 @@ impl Foreign {
         let ending = path.extension().map(|ending| ending.to_string_lossy().to_lowercase()).unwrap_or_default();
         if !["tar", "pth", "pt"].contains(&ending.as_str()) {
             return Err(Error::Config(format!(
-                "{}: unknown file type; checkpoints of nerf-pytorch are .tar, .pth or .pt (a run of augnerf is copied as its folder)",
+                "{}: unknown file type; checkpoints of nerf-pytorch are .tar, .pth or .pt; to move a run of augnerf, copy its folder",
                 path.display()
             )));
         }
