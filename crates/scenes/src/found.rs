@@ -9,7 +9,7 @@ use super::images::{ENDINGS, Size, factor_of, is_image, list};
 use augnerf_base::{Event, Listener, first_names};
 
 /// Words in the names of images that are no photos: masks, and the maps of depth and normals of Blender scenes.
-const NO_PHOTOS: [&str; 6] = ["mask", "depth", "normal", "alpha", "depthmap", "normalmap"];
+const NO_PHOTOS: [&str; 7] = ["mask", "masked", "depth", "normal", "alpha", "depthmap", "normalmap"];
 /// Largest number of unused photos that are named.
 const UNUSED_NAMED: usize = 5;
 
@@ -299,7 +299,9 @@ mod tests {
         for photo in ["unmasked/1.png", "images/normalized_2.jpg", "alphabet.png"] {
             assert!(is_photo(photo), "{photo}");
         }
-        for other in ["masks/1.png", "r_0_depth_0001.png", "r_0_normal.png", "depthmaps/2.png", "mask001.png"] {
+        for other in
+            ["masks/1.png", "masked/1.png", "r_0_depth_0001.png", "r_0_normal.png", "depthmaps/2.png", "mask001.png"]
+        {
             assert!(!is_photo(other), "{other}");
         }
     }

@@ -143,16 +143,21 @@ impl<'a> Object<'a> {
         self.value.get(key).and_then(Value::as_array).is_some_and(Vec::is_empty)
     }
 
-    /// Returns the first key that says that cameras are orthographic: by its text, or because it is set.
-    pub(super) fn orthographic(&self) -> Option<&'static str> {
-        const KEYS: [&str; 5] = ["camera_model", "camera_type", "projection", "orthographic", "ortho_scale"];
+    /// Returns the first key that says that cameras are orthographic: a kind of camera by its text, or one such as
+    /// `ortho_scale` because it is set. Names of files say nothing.
+    pub(super) fn orthographic(&self) -> Option<&'a str> {
+        const KINDS: [&str; 6] =
+            ["camera_model", "camera_type", "orthographic", "projection", "projection_type", "type"];
+        let is_set = |key: &str| key.starts_with("ortho") || key.starts_with("is_ortho");
         let is_said = |key: &&str| match self.get(key) {
-            Some(Value::String(text)) => text.to_lowercase().contains("ortho"),
-            Some(Value::Bool(is)) => *is,
-            Some(Value::Number(number)) => number.as_f64() != Some(0.0),
+            Some(Value::String(text)) => {
+                KINDS.contains(key) && text.to_lowercase().contains("ortho") && !text.contains(['/', '\\'])
+            }
+            Some(Value::Bool(is)) => *is && is_set(key),
+            Some(Value::Number(number)) => number.as_f64() != Some(0.0) && is_set(key),
             _ => false,
         };
-        KEYS.into_iter().find(is_said)
+        self.keys().find(is_said)
     }
 
     /// Returns whether a key is there and null.
@@ -383,8 +388,13 @@ mod tests {
     fn a_camera_is_orthographic_by_keys_of_cameras_alone() {
         for (value, key) in [
             (serde_json::json!({"file_path": "images/orthophoto_1.png", "ortho_scale": 0}), None),
+            (serde_json::json!({"orthophoto": "map.png", "is_ortho": false, "type": "a/ortho"}), None),
             (serde_json::json!({"camera_model": "ORTHOGRAPHIC"}), Some("camera_model")),
+            (serde_json::json!({"type": "ORTHO"}), Some("type")),
+            (serde_json::json!({"projection_type": "orthographic"}), Some("projection_type")),
             (serde_json::json!({"ortho_scale": 2.5}), Some("ortho_scale")),
+            (serde_json::json!({"orthographic_size": 4}), Some("orthographic_size")),
+            (serde_json::json!({"is_orthographic": true}), Some("is_orthographic")),
         ] {
             assert_eq!(Object::document(Path::new("a"), &value).unwrap().orthographic(), key);
         }
