@@ -44,12 +44,16 @@ pub(super) struct Chooser<'a> {
     pub(super) all: usize,
     /// Returns the files in a folder: one for each photo, or `None` for missing ones.
     pub(super) files_in: &'a dyn Fn(&Path) -> Result<Vec<Option<PathBuf>>>,
+    /// Returns the columns of the widest of these photos, turned to fit; 0 if none is there.
+    pub(super) columns: &'a dyn Fn(&[Option<PathBuf>]) -> Result<usize>,
+    /// Says how many photos a folder has of how many, for people.
+    pub(super) count: fn(usize, usize) -> String,
 }
 
 impl Chooser<'_> {
     /// Chooses among folders, each with its factor. For a factor: the folder of that factor, then the originals, then those
     /// whose factor divides it, beginning with the `smallest` photos or the largest. For a width: the smallest photos of which
-    /// one is at least as wide. A folder without some of the photos is not used if another has them all.
+    /// one is at least as wide, by their headers. A folder without some of the photos is not used if another has them all.
     pub(super) fn choose(&self, mut folders: Vec<(usize, PathBuf)>, smallest: bool) -> Result<Option<Chosen>> {
         match self.size {
             Size::Factor(wanted) => {
@@ -57,7 +61,17 @@ impl Chooser<'_> {
                 let order = |factor: usize| if smallest { wanted / factor } else { factor };
                 folders.sort_by_key(|(factor, _)| (*factor != wanted, *factor != 1, order(*factor)));
             }
-            Size::Width(_) => folders.sort_by_key(|(factor, _)| Reverse(*factor)),
+            Size::Width(width) => {
+                // Photos that cannot be measured come last, and are an error only if they are needed.
+                let columns = |folder: &Path| (self.columns)(&(self.files_in)(folder)?);
+                let measured = folders.into_iter().map(|(factor, folder)| {
+                    let columns = columns(&folder).unwrap_or(usize::MAX);
+                    (columns, Reverse(factor), folder)
+                });
+                let mut wide: Vec<_> = measured.filter(|(columns, ..)| *columns >= width).collect();
+                wide.sort();
+                folders = wide.into_iter().map(|(_, Reverse(factor), folder)| (factor, folder)).collect();
+            }
         }
         self.first_of(folders)
     }
@@ -72,30 +86,24 @@ impl Chooser<'_> {
         Ok(chosen.map(|chosen| Chosen { elsewhere: Some(words(chosen.factor)), ..chosen }))
     }
 
-    /// Returns the first folder that has all photos, or else the one that has the most.
+    /// Returns the first folder that has all photos, or else the first of those that have the most. More than all count as all.
     fn first_of(&self, folders: Vec<(usize, PathBuf)>) -> Result<Option<Chosen>> {
         let mut best: Option<Chosen> = None;
         let mut passed = Vec::new();
         for (factor, folder) in folders {
             let chosen = Chosen { files: (self.files_in)(&folder)?, factor, passed: Vec::new(), elsewhere: None };
             let found = chosen.found();
-            if found == 0 || self.is_too_narrow(&chosen.files)? {
+            if found == 0 {
                 continue;
             }
             if found == self.all {
                 return Ok(Some(Chosen { passed, ..chosen }));
             }
-            passed.push(format!("{} has {found} images for {} poses", folder.display(), self.all));
-            if best.as_ref().is_none_or(|best| best.found() < found) {
+            passed.push(format!("{} has {}", folder.display(), (self.count)(found, self.all)));
+            if best.as_ref().is_none_or(|best| best.found().min(self.all) < found.min(self.all)) {
                 best = Some(chosen);
             }
         }
         Ok(best)
-    }
-
-    fn is_too_narrow(&self, files: &[Option<PathBuf>]) -> Result<bool> {
-        let Size::Width(width) = self.size else { return Ok(false) };
-        let columns: Result<Vec<usize>> = files.iter().flatten().map(|file| Ok(images::size(file)?.0)).collect();
-        Ok(columns?.into_iter().all(|columns| columns < width))
     }
 }

@@ -8,9 +8,16 @@ use crate::images::{self, Size};
 use crate::photo_files::{Chooser, Chosen};
 use augnerf_base::{Error, Result};
 
-/// Finds the photos of these names.
-pub(super) fn find(dir: &Path, names: &[&str], size: Size) -> Result<Chosen> {
-    let chooser = Chooser { dir, size, all: names.len(), files_in: &|folder| Ok(within(folder, names)) };
+/// Finds the photos of these names. `columns` returns those of the widest of them.
+pub(super) fn find(
+    dir: &Path,
+    names: &[&str],
+    size: Size,
+    columns: &dyn Fn(&[Option<PathBuf>]) -> Result<usize>,
+) -> Result<Chosen> {
+    let files_in = |folder: &Path| Ok(within(folder, names));
+    let count = |found, all| format!("{found} of {all} images");
+    let chooser = Chooser { dir, size, all: names.len(), files_in: &files_in, columns, count };
     let chosen = chooser.choose(images::folders(dir)?, false)?.or_else(|| elsewhere(dir, names));
     let chosen = if chosen.is_none() { chooser.reduced()? } else { chosen };
     chosen.map_or_else(|| Err(none(dir, names, size)?), Ok)

@@ -57,7 +57,7 @@ pub fn load(config: &DataConfig, photos: Photos, events: &dyn Listener) -> Resul
     let dir = Path::new(&config.dir);
     let model = read::model(dir, &config.colmap_model, events)?;
     let names: Vec<&str> = model.photographs.iter().map(|photograph| &*photograph.name).collect();
-    let source = folder::find(dir, &names, Size::of(config))?;
+    let source = folder::find(dir, &names, Size::of(config), &|files| widest(&model, files))?;
     let missing = note_missing(dir, &model, &source, events);
     match &source.elsewhere {
         Some(words) => events.on(Event::Note(&format!("{}: {words}", dir.display()))),
@@ -100,7 +100,7 @@ pub fn load(config: &DataConfig, photos: Photos, events: &dyn Listener) -> Resul
 /// Notes photos whose names differ from the model's.
 fn note_renamed(dir: &Path, names: &[&str], source: &Chosen, events: &dyn Listener) {
     let is_renamed = |(file, name): &(&Option<PathBuf>, &&str)| {
-        let own = Path::new(name).with_extension("");
+        let own = PathBuf::from(found::slashes(name)).with_extension("");
         file.as_ref().is_some_and(|file| !file.with_extension("").ends_with(&own))
     };
     let renamed = source.files.iter().zip(names).filter(is_renamed).count();
@@ -147,15 +147,31 @@ fn frames(dir: &Path, model: &Model, source: &Chosen, poses: &[Pose]) -> Result<
     Ok((frames, found))
 }
 
+/// Returns the columns of the widest of these photos, by which a width is measured.
+fn widest(model: &Model, files: &[Option<PathBuf>]) -> Result<usize> {
+    let mut there =
+        model.photographs.iter().zip(files).filter_map(|(photograph, file)| Some((photograph, file.as_ref()?)));
+    there.try_fold(0, |widest, (photograph, file)| {
+        Ok(header(&model.lenses[&photograph.camera], file)?.size.0.max(widest))
+    })
+}
+
+/// Reads a photo's header, of the turned photo if only that fits its camera.
+fn header(lens: &Lens, path: &Path) -> Result<Header> {
+    Ok(Header::read(path)?.turned_to_fit(|size| fits(lens, size)))
+}
+
+/// Returns whether an image of this width and height is a scaled one of a camera.
+fn fits(lens: &Lens, (width, height): (usize, usize)) -> bool {
+    let [width, height] = [width as f64, height as f64];
+    (lens.size[1] * width / lens.size[0] - height).abs() <= 1.0 + SIZE_TOLERANCE * height
+}
+
 fn frame(lens: &Lens, photograph: &Photograph, path: PathBuf, dir: &Path) -> Result<Frame> {
-    let fits = |(width, height): (usize, usize)| {
-        let [width, height] = [width as f64, height as f64];
-        (lens.size[1] * width / lens.size[0] - height).abs() <= 1.0 + SIZE_TOLERANCE * height
-    };
-    let header = Header::read(&path)?.turned_to_fit(fits);
+    let header = header(lens, &path)?;
     let stored = header.size;
     let scale = [stored.0 as f64 / lens.size[0], stored.1 as f64 / lens.size[1]];
-    if !fits(stored) {
+    if !fits(lens, stored) {
         return Err(Error::Data(format!(
             "{} is {}x{} pixels, but camera {} of the COLMAP model is for {}x{}: it was cropped or turned, so the camera is not \
              its own",

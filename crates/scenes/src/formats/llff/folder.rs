@@ -37,7 +37,13 @@ pub(super) fn find(
     let files_in = |folder: &Path| -> Result<Vec<Option<PathBuf>>> {
         Ok(with_poses(images::list(folder)?, poses, listed).into_iter().map(Some).collect())
     };
-    let chooser = Chooser { dir, size, all: poses, files_in: &files_in };
+    // All photos of a folder must have one size: the first has it.
+    let columns = |files: &[Option<PathBuf>]| -> Result<usize> {
+        let Some(first) = files.iter().flatten().next() else { return Ok(0) };
+        Ok(Header::read(first)?.turned_to_fit(|size| is_of_shape(size, shape)).size.0)
+    };
+    let count = |found, poses| format!("{found} images for {poses} poses");
+    let chooser = Chooser { dir, size, all: poses, files_in: &files_in, columns: &columns, count };
     let chosen = match chooser.choose(photo_folders(dir, poses)?, true)? {
         None => chooser.reduced()?.filter(|reduced| reduced.found() == poses),
         chosen => chosen,
