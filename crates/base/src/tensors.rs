@@ -14,6 +14,12 @@ pub fn sum(a: Option<Tensor>, b: Option<Tensor>) -> Result<Option<Tensor>> {
     })
 }
 
+/// Returns x if it is positive, and 0 otherwise, with slope 0 at 0. NaN stays NaN, to be found and reported, where candle's own
+/// ReLU gives 0.
+pub fn relu(x: &Tensor) -> candle_core::Result<Tensor> {
+    x.detach().le(0.0)?.where_cond(&x.zeros_like()?, x)
+}
+
 /// Returns `x` if it is not below 0, and `slope x` otherwise. NaN stays NaN, where candle's own ReLU gives 0.
 pub fn leaky_relu(x: &Tensor, slope: f64) -> candle_core::Result<Tensor> {
     x.lt(0.0)?.where_cond(&(x * slope)?, x)
@@ -66,14 +72,20 @@ pub fn slice<'a, T: WithDType>(storage: &'a CpuStorage, layout: &Layout) -> cand
 
 #[cfg(test)]
 mod tests {
-    use candle_core::Device;
+    use candle_core::{Device, Var};
 
     use super::*;
 
     #[test]
-    fn a_leaky_relu_keeps_what_is_no_number() {
+    fn relus_keep_what_is_no_number() {
         let x = Tensor::new(&[-2.0, 0.0, 3.0, f64::NAN], &Device::Cpu).unwrap();
         let y: Vec<f64> = leaky_relu(&x, 0.25).unwrap().to_vec1().unwrap();
         assert!(y[..3] == [-0.5, 0.0, 3.0] && y[3].is_nan(), "{y:?}");
+        let x = Var::new(&[f64::NEG_INFINITY, 0.0, 3.0, f64::NAN], &Device::Cpu).unwrap();
+        let y = relu(&x).unwrap();
+        let slope: Vec<f64> = y.sum_all().unwrap().backward().unwrap().get(&x).unwrap().to_vec1().unwrap();
+        assert_eq!(slope, [0.0, 0.0, 1.0, 1.0]);
+        let y: Vec<f64> = y.to_vec1().unwrap();
+        assert!(y[..3] == [0.0, 0.0, 3.0] && y[3].is_nan(), "{y:?}");
     }
 }

@@ -10,7 +10,7 @@ use candle_core::{CpuStorage, CustomOp3, D, Device, Layout, Result, Shape, Tenso
 use rayon::prelude::*;
 
 use crate::base::place::is_ours_in_f32;
-use crate::base::tensors::leaky_relu;
+use crate::base::tensors::relu;
 use augnerf_fast::simd::{LANES, vectorized};
 
 use super::values::{Values, slice, summed};
@@ -55,8 +55,7 @@ impl LayerNorm {
         let deviation = (centred.sqr()?.mean_keepdim(1)? + self.epsilon)?.sqrt()?;
         let normal = centred.broadcast_div(&deviation)?.reshape(x.shape())?;
         let y = normal.broadcast_mul(scale)?.broadcast_add(shift)?;
-        // Not `relu`: NaN must stay.
-        if self.relu { leaky_relu(&y, 0.0) } else { Ok(y) }
+        if self.relu { relu(&y) } else { Ok(y) }
     }
 }
 

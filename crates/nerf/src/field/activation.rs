@@ -2,9 +2,8 @@
 
 use candle_core::{Result, Tensor};
 
+use crate::base::tensors::relu;
 use crate::field::settings::DensityActivation;
-
-use super::nerf::relu;
 
 /// Derivatives of a loss in density, its gradient and its Laplacian. An absent one is 0.
 #[derive(Default)]

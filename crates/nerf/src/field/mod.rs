@@ -64,7 +64,7 @@ pub struct Field {
     fast: Option<FastField>,
 }
 
-/// Points at which a search queries a field many times, without gradients of weights or points. The fast path computes
+/// Points at which a search queries a field many times, without gradients of weights or points. The fused core computes
 /// the trunk below the feature delta, or all of it, once.
 pub struct FixedPoints<'a> {
     field: &'a Field,
@@ -215,7 +215,7 @@ impl Field {
         Ok(())
     }
 
-    /// Returns the same field with a copy of its current weights in the layout of the fast path, if it applies: to f32 weights
+    /// Returns the same field with a copy of its current weights in the layout of the fused core, if it applies: to f32 weights
     /// on the CPU, unless `field.core` is plain. Fields derived from it share the copy. After an update of the weights it
     /// is out of date.
     pub fn prepared(&self) -> Result<Field> {
@@ -227,7 +227,7 @@ impl Field {
     }
 
     /// Returns a field with the same weights and a record of their gradients. Backward passes through it add to the
-    /// record (see [`Field::recorded`]). If the fast path does not apply, candle's gradient store has them.
+    /// record (see [`Field::recorded`]). If the fused core does not apply, candle's gradient store has them.
     pub fn recording(&self) -> Result<Field> {
         let field = self.prepared()?;
         Ok(Field { fast: field.fast.as_ref().map(FastField::recording), ..field })
@@ -257,6 +257,10 @@ impl Field {
 
     /// Adds a record to those of a field that records.
     pub(crate) fn add_table_record(&self, record: Option<TableRecord>) {
+        debug_assert!(
+            record.is_none() || self.fast.as_ref().is_some_and(FastField::records),
+            "the field does not record"
+        );
         self.with_table_records(|records| records.extend(record));
     }
 
@@ -284,7 +288,7 @@ impl Field {
         grid.map(|grid| fast::table_gradient(grid, records)).transpose()
     }
 
-    /// Returns the fast path, if it applies and candle's graph needs no gradients of the weights.
+    /// Returns the fused core, if it applies and candle's graph needs no gradients of the weights.
     fn fast(&self) -> Option<&FastField> {
         self.fast.as_ref().filter(|fast| fast.records() || self.variables.is_empty())
     }

@@ -4,6 +4,7 @@
 use candle_core::{Result, Tensor};
 use candle_nn::{Init, Linear, Module, VarBuilder};
 
+use crate::base::tensors::relu;
 use crate::field::settings::FieldConfig;
 
 use super::settings;
@@ -134,11 +135,6 @@ fn linear(init: settings::Init, inputs: usize, outputs: usize, vb: VarBuilder) -
     };
     let weight = vb.get_with_hints((outputs, inputs), "weight", weight)?;
     Ok(Linear::new(weight, Some(vb.get_with_hints(outputs, "bias", bias)?)))
-}
-
-/// Returns x if it is positive, and 0 otherwise, with slope 0 at 0. NaN stays, to be found and reported.
-pub(super) fn relu(x: &Tensor) -> Result<Tensor> {
-    x.detach().le(0.0)?.where_cond(&x.zeros_like()?, x)
 }
 
 /// Returns the bias of a layer of [`Nerf`], `[outputs]`.

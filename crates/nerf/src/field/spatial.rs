@@ -8,12 +8,12 @@ use candle_core::{Tensor, Var};
 use candle_nn::Module;
 
 use crate::base::Result;
+use crate::base::tensors::relu;
 use crate::field::settings::Encoding;
 
 use super::activation::{Activated, Cotangents};
 use super::encoding::encode;
 use super::fast::Tape;
-use super::nerf::relu;
 use super::waves::Waves;
 use super::{Field, TableRecord, tensor_error};
 
@@ -57,10 +57,11 @@ pub struct Spatial<'a> {
     way: Way,
 }
 
-/// The way from them back to the weights.
+/// How weight gradients are computed.
 enum Way {
-    /// The same in candle's graph.
+    /// By candle, from the same derivatives in its graph.
     Graph(DensityAt),
+    /// By the fused core.
     Tape(Tape),
 }
 
@@ -75,7 +76,8 @@ impl Field {
         Ok(gradient.narrow(1, 0, 3)?)
     }
 
-    /// Returns density, gradient and Laplacian at `points [n, 3]`.
+    /// Returns density, gradient and Laplacian at `points [n, 3]`. A prepared field ([`Field::prepared`]) computes them by
+    /// the fused core.
     pub fn spatial(&self, points: &Tensor) -> Result<Spatial<'_>> {
         self.spatial_up_to(Order::Laplacian, points)
     }
@@ -150,17 +152,23 @@ impl Spatial<'_> {
     /// Returns the gradients of a loss with these derivatives, in the order of [`Field::parameter_names`]. Entries are
     /// `None` for layers on which density does not depend. That of a hash grid's table may be a record for
     /// [`Field::table_gradient`]: it is as large as the table, and is best made of many records at once.
+    ///
+    /// # Errors
+    /// The field is frozen, and the fused core does not compute it. Also errors of candle.
     pub fn weight_gradients(&self, loss: &Cotangents) -> Result<(Vec<Option<Tensor>>, Option<TableRecord>)> {
         let graph = match &self.way {
             Way::Tape(tape) => return tape.weight_gradients(self.field, loss),
             Way::Graph(graph) => graph,
         };
+        let variables = self.field.variables();
+        if variables.is_empty() {
+            return Err(tensor_error("a frozen field has weight gradients only if the fused core computes it".into()));
+        }
         let pairs =
             [(&graph.density, &loss.density), (&graph.gradient, &loss.gradient), (&graph.laplacian, &loss.laplacian)];
         let asked = pairs.into_iter().filter_map(|(value, slope)| Some((value, slope.as_ref()?)));
         let products =
             asked.map(|(value, slope)| (value * slope)?.sum_all()).collect::<candle_core::Result<Vec<_>>>()?;
-        let variables = self.field.variables();
         if products.is_empty() {
             return Ok((vec![None; variables.len()], None));
         }

@@ -141,7 +141,7 @@ struct Activations {
 }
 
 impl Samples<'_> {
-    /// Returns the loss against `target` `[rays, 3]`, or `None` if the fused path does not support these samples.
+    /// Returns the loss against `target` `[rays, 3]`, or `None` if the fused operation does not support these samples.
     pub(super) fn fused_loss(&self, target: &Tensor) -> Result<Option<ShadedLoss>> {
         let Samples { field, pass, t_vals, raw, .. } = *self;
         let Some(joined) = &raw.joined else { return Ok(None) };

@@ -96,3 +96,40 @@ pub fn noiseless_acc(field: &Field, out: &PassLoss, pass: Pass) -> Result<Tensor
     let optical = (field.activate_density(&out.raw_density)? * intervals)?;
     Ok((1.0 - optical.sum(D::Minus1)?.neg()?.exp()?)?)
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::base::rng::{Random, Stream};
+    use crate::data::Rays;
+    use crate::field::settings::{DensityActivation, FieldConfig};
+    use candle_core::{DType, Device};
+
+    #[test]
+    fn noise_is_left_out_of_accumulations() {
+        let draw = |index: u64, shape: &[usize]| {
+            Random::new(index, Stream::Init, 0).uniform_tensor(shape, DType::F32, &Device::Cpu).unwrap()
+        };
+        let rays = Rays::new(draw(1, &[4, 3]), draw(2, &[4, 3]), draw(3, &[4, 3])).unwrap();
+        let (raw_density, noise, rgb) = ((draw(4, &[4, 6]) - 0.4).unwrap(), draw(5, &[4, 6]), draw(6, &[4, 6, 3]));
+        // Edges, since behind the last of points all are opaque.
+        let t_vals = draw(7, &[4, 7]).cumsum(1).unwrap().contiguous().unwrap();
+        for density_activation in [DensityActivation::Relu, DensityActivation::Softplus, DensityActivation::Exp] {
+            let config = FieldConfig { width: 8, density_activation, ..FieldConfig::default() };
+            let field = Field::init(&config, 0, 0, DType::F32, &Device::Cpu).unwrap();
+            let of = |raw: &Tensor| {
+                let density = field.activate_density(raw).unwrap();
+                volume::composite(&rgb, &density, &t_vals, &rays.direction_norm, None).unwrap()
+            };
+            let composite = of(&(&raw_density + &noise).unwrap());
+            let out =
+                PassLoss { loss: noise.clone(), composite, t_vals: t_vals.clone(), raw_density: raw_density.clone() };
+            let (density_noise, background) = (Some(&noise), None);
+            let pass = Pass { rays: &rays, t_vals: &t_vals, density_noise, background, scales_gradients: false };
+            let found: Vec<f32> = noiseless_acc(&field, &out, pass).unwrap().to_vec1().unwrap();
+            let expected: Vec<f32> = of(&raw_density).acc.to_vec1().unwrap();
+            let is_same = |(found, expected): (&f32, &f32)| (found - expected).abs() < 1e-6 && *found > 0.0;
+            assert!(found.iter().zip(&expected).all(is_same), "{density_activation:?}: {found:?} {expected:?}");
+        }
+    }
+}

@@ -155,7 +155,7 @@ fn multiplane_images_are_those_of_the_weights_as_they_are() {
     };
     let planes = |scene: &Scene| of(&network.renderer(&config, scene).unwrap());
     let before = planes(&scene);
-    // Millions of values, which a message would print.
+    // Millions of numbers, which a message would print.
     assert!(planes(&scene) == before);
     let mut darker = scene.clone();
     let mut image = (*darker.train[2].image).clone();

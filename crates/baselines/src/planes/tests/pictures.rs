@@ -94,7 +94,7 @@ fn a_blend_of_equals_is_what_each_is() {
 /// Three views in a row whose planes are a wall at depth 2.
 fn renderer(background: Option<[f32; 3]>) -> PlanesRenderer {
     let eyes: Vec<Viewpoint> = [0.0, 0.2, 1.0].map(|x| eye([x, 0.0], 16, 8, 20.0)).to_vec();
-    // Whole values of 8 bits, a little above, so that cutting off keeps them.
+    // Whole numbers of 8 bits, a little above, so that cutting off keeps them.
     let bits = |mut image: Image| {
         image.pixels.iter_mut().for_each(|value| *value = ((*value * 255.0).round() + 0.25).min(255.0) / 255.0);
         image

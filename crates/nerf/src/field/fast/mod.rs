@@ -1,6 +1,6 @@
-//! What computes a field in candle's place in f32 on the CPU: kernels of [`augnerf_fast`] on a copy of the weights. They serve
-//! fields that are frozen or that record, and density's derivatives in space, and give what candle's operations give to
-//! rounding.
+//! Kernels that compute a field in f32 on the CPU in candle's place: those of [`augnerf_fast`] on a copy of the weights. They
+//! serve fields that are frozen or that record, and density's derivatives in space. Their results equal those of candle's
+//! operations to rounding.
 
 use std::sync::{Arc, PoisonError};
 
@@ -34,7 +34,7 @@ pub(super) struct FastField {
     record: Option<Record>,
 }
 
-/// What backward passes leave.
+/// Gradients that backward passes record.
 #[derive(Clone)]
 struct Record {
     layers: Arc<fused::Recorder>,
