@@ -12,8 +12,10 @@ use crate::field::Density;
 const CHUNK: usize = 1024;
 /// Points per chunk on an accelerator, which needs many.
 const DEVICE_CHUNK: usize = 65_536;
-/// Number of chunks whose gradients are in memory at once.
-const CHUNKS_AT_ONCE: usize = 16;
+/// The same for derivatives of density, of which candle's graph keeps up to 13 tensors `[points, width]` a layer.
+const DEVICE_CHUNK_OF_DERIVATIVES: usize = 8192;
+/// Largest number of chunks whose gradients are in memory at once.
+pub const CHUNKS_AT_ONCE: usize = 16;
 
 /// Computes densities at the midpoints of a sampling grid, in the order of the cells. `take` gets them in parts, so
 /// that memory does not grow with the grid.
@@ -33,7 +35,10 @@ pub fn over_cells<T: Send>(
     mut take: impl FnMut(T) -> Result<()>,
 ) -> Result<()> {
     let (points, dtype, device) = (Quadrature::full(*lattice), density.dtype(), density.device());
-    let Some(size) = density.at_once() else { return over_chunks(&points, dtype, device, query, take) };
+    let Some(size) = density.at_once() else {
+        let size = if is_host(device) { CHUNK } else { DEVICE_CHUNK };
+        return over_chunks_of(size, &points, dtype, device, query, take);
+    };
     let count = points.count();
     for start in (0..count).step_by(size) {
         take(query(&points.tensor(start, size.min(count - start), dtype, device)?)?)?;
@@ -54,14 +59,14 @@ pub fn over_queries<T: Sync, R: Send>(
     }
 }
 
-/// Returns the number of chunks of a pass over `count` points.
+/// Returns the number of chunks of [`over_chunks`] over `count` points.
 pub fn chunk_count(count: usize, device: &Device) -> usize {
     count.div_ceil(chunk_size(device))
 }
 
-/// Returns the number of points in a chunk.
+/// Returns the number of points in a chunk of [`over_chunks`].
 pub fn chunk_size(device: &Device) -> usize {
-    if is_host(device) { CHUNK } else { DEVICE_CHUNK }
+    if is_host(device) { CHUNK } else { DEVICE_CHUNK_OF_DERIVATIVES }
 }
 
 /// Returns the number of chunks that are processed at once.
@@ -69,16 +74,27 @@ pub fn chunks_at_once(device: &Device) -> usize {
     if is_host(device) { rayon::current_num_threads().min(CHUNKS_AT_ONCE) } else { 1 }
 }
 
-/// Processes points of a precision on a device in chunks, some at once, and returns the results in order. Memory does
-/// not grow with their number, and the number of threads changes no bit.
+/// Processes points of a precision on a device in chunks that suit derivatives of density, some at once, and returns the
+/// results in order. Memory does not grow with their number, and the number of threads changes no bit.
 pub fn over_chunks<T: Send>(
+    points: &Quadrature,
+    dtype: DType,
+    device: &Device,
+    work: impl Fn(&Tensor) -> Result<T> + Sync,
+    take: impl FnMut(T) -> Result<()>,
+) -> Result<()> {
+    over_chunks_of(chunk_size(device), points, dtype, device, work, take)
+}
+
+fn over_chunks_of<T: Send>(
+    size: usize,
     points: &Quadrature,
     dtype: DType,
     device: &Device,
     work: impl Fn(&Tensor) -> Result<T> + Sync,
     mut take: impl FnMut(T) -> Result<()>,
 ) -> Result<()> {
-    let (size, count) = (chunk_size(device), points.count());
+    let count = points.count();
     let starts: Vec<usize> = (0..count).step_by(size).collect();
     let one = |start: &[usize]| {
         let start = start[0];

@@ -3,5 +3,7 @@
 mod cells;
 mod lattice;
 
-pub use cells::{chunk_count, chunk_size, chunks_at_once, densities, over_cells, over_chunks, over_queries};
+pub use cells::{
+    CHUNKS_AT_ONCE, chunk_count, chunk_size, chunks_at_once, densities, over_cells, over_chunks, over_queries,
+};
 pub use lattice::{Lattice, Quadrature};

@@ -1,18 +1,25 @@
 //! Least memory of a training, checked before it is allocated. A system that runs out of memory kills the program
 //! without a message.
 
+use candle_core::Device;
+
 use crate::base::{Error, Result};
 use crate::data::{Scene, View};
-use crate::field::{encoded_channels, position_channels};
+use crate::field::{Order, encoded_channels, position_channels};
+use crate::losses::LossTerm;
 use crate::methods::parts;
 use crate::model::Model;
 use crate::runtime::free_memory_mib;
-use crate::settings::{Core, PlanesConfig, Representation, Resolved, SrnConfig, VolumeConfig};
+use crate::settings::{Core, PlanesConfig, Representation, Resolved, SrnConfig, TermNeeds, TermRays, VolumeConfig};
+use crate::space::{CHUNKS_AT_ONCE, chunk_size};
 
 /// Weights, their gradient and Adam's two moments.
 const COPIES: f64 = 4.0;
 /// Of a sharpness-aware step: the gradient before the move, the move, and the parameters before it.
 const COPIES_OF_MOVES: f64 = 3.0;
+/// Outputs of a layer for density and its gradient: four of the values, the mask of active units, and two for each of three
+/// tangents. A Laplacian has two more.
+const OF_SLOPES: f64 = 11.0;
 /// Numbers for each cell of LLFF's finest sampling grid.
 const PER_CELL: f64 = 230.0;
 /// Bytes of a number.
@@ -70,7 +77,28 @@ pub fn graphs_mib(config: &Resolved, threads: usize) -> f64 {
         // The coarse pass keeps no graph.
         (false, (_, fine)) => fine,
     } as f64;
-    (at_work * chunk) as f64 * samples * (trunk + colour) * NUMBER / f64::from(1 << 20)
+    // The graph of the slopes stays beside that of the pass.
+    let reads_slopes = terms_need(config, |needs| needs == TermNeeds::Slopes);
+    let is_beside = reads_slopes && config.regularizer.rays == TermRays::Training;
+    let slopes = if is_beside { OF_SLOPES * width * depth } else { 0.0 };
+    let numbers = (at_work * chunk) as f64 * samples * (trunk + colour + slopes);
+    // Terms in space come after the passes.
+    numbers.max(numbers_in_space(config, threads)) * NUMBER / f64::from(1 << 20)
+}
+
+fn terms_need(config: &Resolved, what: impl Fn(TermNeeds) -> bool) -> bool {
+    let terms = &config.regularizer;
+    terms.terms().any(|(term, weight)| weight > 0.0 && what(LossTerm::of(term, terms).needs()))
+}
+
+/// Returns the numbers that terms in space keep of the active chunks of points on the CPU, if they read derivatives.
+fn numbers_in_space(config: &Resolved, threads: usize) -> f64 {
+    if !terms_need(config, |needs| matches!(needs, TermNeeds::Density(Order::Gradient | Order::Laplacian))) {
+        return 0.0;
+    }
+    let at_once = chunk_size(&Device::Cpu) * threads.min(CHUNKS_AT_ONCE);
+    let points = at_once.min(config.regularizer.quadrature(0, 0).count());
+    points as f64 * OF_SLOPES * (config.field.width * config.field.depth) as f64
 }
 
 fn needs(config: &Resolved, scene: &Scene, threads: usize) -> Vec<Need> {
@@ -128,20 +156,20 @@ fn windows(config: &Resolved, scene: &Scene) -> Need {
     }
 }
 
-/// Returns the memory of each layer's product and of its normalized output, at every step along the rays of the active
+/// Returns the memory of each layer's product, bias, sum and normalized output, at every step along the rays of the active
 /// chunks.
 fn marches(config: &Resolved, threads: usize) -> Need {
     let (train, srn) = (&config.train, &config.srn);
     let chunk = train.chunk.min(train.rays).max(1);
     let at_work = parts(train.rays.div_ceil(chunk)).min(threads);
-    let layers = 2 * (srn.phi_layers * (srn.steps + 1) + srn.pixel_layers);
+    let kept = 4 * (srn.phi_layers * (srn.steps + 1) + srn.pixel_layers);
     Need {
         what: "the layers' outputs of the active chunks, which the backward pass needs,",
         settings: format!(
             "train.chunk = {} of {} rays on {threads} threads, srn.width = {} with srn.steps = {}",
             train.chunk, train.rays, srn.width, srn.steps
         ),
-        mib: (at_work * chunk) as f64 * (layers * srn.width) as f64 * NUMBER / f64::from(1 << 20),
+        mib: (at_work * chunk) as f64 * (kept * srn.width) as f64 * NUMBER / f64::from(1 << 20),
     }
 }
 
@@ -227,9 +255,9 @@ mod tests {
     #[test]
     fn marches_count_by_their_layers_and_steps() {
         let of = |settings: &[&str]| needs_of(&[&["method=srn", "train.rays=1024"], settings].concat())[1].mib;
-        // Two chunks of 128 rays: 4 layers at 11 points each, and 5, of 256 numbers before and after normalization.
-        assert_eq!(of(&[]), 2.0 * 256.0 * 49.0 * 256.0 * 4.0 / f64::from(1 << 20));
-        assert_eq!(of(&["train.chunk=1024", "srn.steps=21"]), 2.0 * 1024.0 * 93.0 * 256.0 * 4.0 / f64::from(1 << 20));
+        // Two chunks of 128 rays: 4 layers at 11 points each, and 5, of four tensors of 256 numbers.
+        assert_eq!(of(&[]), 4.0 * 256.0 * 49.0 * 256.0 * 4.0 / f64::from(1 << 20));
+        assert_eq!(of(&["train.chunk=1024", "srn.steps=21"]), 4.0 * 1024.0 * 93.0 * 256.0 * 4.0 / f64::from(1 << 20));
     }
 
     #[test]
@@ -256,6 +284,13 @@ mod tests {
         let of = |chunk: &str| needs_of(&["field.core=plain", chunk])[1].mib / training.mib;
         assert_eq!(of("train.chunk=512"), 1.0);
         assert_eq!(of("train.chunk=256"), 0.5);
+        // Terms that read derivatives: 11 tensors a layer beside the pass, or of 1,024 points on each of two threads after it.
+        let with = |term: &[&str]| needs_of(&[&["field.core=plain", "train.chunk=2"], term].concat())[1].mib;
+        let slopes = |points: f64| points * 11.0 * 8.0 * 256.0 * 4.0 / f64::from(1 << 20);
+        let orientation = with(&["regularizer.kind=orientation"]) - with(&[]);
+        assert!((orientation - slopes(2.0 * 2.0 * 128.0)).abs() < 1e-9);
+        assert_eq!(with(&["regularizer.kind=tv"]), slopes(2.0 * 1024.0));
+        assert_eq!(with(&["regularizer.kind=l1"]), with(&[]));
         assert!(evaluation.mib < training.mib);
         assert_eq!(needs_of(&["train.chunk=1048576"]).len(), 1);
     }
