@@ -1,7 +1,6 @@
 //! Kernels for CPUs, in place of candle's operations. `augnerf-nerf` has each in candle's own operations, to which its tests
-//! compare them, and which compute f64 and other devices. Who calls a kernel asks [`augnerf_base::place`] first, or, of
-//! [`sets`], leaves the work to candle if the answer is `None`. Operations of the hash grid's points and the fused loss are in
-//! `augnerf-nerf`.
+//! compare them, and which compute f64 and other devices. Callers ask [`augnerf_base::place`] first. If a function of [`sets`]
+//! returns `None`, candle does the work. Operations of the hash grid's points and the fused loss are in `augnerf-nerf`.
 //!
 //! | kernel | in place of |
 //! |---|---|

@@ -62,7 +62,7 @@ impl Extremes {
         self.target[channel] = widen(self.target[channel], target);
     }
 
-    /// Returns the extremes of two parts.
+    /// Returns the extremes of two parts. NaN is dropped; the step's loss is checked for it.
     pub fn join(self, other: Extremes) -> Extremes {
         let both = |a: [[f64; 2]; RGB], b: [[f64; 2]; RGB]| {
             std::array::from_fn(|c| [a[c][0].min(b[c][0]), a[c][1].max(b[c][1])])

@@ -18,9 +18,9 @@ pub struct ListedDevice {
     pub device: String,
     /// The hardware.
     pub name: String,
-    /// Interface and driver; empty for the processor.
+    /// Interface and driver; empty for the CPU.
     pub driver: String,
-    /// A processor plays the device: for tests, far slower than `cpu`.
+    /// Whether the CPU emulates the device: for tests, far slower than `cpu`.
     pub is_software: bool,
     /// The largest buffer that a kernel reads, in bytes.
     pub largest_buffer: Option<u64>,
