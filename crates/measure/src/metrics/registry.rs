@@ -1,5 +1,5 @@
 //! Every metric once: what it is called, how it is printed, which way is better, where it is measured and what it needs.
-//! Tables, figures, sweeps and files read it here. Code names a metric by its handle, such as [`PSNR`]; [`Metric::find`] is
+//! Tables, figures, sweeps and files read it here. Code names a metric by its constant, such as [`PSNR`]; [`Metric::find`] is
 //! for keys that users and files give.
 
 use std::sync::LazyLock;
@@ -176,7 +176,7 @@ fn of_training(metric: &'static Metric) -> [Metric; 2] {
     ]
 }
 
-/// Declares metrics: each has a handle and is in the list.
+/// Declares metrics: each has a constant and is in the list.
 macro_rules! metrics {
     ($list:ident: $($(#[$doc:meta])* $name:ident = $metric:expr;)*) => {
         $($(#[$doc])* pub static $name: Metric = $metric;)*
