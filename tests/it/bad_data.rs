@@ -120,8 +120,8 @@ fn pose_files() {
     let dir = llff();
     let file = dir.path().join("poses_bounds.npy");
     for (bytes, words) in [
-        (npy("<f8", [4, 15], &[0; 4 * 15 * 8]), vec!["4 x 15", "17"]),
-        (npy("<f8", [0, 17], &[]), vec!["0 x 17"]),
+        (npy("<f8", [4, 15], &[0; 4 * 15 * 8]), vec!["[4, 15]", "17"]),
+        (npy("<f8", [0, 17], &[]), vec!["[0, 17]"]),
         (npy("<i8", [4, 17], &[0; 4 * 17 * 8]), vec!["<i8", "float64"]),
         (npy("<f8", [4, 17], &[0; 100]), vec!["4 x 17", "100 bytes", "truncated"]),
         (npy("<f8", [4, 17], &[0; 4 * 17 * 8]), vec!["view 0", "bounds 0 and 0"]),

@@ -51,7 +51,6 @@ fn pixels_are_read_only_where_they_count() {
     for line in [
         "eval --smoothness run --lattice 8 -q",
         "render run --frames 1 --resolution 16x16 --out path -q",
-        "export run run.safetensors -q",
         // One photograph is compared with, which is whole; the other is not.
         "compare run --view 0 --out compared -q",
     ] {

@@ -90,20 +90,3 @@ fn a_photograph_that_is_gone_moves_no_other() {
     fs::remove_file(folder.path().join("other/2.png")).unwrap();
     assert!(name(&folder.load(|_| {})));
 }
-
-/// What others are given tells nothing of where things lie here, and they name the scene.
-#[test]
-fn exported_weights_tell_no_folders() {
-    let folder = Folder::new(9);
-    let (place, own) = (trained(&folder), folder.path().to_str().unwrap());
-    place.run("export run a.safetensors -q", 0);
-    let bytes = fs::read(place.at("a.safetensors")).unwrap();
-    let (_, header) = safetensors::SafeTensors::read_metadata(&bytes).unwrap();
-    let said = &header.metadata().as_ref().unwrap()["augnerf"];
-    assert!(!said.contains(own), "{said}");
-    place.says("import a.safetensors --out back", 2, &["data.dir"]);
-    place.run(&format!("import a.safetensors --out back --data {own} -q"), 0);
-    place.run("eval back -q", 0);
-    let psnr = |run: &str| place.json(&format!("{run}/metrics.json"))["mean"]["psnr"].clone();
-    assert_eq!(psnr("back"), psnr("run"));
-}

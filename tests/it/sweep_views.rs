@@ -53,8 +53,14 @@ fn finished(dir: &Path, name: &str, definition: &str, fields: &[(&str, &str)]) -
     let points = expand(&definition, None, &Costs).unwrap();
     std::fs::create_dir_all(path.join("points")).unwrap();
     folder.begin(&definition, &points, None).unwrap();
-    let known =
-        [("protocol", "1"), ("code_revision", "abc"), ("width", "16"), ("views_evaluated", "3"), ("split", "test")];
+    let known = [
+        ("protocol", "1"),
+        ("code_revision", "abc"),
+        ("scene", "builtin"),
+        ("width", "16"),
+        ("views_evaluated", "3"),
+        ("split", "test"),
+    ];
     let known = known.iter().filter(|(name, _)| fields.iter().all(|(other, _)| other != name));
     let protocol: Vec<(String, String)> =
         known.chain(fields).map(|(name, text)| (name.to_string(), text.to_string())).collect();
