@@ -32,16 +32,26 @@
 //! | `nerf/src/perturb/input.rs` | the sites of coordinates: `t`, `xyz`, `view`. `feature.rs` and `output.rs` beside it have the other levels |
 //! | `nerf/src/perturb/set.rs` | constraint sets, and projection onto them |
 //! | `nerf/src/perturb/pgd.rs` | the search for the worst case |
-//! | `nerf/src/render/perturbed.rs` | where each delta is added |
+//! | `nerf/src/render/perturbed.rs` | where each delta enters the pass |
 //! | `nerf/src/losses/mod.rs` | the table of loss terms; each has a file beside it, such as `tv.rs` |
 //! | `nerf/src/methods/fields/plan.rs` | the passes of a step with their weights, such as lambda |
 //! | `nerf/src/methods/fields/step.rs` | a training step, as the Aug-NeRF paper's Algorithm 1 |
 //!
-//! Then `sweep/src/layout.rs` makes a sweep's points of rows, axes and seeds.
+//! Then `sweep/src/layout.rs` makes a sweep's points of rows, axes and seeds. A hash grid, which preset `fast` trains, is
+//! `nerf/src/field/grid.rs`. `docs/adding.md` says where a new encoding, term, site or format goes.
 //!
 //! These files are the reference: candle's operations, for f64 and for any device. In f32 on a CPU the crate `augnerf-fast`
-//! computes the network (by `nerf/src/field/fast`), compositing, projections and updates in their place, which tests compare
-//! with them. `field.core = "plain"` takes candle's operations for the network and the loss.
+//! computes in their place, and tests compare the two. Five functions choose:
+//!
+//! | what | chosen in |
+//! |---|---|
+//! | network, hash grid with its gradient, derivatives of density | `Field::prepared`, for `nerf/src/field/fast` |
+//! | activations, output deltas, compositing and loss of a pass at once | `nerf/src/render/loss.rs`, for `fused_loss.rs` |
+//! | compositing alone | `volume::composite` |
+//! | a step and a projection of PGD | `nerf/src/perturb/flat.rs` |
+//! | Adam | `nerf/src/optimizer.rs` |
+//!
+//! `field.core = "plain"` takes candle's operations for the first two; f64 has no kernels at all.
 //!
 //! # The pipeline
 //!
@@ -99,7 +109,7 @@
 //! # Crates
 //!
 //! Each crate uses the crates of lower rows only, which the compiler checks. This crate re-exports the modules of all but
-//! `augnerf-baselines` and `augnerf-fast`.
+//! `augnerf-baselines`, `augnerf-fast` and `augnerf-gpu`.
 //!
 //! | crate | modules |
 //! |---|---|
@@ -107,6 +117,7 @@
 //! | `augnerf-sweep` | [`sweep`] |
 //! | `augnerf-view` | [`view`] |
 //! | `augnerf-run` | [`train`], [`run`], [`compare`], [`mesh`], [`mod@bench`] |
+//! | `augnerf-gpu` | training and rendering on any GPU, with the feature `gpu` |
 //! | `augnerf-baselines` | the [`methods`] SRN, Neural Volumes and LLFF |
 //! | `augnerf-nerf` | [`runtime`], [`settings`], [`field`], [`perturb`], [`render`], [`losses`], [`space`], [`methods`] NeRF and Aug-NeRF |
 //! | `augnerf-report` | [`report`] |

@@ -136,7 +136,7 @@ enum Command {
     /// Draw one held-out view of several runs, or plot along one ray
     #[command(after_help = COMPARE_EXAMPLES)]
     Compare(compare::CompareArguments),
-    /// Extract a mesh from a run's density, or compare two meshes
+    /// Extract a mesh from a run's density
     #[command(after_help = MESH_EXAMPLES)]
     Mesh(mesh::MeshArguments),
     /// Check, corrupt or export scenes

@@ -32,7 +32,7 @@ pub struct ReportArguments {
     /// Name of a run's row, once for each in their order [default: method and differing settings]
     #[arg(long = "label", value_name = "NAME")]
     labels: Vec<String>,
-    /// File to write [default: report.html, in the results folder if one is named]
+    /// File to write, replaced if it is there [default: report.html, in the results folder if one is named]
     #[arg(long, value_name = "FILE")]
     out: Option<PathBuf>,
     /// Add training time and memory to the page

@@ -259,7 +259,7 @@ fn train(mut job: Job, folder: &Path, console: &Console, page: Option<&LivePage>
 
 /// Says how long a run takes, and what of that is measuring if it is the most.
 fn how_long(Estimate { training, measuring }: Estimate) -> String {
-    let all = format!("about {} here", duration(training + measuring));
+    let all = format!("estimated time on this machine: {}", duration(training + measuring));
     match measuring > training.max(30.0) {
         true => format!(
             "{all}: {} of training and {} of measuring; to measure fewer views, set data.test_skip or eval.train_views",
@@ -299,7 +299,7 @@ fn summarize(Finished { report, model, seconds, heavy_terms, .. }: &Finished, fo
     console.say(&format!("results: {}", folder.display()));
     let first = report.views.first().map(|view| RunDir::renders_in(folder).join(format!("{}_beside.png", view.name)));
     for picture in first.iter().filter(|picture| picture.is_file()) {
-        console.say(&format!("picture: {}", picture.display()));
+        console.say(&format!("image: {}", picture.display()));
     }
     console.say(&next_commands(folder, model.has_density()));
 }

@@ -220,7 +220,7 @@ fn no_arguments_train_the_embedded_scene_in_the_default_place() {
     let said = place.run("train --set train.steps=2 --set data.width=40 --set eval.train_views=2", 0);
     assert_says(&said, &["step 2/2", "loss", "PSNR", "rays/s", "ETA", "8 held-out views"]);
     // What comes next is named, and nothing that was not measured.
-    let named = ["results: ", "picture: ", "next: augnerf view ", "augnerf mesh ", "augnerf report "];
+    let named = ["results: ", "image: ", "next: augnerf view ", "augnerf mesh ", "augnerf report "];
     assert_says(&said, &named.map(|what| format!("{what}runs/builtin-nerf-")).each_ref().map(String::as_str));
     assert_says(&said, &["/renders/r_0_beside.png"]);
     assert!(!said.contains("LPIPS"), "{said}");

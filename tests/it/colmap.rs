@@ -348,8 +348,8 @@ fn a_colmap_folder_is_checked_drawn_trained_and_meshed() {
 /// Draws a mesh at a threshold that has a level set, which the refusal of one that has none names, and returns what is said.
 pub fn draw_mesh(place: &Place, mesh: &str) -> String {
     let message = place.run(&format!("{mesh} --threshold 1e9"), 2);
-    let (_, rest) = message.split_once("a threshold of ").unwrap_or_else(|| panic!("{message}"));
-    place.run(&format!("{mesh} --threshold {}", rest.split(' ').next().unwrap()), 0)
+    let (_, rest) = message.split_once("such as ").unwrap_or_else(|| panic!("{message}"));
+    place.run(&format!("{mesh} --threshold {}", rest.split(',').next().unwrap()), 0)
 }
 
 /// `poses_bounds.npy` of twelve cameras on an arc of so many degrees around (0, 0, -3), for photographs of so many columns and rows.

@@ -77,11 +77,11 @@ fn what_cannot_be_drawn_is_refused_with_what_could() {
         ("--resolution", "100", format!("{whole} --memory 1.2 --threshold 2")),
         ("--resolution", "110", format!("{aside} --memory 1.2 --threshold 2")),
     ] {
-        let before = if option == "--threshold" { "a threshold of " } else { "a resolution of about " };
+        let before = if option == "--threshold" { "such as " } else { "a resolution of about " };
         let draw = |value: &str| format!("mesh run --quiet {others} {option} {value}");
         let message = place.run(&draw(value), 2);
         let (_, rest) = message.rsplit_once(before).unwrap_or_else(|| panic!("{message}"));
-        place.run(&draw(rest.split_whitespace().next().unwrap()), 0);
+        place.run(&draw(rest.split([' ', ',']).next().unwrap()), 0);
         assert!(place.json("run/mesh/mesh.json")["faces"].as_u64().unwrap() > 0);
     }
 }

@@ -83,7 +83,7 @@ impl PlanArguments {
         let trainings = Trainings::new(runtime.clone(), (Vec::new(), String::new()), false, console).brief();
         let checked = || {
             console.say(&format!(
-                "timing some steps of the points; this takes {} s at most, or longer where the first steps alone take longer",
+                "timing some steps of the points, for about {} s; slow first steps take longer",
                 LIMIT.as_secs()
             ));
         };

@@ -21,6 +21,8 @@
 //! patches of unseen rays. A term on tables is of the hash grids' parameters alone. A term in space is an integral over a
 //! box: volume / n * sum over n points. If the points are the midpoints of all cells, volume / n is the paper's delta^3. A term of your own
 //! implements [`RayTerm`] or [`SpaceTerm`], and is passed to the trainer (`Learner::add_term` in [`crate::methods`]).
+//!
+//! Values and weight gradients of terms in space are made in `spatial.rs`, by `field/spatial.rs`.
 
 use std::sync::Arc;
 

@@ -76,7 +76,7 @@ impl Level {
     pub const ALL: [Level; 3] = [Level::Input, Level::Feature, Level::Output];
 }
 
-/// The six sites of the paper. Their order numbers their random numbers: a new one comes last.
+/// The built-in sites: the paper's six. Their order numbers their random numbers: a new one comes last.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum PaperSite {
     /// Shift along the ray.
@@ -98,7 +98,7 @@ impl PaperSite {
     pub const ALL: [PaperSite; 6] =
         [PaperSite::T, PaperSite::Xyz, PaperSite::View, PaperSite::Feature, PaperSite::Rgb, PaperSite::Density];
 
-    /// Returns what its level's file says of it.
+    /// Returns its constants: name, level, default sizes.
     pub fn about(self) -> &'static SiteSpec {
         match self {
             PaperSite::T => &input::T::SPEC,

@@ -5,7 +5,7 @@ use std::io::Write;
 use serde::Serialize;
 
 use super::{Marcher, Mesh};
-use crate::base::{Error, Result};
+use crate::base::{Error, Result, number_text};
 use crate::field::Density;
 use crate::settings::MESH_SIDES;
 use crate::space::{Lattice, densities};
@@ -202,13 +202,18 @@ impl Drawing {
     fn no_surface(&self, [least, largest]: [f32; 2]) -> Error {
         let Drawing { threshold, lattice: Lattice { domain, .. }, cap, .. } = self;
         let within = if *cap { "within the capped box" } else { "in the box" };
-        let range = format!("density {within} from {:?} to {:?} runs from {least} to {largest}", domain[0], domain[1]);
+        // Four digits are enough for a choice.
+        let short = |number: f64| number_text(format!("{number:.3e}").parse().unwrap_or(number));
+        let (from, to) = (short(f64::from(least)), short(f64::from(largest)));
+        let range = format!("density {within} from {:?} to {:?} runs from {from} to {to}", domain[0], domain[1]);
         let advice = if least < largest {
-            format!("a threshold of {} would give one", 0.5 * (least + largest))
+            let between = short(f64::from(0.5 * (least + largest)));
+            format!("choose a threshold between, such as {between}, or train longer")
         } else {
             "no threshold gives one: choose another box, or train longer".into()
         };
-        Error::Config(format!("the level set {threshold} is empty: {range}; {advice}"))
+        let threshold = short(*threshold);
+        Error::Config(format!("there is no surface at density {threshold}: {range}; {advice}"))
     }
 }
 

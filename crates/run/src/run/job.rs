@@ -346,7 +346,7 @@ impl Experiment<'_> {
                 let percent = (1e5 * config.train.dead_start_share).round() / 1e3;
                 let often = if *redraws == 1 { "once".into() } else { format!("{redraws} times") };
                 events.on(Event::Note(&format!(
-                    "{role} network initialized again {often}: below {percent} % of its densities were positive, so that it could not learn"
+                    "initialized the {role} network anew {often}, because under {percent} % of its densities were positive"
                 )));
             }
         }

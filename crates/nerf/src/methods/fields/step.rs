@@ -279,15 +279,15 @@ impl<'a> StepPasses<'a> {
         let geometry = learner.geometry.pass(t_vals, samples_of(field, t_vals)?, norm, plan.is_coarse)?;
         let sets = Sets::new(delta_plan.sites.iter().cloned(), &geometry)?;
         let target = draws.target.as_ref().expect("training rays have colours");
-        let at = Perturbed { learner, plan, delta_plan, draws, field, pass, target, sets };
-        let deltas = at.deltas()?;
+        let perturbed = Perturbed { learner, plan, delta_plan, draws, field, pass, target, sets };
+        let deltas = perturbed.deltas()?;
         let out = match &mut sums.diagnostics {
             Some(diagnostics) => {
-                let PerturbedOutput { pass: out, used } = perturbed_pass(field, pass, at.perturbation(&deltas))?;
-                diagnose(&at, &used, diagnostics)?;
+                let PerturbedOutput { pass: out, used } = perturbed_pass(field, pass, perturbed.perturbation(&deltas))?;
+                diagnose(&perturbed, &used, diagnostics)?;
                 PassLoss::of(out, target)?
             }
-            None => perturbed_pass_loss(field, pass, at.perturbation(&deltas), target)?.0,
+            None => perturbed_pass_loss(field, pass, perturbed.perturbation(&deltas), target)?.0,
         };
         let share = draws.fraction * plan.weight;
         sums.gradients.add(&learner.variables, &(&out.loss * (self.weights.1 * share))?.backward()?)?;
@@ -348,9 +348,9 @@ impl Perturbed<'_> {
         // Scaled gradients are for parameters, not for deltas.
         let pass = Pass { scales_gradients: false, ..self.pass };
         let mut fixed = None;
-        worst_case(&self.sets, start, |at| {
-            let perturbation = self.perturbation(at.deltas);
-            if fixed.is_none() && at.fixes_samples() {
+        worst_case(&self.sets, start, |iterate| {
+            let perturbation = self.perturbation(iterate.deltas);
+            if fixed.is_none() && iterate.fixes_samples() {
                 fixed = Some(FixedSamples::new(&field, pass, perturbation)?);
             }
             let (out, used) = match &fixed {
