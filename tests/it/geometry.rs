@@ -52,7 +52,7 @@ fn a_run_is_drawn_compared_and_drawn_again_alike() {
 fn what_cannot_be_drawn_is_refused_with_what_could() {
     let place = trained("");
     for (flags, words) in [
-        ("--resolution 24 --threshold 1e6", &["1000000", "runs from 0", "a threshold of"][..]),
+        ("--resolution 24 --threshold 1e6", &["1000000", "runs from 0", "choose a threshold between"][..]),
         ("--resolution 24 --memory 0.001", &["24", "even 8 would take about"]),
         ("--resolution 24 --threshold 0.5 --memory 0.2", &["outgrows", "may fit", "triangles"]),
         ("--resolution 24 --threshold=-1", &["--threshold", "positive"]),
