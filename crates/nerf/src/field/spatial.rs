@@ -62,7 +62,7 @@ enum Way {
     /// By candle, from the same derivatives in its graph.
     Graph(DensityAt),
     /// By the fused core.
-    Tape(Tape),
+    Tape(Box<Tape>),
 }
 
 impl Field {
@@ -90,7 +90,7 @@ impl Field {
         let order = if self.config.has_laplacian() { order } else { order.min(Order::Gradient) };
         if let Some(fast) = &self.fast {
             let (at, tape) = fast.spatial(self, order, points)?;
-            return Ok(Spatial { at, field: self, way: Way::Tape(tape) });
+            return Ok(Spatial { at, field: self, way: Way::Tape(Box::new(tape)) });
         }
         let graph = self.spatial_in_graph(order, &points.detach())?;
         let DensityAt { density, gradient, laplacian } = &graph;

@@ -39,18 +39,23 @@ pub trait Network: Send + Sync {
     }
 }
 
+/// Names and shapes of parameters, in their fixed order.
+pub type NamedShapes = Vec<(String, Vec<usize>)>;
+/// A network, or why there is none.
+pub type AnyNetwork = Result<Arc<dyn Network>>;
+
 /// A method: how its parameters are named and made.
 pub struct Family {
     /// The name of its network.
     pub part: &'static str,
-    /// Returns names and shapes of all parameters, in their fixed order.
-    pub parameter_names: fn(&Config) -> Vec<(String, Vec<usize>)>,
+    /// Returns names and shapes of all parameters.
+    pub parameter_names: fn(&Config) -> NamedShapes,
     /// Checks a new run's settings against its scene, and makes no network. Returns an error if settings do not suit
     /// the scene.
     pub check: fn(&Resolved, &Scene) -> Result<()>,
     /// Returns random initial parameters, or candle's errors.
-    pub init: fn(&Resolved, DType, &Device) -> Result<Arc<dyn Network>>,
+    pub init: fn(&Resolved, DType, &Device) -> AnyNetwork,
     /// Returns a network with given values, in the order of `parameter_names`, or an error if their number or shapes
     /// are wrong.
-    pub from_parameters: fn(&Config, Vec<Tensor>) -> Result<Arc<dyn Network>>,
+    pub from_parameters: fn(&Config, Vec<Tensor>) -> AnyNetwork,
 }

@@ -111,7 +111,7 @@ fn contents(
     mut locate: impl FnMut(Described) -> Parsed<Stored>,
 ) -> Contents {
     let tensors = tensors.into_iter().map(|(name, tensor)| (name, tensor.and_then(&mut locate))).collect();
-    Contents { tensors, integers, ..Contents::default() }
+    Contents { tensors, integers }
 }
 
 /// Builds the value of the next pickle.
