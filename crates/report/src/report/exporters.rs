@@ -38,8 +38,11 @@ pub struct Comparable<'a> {
     pub attacks: &'a [AttackLine<'a>],
 }
 
+/// A text of points.
+type PointsText = fn(&Points) -> String;
+
 /// Texts that show points alone: one line a point, and clock times, apart from what is reproducible.
-static OF_POINTS: [(&str, fn(&Points) -> String); 2] = [
+static OF_POINTS: [(&str, PointsText); 2] = [
     ("points.csv", |points| points_csv(points.records, points.joined_timing(), &points.constants, points.column_of)),
     ("timing.csv", |points| timing_csv(points.records, points.timing, &points.constants)),
 ];

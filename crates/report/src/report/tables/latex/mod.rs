@@ -37,11 +37,14 @@ const FLOATS: usize = 20;
 /// Rows of a part besides those of its lines.
 const HEAD_ROWS: usize = 6;
 
-/// A column: its head, the room in which the head wraps, and its text in a line, bold or not.
+/// The text of a line in a column, and whether it is bold.
+type Cell<'a> = Box<dyn Fn(&Line) -> (String, bool) + 'a>;
+
+/// A column: its head, the room in which the head wraps, and its text in a line.
 struct Column<'a> {
     head: String,
     room: &'static str,
-    cell: Box<dyn Fn(&Line) -> (String, bool) + 'a>,
+    cell: Cell<'a>,
 }
 
 impl<'a> Column<'a> {
