@@ -38,13 +38,13 @@ const FLOATS: usize = 20;
 const HEAD_ROWS: usize = 6;
 
 /// The text of a line in a column, and whether it is bold.
-type Cell<'a> = Box<dyn Fn(&Line) -> (String, bool) + 'a>;
+type LineText<'a> = Box<dyn Fn(&Line) -> (String, bool) + 'a>;
 
 /// A column: its head, the room in which the head wraps, and its text in a line.
 struct Column<'a> {
     head: String,
     room: &'static str,
-    cell: Cell<'a>,
+    cell: LineText<'a>,
 }
 
 impl<'a> Column<'a> {
