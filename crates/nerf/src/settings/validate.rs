@@ -201,13 +201,25 @@ impl Config {
                     .into(),
             ),
         ])?;
-        let coarse_alone = perturb.sites_on().find(|(_, site)| site.passes == Passes::Coarse);
-        if let (Some((site, _)), true, false) = (coarse_alone, on_grid, fresh) {
-            return Err(Error::Config(format!(
-                "perturb.{}.passes = \"coarse\" with field.encoding = \"hash\": the coarse pass of a hash field only places \
-                 samples and is never perturbed; use \"fine\", \"both\" (the same here) or \"off\"",
-                site.name()
-            )));
+        // A site whose passes the method does not have would never be perturbed, and the training would not say so.
+        let missing = [
+            (
+                on_grid,
+                Passes::Coarse,
+                "field.encoding = \"hash\": the coarse pass of a hash field only places samples",
+                "\"fine\"",
+            ),
+            (self.sampling.fine == 0, Passes::Fine, "sampling.fine = 0: there is no fine pass", "\"coarse\""),
+        ];
+        for (is_missing, passes, why, other) in missing {
+            let alone = perturb.sites_on().find(|(_, site)| is_missing && !fresh && site.passes == passes);
+            let name = alone.map_or("", |(site, _)| site.name());
+            let found = word(passes);
+            let refusal = format!(
+                "perturb.{name}.passes = \"{found}\" with {why}, so this site is never perturbed; use {other}, \"both\" (the same \
+                 here) or \"off\""
+            );
+            refuse(alone.is_some(), refusal)?;
         }
         let (layer, depth) = (perturb.injection_layer, self.field.depth);
         let is_there = fresh || !perturb.feature.on() || (1..=depth).contains(&layer);
@@ -305,9 +317,17 @@ mod tests {
         assert_eq!(told(&[]) + &told(&["data.corruption.kind=pepper"]), "");
     }
 
-    /// Its coarse pass is never perturbed: such an attack would never run.
+    /// The coarse pass of a hash field is never perturbed, and a training without a fine pass has none to perturb: such an
+    /// attack would never run.
     #[test]
-    fn an_attack_on_the_coarse_pass_of_a_hash_field_is_refused() {
+    fn an_attack_on_a_pass_that_is_not_there_is_refused() {
+        let coarse_only = ["field.encoding=positional", "method=aug-nerf", "sampling.fine=0"];
+        for passes in ["fine", "coarse", "both"] {
+            let message = told(&[&coarse_only[..], &[&format!("perturb.rgb.passes={passes}")]].concat());
+            let is_refused = message.contains("perturb.rgb.passes = \"fine\" with sampling.fine = 0");
+            assert_eq!(is_refused, passes == "fine", "{passes}: {message}");
+            assert_eq!(message.is_empty(), passes != "fine", "{passes}: {message}");
+        }
         for site in ["t", "density"] {
             let message = told(&["method=aug-nerf", &format!("perturb.{site}.passes=coarse")]);
             assert!(message.contains(&format!("perturb.{site}.passes")) && message.contains("\"fine\""), "{message}");
