@@ -15,7 +15,7 @@ use crate::runtime::{Runtime, free_memory_mib};
 
 use super::answer::Answer;
 use super::compare::pictures_folder;
-use super::progress::{Console, duration, open_next};
+use super::progress::{Console, open_next};
 use super::{Compute, Moved, whole};
 
 mod serve;
@@ -131,9 +131,6 @@ impl RenderArguments {
         };
         let (folder, pictures) = pictures_folder(self.out.as_deref(), default)?;
         let viewer = trained.viewer();
-        if let Some(seconds) = viewer.estimate_seconds(&shots.cameras.iter().collect::<Vec<&Camera>>())? {
-            console.say(&expected(&shots.cameras, seconds));
-        }
         let videos = match self.what {
             What::Views => views(viewer, pictures.path(), console).map(|()| None)?,
             What::Path => path(viewer, &shots, pictures.path(), console).map(Some)?,
@@ -278,11 +275,4 @@ fn parse_size(text: &str) -> Result<(usize, usize)> {
 /// Returns `count` of the cameras, evenly spaced.
 fn chosen(cameras: &[Camera], count: usize) -> impl Iterator<Item = &Camera> {
     (0..count).map(move |i| &cameras[i * cameras.len() / count])
-}
-
-/// Describes how long rendering takes.
-fn expected(cameras: &[Camera], seconds: f64) -> String {
-    let (Camera { width, height, .. }, count) = (cameras[0], cameras.len());
-    let views = if count == 1 { "view" } else { "views" };
-    format!("{count} {views} of {width} x {height} pixels: about {} in total", duration(seconds))
 }

@@ -9,7 +9,7 @@ use tempfile::NamedTempFile;
 use crate::base::{Error, Result};
 use crate::data::Photos;
 use crate::metrics::{Backbone, FLOOR_PSNR, PSNR, SSIM};
-use crate::run::{Estimate, Existing, Finished, Job, RunDir, Setup, load_lpips, load_scene, load_scene_of};
+use crate::run::{Existing, Finished, Job, RunDir, Setup, load_lpips, load_scene, load_scene_of};
 use crate::runtime::Runtime;
 use crate::settings::Config;
 use crate::train::Origin;
@@ -18,13 +18,13 @@ use crate::train::checkpoint::{self, State};
 use super::answer::{Answer, Measured};
 use super::experiment::{Base, Experiment, say_without_effect, settings_file};
 use super::measure::print_balance;
-use super::progress::{Console, duration, print};
+use super::progress::{Console, print};
 use super::signals::catch_signals;
 use super::view::{Live, LivePage};
 use super::{Compute, LpipsWeights, Sources};
 
 /// Steps from which on settings are the paper's.
-const PAPER_STEPS: u64 = 100_000;
+pub const PAPER_STEPS: u64 = 100_000;
 
 /// Seconds of training from which on pictures are drawn before its end.
 const PREVIEWS_FROM: f64 = 10.0;
@@ -235,15 +235,12 @@ fn what_is_trained(Setup { config, scene, .. }: &Setup) -> String {
 }
 
 /// Trains in `folder`. Its name is printed first, so that a script has it even if the training is stopped.
-fn train(mut job: Job, folder: &Path, console: &Console, page: Option<&LivePage>, answer: Answer) -> Result<()> {
+fn train(job: Job, folder: &Path, console: &Console, page: Option<&LivePage>, answer: Answer) -> Result<()> {
     if !answer.json {
         let label = if std::io::stdout().is_terminal() { "run folder: " } else { "" };
         print(&format!("{label}{}", folder.display()))?;
     }
     let signal = catch_signals()?;
-    if let Some(estimate) = job.estimate(&signal)? {
-        console.say(&how_long(estimate));
-    }
     let job = job.with_previews(PREVIEWS_FROM);
     let finished = match page {
         Some(page) => page.train(job, &signal, console)?,
@@ -255,19 +252,6 @@ fn train(mut job: Job, folder: &Path, console: &Console, page: Option<&LivePage>
     answer.give_silently(&Measured::new((folder, &metrics), report, finished.steps, Some(*seconds)))?;
     // Without train.collapse_steps a sweep counts such a training. Here it is an error all the same.
     report.check_learned(folder)
-}
-
-/// Says how long a run takes, and what of that is measuring if it is the most.
-fn how_long(Estimate { training, measuring }: Estimate) -> String {
-    let all = format!("estimated time on this machine: {}", duration(training + measuring));
-    match measuring > training.max(30.0) {
-        true => format!(
-            "{all}: {} of training and {} of measuring; to measure fewer views, set data.test_skip or eval.train_views",
-            duration(training),
-            duration(measuring)
-        ),
-        false => all,
-    }
 }
 
 fn summarize(Finished { report, model, seconds, heavy_terms, .. }: &Finished, folder: &Path, console: &Console) {

@@ -256,15 +256,6 @@ impl DeviceSteps for Steps {
         MOST_REPORTS
     }
 
-    fn try_step(&mut self, step: u64, log: bool) -> Result<StepReport> {
-        self.wait_for_reports()?;
-        self.compute(step, 1, 0.0, log, false)?;
-        let waited = self.wait_for_reports();
-        self.clear_gradients();
-        waited?;
-        Ok(self.reports.pop().expect("the step that was waited for"))
-    }
-
     fn fetch(&mut self) -> Result<Vec<Moments>> {
         let mut moments = Vec::new();
         for (learned, (_, field)) in self.learned.iter().zip(self.fields.by_role()) {

@@ -61,7 +61,7 @@ pub use of_runs::RunsTable;
 pub use outputs::{Scalars, SweepOutputs};
 pub use pace::Pace;
 pub use page::check_page_place;
-pub use planning::{CostGroup, Estimate, begin, plan, plan_costs};
+pub use planning::{CostGroup, begin, plan, plan_costs};
 pub use point_folder::{Failure, PointFolder, PointState};
 pub use points::{Point, expand};
 pub use provenance::{Missing, Provenance};

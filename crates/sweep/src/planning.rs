@@ -4,7 +4,7 @@ use std::collections::{BTreeMap, BTreeSet, HashSet};
 use std::path::Path;
 use std::time::{Duration, Instant};
 
-use crate::base::{Error, Event, Result};
+use crate::base::{Error, Result};
 use crate::settings::Config;
 
 use super::budget::{StepCosts, evaluations_per_step};
@@ -12,7 +12,6 @@ use super::definition::Definition;
 use super::differences::differences;
 use super::folder::{Change, SweepFolder};
 use super::layout::{PlannedRun, Refused, lay_out_others};
-use super::pace::Pace;
 use super::points::{Point, apply_budgets, apply_budgets_to_others};
 use super::step_seconds::{KeptCosts, Unknown};
 use super::training::{Cost, Trainings};
@@ -151,42 +150,6 @@ fn first_cost<'a>(points: &[&'a Point], trainings: &Trainings) -> Result<Option<
     }
     Ok(None)
 }
-
-/// What points take on this machine, one after the other.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct Estimate {
-    /// Seconds of all points.
-    pub seconds: f64,
-    /// Seconds of the longest point.
-    pub longest: f64,
-}
-
-impl Estimate {
-    /// Estimates points from those of the folder that are done, otherwise from steps that it times for a few seconds.
-    pub fn of(folder: &SweepFolder, all: &[Point], left: &[&Point], trainings: &Trainings) -> Result<Estimate> {
-        let mut estimate = Estimate::default();
-        let mut add = |seconds: f64| {
-            estimate.seconds += seconds;
-            estimate.longest = estimate.longest.max(seconds);
-        };
-        let pace = Pace::of(folder, &all.iter().collect::<Vec<_>>());
-        let paced: Option<Vec<f64>> = left.iter().map(|point| pace.seconds_of(std::iter::once(*point))).collect();
-        match paced {
-            Some(paced) => paced.into_iter().for_each(add),
-            None => {
-                trainings.events.on(Event::Note("timing some steps, for an estimate"));
-                plan_costs(left, trainings, AT_START, |group| {
-                    group.points.iter().for_each(|_| add(group.seconds));
-                    Ok(())
-                })?;
-            }
-        }
-        Ok(estimate)
-    }
-}
-
-/// Time for an estimate at the start of a sweep. The first shape is measured whatever it takes.
-const AT_START: Duration = Duration::from_secs(2);
 
 /// Returns whether a missing scene has arrived, so that budgets that depend on it are known.
 fn budgets_can_be_applied(points: &[Point]) -> bool {

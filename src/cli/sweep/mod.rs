@@ -18,8 +18,8 @@ use crate::runtime::Runtime;
 use crate::settings::columns::{AXIS, SETTING};
 use crate::settings::parse_assignment;
 use crate::sweep::{
-    Change, Collector, Definition, Estimate, Overrides, Point, PublishedCosts, Results, StepCosts, SweepFolder,
-    SweepOutputs, Trainings, begin, check_name, check_results_place, plan,
+    Change, Collector, Definition, Overrides, Point, PublishedCosts, Results, StepCosts, SweepFolder, SweepOutputs,
+    Trainings, begin, check_name, check_results_place, plan,
 };
 
 use super::LpipsWeights;
@@ -121,8 +121,6 @@ struct Changes {
 #[derive(Clone, Debug, PartialEq)]
 struct Seeds(RangeInclusive<u64>);
 
-/// Seconds of a point from which on the paper's own settings are warned of.
-const LONG: f64 = 3600.0;
 /// Most seeds of a range, as many as a sweep has points.
 const MOST_SEEDS: u64 = 10_000;
 
@@ -308,40 +306,6 @@ fn one_of_each(records: &[Record]) -> impl Iterator<Item = &Record> {
     records.iter().filter(move |record| seen.insert((record.id.as_str(), record.status.name())))
 }
 
-/// Prints how long the points that are left take here, and warns of the paper's own settings.
-fn say_how_long(
-    (folder, points): (&SweepFolder, &[Point]),
-    (definition, trainings): (&Definition, &Trainings),
-    at_once: u16,
-    console: &Console,
-) -> Result<()> {
-    let open = |point: &&Point| point.no_data.is_none() && !folder.point(&point.id).ended();
-    let left: Vec<&Point> = points.iter().filter(open).collect();
-    if left.is_empty() {
-        return Ok(());
-    }
-    let estimate = Estimate::of(folder, points, &left, trainings)?;
-    how_long((left.len(), points.len()), estimate, definition, at_once).iter().for_each(|line| console.say(line));
-    Ok(())
-}
-
-/// Returns the lines that [`say_how_long`] prints for `left` of `all` points.
-fn how_long((left, all): (usize, usize), estimate: Estimate, definition: &Definition, at_once: u16) -> Vec<String> {
-    let at_once = if at_once > 1 { format!("; {at_once} at once share the machine") } else { String::new() };
-    let seconds = duration(estimate.seconds);
-    let mut lines =
-        vec![format!("{left} of {all} points are left: about {seconds} here, one after the other{at_once}")];
-    let is_paper = ["paper-", "released-"].iter().any(|start| definition.preset.starts_with(start));
-    if estimate.longest > LONG && is_paper && !definition.is_preset_changed() {
-        lines.push(format!(
-            "warning: no --preset is named, so these are the paper's own settings: about {} a point here; --preset fast takes \
-             minutes",
-            duration(estimate.longest)
-        ));
-    }
-    lines
-}
-
 /// Checks that all points of a sweep are done.
 ///
 /// # Errors
@@ -441,27 +405,5 @@ mod tests {
         for wrong in ["", "a", "-1", "3-1", "0-10000", "1-2-3", "0..3"] {
             assert!(read(wrong).unwrap_err().starts_with(&format!("'{wrong}' is no ")), "{wrong}");
         }
-    }
-
-    #[test]
-    fn the_paper_s_own_settings_are_warned_of() {
-        let definition = |preset: &str| {
-            let text = format!(
-                "title = \"t\"\npreset = \"{preset}\"\nscenes = [\"builtin\"]\nseeds = [0]\n[[row]]\nname = \"N\"\n"
-            );
-            Definition::parse(&text, "t.toml").unwrap()
-        };
-        let said = |preset: &str, longest| {
-            let estimate = Estimate { seconds: 2.0 * longest, longest };
-            how_long((2, 3), estimate, &definition(preset), 2).join("; ")
-        };
-        let long = said("paper-llff", 2.0 * LONG);
-        assert!(long.contains("2 of 3 points are left: about 4.0 h here") && long.contains("2 at once"), "{long}");
-        assert!(long.contains("the paper's own settings: about 2.0 h a point here; --preset fast"), "{long}");
-        assert!(!said("paper-llff", 60.0).contains("warning") && !said("fast", 2.0 * LONG).contains("warning"));
-        let mut named = definition("fast");
-        named.apply(Overrides { preset: Some("paper-llff".into()), ..Overrides::default() }).unwrap();
-        let estimate = Estimate { seconds: 9999.0, longest: 9999.0 };
-        assert_eq!(how_long((1, 1), estimate, &named, 1).len(), 1);
     }
 }

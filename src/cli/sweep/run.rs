@@ -7,6 +7,7 @@ use crate::base::{Error, Result};
 use crate::cli::answer::Answer;
 use crate::cli::progress::{Console, print, report};
 use crate::cli::signals::catch_signals;
+use crate::cli::train::PAPER_STEPS;
 use crate::cli::{Compute, LpipsWeights, whole};
 use crate::report::Status;
 use crate::report::tables::table_terminal;
@@ -14,7 +15,7 @@ use crate::runtime::Runtime;
 use crate::sweep::{Options, Runner, Sharing, Trainings, Unmeasured};
 
 use super::{
-    Changes, How, Location, begin_folder, by_weights, check_any_data, check_done, collect, reasons, say_how_long,
+    Changes, How, Location, begin_folder, by_weights, check_any_data, check_done, collect, reasons,
     say_what_is_missing, table_json, terminal_width, trainings,
 };
 
@@ -105,6 +106,10 @@ impl RunArguments {
         if self.remeasure || records.iter().any(|record| record.status != Status::Done) {
             say_what_is_missing(&definition, &trainings, &console);
         }
+        if !definition.is_preset_changed() && points.iter().any(|point| point.config.train.steps >= PAPER_STEPS) {
+            console
+                .say("no --preset is named: points of 100,000 steps take days on a CPU; --preset fast takes minutes");
+        }
         let options = Options {
             jobs: usize::from(self.jobs),
             fail_fast: self.fail_fast,
@@ -112,9 +117,6 @@ impl RunArguments {
             remeasure: if self.remeasure { by_weights(&definition, &trainings).0 } else { Vec::new() },
             sharing: Sharing::Locks,
         };
-        if !quiet && !self.answer.json {
-            say_how_long((&folder, &points), (&definition, &trainings), self.jobs, &console)?;
-        }
         let stop = catch_signals()?;
         let runner = Runner {
             folder: &folder,

@@ -15,7 +15,7 @@ use crate::settings::{Config, Resolved};
 use crate::sweep::slurm::Script;
 use crate::sweep::{Point, StepCosts, SweepFolder};
 
-use super::{Changes, Location, begin_folder, say_how_long, say_what_is_missing, trainings};
+use super::{Changes, Location, begin_folder, say_what_is_missing, trainings};
 
 pub const EXAMPLES: &str = "Examples:
   augnerf sweep slurm sweeps/paper/tab1_llff.toml
@@ -65,9 +65,6 @@ impl SlurmArguments {
         let (folder, points) =
             begin_folder(&self.location, &definition, self.extend, (&trainings, &Elsewhere), &console)?;
         say_what_is_missing(&definition, &trainings, &console);
-        if !self.quiet && !self.answer.json && device == "cpu" {
-            say_how_long((&folder, &points), (&definition, &trainings), 1, &console)?;
-        }
         script.points = self.left(&points, &folder)?;
         script.command = self.command(&path)?;
         self.write(&script, &folder, points.len(), &console)

@@ -40,12 +40,6 @@ pub trait DeviceSteps: Send {
     /// Returns the most steps whose reports it keeps. [`DeviceSteps::reports`] is called after at most so many.
     fn most_reports(&self) -> usize;
 
-    /// Computes the step after `step` finished ones without its update, and waits for it.
-    ///
-    /// # Errors
-    /// Those of [`DeviceSteps::reports`].
-    fn try_step(&mut self, step: u64, log: bool) -> Result<StepReport>;
-
     /// Copies parameters into the model's variables, and returns the moments in their order.
     ///
     /// # Errors

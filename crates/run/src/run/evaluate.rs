@@ -1,7 +1,5 @@
 //! Renders complete views and measures their metrics.
 
-use std::time::Instant;
-
 use candle_core::DType;
 
 use crate::base::{Error, Event, Image, Listener, Result};
@@ -11,9 +9,6 @@ use crate::metrics::{Floor, Lpips, ViewMetrics, depth_errors, measure_depth, mea
 use crate::model::Model;
 use crate::runtime::Runtime;
 use crate::settings::Resolved;
-
-/// Chunks for each thread in an estimate of time.
-const CHUNKS_TIMED: usize = 4;
 
 /// Parts for each thread between two checks whether a view is still wanted.
 const PARTS_OF_A_SLICE: usize = 2;
@@ -194,35 +189,6 @@ impl Viewer<'_> {
     /// Returns the number of rays of a part.
     fn chunk(&self, renderer: &dyn Renderer, most_rays: usize) -> usize {
         renderer.chunk().unwrap_or(self.config.eval.chunk.min(most_rays))
-    }
-
-    /// Estimates the seconds for views of `cameras` by rendering some middle rows of the first, a few chunks for each
-    /// thread. Returns `None` if these are a tenth of all rows or more, since the views then take little time. Also
-    /// returns `None` if preparing the first view took longer than the rows, since the others' preparation is unknown.
-    ///
-    /// # Errors
-    /// Errors of candle.
-    pub fn estimate_seconds(&self, cameras: &[&Camera]) -> Result<Option<f64>> {
-        let Some(first) = cameras.first() else { return Ok(None) };
-        let pixels: usize = cameras.iter().map(|camera| camera.width * camera.height).sum();
-        let rows = (CHUNKS_TIMED * self.runtime.threads() * self.config.eval.chunk).div_ceil(first.width);
-        let timed = rows * first.width;
-        if rows > first.height || 10 * timed > pixels {
-            return Ok(None);
-        }
-        self.runtime.install(|| {
-            let renderer = self.model.renderer(self.config, self.scene, self.runtime)?;
-            let preparing = Instant::now();
-            self.prepare(&*renderer, first)?;
-            let prepared = preparing.elapsed();
-            let top = (first.height - rows) / 2;
-            let started = Instant::now();
-            let some: Vec<(&Camera, u32, u32)> =
-                (top..top + rows).flat_map(|y| (0..first.width as u32).map(move |x| (*first, x, y as u32))).collect();
-            self.render_pixels(&*renderer, &some, self.chunk(&*renderer, usize::MAX))?;
-            let rendered = started.elapsed();
-            Ok((prepared <= rendered).then(|| rendered.as_secs_f64() / timed as f64 * pixels as f64))
-        })
     }
 
     /// Returns the errors of a rendered view's depth for `depth_errors.gz`, or `None` if the view has no depth of its

@@ -21,7 +21,6 @@ use crate::train::{Origin, Trainer, checkpoint};
 
 use super::preview::{self, Preview};
 use super::scene_file::RecordedScene;
-use super::session::stop_check;
 use super::{
     Between, EVALUATION_COLUMNS, Existing, Measurement, Pictures, Report, RunDir, Session, TRAINING_VIEW_COLUMNS,
     Viewer, interrupted, scene_file, surface_reference,
@@ -112,15 +111,6 @@ impl Earlier {
             seconds_evaluation: timing.seconds_evaluation,
         })
     }
-}
-
-/// How long a run takes from here, in seconds.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Estimate {
-    /// Its steps.
-    pub training: f64,
-    /// Rendering the held-out views at the end; 0 if that is too short to be timed.
-    pub measuring: f64,
 }
 
 /// Results of a finished training, besides its files.
@@ -277,28 +267,6 @@ impl<'a> Job<'a> {
     /// Returns the number of completed steps.
     pub fn step_count(&self) -> u64 {
         self.trainer.step_count()
-    }
-
-    /// Estimates the seconds of the rest of the run here: its steps by one that is timed and not taken, and its evaluation.
-    /// `None` once `signal` holds a signal's number.
-    ///
-    /// # Errors
-    /// Those of a step, and of rendering.
-    pub fn estimate(&mut self, signal: &AtomicUsize) -> Result<Option<Estimate>> {
-        let left = self.experiment.setup.config.train.steps.saturating_sub(self.trainer.step_count());
-        let per_step = match left {
-            0 => Ok(0.0),
-            _ => self.trainer.time_step(&|| stop_check(signal)),
-        };
-        let steps = match per_step {
-            Err(Error::Interrupted { .. }) => return Ok(None),
-            per_step => left as f64 * per_step?,
-        };
-        let Setup { config, scene, .. } = &self.experiment.setup;
-        let seen = config.seen_views(scene).into_iter().map(|place| &scene.train[place]);
-        let cameras: Vec<_> = scene.test.iter().chain(seen).map(|view| &view.camera).collect();
-        let evaluation = self.experiment.viewer(&self.trainer)?.estimate_seconds(&cameras)?;
-        Ok(Some(Estimate { training: steps, measuring: evaluation.unwrap_or(0.0) }))
     }
 
     /// Trains to the last step and evaluates.

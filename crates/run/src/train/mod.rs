@@ -2,7 +2,6 @@
 
 use std::cell::{OnceCell, RefCell};
 use std::sync::Arc;
-use std::time::Instant;
 
 use candle_core::DType;
 
@@ -35,9 +34,6 @@ pub use memory::graphs_mib;
 pub use origin::Origin;
 pub use stats::StepStats;
 pub use sums::sha256;
-
-/// Seconds from which on a step is timed once.
-const LONG_STEP: f64 = 2.0;
 
 /// Returns an error if a run on a CPU needs more memory than is free.
 fn check_memory(config: &Resolved, scene: &Scene, runtime: &Runtime) -> Result<()> {
@@ -149,22 +145,6 @@ impl Trainer {
     pub fn check(config: &Resolved, scene: &Scene, dtype: DType, runtime: &Runtime) -> Result<()> {
         accelerator::check(config, runtime)?;
         runtime.install(|| Model::check(config, scene, dtype, runtime))
-    }
-
-    /// Measures the seconds of the next step, without taking it: of a second try, after a first that fills caches, unless
-    /// that took long. No number of the run changes. An error of the check ends it.
-    ///
-    /// # Errors
-    /// Those of the learner and of the check.
-    pub fn time_step(&mut self, stop_check: &StopCheck) -> Result<f64> {
-        let runtime = self.runtime.clone();
-        let mut timed = || -> Result<f64> {
-            let started = Instant::now();
-            runtime.install(|| self.stepper.get_mut().try_step(self.state.step, stop_check))?;
-            Ok(started.elapsed().as_secs_f64())
-        };
-        let first = timed()?;
-        if first > LONG_STEP { Ok(first) } else { timed() }
     }
 
     /// Returns the configuration at the start.

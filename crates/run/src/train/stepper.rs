@@ -93,18 +93,6 @@ impl Stepper {
         self.dead_steps
     }
 
-    /// Computes the step after `step` finished ones, to the end, and drops what it gives. It changes no parameter and no
-    /// moment.
-    pub(super) fn try_step(&mut self, step: u64, stop_check: &StopCheck) -> Result<()> {
-        match &mut self.steps {
-            Steps::Learner(descent) => descent.compute(step, false, stop_check).map(drop),
-            Steps::Device(steps, _) => {
-                stop_check()?;
-                steps.try_step(step, false).map(drop)
-            }
-        }
-    }
-
     /// Takes a step: loss, gradients and update. Its random numbers depend on seed and step only. A long step calls
     /// `stop_check` regularly, and ends with its error. It then has changed no parameter and no moment. A device may
     /// return before it is done.
