@@ -20,7 +20,6 @@ use super::experiment::{Base, Experiment, say_without_effect, settings_file};
 use super::measure::print_balance;
 use super::progress::{Console, print};
 use super::signals::catch_signals;
-use super::view::{Live, LivePage};
 use super::{Compute, LpipsWeights, Sources};
 
 /// Steps from which on settings are the paper's.
@@ -60,15 +59,13 @@ pub struct TrainArguments {
         num_args = 0..=1,
         require_equals = true,
         default_missing_value = "100",
-        conflicts_with_all = ["from", "out", "overwrite", "print_config", "view"],
+        conflicts_with_all = ["from", "out", "overwrite", "print_config"],
         help_heading = "Experiment"
     )]
     balance: Option<u64>,
     /// Print the resolved settings and stop
     #[arg(long, help_heading = "Output")]
     print_config: bool,
-    #[command(flatten)]
-    live: Live,
     #[command(flatten)]
     answer: Answer,
     #[command(flatten)]
@@ -82,8 +79,6 @@ pub struct ResumeArguments {
     #[command(flatten)]
     sources: Sources,
     #[command(flatten)]
-    live: Live,
-    #[command(flatten)]
     answer: Answer,
     #[command(flatten)]
     compute: Compute,
@@ -91,7 +86,6 @@ pub struct ResumeArguments {
 
 impl TrainArguments {
     pub fn run(self) -> Result<()> {
-        self.live.check()?;
         self.compute.run(|runtime, console| match self.balance {
             Some(steps) => print_balance(&self.experiment, steps, self.answer, (runtime, console)),
             None => self.train(runtime, console),
@@ -118,7 +112,6 @@ impl TrainArguments {
         if self.from.is_none() && !self.experiment.names_length() && setup.config.train.steps >= PAPER_STEPS {
             words += "\nno --preset is named, so these are the paper's own settings; --preset fast takes minutes";
         }
-        let page = self.live.open(&setup, &folder)?;
         say_without_effect(self.experiment.settings(), |setting| setup.config.without_effect(setting), console);
         let job = match &parent {
             None => Job::create(&folder, existing, setup)?,
@@ -133,7 +126,7 @@ impl TrainArguments {
         };
         drop(parent);
         console.say(&words);
-        train(job, &folder, console, page.as_ref(), self.answer)
+        train(job, &folder, console, self.answer)
     }
 }
 
@@ -181,7 +174,6 @@ impl Parent {
 
 impl ResumeArguments {
     pub fn run(self) -> Result<()> {
-        self.live.check()?;
         let run = RunDir::take(&self.run)?;
         let config = run.read_config()?;
         let device = run.read_timing()?.map_or("cpu".into(), |timing| timing.device);
@@ -197,10 +189,9 @@ impl ResumeArguments {
         let (config, scene) = load_scene_of(&run, config, Photos::Read, console)?;
         let steps = config.train.steps;
         let setup = Setup { config, scene: &scene, lpips: &lpips, runtime: runtime.clone() };
-        let page = self.live.open(&setup, &self.run)?;
         let job = Job::resume(run, setup)?;
         console.say(&how_it_resumes(&self.run, (job.step_count(), steps)));
-        train(job, &self.run, console, page.as_ref(), self.answer)
+        train(job, &self.run, console, self.answer)
     }
 }
 
@@ -235,17 +226,13 @@ fn what_is_trained(Setup { config, scene, .. }: &Setup) -> String {
 }
 
 /// Trains in `folder`. Its name is printed first, so that a script has it even if the training is stopped.
-fn train(job: Job, folder: &Path, console: &Console, page: Option<&LivePage>, answer: Answer) -> Result<()> {
+fn train(job: Job, folder: &Path, console: &Console, answer: Answer) -> Result<()> {
     if !answer.json {
         let label = if std::io::stdout().is_terminal() { "run folder: " } else { "" };
         print(&format!("{label}{}", folder.display()))?;
     }
     let signal = catch_signals()?;
-    let job = job.with_previews(PREVIEWS_FROM);
-    let finished = match page {
-        Some(page) => page.train(job, &signal, console)?,
-        None => job.train(console, &signal)?,
-    };
+    let finished = job.with_previews(PREVIEWS_FROM).train(console, &signal)?;
     summarize(&finished, folder, console);
     let Finished { report, seconds, .. } = &finished;
     let [metrics, _] = RunDir::metrics_in(folder);

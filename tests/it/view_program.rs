@@ -1,11 +1,9 @@
-//! The page as a user meets it: `augnerf view` and `train --view`, their addresses and how they end.
+//! The page as a user meets it: `augnerf view`, its addresses and how it ends.
 
 use std::io::{BufRead, BufReader};
-use std::net::{Ipv4Addr, TcpListener};
 use std::process::{Child, Command, Stdio};
 
 use crate::common::assert_says;
-use crate::common::files::files;
 use crate::common::program::{Place, augnerf, demand, set};
 
 /// The program with a page, killed when it is dropped.
@@ -73,25 +71,4 @@ fn a_page_that_may_not_be_ready_yet_ends() {
         Some(15) => assert_eq!(printed, ""),
         _ => assert!(ended.code() == Some(0) && printed.starts_with("http://") && printed.lines().count() == 1),
     }
-}
-
-/// A page that cannot be opened leaves no run behind, and replaces none.
-#[test]
-fn a_page_that_cannot_be_opened_creates_no_run() {
-    let place = Place::new();
-    let taken = TcpListener::bind((Ipv4Addr::LOCALHOST, 0)).unwrap();
-    let port = taken.local_addr().unwrap().port().to_string();
-    let small = set("data.width=16 train.rays=64 train.steps=4");
-    let train = |further: &str, code: i32, words: &[&str]| {
-        place.says(&format!("train --preset smoke --quiet --out run{small} {further}"), code, words);
-    };
-    train(&format!("--port {port}"), 2, &["--port and --host", "add --view"]);
-    train(&format!("--view --port {port}"), 4, &[&port, "cannot listen there"]);
-    assert!(!place.at("run").exists());
-    // With --quiet, too, the address is printed: it has a secret.
-    train("--view --port 0", 0, &["look at it: http://127.0.0.1:"]);
-    let before = files(&place.at("run"), &[]);
-    train("--overwrite --host 127.0.0.1", 2, &[]);
-    train(&format!("--overwrite --view --port {port}"), 4, &[]);
-    assert!(files(&place.at("run"), &[]) == before, "the run is as before");
 }

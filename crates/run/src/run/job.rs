@@ -68,17 +68,6 @@ pub struct Job<'a> {
     trainer: Trainer,
 }
 
-/// Looks at a model while it trains.
-pub trait Audience: Sync {
-    /// Returns whether it wants to see the model after this step.
-    fn looks(&self) -> bool;
-    /// Looks at the model after `step` steps. Training waits meanwhile.
-    ///
-    /// # Errors
-    /// They end the training.
-    fn see(&self, step: u64, model: &Model) -> Result<()>;
-}
-
 /// A training in its folder: the parts of a job except the trainer, which the session takes.
 struct Experiment<'a> {
     run: RunDir,
@@ -88,7 +77,6 @@ struct Experiment<'a> {
     notes: Vec<String>,
     started_unix: u64,
     memory: MemoryWatch,
-    audience: Option<&'a dyn Audience>,
     /// Seconds of the shortest session that draws previews.
     previews_from: Option<f64>,
 }
@@ -245,15 +233,8 @@ impl<'a> Job<'a> {
         write_atomic(&run.config(), setup.config.to_toml().as_bytes())?;
         scene_file::write(&run.scene_file(), setup.scene)?;
         let started_unix = host::unix_seconds() as u64;
-        let experiment =
-            Experiment { run, setup, earlier, notes, started_unix, memory, audience: None, previews_from: None };
+        let experiment = Experiment { run, setup, earlier, notes, started_unix, memory, previews_from: None };
         Ok(Job { experiment, trainer })
-    }
-
-    /// Lets `audience` look at the model as it trains.
-    pub fn before(mut self, audience: &'a dyn Audience) -> Job<'a> {
-        self.experiment.audience = Some(audience);
-        self
     }
 
     /// Draws the first held-out view beside its ground truth as training goes on, into `renders/preview.png`, unless
@@ -432,9 +413,6 @@ impl Between for Watcher<'_> {
     }
 
     fn stepped(&mut self, trainer: &Trainer) -> Result<()> {
-        if let Some(audience) = self.experiment.audience.filter(|audience| audience.looks()) {
-            audience.see(trainer.step_count(), trainer.model()?)?;
-        }
         self.draw_preview(trainer)
     }
 

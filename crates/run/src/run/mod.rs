@@ -40,7 +40,7 @@ pub use folder::{Existing, RunDir};
 pub use import::Foreign;
 pub use inputs::{check_spacing, load_lpips, load_scene, load_scene_of, load_scene_with, locate_scene};
 pub use job::watch_memory;
-pub use job::{Audience, Finished, Job, Setup};
+pub use job::{Finished, Job, Setup};
 pub use mesh::{MeshFormat, MeshOptions, MeshReport, MeshUnits};
 pub use mesh_picture::{MeshPicture, Viewpoint, mesh_picture};
 pub use metrics::Report;
