@@ -24,6 +24,7 @@ ends it. From a server: ssh -L 7007:127.0.0.1:7007 SERVER.";
 
 /// The port unless another is asked for.
 const PORT: u16 = 7007;
+
 #[derive(Args)]
 #[command(next_help_heading = "Experiment")]
 pub struct ViewArguments {

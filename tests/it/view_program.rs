@@ -1,6 +1,7 @@
 //! The page as a user meets it: `augnerf view`, its addresses and how it ends.
 
 use std::io::{BufRead, BufReader};
+use std::net::{Ipv4Addr, TcpListener};
 use std::process::{Child, Command, Stdio};
 
 use crate::common::assert_says;
@@ -48,6 +49,9 @@ fn the_address_of_an_interface_opens_on_this_computer() {
     }
     let said = demand(&mut augnerf(&[&view[..], &["no such name"]].concat()), 2);
     assert_says(&said, &["no such name", "127.0.0.1 is this computer alone"]);
+    let taken = TcpListener::bind((Ipv4Addr::LOCALHOST, 0)).unwrap();
+    let port = taken.local_addr().unwrap().port().to_string();
+    place.says(&format!("view run --port {port}"), 4, &[&port, "cannot listen there"]);
 }
 
 /// It says first what it does. A signal ends it before it has an address, or else as it ends every page.

@@ -22,8 +22,6 @@ const PAUSE: Duration = Duration::from_millis(10);
 /// other.
 const PAUSE_AFTER_ERROR: Duration = Duration::from_millis(200);
 const HOPELESS: Duration = Duration::from_secs(20);
-/// A page asks for the state every two seconds. After this time without it is closed.
-const WATCHED: Duration = Duration::from_secs(7);
 /// How long the server waits for its last answers.
 const FAREWELL: Duration = Duration::from_secs(2);
 /// The most bytes of a body.
@@ -35,8 +33,6 @@ pub struct Server {
     address: SocketAddr,
     token: String,
     router: Router,
-    /// When a page last asked for anything.
-    asked: Mutex<Option<Instant>>,
     /// Connections that have not shown the token, the oldest first. They make room for new ones.
     strangers: Mutex<Vec<Arc<TcpStream>>>,
     /// A clone is held for each connection.
@@ -75,7 +71,6 @@ impl Server {
             address,
             token,
             router: Router { runs, pictures: Pictures::default() },
-            asked: Mutex::default(),
             strangers: Mutex::default(),
             connections: Arc::default(),
             answering: Arc::default(),
@@ -100,11 +95,6 @@ impl Server {
     /// [`Server::url`].
     pub fn is_everywhere(&self) -> bool {
         self.address.ip().is_unspecified()
-    }
-
-    /// Returns whether a page is open.
-    pub fn is_watched(&self) -> bool {
-        self.asked.lock().unwrap_or_else(PoisonError::into_inner).is_some_and(|asked| asked.elapsed() < WATCHED)
     }
 
     /// Returns the number of pictures and rays that were asked for and are neither made nor given up.
@@ -240,7 +230,6 @@ impl Server {
         let length = request.body_length.filter(|length| *length <= MOST_BODY_BYTES);
         let too_long = || Reply::refused(413, "The request is too long, or does not say how long it is.");
         let body = connection.body(length.ok_or_else(|| Missing::Refused(too_long()))?)?;
-        *self.asked.lock().unwrap_or_else(PoisonError::into_inner) = Some(Instant::now());
         let reply = connection.watched(|has_gone| self.router.route(&request, &body, has_gone))?;
         connection.answer(&reply, request.method != "HEAD", request.stays_open)?;
         Ok(request.stays_open)
