@@ -1,7 +1,7 @@
 //! Lenses and image sizes in a file of cameras.
 
 use super::super::Camera;
-use super::super::formats::transforms::{Keys, check_model};
+use super::super::formats::transforms::{Keys, check_model, focal};
 use super::super::json::Object;
 use augnerf_base::{Result, number_text};
 
@@ -26,23 +26,18 @@ pub fn of_transforms(frame: Object, document: Object, like: &Camera) -> Result<C
     let (width, height) = (side(&keys, "w")?, side(&keys, "h")?);
     let sized = width.zip(height);
     let (width, height) = sized.unwrap_or((like.width, like.height));
-    let from_angle = |angle: Option<f64>, side: usize| angle.map(|a| 0.5 * side as f64 / (0.5 * a).tan());
     let stated = [keys.positive("fl_x")?, keys.positive("fl_y")?, keys.number("cx")?, keys.number("cy")?];
     if sized.is_none() && stated.iter().any(Option::is_some) {
         return Err(
             frame.error("\"w\" and \"h\" are missing: focal length and principal point are in pixels of that size")
         );
     }
-    let [fl_x, fl_y, cx, cy] = stated;
-    let (x, y) = (
-        fl_x.or(from_angle(keys.angle("camera_angle_x")?, width)),
-        fl_y.or(from_angle(keys.angle("camera_angle_y")?, height)),
-    );
-    let focal = match (x, y) {
-        (None, None) => return Ok(like.with_size(width, height)),
-        (Some(x), None) => [x, x],
-        (None, Some(y)) => [y, y],
-        (Some(x), Some(y)) => [x, y],
+    let [.., cx, cy] = stated;
+    let focal = match focal(&keys, [width as f64, height as f64])? {
+        [None, None] => return Ok(like.with_size(width, height)),
+        [Some(x), None] => [x, x],
+        [None, Some(y)] => [y, y],
+        [Some(x), Some(y)] => [x, y],
     };
     let centre = [cx.unwrap_or(0.5 * width as f64), cy.unwrap_or(0.5 * height as f64)];
     Ok(Camera { width, height, focal, centre, pose: like.pose })

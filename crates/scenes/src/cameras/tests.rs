@@ -95,6 +95,22 @@ fn places_follow_the_scene_s_transform() {
     assert_eq!(read.cameras[0].pose, cameras[0].pose);
 }
 
+/// As in training: an angle in y does not count beside a focal length in x.
+#[test]
+fn a_focal_length_in_x_is_that_in_y_too() {
+    let dir = tempfile::tempdir().unwrap();
+    let frame = "\"frames\": [{\"transform_matrix\": [[1,0,0,2],[0,1,0,4],[0,0,1,6],[0,0,0,1]]}]";
+    for (keys, x, y) in [
+        ("\"fl_x\": 100, \"camera_angle_y\": 0.5", 75.0, 75.0),
+        ("\"fl_x\": 100, \"fl_y\": 120, \"camera_angle_y\": 0.5", 75.0, 90.0),
+        ("\"fl_y\": 120", 90.0, 90.0),
+    ] {
+        let text = format!("{{\"w\": 80, \"h\": 40, {keys}, {frame}}}");
+        let cameras = read(&file(&dir, "t.json", &text), &like(), &world(), Axes::Opengl).unwrap().cameras;
+        assert_eq!(cameras[0].focal, [x, y], "{keys}");
+    }
+}
+
 #[test]
 fn what_is_no_camera_is_named() {
     let dir = tempfile::tempdir().unwrap();

@@ -17,7 +17,7 @@ use std::path::{Path, PathBuf};
 
 use crate::formats::Capture;
 use crate::formats::transforms::distortion::Intrinsics;
-use crate::formats::transforms::{BOUNDS, by_ratio};
+use crate::formats::transforms::{BOUNDS, by_ratio, is_scaled};
 use crate::found;
 use crate::frame::{self, Frame, Reading};
 use crate::images::{self, Header, Size};
@@ -39,9 +39,6 @@ pub(super) fn names(dir: &Path) -> Option<BTreeSet<String>> {
     let model = read::model(dir, "", &()).ok()?;
     Some(model.photographs.into_iter().map(|photograph| photograph.name).collect())
 }
-
-/// Largest difference, beyond a pixel, between an image's sides and those of its camera, as a fraction.
-const SIZE_TOLERANCE: f64 = 0.01;
 
 /// Largest number of missing images that are named.
 const NAMES: usize = 20;
@@ -158,20 +155,14 @@ fn widest(model: &Model, files: &[Option<PathBuf>]) -> Result<usize> {
 
 /// Reads a photo's header, of the turned photo if only that fits its camera.
 fn header(lens: &Lens, path: &Path) -> Result<Header> {
-    Ok(Header::read(path)?.turned_to_fit(|size| fits(lens, size)))
-}
-
-/// Returns whether an image of this width and height is a scaled one of a camera.
-fn fits(lens: &Lens, (width, height): (usize, usize)) -> bool {
-    let [width, height] = [width as f64, height as f64];
-    (lens.size[1] * width / lens.size[0] - height).abs() <= 1.0 + SIZE_TOLERANCE * height
+    Ok(Header::read(path)?.turned_to_fit(|size| is_scaled(lens.size, size)))
 }
 
 fn frame(lens: &Lens, photograph: &Photograph, path: PathBuf, dir: &Path) -> Result<Frame> {
     let header = header(lens, &path)?;
     let stored = header.size;
     let scale = [stored.0 as f64 / lens.size[0], stored.1 as f64 / lens.size[1]];
-    if !fits(lens, stored) {
+    if !is_scaled(lens.size, stored) {
         return Err(Error::Data(format!(
             "{} is {}x{} pixels, but camera {} of the COLMAP model is for {}x{}: it was cropped or turned, so the camera is not \
              its own",

@@ -75,7 +75,7 @@ impl Keys<'_> {
 
 /// Returns whether an image of `size` is a scaled one of the `stated` size. A pixel in either direction is rounding;
 /// more is a crop or a turn.
-pub(super) fn is_scaled(stated: [f64; 2], (width, height): (usize, usize)) -> bool {
+pub(in super::super) fn is_scaled(stated: [f64; 2], (width, height): (usize, usize)) -> bool {
     let size = [width as f64, height as f64];
     (stated[1] * size[0] / stated[0] - size[1]).abs() <= 1.0 + 0.01 * size[1]
 }
@@ -103,7 +103,14 @@ impl Lens {
                 stored.0, stored.1, stated[0], stated[1]
             )));
         }
-        let focal = focal(&keys, stated)?;
+        let [Some(x), y] = focal(&keys, stated)? else {
+            let (of_frame, of_all) = (frame.instead(FOCAL), document.instead(FOCAL));
+            return Err(frame.error(&format!(
+                "neither \"fl_x\" nor \"camera_angle_x\" is there, in the frame or for all frames: the focal length is unknown{}",
+                if of_frame.is_empty() { of_all } else { of_frame }
+            )));
+        };
+        let focal = [x, y.unwrap_or(x)];
         let centre = [keys.number("cx")?.unwrap_or(0.5 * stated[0]), keys.number("cy")?.unwrap_or(0.5 * stated[1])];
         let scaled = |values: [f64; 2]| [values[0] * scale[0], values[1] * scale[1]];
         let intrinsics = Intrinsics { focal: scaled(focal), centre: scaled(centre) };
@@ -111,23 +118,14 @@ impl Lens {
     }
 }
 
-/// Returns the focal lengths: `fl_x`, `fl_y`, or from the fields of view. The vertical one equals the horizontal one if
-/// only that is known.
-fn focal(keys: &Keys, stated: [f64; 2]) -> Result<[f64; 2]> {
-    let from_angle = |angle: Option<f64>, size: f64| angle.map(|a| 0.5 * size / (0.5 * a).tan());
-    let x = keys.positive("fl_x")?.or(from_angle(keys.angle("camera_angle_x")?, stated[0]));
-    let y = keys.positive("fl_y")?;
-    let Some(x) = x else {
-        let (of_frame, of_all) = (keys.frame.instead(FOCAL), keys.document.instead(FOCAL));
-        return Err(keys.frame.error(&format!(
-            "neither \"fl_x\" nor \"camera_angle_x\" is there, in the frame or for all frames: the focal length is unknown{}",
-            if of_frame.is_empty() { of_all } else { of_frame }
-        )));
-    };
-    // A field of view in y counts only if no focal length is given.
-    let wide = keys.number("fl_x")?.is_none();
-    let y = y.or(if wide { from_angle(keys.angle("camera_angle_y")?, stated[1]) } else { None });
-    Ok([x, y.unwrap_or(x)])
+/// Returns the known focal lengths in x and y, for images of `size` (width, height): `fl_x`, `fl_y`, or from the fields of
+/// view. A field of view in y counts only without `fl_x`.
+pub(crate) fn focal(keys: &Keys, [width, height]: [f64; 2]) -> Result<[Option<f64>; 2]> {
+    let from_angle = |angle: Option<f64>, size: f64| angle.map(|angle| 0.5 * size / (0.5 * angle).tan());
+    let [x, y] = [keys.positive("fl_x")?, keys.positive("fl_y")?];
+    let wide = from_angle(keys.angle("camera_angle_x")?, width);
+    let high = if x.is_none() { from_angle(keys.angle("camera_angle_y")?, height) } else { None };
+    Ok([x.or(wide), y.or(high)])
 }
 
 /// Says of a frame's field of view that it contradicts the focal length, which is read.

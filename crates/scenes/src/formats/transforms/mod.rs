@@ -16,7 +16,8 @@ mod split;
 use std::collections::HashMap;
 use std::path::{Path, PathBuf};
 
-pub(crate) use lens::{Keys, check_model};
+pub(super) use lens::is_scaled;
+pub(crate) use lens::{Keys, check_model, focal};
 pub use split::{Role, is_named};
 
 use crate::formats::Capture;
