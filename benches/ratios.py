@@ -9,7 +9,7 @@
 Nothing else should run beside it. A round times both programs one after the other, in an order that changes from round
 to round. Each line is one kind of step: medians over the rounds of each program's own median step, the median of the
 rounds' ratios, their lowest and highest, and what augnerf says of its own work: multiply-adds of a step, share of the
-peak of large f32 products, share of points that its backward passes saw. `hash` is a hash-grid field (torch_hash_peer.py).
+peak of large f32 products. `hash` is a hash-grid field (torch_hash_peer.py).
 
 --bf16 is what users of either switch on: torch.autocast there, field.precision here. --peer-bf16 does it there alone.
 """
@@ -93,7 +93,7 @@ def line(kind, rounds):
     last = rounds[-1][1]
     return (f"{kind[0]:6} {kind[4]:5} {peer:8.4f} {ours:9.4f} {statistics.median(ratios):6.2f} "
             f"{ratios[0]:5.2f}..{ratios[-1]:5.2f} {cell(last['multiply_adds_per_step'], 8, 2, 1e-9)} "
-            f"{cell(last['gflops'], 8, 0)} {cell(last['share_of_peak'], 7, 2)} {cell(last['active_share'], 6, 2)}")
+            f"{cell(last['gflops'], 8, 0)} {cell(last['share_of_peak'], 7, 2)}")
 
 
 def main():
@@ -109,7 +109,7 @@ def main():
     parser.add_argument("--only", help="method:width, such as aug:256 or hash:64")
     arguments = parser.parse_args()
     print(f"{'method':6} {'width':>5} {'torch s':>8} {'augnerf s':>9} {'ratio':>6} {'of rounds':>12} {'Gmul-add':>8} "
-          f"{'GFLOP/s':>8} {'of peak':>7} {'active':>6}")
+          f"{'GFLOP/s':>8} {'of peak':>7}")
     for kind in PROCESSOR if arguments.device == "cpu" else GPU:
         if arguments.only and arguments.only != f"{kind[0]}:{kind[4]}":
             continue

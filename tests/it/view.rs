@@ -173,29 +173,6 @@ fn what_is_no_request_of_the_page_is_refused_and_its_connection_closed() {
     });
 }
 
-/// However strangers hold on to their connections: silent, within a head, or within a body.
-#[test]
-fn strangers_do_not_lock_the_owner_out() {
-    served(vec![shown("a", Method::Nerf, 0)], |url, _| {
-        let place = place_of(url);
-        let token = url.rsplit('/').nth(1).unwrap();
-        let mut own = BufReader::new(sent(place, format!("GET /{token}/state HTTP/1.1\r\n\r\n").as_bytes()));
-        let mut line = String::new();
-        own.read_line(&mut line).unwrap();
-        assert!(line.starts_with("HTTP/1.1 200 "), "{line}");
-        for bytes in ["", "GET / HTT", "POST /nothing HTTP/1.1\r\nContent-Length: 60000\r\n\r\nx"] {
-            let strangers: Vec<TcpStream> = (0..100).map(|_| sent(place, bytes.as_bytes())).collect();
-            assert_eq!(get(&format!("{url}state")).status, 200, "{bytes}");
-            drop(strangers);
-        }
-        // A connection that has shown the token stays.
-        own.get_mut().write_all(b"GET / HTTP/1.1\r\n\r\n").unwrap();
-        let mut rest = String::new();
-        own.read_to_string(&mut rest).unwrap();
-        assert!(rest.contains("HTTP/1.1 403 "), "{rest}");
-    });
-}
-
 #[test]
 fn pictures_are_those_of_render_and_every_layer_is_drawn() {
     let run = shown("a", Method::Nerf, 40);
@@ -256,9 +233,9 @@ fn the_newest_picture_of_a_page_wins() {
 fn a_closed_page_ends_its_pictures_and_holds_nobody_up() {
     let run = shown("a", Method::Nerf, 0);
     served(vec![run.clone()], |url, server| {
-        let before = run.runtime.work().multiply_adds;
+        let before = run.runtime.multiply_adds();
         assert_eq!(get(&format!("{url}picture?{VIEW}&page=x&turn=1")).status, 200);
-        let of_small = run.runtime.work().multiply_adds - before;
+        let of_small = run.runtime.multiply_adds() - before;
         let token = url.rsplit('/').nth(1).unwrap();
         // Pixels of a picture that takes long.
         let [width, height] = [4096u32, 1024];
@@ -281,7 +258,7 @@ fn a_closed_page_ends_its_pictures_and_holds_nobody_up() {
         drop(pages);
         until(0);
         let whole = of_small / 256 * u64::from(width * height);
-        let done = run.runtime.work().multiply_adds - before;
+        let done = run.runtime.multiply_adds() - before;
         assert!(done < whole, "{done} multiply-adds for dead pages, of {whole} for one picture");
         assert_eq!(get(&format!("{url}picture?{VIEW}&page=d&turn=1")).status, 200);
     });

@@ -71,12 +71,6 @@ pub struct Timed {
     pub points_per_clean_pass: Option<usize>,
     /// Multiply-adds of the fused core's matrix products in a step, or `None` if it does not apply.
     pub multiply_adds_per_step: Option<f64>,
-    /// Bytes of a hash grid's tables and their gradient that a step read and wrote, or `None` for other fields. Counts
-    /// 8 corners of a cell in every level for each point encoded, differentiated or scattered, and Adam's passes over
-    /// the tables.
-    pub table_bytes_per_step: Option<f64>,
-    /// Fraction of points with a nonzero gradient, which a backward pass has to process.
-    pub active_share: Option<f64>,
     /// Twice the multiply-adds divided by the time.
     pub gflops: Option<f64>,
     /// The same for large matrix products alone, on all threads.
@@ -225,7 +219,7 @@ impl Workload {
         for _ in 0..WARM_UP {
             trainer.step(false)?;
         }
-        let before = runtime.work();
+        let before = runtime.multiply_adds();
         let mut seconds = Vec::new();
         for _ in 0..self.steps {
             let started = Instant::now();
@@ -233,13 +227,13 @@ impl Workload {
             runtime.synchronize()?;
             seconds.push(started.elapsed().as_secs_f64());
         }
-        let done = runtime.work() - before;
-        let fused = done.multiply_adds > 0;
+        let done = runtime.multiply_adds() - before;
+        let fused = done > 0;
         let memory = peak_memory_mib();
         let (coarse, fine) = config.samples();
         seconds.sort_by(f64::total_cmp);
         let median = 0.5 * (seconds[(self.steps - 1) / 2] + seconds[self.steps / 2]);
-        let multiply_adds = done.multiply_adds as f64 / self.steps as f64;
+        let multiply_adds = done as f64 / self.steps as f64;
         let gflops = 2e-9 * multiply_adds / median;
         let peak = fused.then(peak_gflops);
         Ok(Timed {
@@ -251,8 +245,6 @@ impl Workload {
             rays_per_second: rays as f64 / median,
             points_per_clean_pass: config.method.has_fields().then_some(rays * (coarse + fine)),
             multiply_adds_per_step: fused.then_some(multiply_adds),
-            table_bytes_per_step: (done.table_bytes > 0).then(|| done.table_bytes as f64 / self.steps as f64),
-            active_share: (done.points > 0).then(|| done.active_points as f64 / done.points as f64),
             gflops: fused.then_some(gflops),
             gemm_peak_gflops: peak,
             share_of_peak: peak.map(|peak| gflops / peak),

@@ -14,7 +14,7 @@ mod work;
 pub use host::{Host, Timing, free_memory_mib, host_name, instructions, peak_memory_mib};
 pub use memory::MemoryWatch;
 pub use process::{in_background, prepare, round_products, with_own_variables};
-pub use work::{Counters, Work, count_multiply_adds, count_points, count_table_bytes};
+pub use work::{Counter, count_multiply_adds};
 
 /// Does `work` on parts of so many `items`, the last one perhaps smaller: on a CPU as many at once as there are threads, on
 /// another device in turn. The results are in the order of the parts, so that sums over them depend on neither.

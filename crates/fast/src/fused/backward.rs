@@ -1,7 +1,6 @@
 //! The backward pass on tiles of points, with only the requested gradients.
 
 use crate::encoding::gradient_into;
-use augnerf_base::machine::count_points;
 
 use super::forward::{Inputs, Kept, Outputs, targets};
 use super::kernels::panels::{Gathered, Panels, Slab};
@@ -117,7 +116,6 @@ impl Backward<'_> {
         let active: Vec<usize> = (0..n)
             .filter(|&i| g_density[i] != 0.0 || rays > 0 && g_colour[3 * i..][..3].iter().any(|&g| g != 0.0))
             .collect();
-        count_points(n, active.len());
         let room = |columns: usize| [0; 2].map(|_| LayerGradients::new(network, wanted.weights, columns));
         let mut rooms = Rooms {
             scratch: Scratch::default(),

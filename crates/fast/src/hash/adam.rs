@@ -2,7 +2,6 @@
 
 use crate::adam::Update;
 use crate::simd::{LANES, vectorized};
-use augnerf_base::machine::count_table_bytes;
 
 /// Parameters with their moments, `[entries, features]` each.
 pub struct Moving<'a> {
@@ -25,8 +24,6 @@ impl Update {
         let sizes = [values.len(), first.len(), second.len()];
         assert!(sizes.iter().all(|size| *size == gradient.len()), "one moment and one gradient a parameter");
         assert!(gradient.len().is_multiple_of(features), "whole entries");
-        // The gradient is read; values and moments are read and written, if the complete table is processed.
-        count_table_bytes(7 * size_of_val(gradient));
         macro_rules! update {
             ($($number:literal)*) => {
                 match features {

@@ -2,7 +2,7 @@
 
 use super::cell::{BLOCK, Block, Cells, gather_corners, interleaved, mix, mix_edges};
 use super::operator::{Operators, weights};
-use super::{HashGrid, Operator, by_features, count_corners};
+use super::{HashGrid, Operator, by_features};
 use crate::simd::{Kernel, Processor, Simd};
 
 /// Reads one number of each cache line, in order. Once per step, this costs a tenth of the time that encoding loses
@@ -21,7 +21,6 @@ impl HashGrid {
     pub fn encode(&self, tables: &[f32], points: &[f32], operators: Option<&[Operator<f32>]>, out: &mut [f32]) {
         let count = self.check(tables.len(), points.len(), out.len());
         assert!(operators.is_none_or(|operators| operators.len() == count), "one operator a point");
-        count_corners(out.len());
         by_features!(self.features, W => {
             let (tables, out) = (tables.as_chunks().0, out.as_chunks_mut().0);
             Encode::<W> { grid: self, tables, points, operators, out }

@@ -1,7 +1,7 @@
 //! Gradients in the points.
 
 use super::cell::{BLOCK, Block, Cells, gather_corners, mix, mix_edges};
-use super::{HashGrid, by_features, count_corners};
+use super::{HashGrid, by_features};
 use crate::simd::{Kernel, LANES, Lanes, Processor, Simd};
 
 impl HashGrid {
@@ -12,7 +12,6 @@ impl HashGrid {
     /// If the sizes do not fit.
     pub fn point_gradient(&self, tables: &[f32], points: &[f32], d_out: &[f32], d_points: &mut [f32]) {
         self.check(tables.len(), points.len(), d_out.len());
-        count_corners(d_out.len());
         assert_eq!(points.len(), d_points.len(), "one gradient a point");
         by_features!(self.features, W => {
             let (tables, d_out) = (tables.as_chunks().0, d_out.as_chunks().0);

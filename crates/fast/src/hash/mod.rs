@@ -13,8 +13,6 @@
 //! A point that is NaN has an encoding that is NaN. A point outside the cube is in the cell next to it, whose
 //! interpolation is extrapolated.
 
-use augnerf_base::machine::count_table_bytes;
-
 mod adam;
 mod cell;
 mod domain;
@@ -62,12 +60,6 @@ pub enum Interpolation {
     Linear,
     /// Trilinear in 3 w^2 - 2 w^3 of each coordinate w. The gradient is continuous, and second derivatives exist.
     Smoothstep,
-}
-
-/// Counts the entries at the 8 corners of points' cells in every level, read once, for `encoded` numbers in their
-/// encodings.
-fn count_corners(encoded: usize) {
-    count_table_bytes(8 * size_of::<f32>() * encoded);
 }
 
 impl Interpolation {

@@ -6,7 +6,7 @@ use super::Interpolation;
 
 use super::cell::{BLOCK, Block, Cells, of_part};
 use super::operator::{self, Operators};
-use super::{HashGrid, Operator, by_features, count_corners};
+use super::{HashGrid, Operator, by_features};
 use crate::simd::{Kernel, LANES, Lanes, Processor, Simd};
 
 /// Points, and the gradients in their encodings or in the results of operators on those.
@@ -53,8 +53,6 @@ impl HashGrid {
         let count = self.check(self.entries() * self.features, points.len(), d_out.len());
         assert!(operators.is_none_or(|operators| operators.len() == count), "one operator a point");
         assert_eq!(sum.len(), self.levels[level].entries * self.features, "the gradient is of another level's table");
-        // Read and written, in one level.
-        count_corners(2 * d_out.len() / self.levels.len());
         by_features!(self.features, W => {
             let (d_out, sum) = (d_out.as_chunks().0, sum.as_chunks_mut().0);
             Scatter::<W> { grid: self, level, points, operators, d_out, sum }
