@@ -3,7 +3,6 @@
 
 use std::io::{self, ErrorKind, Read, Write};
 use std::net::{Shutdown, TcpStream};
-use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 /// The most bytes of a request before its body. Browsers send cookies of other pages on this computer, too.
@@ -126,7 +125,7 @@ fn too_long() -> Reply {
 
 /// A connection.
 pub struct Connection {
-    stream: Arc<TcpStream>,
+    stream: TcpStream,
     /// What was read and belongs to the next request or body.
     read: Vec<u8>,
     /// When the request must have come.
@@ -138,7 +137,7 @@ impl Connection {
     ///
     /// # Errors
     /// It cannot be set up.
-    pub fn new(stream: Arc<TcpStream>) -> io::Result<Connection> {
+    pub fn new(stream: TcpStream) -> io::Result<Connection> {
         // On some systems it does not wait if its listener does not.
         stream.set_nonblocking(false)?;
         stream.set_write_timeout(Some(PATIENCE))?;
@@ -155,7 +154,7 @@ impl Connection {
         }
         self.stream.set_read_timeout(Some(left))?;
         let mut some = [0; 16 << 10];
-        match (&*self.stream).read(&mut some) {
+        match (&self.stream).read(&mut some) {
             Ok(0) => Err(Missing::Sender),
             Ok(length) => {
                 self.read.extend_from_slice(&some[..length]);
@@ -244,7 +243,7 @@ impl Connection {
         for (name, value) in fixed.into_iter().chain(own) {
             head += &format!("{name}: {value}\r\n");
         }
-        let mut output = &*self.stream;
+        let mut output = &self.stream;
         output.write_all(format!("{head}\r\n").as_bytes())?;
         output.write_all(if has_body { &reply.body } else { &[] })
     }
@@ -293,7 +292,7 @@ mod tests {
     fn connected() -> (TcpStream, Connection) {
         let listener = TcpListener::bind((Ipv4Addr::LOCALHOST, 0)).unwrap();
         let client = TcpStream::connect(listener.local_addr().unwrap()).unwrap();
-        (client, Connection::new(Arc::new(listener.accept().unwrap().0)).unwrap())
+        (client, Connection::new(listener.accept().unwrap().0).unwrap())
     }
 
     fn status<T>(missing: Result<T, Missing>) -> Option<u16> {

@@ -2,9 +2,9 @@
 
 use std::collections::HashMap;
 use std::io;
-use std::net::{Ipv4Addr, Ipv6Addr, Shutdown, SocketAddr, TcpListener, TcpStream};
+use std::net::{Ipv4Addr, Ipv6Addr, SocketAddr, TcpListener, TcpStream};
+use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
-use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
 use crate::base::{Error, Result};
@@ -33,8 +33,6 @@ pub struct Server {
     address: SocketAddr,
     token: String,
     router: Router,
-    /// Connections that have not shown the token, the oldest first. They make room for new ones.
-    strangers: Mutex<Vec<Arc<TcpStream>>>,
     /// A clone is held for each connection.
     connections: Arc<()>,
     /// A clone is held for each request that is being answered.
@@ -71,7 +69,6 @@ impl Server {
             address,
             token,
             router: Router { runs, pictures: Pictures::default() },
-            strangers: Mutex::default(),
             connections: Arc::default(),
             answering: Arc::default(),
         })
@@ -148,7 +145,6 @@ impl Server {
                     )));
                 }
                 Err(_) => {
-                    self.dismiss_stranger();
                     std::thread::sleep(PAUSE_AFTER_ERROR);
                 }
             }
@@ -156,52 +152,27 @@ impl Server {
         Ok(())
     }
 
-    /// Answers a connection on a thread of its own, so that a defect there ends nothing else. If there are too many, the oldest
-    /// stranger goes, or this one if there is none.
+    /// Answers a connection on a thread of its own, so that a defect there ends nothing else. If there are too many, it is
+    /// closed.
     fn begin(self: &Arc<Self>, stream: TcpStream) {
         let (server, connection) = (self.clone(), self.connections.clone());
         // One is the server's own.
-        if Arc::strong_count(&connection) > MOST_CONNECTIONS + 1 && !self.dismiss_stranger() {
+        if Arc::strong_count(&connection) > MOST_CONNECTIONS + 1 {
             return;
         }
-        let stream = Arc::new(stream);
-        self.strangers().push(stream.clone());
-        let of_thread = stream.clone();
         let work = move || {
             let _connection = connection;
             // Its other side has gone, is silent or does not read: there is nobody to tell.
-            let _ = server.converse(&of_thread);
-            server.no_stranger(&of_thread);
+            let _ = server.converse(stream);
         };
-        if std::thread::Builder::new().name("page".into()).spawn(work).is_err() {
-            self.no_stranger(&stream);
-        }
+        // Without a thread for it, it is closed.
+        let _ = std::thread::Builder::new().name("page".into()).spawn(work);
     }
 
-    fn strangers(&self) -> std::sync::MutexGuard<'_, Vec<Arc<TcpStream>>> {
-        self.strangers.lock().unwrap_or_else(PoisonError::into_inner)
-    }
-
-    /// Takes a connection off the list of strangers.
-    fn no_stranger(&self, stream: &Arc<TcpStream>) {
-        self.strangers().retain(|stranger| !Arc::ptr_eq(stranger, stream));
-    }
-
-    /// Closes the connection that has not shown the token for the longest time. Returns whether there was one.
-    fn dismiss_stranger(&self) -> bool {
-        let mut strangers = self.strangers();
-        let is_any = !strangers.is_empty();
-        if is_any {
-            // Its other side may have closed it.
-            let _ = strangers.remove(0).shutdown(Shutdown::Both);
-        }
-        is_any
-    }
-
-    fn converse(&self, stream: &Arc<TcpStream>) -> io::Result<()> {
-        let mut connection = Connection::new(stream.clone())?;
+    fn converse(&self, stream: TcpStream) -> io::Result<()> {
+        let mut connection = Connection::new(stream)?;
         loop {
-            match self.exchange(&mut connection, stream) {
+            match self.exchange(&mut connection) {
                 Ok(true) => {}
                 Ok(false) => break,
                 Err(Missing::Sender) => return Ok(()),
@@ -219,14 +190,13 @@ impl Server {
     ///
     /// # Errors
     /// There is none, or it is refused. The body of a refused one is not read.
-    fn exchange(&self, connection: &mut Connection, stream: &Arc<TcpStream>) -> std::result::Result<bool, Missing> {
+    fn exchange(&self, connection: &mut Connection) -> std::result::Result<bool, Missing> {
         let request = connection.request()?;
         let _answering = self.answering.clone();
         if self.router.pictures.is_stopping() {
             return Err(Missing::Sender);
         }
         self.check(&request).map_err(Missing::Refused)?;
-        self.no_stranger(stream);
         let length = request.body_length.filter(|length| *length <= MOST_BODY_BYTES);
         let too_long = || Reply::refused(413, "The request is too long, or does not say how long it is.");
         let body = connection.body(length.ok_or_else(|| Missing::Refused(too_long()))?)?;
