@@ -160,7 +160,7 @@ impl<'a> Trainings<'a> {
             match refused.unless(self.check(config), &rows, &point.scene) {
                 Ok(_) => readable = true,
                 Err(error @ Error::Data(_)) => _ = unreadable.entry(point.scene.clone()).or_insert(error),
-                Err(_) => {}
+                Err(error) => self.events.on(Event::Note(&format!("{} cannot start here: {error}", point.cell()))),
             }
         }
         refused.check()?;
