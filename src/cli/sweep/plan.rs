@@ -90,10 +90,9 @@ impl PlanArguments {
         let points = planned_points(&self.location, &definition, (&trainings, &trainings), console, checked)?;
         let say = |words: &str| if self.answer.json { Ok(()) } else { print(words) };
         say(&format!("{} points", points.len()))?;
-        let left: Vec<&Point> =
-            points.iter().filter(|point| point.no_data.is_none() && !folder.point(&point.id).ended()).collect();
-        let no_data = points.iter().filter(|point| point.no_data.is_some()).count();
-        let ended = points.len() - no_data - left.len();
+        let open: Vec<&Point> = points.iter().filter(|point| !folder.point(&point.id).ended()).collect();
+        let (left, lost): (Vec<&Point>, Vec<&Point>) = open.iter().partition(|point| point.no_data.is_none());
+        let (no_data, ended) = (lost.len(), points.len() - open.len());
         let mut planned = Planned { points: points.len(), no_data, ended, ..Planned::default() };
         plan_costs(&left, &trainings, LIMIT.saturating_sub(begun.elapsed()), |group| {
             let group = Group {
@@ -111,7 +110,7 @@ impl PlanArguments {
             planned.groups.push(group);
             Ok(())
         })?;
-        planned.no_data_because = points.iter().find_map(|point| point.no_data.clone());
+        planned.no_data_because = lost.iter().find_map(|point| point.no_data.clone());
         if left.is_empty() && no_data > 0 {
             planned.say_what_is_left_out(self.answer)?;
             return Err(Error::PointsWithoutData(format!(
