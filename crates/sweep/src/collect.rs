@@ -6,38 +6,21 @@ use std::path::{Path, PathBuf};
 use crate::base::files::{check_own, clean_temporaries, remove, wait_and_hold, write_atomic};
 use crate::base::{Error, Result};
 
-use super::definition::Definition;
-use super::folder::{DEFINITION, STEP_SECONDS, SweepFolder};
+use super::folder::{STEP_SECONDS, SweepFolder};
 use super::outputs::SweepOutputs;
 use super::points::Point;
 use super::provenance::Provenance;
+use super::sweep::TableOptions;
 use crate::report::exporters::{self, Comparable, File, is_made};
 use crate::report::plots::{Curve, Seeds};
 use crate::report::tables::{AttackLine, Table};
 use crate::report::{RowSpec, Status, TableSpec};
 use crate::settings::columns::column_of_setting;
-use crate::train::sha256;
 
 /// The page's file in a results folder. It shows the content of the other files, and images of the runs.
 pub const PAGE: &str = "report.html";
 /// Clock times of the points.
 pub(super) const TIMING: &str = "timing.csv";
-
-/// The inputs of tables and figures, and options.
-pub struct Collector<'a> {
-    /// Outputs of the points.
-    pub outputs: &'a SweepOutputs,
-    /// The definition of the points.
-    pub definition: &'a Definition,
-    /// All points of the definition, done or not.
-    pub points: &'a [Point],
-    /// The sweep's name.
-    pub name: &'a str,
-    /// Put rows in one table that differ in an uncontrolled setting, and mark them.
-    pub force: bool,
-    /// Add clock times to the tables, which are then no longer reproducible.
-    pub with_timing: bool,
-}
 
 /// Checks that the results of the sweep `name` in `folder` may be written to `results`, where old tables and figures
 /// are deleted: it is missing or empty, or holds results of the same sweep.
@@ -123,62 +106,19 @@ impl Results {
     }
 }
 
-impl Collector<'_> {
-    /// Writes all tables and figures, the page, and the inputs that `augnerf verify` needs to make them again.
-    /// Files that show no rows side by side are written even if rows are not comparable. Returns the table.
-    pub fn write(&self, results: &Results) -> Result<Table> {
-        let (mut files, mut provenance) = (Vec::new(), Provenance::of(self.name, &self.outputs.records));
-        match Provenance::read(&results.path)? {
-            // What a person has written of points that are missing stays as long as they are.
-            Some(earlier) => provenance.missing = earlier.missing,
-            // Written first, so that results that are killed here are recognized as this sweep's.
-            None => provenance.write(&results.path)?,
-        }
-        self.outputs.archive(self.definition, self.points, &results.path)?;
-        provenance.set_constants(self.outputs);
-        provenance.missing.retain(|missing| self.outputs.records.iter().any(|record| missing.names(record)));
-        let spec = self.spec();
-        let table = self.inputs(&spec).write(results, &mut files);
-        // The page shows images of the runs.
-        let page = files.iter().find(|(name, _)| name == PAGE);
-        provenance.pinned.extend(page.map(|(name, bytes)| (name.clone(), sha256(bytes))));
-        provenance.inputs.insert(DEFINITION.into(), sha256(self.definition.to_toml().as_bytes()));
-        provenance.write(&results.path)?;
-        results.put(&files)?;
-        table
-    }
-
-    /// Returns the table, and adds all tables and figures to `files`. Files that show no rows side by side come first;
-    /// the others are made only if rows are comparable.
-    pub fn files(&self, files: &mut Vec<File>) -> Result<Table> {
-        self.inputs(&self.spec()).files(files)
-    }
-
-    fn spec(&self) -> TableSpec {
-        self.definition.table(self.name, self.points)
-    }
-
-    fn inputs<'s>(&'s self, spec: &'s TableSpec) -> TableInputs<'s> {
-        let Collector { outputs, points, force, with_timing, .. } = *self;
-        TableInputs { spec, outputs, points, force, with_timing }
-    }
-}
-
 /// Inputs of a table: all rows of a sweep, or chosen rows of several.
-pub(super) struct TableInputs<'a> {
+pub(super) struct Tables<'a> {
     /// The rows, metrics and title.
-    pub spec: &'a TableSpec,
+    pub spec: TableSpec,
     /// Outputs of the points.
     pub outputs: &'a SweepOutputs,
     /// The points.
     pub points: &'a [Point],
-    /// See [`Collector`].
-    pub force: bool,
-    /// See [`Collector`].
-    pub with_timing: bool,
+    /// How rows are shown.
+    pub options: TableOptions,
 }
 
-impl TableInputs<'_> {
+impl Tables<'_> {
     /// Returns the table and adds all files, with the page if there is a table.
     pub fn write(&self, results: &Results, files: &mut Vec<File>) -> Result<Table> {
         let table = self.files(files)?;
@@ -187,19 +127,20 @@ impl TableInputs<'_> {
         Ok(table)
     }
 
-    /// See [`Collector::files`].
+    /// Returns the table, and adds all tables and figures to `files`. Files that show no rows side by side come first;
+    /// the others are made only if rows are comparable.
     pub fn files(&self, files: &mut Vec<File>) -> Result<Table> {
         let records = &self.outputs.records;
         let points = exporters::Points {
-            spec: self.spec,
+            spec: &self.spec,
             records,
             timing: &self.outputs.timing,
-            with_timing: self.with_timing,
+            with_timing: self.options.with_timing,
             constants: self.outputs.constants(),
             column_of: column_of_setting,
         };
         files.extend(points.files());
-        let table = Table::new(self.spec, records, self.force)?;
+        let table = Table::new(&self.spec, records, self.options.force)?;
         let scenes: Vec<&str> = table.scenes().into_iter().map(|(scene, _)| scene).collect();
         let curves: Vec<_> = scenes.iter().map(|scene| (scene.to_string(), self.curves(scene))).collect();
         let attacks = self.attacks(&table);

@@ -9,6 +9,7 @@ use crate::base::input::{TEXT_BYTES, read_text};
 use crate::base::{Error, Result};
 use crate::report::exporters::File;
 use crate::report::plots::comparisons_figure;
+use crate::report::tables::Table;
 use crate::report::{Comparisons, Record, Unit, distinct};
 use crate::settings::registry::{Effect, REGISTRY};
 use crate::settings::value_at;
@@ -16,7 +17,8 @@ use crate::settings::value_at;
 use super::collect::holds_files;
 use super::folder::DEFINITION;
 use super::points::Point;
-use super::view::{Origin, Source, VIEW, View};
+use super::sweep::Sweep;
+use super::view::{Origin, VIEW, View};
 use super::words::{check_name, quoted};
 
 /// The file that a folder of a comparison over sweeps has instead of a sweep's definition.
@@ -59,7 +61,7 @@ impl ComparisonRequest {
     /// scenes, also rows that differ in an uncontrolled setting between two sweeps, and sweeps that state different margins.
     pub fn answer(
         mut self,
-        sources: &[Source],
+        sources: &[Sweep],
         labels: &[(String, String)],
     ) -> Result<(ComparisonRequest, Comparisons)> {
         if sources.is_empty() {
@@ -73,7 +75,7 @@ impl ComparisonRequest {
         Ok((self, comparisons?))
     }
 
-    fn over_sweeps(&mut self, row: &str, sources: &[Source], labels: &[(String, String)]) -> Result<Comparisons> {
+    fn over_sweeps(&mut self, row: &str, sources: &[Sweep], labels: &[(String, String)]) -> Result<Comparisons> {
         if row == self.baseline {
             return Err(Error::Config(format!("--row and --baseline are both '{row}'; name two rows")));
         }
@@ -84,7 +86,7 @@ impl ComparisonRequest {
             }
             [row, &self.baseline].into_iter().try_for_each(|name| has_row(source, name))?;
             let view = self.view(source, &[self.baseline.clone(), row.into()])?;
-            tables.push(of_sweep(source, view.table())?);
+            tables.push(of_sweep(source, table_of(&view, view.records()))?);
         }
         for (name, label) in labels {
             check_name("a label", label).map_err(Error::Config)?;
@@ -97,7 +99,7 @@ impl ComparisonRequest {
         Ok(Comparisons::over_sweeps(row, &self.baseline, &tables, labels))
     }
 
-    fn over_scenes(&mut self, sources: &[Source]) -> Result<Comparisons> {
+    fn over_scenes(&mut self, sources: &[Sweep]) -> Result<Comparisons> {
         check_apart(sources)?;
         let mut rows = self.rows.clone();
         if !rows.is_empty() {
@@ -106,19 +108,19 @@ impl ComparisonRequest {
         let views = sources.iter().map(|source| self.view(source, &rows)).collect::<Result<Vec<View>>>()?;
         let (baseline, metric) = (&self.baseline, &self.metric);
         check_alike(sources, &distinct(views.iter().flat_map(View::rows)))?;
-        if distinct(views.iter().map(|view| view.margin(metric))).len() > 1 {
+        if distinct(views.iter().map(|view| view.spec.margin(metric))).len() > 1 {
             return Err(Error::Config(format!("the sweeps state different margins of '{metric}' (equivalence)")));
         }
         if !self.rows.is_empty() {
             self.rows = views[0].rows().filter(|row| row != baseline).map(String::from).collect();
         }
-        let records: Vec<Vec<Record>> = views.iter().map(View::records).collect();
+        let records: Vec<Vec<Record>> = views.iter().map(|view| view.records().to_vec()).collect();
         self.check_chosen(&records)?;
         let mut tables = Vec::new();
         for ((source, view), records) in sources.iter().zip(&views).zip(records) {
             let chosen: Vec<Record> = records.into_iter().filter(|record| self.is_chosen(record)).collect();
             if !chosen.is_empty() {
-                tables.push(of_sweep(source, view.table_of(&chosen))?);
+                tables.push(of_sweep(source, table_of(&view, &chosen))?);
             }
         }
         let found = Comparisons::over_scenes(baseline, &tables);
@@ -129,7 +131,7 @@ impl ComparisonRequest {
     }
 
     /// Returns rows of one sweep; all, if none is named.
-    fn view(&self, source: &Source, rows: &[String]) -> Result<View> {
+    fn view(&self, source: &Sweep, rows: &[String]) -> Result<View> {
         of_sweep(source, View::compared(source, &self.baseline, rows, &self.metric))
     }
 
@@ -226,11 +228,16 @@ fn listed(seeds: &[u64]) -> String {
     seeds.iter().map(u64::to_string).collect::<Vec<String>>().join(", ")
 }
 
-fn of_sweep<T>(source: &Source, made: Result<T>) -> Result<T> {
+/// The table of chosen records of a view.
+fn table_of(view: &View, records: &[Record]) -> Result<Table> {
+    Table::new(&view.spec, records, false)
+}
+
+fn of_sweep<T>(source: &Sweep, made: Result<T>) -> Result<T> {
     made.map_err(|error| error.within(&format!("sweep '{}'", source.name)))
 }
 
-fn has_row(source: &Source, name: &str) -> Result<()> {
+fn has_row(source: &Sweep, name: &str) -> Result<()> {
     let rows: Vec<&str> = source.definition.row.iter().map(|row| row.name.as_str()).collect();
     if rows.contains(&name) {
         return Ok(());
@@ -239,7 +246,7 @@ fn has_row(source: &Source, name: &str) -> Result<()> {
 }
 
 /// Requires that no scene is in two sweeps: their seeds would be mixed.
-fn check_apart(sources: &[Source]) -> Result<()> {
+fn check_apart(sources: &[Sweep]) -> Result<()> {
     for (index, source) in sources.iter().enumerate() {
         let scenes = distinct(source.points.iter().map(|point| point.scene.as_str()));
         let other = sources[..index].iter().find_map(|other| {
@@ -257,7 +264,7 @@ fn check_apart(sources: &[Source]) -> Result<()> {
 }
 
 /// Requires that a row is the same in all sweeps, but for what goes with the scene or the seed.
-fn check_alike(sources: &[Source], rows: &[&str]) -> Result<()> {
+fn check_alike(sources: &[Sweep], rows: &[&str]) -> Result<()> {
     let free: Vec<String> = sources.iter().flat_map(|source| source.definition.own_settings()).collect();
     for row in rows {
         let mut own = sources.iter().filter_map(|source| Some((&source.name, settings_of(source, row, &free)?)));
@@ -279,7 +286,7 @@ fn check_alike(sources: &[Source], rows: &[&str]) -> Result<()> {
 const OF_TRAINING: [&str; 4] = ["data.train_views", "data.corruption.", "data.eval_split", "data.validation"];
 
 /// The settings of a row's first point that change numbers, but for `free` ones, the seed and the scene's own.
-fn settings_of(source: &Source, row: &str, free: &[String]) -> Option<Vec<(String, String)>> {
+fn settings_of(source: &Sweep, row: &str, free: &[String]) -> Option<Vec<(String, String)>> {
     let is_own = |path: &str| {
         path == "seed" || path.starts_with("data.") && !OF_TRAINING.iter().any(|start| path.starts_with(start))
     };

@@ -5,11 +5,12 @@ use std::path::{Path, PathBuf};
 use serde::Deserialize;
 use serde_json::{Map, Value};
 
-use super::collect::TableInputs;
+use super::collect::Tables;
 use super::comparability::{by_seed, must_match};
 use super::layout::TablePosition;
 use super::outputs::SweepOutputs;
 use super::points::Point;
+use super::sweep::TableOptions;
 use crate::base::files::read_json;
 use crate::base::{Error, Result};
 use crate::compare::{differing_settings, labels};
@@ -146,11 +147,11 @@ impl RunsTable {
 
     /// Returns the table, and the page for `folder`. Rows that differ in settings that are not varied are marked.
     pub fn page(&self, folder: &Path, with_timing: bool) -> Result<(Table, String)> {
-        let inputs =
-            TableInputs { spec: &self.spec, outputs: &self.outputs, points: &self.points, force: true, with_timing };
+        let options = TableOptions { force: true, with_timing };
+        let tables = Tables { spec: self.spec.clone(), outputs: &self.outputs, points: &self.points, options };
         let mut figures = Vec::new();
-        let table = inputs.files(&mut figures)?;
-        let page = inputs.page(&table, &figures, folder)?;
+        let table = tables.files(&mut figures)?;
+        let page = tables.page(&table, &figures, folder)?;
         Ok((table, page))
     }
 }

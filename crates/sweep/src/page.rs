@@ -2,7 +2,7 @@
 
 use std::path::{Component, Path, PathBuf};
 
-use super::collect::TableInputs;
+use super::collect::Tables;
 use super::outputs::{SweepOutputs, optional};
 use crate::base::input::read_bytes;
 use crate::base::{Error, Result};
@@ -25,7 +25,7 @@ const MESH_EYE: f64 = 0.1;
 /// Most folders that a link goes up. Beyond that, page and runs have no common location.
 const MOST_UP: usize = 4;
 
-impl TableInputs<'_> {
+impl Tables<'_> {
     /// Returns the page of a table and its files, for a page in `folder`.
     pub fn page(&self, table: &Table, files: &[(String, Vec<u8>)], folder: &Path) -> Result<String> {
         let outputs = self.outputs;
@@ -37,7 +37,7 @@ impl TableInputs<'_> {
             films: films(table, outputs)?,
             meshes: meshes(table, outputs)?,
             attacks: self.attacks(table),
-            timing: if self.with_timing { &outputs.timing } else { &[] },
+            timing: if self.options.with_timing { &outputs.timing } else { &[] },
             link: &|id| link(folder, outputs.runs.get(id)?),
         };
         page.html()
@@ -80,7 +80,7 @@ fn runs<'a>(line: &'a Line, outputs: &'a SweepOutputs) -> impl Iterator<Item = (
     points.filter_map(|record| Some((record.seed?, outputs.runs.get(&record.id)?)))
 }
 
-/// Returns an image of the mesh of each row's first point that has one, drawn like `augnerf mesh FILE --picture`.
+/// Returns an image of the mesh of each row's first point that has one, drawn like `augnerf mesh RUN --picture`.
 fn meshes(table: &Table, outputs: &SweepOutputs) -> Result<Vec<Film>> {
     let mut meshes = Vec::new();
     for line in table.lines.iter().take(MOST_ROWS) {

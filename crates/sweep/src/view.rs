@@ -15,7 +15,7 @@ use crate::run::{DepthErrors, RunDir};
 use crate::settings::columns::column_of_setting;
 use crate::train::sha256;
 
-use super::collect::{Results, TableInputs};
+use super::collect::{Results, Tables};
 use super::common_depth::{add_common_depth, wants_depth};
 use super::comparability::{by_seed, must_match};
 use super::definition::{Definition, Row};
@@ -23,31 +23,18 @@ use super::folder::{DEFINITION, SweepFolder};
 use super::outputs::SweepOutputs;
 use super::points::Point;
 use super::provenance::toml_of;
+use super::sweep::{Sweep, TableOptions};
 use super::words::quoted;
 
 /// File that a view's folder has in place of a sweep's definition.
 pub const VIEW: &str = "view.toml";
-/// A sweep that was run, or is running.
-#[derive(Clone)]
-pub struct Source<'a> {
-    /// Its name.
-    pub name: String,
-    /// The folder of its points, or `None` if only its results are available.
-    pub folder: Option<&'a SweepFolder>,
-    /// The definition that was run.
-    pub definition: &'a Definition,
-    /// Its points.
-    pub points: &'a [Point],
-    /// Outputs of the points.
-    pub outputs: SweepOutputs,
-}
 
 /// Rows of one or several sweeps in one table.
 pub struct View {
     /// Definition of the first sweep.
     first: Definition,
-    spec: TableSpec,
-    outputs: SweepOutputs,
+    pub(super) spec: TableSpec,
+    pub(super) outputs: SweepOutputs,
     points: Vec<Point>,
     sweeps: Vec<Origin>,
 }
@@ -66,7 +53,7 @@ pub struct Origin {
 }
 
 impl Origin {
-    pub(super) fn of(source: &Source) -> Origin {
+    pub(super) fn of(source: &Sweep) -> Origin {
         let points = points_csv(&source.outputs.records, &[], &source.outputs.constants(), column_of_setting);
         Origin { name: source.name.clone(), points_sha256: sha256(points.as_bytes()), label: None }
     }
@@ -78,7 +65,7 @@ impl View {
     ///
     /// # Errors
     /// The depth errors of a run cannot be read.
-    pub fn merged(name: &str, sources: &[Source]) -> Result<View> {
+    pub fn merged(name: &str, sources: &[Sweep]) -> Result<View> {
         let (first, others) = sources.split_first().expect("at least one sweep");
         let mut view = View::of(name, first);
         others.iter().for_each(|source| view.merge(source));
@@ -98,7 +85,7 @@ impl View {
     ///
     /// # Errors
     /// A row, the baseline or the metric does not exist.
-    pub(super) fn compared(source: &Source, baseline: &str, rows: &[String], metric: &str) -> Result<View> {
+    pub(super) fn compared(source: &Sweep, baseline: &str, rows: &[String], metric: &str) -> Result<View> {
         let mut view = View::of(&source.name, source);
         let names: Vec<&str> = view.rows().collect();
         if !rows.is_empty() {
@@ -129,19 +116,19 @@ impl View {
     }
 
     /// Returns all rows of a sweep.
-    fn of(name: &str, source: &Source) -> View {
+    fn of(name: &str, source: &Sweep) -> View {
         View {
             first: source.definition.clone(),
-            spec: TableSpec { name: name.into(), ..table_of(source) },
+            spec: TableSpec { name: name.into(), ..source.spec() },
             outputs: source.outputs.clone(),
-            points: source.points.to_vec(),
+            points: source.points.clone(),
             sweeps: Vec::new(),
         }
     }
 
     /// Adds another sweep's rows, points and files.
-    fn merge(&mut self, source: &Source) {
-        let other = table_of(source);
+    fn merge(&mut self, source: &Sweep) {
+        let other = source.spec();
         let names: HashMap<&str, String> =
             other.rows.iter().map(|row| (row.name.as_str(), self.name_of(row, source))).collect();
         let renamed = |name: &str| names.get(name).cloned().unwrap_or_else(|| name.to_string());
@@ -168,7 +155,7 @@ impl View {
         for record in &source.outputs.records {
             self.add_record(Record { row: renamed(&record.row), ..record.clone() });
         }
-        for point in source.points {
+        for point in &source.points {
             let mut point = point.clone();
             point.places.iter_mut().for_each(|place| place.row = renamed(&place.row));
             match self.points.iter_mut().find(|known| known.id == point.id) {
@@ -183,16 +170,16 @@ impl View {
     }
 
     /// Returns the name of another sweep's row in this view.
-    fn name_of(&self, row: &RowSpec, source: &Source) -> String {
+    fn name_of(&self, row: &RowSpec, source: &Sweep) -> String {
         let is_taken = |name: &str| self.spec.rows.iter().any(|known| known.name == name);
         let known = self.spec.rows.iter().find(|known| known.name == row.name);
         let same = known.is_none_or(|known| match known.quoted || row.quoted {
             true => known.quoted == row.quoted && known.published == row.published,
             // By definition, points of two seeds differ in these.
             _ if !(self.first.by_seed.is_empty() && source.definition.by_seed.is_empty()) => {
-                is_defined_alike(&self.first, source.definition, &row.name)
+                is_defined_alike(&self.first, &source.definition, &row.name)
             }
-            _ => is_alike(&settings_of(&self.points, &row.name), &settings_of(source.points, &row.name)),
+            _ => is_alike(&settings_of(&self.points, &row.name), &settings_of(&source.points, &row.name)),
         });
         if same {
             return row.name.clone();
@@ -216,10 +203,10 @@ impl View {
     }
 
     /// Requires rows to agree in what the rows of each sweep must agree in, except for what one sweep varies.
-    fn match_all(&mut self, sources: &[Source]) {
-        let all: Vec<Vec<String>> = sources.iter().map(|s| must_match(&self.spec.metrics, s.points)).collect();
+    fn match_all(&mut self, sources: &[Sweep]) {
+        let all: Vec<Vec<String>> = sources.iter().map(|s| must_match(&self.spec.metrics, &s.points)).collect();
         self.spec.must_match.retain(|column| all.iter().all(|own| own.contains(column)));
-        let by_seed = sources.iter().flat_map(|source| by_seed(&self.spec.must_match, source.points));
+        let by_seed = sources.iter().flat_map(|source| by_seed(&self.spec.must_match, &source.points));
         self.spec.by_seed = distinct(by_seed);
     }
 
@@ -229,14 +216,14 @@ impl View {
     }
 
     /// Returns the points of the rows that are shown, by these rows' names.
-    pub fn point_records(&self) -> &[Record] {
+    pub fn records(&self) -> &[Record] {
         &self.outputs.records
     }
 
     /// Recomputes metrics over the pixels that all rows show.
-    fn measure_common(&mut self, sources: &[Source]) -> Result<()> {
+    fn measure_common(&mut self, sources: &[Sweep]) -> Result<()> {
         let is_common = |name: &str| Metric::find(name).is_some_and(|metric| metric.scope == Scope::Common);
-        let folders: Vec<&SweepFolder> = sources.iter().filter_map(|source| source.folder).collect();
+        let folders: Vec<&SweepFolder> = sources.iter().filter_map(|source| source.runs.as_ref()).collect();
         let records = &mut self.outputs.records;
         records.iter_mut().for_each(|record| record.result.metrics.retain(|(name, _)| !is_common(name)));
         if !wants_depth(&self.spec.metrics) {
@@ -250,35 +237,12 @@ impl View {
         add_common_depth(records, errors)
     }
 
-    /// Returns the table.
-    ///
-    /// # Errors
-    /// [`Error::NotComparable`] if rows may not be in one table.
-    pub fn table(&self) -> Result<Table> {
-        self.table_of(&self.records())
-    }
-
-    /// Returns the table of chosen records; errors as for [`View::table`].
-    pub(super) fn table_of(&self, records: &[Record]) -> Result<Table> {
-        Table::new(&self.spec, records, false)
-    }
-
-    /// Returns the records that are shown.
-    pub(super) fn records(&self) -> Vec<Record> {
-        self.outputs.records.clone()
-    }
-
-    /// Returns the margin of equivalence that the first sweep with the metric states.
-    pub(super) fn margin(&self, metric: &str) -> Option<f64> {
-        self.spec.margin(metric)
-    }
-
     /// Writes tables and figures into the view's own folder. Returns the table.
     ///
     /// # Errors
     /// The folder holds a sweep's own tables, or files that are no view; [`Error::NotComparable`] if rows may not be
     /// in one table.
-    pub fn write(&self, results: &Path, force: bool, with_timing: bool) -> Result<Table> {
+    pub fn write(&self, results: &Path, options: TableOptions) -> Result<Table> {
         let refuse = |holds: &str| {
             Err(Error::Output(format!(
                 "{} holds {holds}; name another folder for several sweeps with --out",
@@ -296,8 +260,8 @@ impl View {
         // Written first, so that a view that is killed here is recognized as one.
         write_atomic(&results.path().join(VIEW), self.to_toml().as_bytes())?;
         let mut files = Vec::new();
-        let inputs = TableInputs { spec: &self.spec, outputs: &self.outputs, points: &self.points, force, with_timing };
-        let table = inputs.write(&results, &mut files);
+        let tables = Tables { spec: self.spec.clone(), outputs: &self.outputs, points: &self.points, options };
+        let table = tables.write(&results, &mut files);
         results.put(&files)?;
         table
     }
@@ -311,10 +275,6 @@ impl View {
         let constants = toml_of(&self.outputs.constants());
         toml::to_string(&File { sweep: &self.sweeps, constants }).expect("plain data")
     }
-}
-
-fn table_of(source: &Source) -> TableSpec {
-    source.definition.table(&source.name, source.points)
 }
 
 /// Positions of a row, each with the hash of its settings apart from the seed.

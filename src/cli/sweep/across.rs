@@ -11,7 +11,7 @@ use crate::cli::progress::{print, print_shown};
 use crate::metrics::PSNR;
 use crate::sweep::ComparisonRequest;
 
-use super::opened::Opened;
+use super::read_all;
 
 pub const EXAMPLES: &str = "Examples:
   augnerf sweep across results/fern results/chair --row Aug-NeRF --out results/both
@@ -78,11 +78,9 @@ fn label(text: &str) -> std::result::Result<(String, String), String> {
 
 impl AcrossArguments {
     pub fn run(self) -> Result<()> {
-        let open = |path: &PathBuf| Opened::read(path, self.data_root.as_deref());
-        let sweeps = self.folders.iter().map(open).collect::<Result<Vec<_>>>()?;
-        let sources = sweeps.iter().map(Opened::source).collect::<Result<Vec<_>>>()?;
+        let sweeps = read_all(&self.folders, self.data_root.as_deref())?;
         let asked = self.asked()?;
-        let (request, comparisons) = asked.answer(&sources, &self.labels)?;
+        let (request, comparisons) = asked.answer(&sweeps, &self.labels)?;
         request.write(&comparisons, &self.out)?;
         let page = request.page(&comparisons);
         let mut answer = json!({ "baseline": request.baseline, "metric": request.metric, "results": self.out });

@@ -1,6 +1,6 @@
 //! `augnerf sweep collect`.
 
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 use clap::Args;
 
@@ -9,10 +9,9 @@ use crate::cli::answer::Answer;
 use crate::cli::progress::print;
 use crate::report::Record;
 use crate::report::tables::{Table, table_terminal};
-use crate::sweep::{View, check_name};
+use crate::sweep::{Sweep, TableOptions, View, check_name};
 
-use super::opened::Opened;
-use super::{How, RESULTS, RUNS, check_any_data, check_done, collect, name_of, table_json, terminal_width};
+use super::{RESULTS, RUNS, check_any_data, check_done, collect, name_of, open, read_all, table_json, terminal_width};
 
 pub const EXAMPLES: &str = "Examples:
   augnerf sweep collect runs/tab4_fern  # tables and figures, in results/
@@ -52,23 +51,24 @@ pub struct CollectArguments {
 
 impl CollectArguments {
     pub fn run(self) -> Result<()> {
-        let mut sweep = self.open(&self.folder)?;
+        let mut sweep = open(&self.folder, self.data_root.as_deref())?;
         if let Some(name) = &self.name {
             check_name("the sweep's name", name).map_err(Error::Config)?;
             sweep.name.clone_from(name);
         }
         let (table, results, records) = match self.merge.is_empty() {
             true => {
-                sweep.check_runs()?;
+                let Some(runs) = sweep.runs.clone() else {
+                    return Err(Error::Config(format!(
+                        "{}: a results folder, not points; use it with --merge FOLDER --out DIR, or write its tables again \
+                         with `augnerf verify --update`",
+                        self.folder.display()
+                    )));
+                };
                 let results = self.results(&sweep.name)?;
-                let how = How { force: self.force, with_timing: self.with_timing };
-                let records = sweep.records()?;
-                check_any_data(&records)?;
-                (
-                    collect((&sweep.folder, &sweep.definition, &sweep.points), &sweep.name, &results, how)?,
-                    results,
-                    records,
-                )
+                check_any_data(&sweep.outputs.records)?;
+                let table = collect((&mut sweep, &runs), &results, self.options())?;
+                (table, results, sweep.outputs.records)
             }
             false => self.merged(sweep)?,
         };
@@ -79,8 +79,8 @@ impl CollectArguments {
         check_done(&records)
     }
 
-    fn open(&self, path: &Path) -> Result<Opened> {
-        Opened::read(path, self.data_root.as_deref())
+    fn options(&self) -> TableOptions {
+        TableOptions { force: self.force, with_timing: self.with_timing }
     }
 
     /// Returns the folder of the complete sweep's tables.
@@ -94,15 +94,14 @@ impl CollectArguments {
     }
 
     /// Writes one table of several sweeps, and returns the records of its points.
-    fn merged(&self, first: Opened) -> Result<(Table, PathBuf, Vec<Record>)> {
+    fn merged(&self, mut first: Sweep) -> Result<(Table, PathBuf, Vec<Record>)> {
         let Some(results) = self.out.clone() else {
             return Err(Error::Config("--merge needs a folder of its own; name it with --out".into()));
         };
-        let others = self.merge.iter().map(|path| self.open(path)).collect::<Result<Vec<_>>>()?;
-        let sweeps: Vec<Opened> = std::iter::once(first).chain(others).collect();
-        let sources = sweeps.iter().map(Opened::source).collect::<Result<Vec<_>>>()?;
-        let view = View::merged(&name_of(&results)?, &sources)?;
-        let records = view.point_records().to_vec();
-        Ok((view.write(&results, self.force, self.with_timing)?, results, records))
+        first.read_outputs()?;
+        let mut sweeps = vec![first];
+        sweeps.extend(read_all(&self.merge, self.data_root.as_deref())?);
+        let view = View::merged(&name_of(&results)?, &sweeps)?;
+        Ok((view.write(&results, self.options())?, results, view.records().to_vec()))
     }
 }

@@ -17,8 +17,9 @@ use crate::run::load_lpips;
 use crate::runtime::Runtime;
 use crate::settings::columns::{AXIS, SETTING};
 use crate::settings::parse_assignment;
+use crate::sweep::verify::Archive;
 use crate::sweep::{
-    Change, Collector, Definition, Overrides, Point, PublishedCosts, Results, StepCosts, SweepFolder, SweepOutputs,
+    Change, Definition, Overrides, Point, PublishedCosts, Results, StepCosts, Sweep, SweepFolder, TableOptions,
     Trainings, begin, check_name, check_results_place, plan,
 };
 
@@ -28,7 +29,6 @@ use super::progress::{Console, duration};
 mod across;
 mod collect;
 mod new;
-mod opened;
 mod plan;
 mod run;
 mod run_point;
@@ -361,26 +361,32 @@ fn reasons<'a>(failed: impl Iterator<Item = (&'a str, String)>) -> String {
     by_reason.iter().map(|(reason, labels)| format!("\n  {}: {reason}", labels.join("; "))).collect()
 }
 
-/// Options of tables.
-struct How {
-    /// Rows that differ in an uncontrolled setting are marked, not an error.
-    force: bool,
-    /// Training time and memory are added.
-    with_timing: bool,
+/// Opens `runs/NAME` or `results/NAME`, of the former the points' records alone.
+fn open(path: &Path, data_root: Option<&Path>) -> Result<Sweep> {
+    if path.join("provenance.toml").is_file() {
+        return Ok(Archive::read(path, data_root)?.sweep);
+    }
+    let folder = SweepFolder::new(path);
+    let definition = folder.definition()?;
+    let points = begun(&folder, data_root)?;
+    Sweep::of_folder(name_of(path)?, folder, definition, points)
 }
 
-/// Writes tables and figures of a sweep's points into `results`, and returns the table.
-fn collect(
-    (folder, definition, points): (&SweepFolder, &Definition, &[Point]),
-    name: &str,
-    results: &Path,
-    how: How,
-) -> Result<Table> {
-    check_results_place(results, name, folder)?;
+/// Opens sweeps with all outputs of their points.
+fn read_all(paths: &[PathBuf], data_root: Option<&Path>) -> Result<Vec<Sweep>> {
+    let read = |path: &PathBuf| {
+        let mut sweep = open(path, data_root)?;
+        sweep.read_outputs().map(|()| sweep)
+    };
+    paths.iter().map(read).collect()
+}
+
+/// Writes tables and figures of a sweep's points in the folder `runs` into `results`, and returns the table.
+fn collect((sweep, runs): (&mut Sweep, &SweepFolder), results: &Path, options: TableOptions) -> Result<Table> {
+    check_results_place(results, &sweep.name, runs)?;
     let results = Results::take(results).map_err(elsewhere)?;
-    let outputs = &SweepOutputs::of_folder(folder, definition, points)?;
-    let How { force, with_timing } = how;
-    Collector { outputs, definition, points, name, force, with_timing }.write(&results).map_err(elsewhere)
+    sweep.read_outputs()?;
+    sweep.write(&results, options).map_err(elsewhere)
 }
 
 /// Adds to the error of a folder that cannot be written, such as somebody else's, how to name another.

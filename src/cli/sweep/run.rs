@@ -12,11 +12,11 @@ use crate::cli::{Compute, LpipsWeights, whole};
 use crate::report::Status;
 use crate::report::tables::table_terminal;
 use crate::runtime::Runtime;
-use crate::sweep::{Options, Runner, Sharing, Trainings, Unmeasured};
+use crate::sweep::{Options, Runner, Sharing, Sweep, TableOptions, Trainings, Unmeasured};
 
 use super::{
-    Changes, How, Location, begin_folder, by_weights, check_any_data, check_done, collect, reasons,
-    say_what_is_missing, table_json, terminal_width, trainings,
+    Changes, Location, begin_folder, by_weights, check_any_data, check_done, collect, reasons, say_what_is_missing,
+    table_json, terminal_width, trainings,
 };
 
 pub const EXAMPLES: &str = "Examples:
@@ -129,8 +129,9 @@ impl RunArguments {
         };
         let ran = runner.run();
         // A stopped sweep writes the table of its finished points, too.
-        let how = How { force: self.force, with_timing: false };
-        let table = collect((&folder, &definition, &points), &name, &results, how);
+        let mut sweep = Sweep::of_folder(name, folder.clone(), definition, points)?;
+        let options = TableOptions { force: self.force, with_timing: false };
+        let table = collect((&mut sweep, &folder), &results, options);
         let unmeasured = ran?;
         if let Ok(table) = &table {
             self.answer.give(&table_json(table, &results), || match quiet {
@@ -140,8 +141,8 @@ impl RunArguments {
         }
         console.say(&format!("tables: {}", results.display()));
         // An error of points comes before an error of the table.
-        let done = check_done(&folder.records(&definition, &points)?);
-        if let Err(error) = check_remeasured(&unmeasured, points.len()) {
+        let done = check_done(&sweep.outputs.records);
+        if let Err(error) = check_remeasured(&unmeasured, sweep.points.len()) {
             // Its code comes before those of points that wait or have no data.
             done.err().iter().for_each(|done| report(&done.to_string()));
             return Err(error);

@@ -11,10 +11,9 @@ use crate::cli::answer::Answer;
 use crate::cli::progress::print_shown;
 use crate::metrics::PSNR;
 use crate::report::{Record, Status, distinct};
-use crate::sweep::{Claim, Pace, Point, last_words};
+use crate::sweep::{Claim, Pace, Point, Sweep, last_words};
 
-use super::opened::Opened;
-use super::{check_done, duration, one_of_each};
+use super::{check_done, duration, one_of_each, open};
 
 pub const EXAMPLES: &str = "Examples:
   augnerf sweep status runs/smoke
@@ -54,10 +53,11 @@ struct PointStatus {
 
 impl PointStatus {
     /// Returns what the files of a sweep say of a point, with the worker that has it.
-    fn of(record: &Record, opened: &Opened) -> PointStatus {
-        let point = opened.points.iter().find(|point| point.id == record.id);
-        let is_open = [Status::Running, Status::Waiting].contains(&record.status) && !opened.is_results();
-        let claim = if is_open { Claim::look(opened.folder.point(&record.id).path()) } else { None };
+    fn of(record: &Record, sweep: &Sweep) -> PointStatus {
+        let point = sweep.points.iter().find(|point| point.id == record.id);
+        let is_open = [Status::Running, Status::Waiting].contains(&record.status);
+        let runs = sweep.runs.as_ref().filter(|_| is_open);
+        let claim = runs.and_then(|runs| Claim::look(runs.point(&record.id).path()));
         let fate = claim.as_ref().filter(|claim| !claim.alive).map(|claim| claim.fate());
         // Until training begins, a worker has no step.
         let training = claim.as_ref().filter(|claim| claim.steps > 0);
@@ -95,42 +95,41 @@ impl PointStatus {
 
 impl StatusArguments {
     pub fn run(self) -> Result<()> {
-        let opened = Opened::read(&self.folder, self.data_root.as_deref())?;
-        let records = opened.records()?;
-        let points: Vec<PointStatus> = one_of_each(&records).map(|record| PointStatus::of(record, &opened)).collect();
+        let sweep = open(&self.folder, self.data_root.as_deref())?;
+        let records = &sweep.outputs.records;
+        let points: Vec<PointStatus> = one_of_each(records).map(|record| PointStatus::of(record, &sweep)).collect();
         let counts = Status::ALL.map(|status| (status, points.iter().filter(|point| point.is(status)).count()));
         let by_name: serde_json::Map<_, _> =
             counts.iter().map(|(status, count)| (status.name().into(), (*count).into())).collect();
-        let folder = opened.folder.path().display().to_string();
+        let folder = self.folder.display().to_string();
         self.answer.give(&json!({ "folder": folder, "counts": by_name, "points": points }), || {
             for point in points.iter().filter(|point| is_listed(point.status, points.len(), self.all)) {
                 print_shown(&format!("{:8} {} {}  {}", point.status, point.id, point.label, point.what()))?;
             }
             unlisted(points.len(), self.all).into_iter().try_for_each(|line| print_shown(&line))?;
-            by_row(&records).iter().try_for_each(|line| print_shown(line))?;
-            let is_left_alone = points.iter().all(|point| !point.is(Status::Running)) && !opened.is_results();
-            if is_left_alone && points.iter().any(|point| point.is(Status::Waiting)) {
-                last_words(&opened.folder).into_iter().try_for_each(|line| print_shown(&line))?;
+            by_row(records).iter().try_for_each(|line| print_shown(line))?;
+            let is_left_alone = points.iter().all(|point| !point.is(Status::Running));
+            let left_alone = sweep.runs.as_ref().filter(|_| is_left_alone);
+            if let Some(runs) = left_alone.filter(|_| points.iter().any(|point| point.is(Status::Waiting))) {
+                last_words(runs).into_iter().try_for_each(|line| print_shown(&line))?;
             }
             let counts = counts.iter().filter(|(_, count)| *count > 0);
             let counts: Vec<String> = counts.map(|(status, count)| format!("{count} {}", status.name())).collect();
-            let results = if opened.is_results() { "results, " } else { "" };
-            print_shown(&format!("{folder}: {results}{}{}", counts.join(", "), time_left(&opened, &points)))
+            let results = if sweep.runs.is_none() { "results, " } else { "" };
+            print_shown(&format!("{folder}: {results}{}{}", counts.join(", "), time_left(&sweep, &points)))
         })?;
-        check_done(&records)
+        check_done(records)
     }
 }
 
 /// Returns an estimate of the time that is left while points run; running ones count with their remaining fraction.
-fn time_left(opened: &Opened, statuses: &[PointStatus]) -> String {
+fn time_left(sweep: &Sweep, statuses: &[PointStatus]) -> String {
     let running = statuses.iter().filter(|point| point.is(Status::Running)).count();
-    if running == 0 {
-        return String::new();
-    }
-    let pace = Pace::of(&opened.folder, &opened.points.iter().collect::<Vec<&Point>>());
+    let Some(runs) = sweep.runs.as_ref().filter(|_| running > 0) else { return String::new() };
+    let pace = Pace::of(runs, &sweep.points.iter().collect::<Vec<&Point>>());
     let open = statuses.iter().filter(|point| point.is(Status::Running) || point.is(Status::Waiting));
     let of_point = |status: &PointStatus| {
-        let point = opened.points.iter().find(|point| point.id == status.id)?;
+        let point = sweep.points.iter().find(|point| point.id == status.id)?;
         let trained = status.step.filter(|_| status.is(Status::Running)).unwrap_or(0);
         let share = trained as f64 / point.config.train.steps as f64;
         Some(pace.seconds_of(std::iter::once(point))? * (1.0 - share))

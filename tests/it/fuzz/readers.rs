@@ -224,7 +224,8 @@ fn read_sweep(_: &Path, path: &Path) -> Result<()> {
 /// fit for a terminal.
 fn read_results(file: &Path, results: &Path) -> Result<()> {
     let archive = Archive::read(results, None)?;
-    Table::new(&archive.definition.table(&archive.provenance.name, &archive.points), &archive.outputs.records, true)?;
+    let sweep = &archive.sweep;
+    Table::new(&sweep.definition.table(&sweep.name, &sweep.points), &sweep.outputs.records, true)?;
     if fs::read(file).unwrap().iter().fold(0, |sum: u8, byte| sum ^ byte) % 16 != 0 {
         return Ok(());
     }

@@ -3,8 +3,7 @@
 use std::path::{Path, PathBuf};
 
 use crate::base::{Error, Result};
-use crate::collect::{Collector, PAGE, TableInputs};
-use crate::definition::Definition;
+use crate::collect::{PAGE, Tables};
 use crate::folder::SweepFolder;
 use crate::outputs::{SweepOutputs, optional, read_scalars};
 use crate::points::Point;
@@ -13,6 +12,7 @@ use crate::report::exporters::File;
 use crate::report::tables::{Table, read_points, read_timing};
 use crate::report::{Status, label};
 use crate::settings::columns::column_of_setting;
+use crate::sweep::{Sweep, TableOptions};
 
 /// Folders above results in which their runs are looked for.
 const MOST_ABOVE: usize = 5;
@@ -21,12 +21,8 @@ const MOST_ABOVE: usize = 5;
 pub struct Archive {
     /// The results' folder.
     pub path: PathBuf,
-    /// What was run.
-    pub definition: Definition,
-    /// The points with their configurations, their scenes looked for on this machine.
-    pub points: Vec<Point>,
-    /// What they left.
-    pub outputs: SweepOutputs,
+    /// What was run and what it left, the scenes looked for on this machine.
+    pub sweep: Sweep,
     /// Which code made it, and what is not kept.
     pub provenance: Provenance,
     /// Clocks were joined to the tables.
@@ -72,20 +68,17 @@ impl Archive {
             step_seconds: optional(&folder.step_seconds())?,
             ..SweepOutputs::default()
         };
-        Ok(Archive { path: path.to_path_buf(), definition, points, outputs, provenance, with_timing })
+        let sweep = Sweep { name: provenance.name.clone(), runs: None, definition, points, outputs };
+        Ok(Archive { path: path.to_path_buf(), sweep, provenance, with_timing })
     }
 
     /// Returns the table, and adds every table and figure to `files`. Rows that may not stand side by side are marked, as `--force` does.
     pub fn files(&self, files: &mut Vec<File>) -> Result<Table> {
-        let collector = Collector {
-            outputs: &self.outputs,
-            definition: &self.definition,
-            points: &self.points,
-            name: &self.provenance.name,
-            force: true,
-            with_timing: self.with_timing,
-        };
-        collector.files(files)
+        self.tables().files(files)
+    }
+
+    fn tables(&self) -> Tables<'_> {
+        self.sweep.tables(TableOptions { force: true, with_timing: self.with_timing })
     }
 
     /// The page of a results' folder: without pictures of views, which lie with the runs.
@@ -98,20 +91,12 @@ impl Archive {
                 figures.push((name.clone(), bytes));
             }
         }
-        let mut outputs = self.outputs.clone();
+        let mut outputs = self.sweep.outputs.clone();
         if let Some(runs) = runs {
             let known = self.done().map(|point| (point.id.clone(), runs.point(&point.id).run()));
             outputs.runs.extend(known.filter(|(_, run)| run.is_dir()));
         }
-        let spec = self.definition.table(&self.provenance.name, &self.points);
-        let inputs = TableInputs {
-            spec: &spec,
-            outputs: &outputs,
-            points: &self.points,
-            force: true,
-            with_timing: self.with_timing,
-        };
-        let page = inputs.page(&table, &figures, &self.path)?;
+        let page = Tables { outputs: &outputs, ..self.tables() }.page(&table, &figures, &self.path)?;
         Ok((table, page))
     }
 
@@ -136,7 +121,7 @@ impl Archive {
 
     /// Points that were measured.
     pub fn done(&self) -> impl Iterator<Item = &Point> {
-        let done = |id: &str| self.outputs.records.iter().any(|r| r.id == id && r.status == Status::Done);
-        self.points.iter().filter(move |point| done(&point.id))
+        let done = |id: &str| self.sweep.outputs.records.iter().any(|r| r.id == id && r.status == Status::Done);
+        self.sweep.points.iter().filter(move |point| done(&point.id))
     }
 }

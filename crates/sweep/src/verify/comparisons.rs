@@ -10,14 +10,15 @@ use super::tree::sweeps_named;
 use crate::base::{Error, Result};
 use crate::comparisons::ComparisonRequest;
 use crate::folder::DEFINITION;
-use crate::view::{Origin, Source};
+use crate::sweep::Sweep;
+use crate::view::Origin;
 
 /// Compares a folder's files with what the sweeps make, or, with `update`, writes what differs.
 pub fn check(verifier: &Verifier, path: &Path, findings: &mut Findings) -> Result<()> {
     let kept = ComparisonRequest::read(path)?;
     let (request, sweeps) = (kept.file(), kept.sweep.len());
     let archives = archives(path, (request, &kept.sweep), verifier.data_root)?;
-    let sources: Vec<Source> = archives.iter().map(source_of).collect();
+    let sources: Vec<Sweep> = archives.into_iter().map(|archive| archive.sweep).collect();
     let labels = kept.labels();
     let (asked, comparisons) = kept.answer(&sources, &labels)?;
     let made: Made = asked.files(&comparisons).into_iter().collect();
@@ -62,15 +63,5 @@ fn folder_of(path: &Path, request: &str, name: &str) -> Result<PathBuf> {
             one.display(),
             other.display()
         ))),
-    }
-}
-
-fn source_of(archive: &Archive) -> Source<'_> {
-    Source {
-        name: archive.provenance.name.clone(),
-        folder: None,
-        definition: &archive.definition,
-        points: &archive.points,
-        outputs: archive.outputs.clone(),
     }
 }

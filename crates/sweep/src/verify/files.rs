@@ -14,7 +14,7 @@ use crate::folder::{DEFINITION, PLAN, STEP_SECONDS};
 use crate::outputs::{SCALARS, optional};
 use crate::provenance::{Archived, PROVENANCE};
 use crate::report::exporters::{is_made, is_made_of_logs};
-use crate::report::tables::{Constants, Table};
+use crate::report::tables::Constants;
 use crate::report::{Record, Status};
 use crate::train::sha256;
 
@@ -29,26 +29,11 @@ pub fn is_kept(name: &str) -> bool {
 /// Files by their names.
 pub type Made = BTreeMap<String, Vec<u8>>;
 
-/// A sweep's results, and what its points make.
-pub struct Collected {
-    /// The folder.
-    pub archive: Archive,
-    table: Table,
-    made: Made,
-}
-
-impl Collected {
-    /// Reads a results' folder and makes its tables and figures.
-    pub fn read(path: &Path, data_root: Option<&Path>) -> Result<Collected> {
-        let (archive, mut files) = (Archive::read(path, data_root)?, Vec::new());
-        let table = archive.files(&mut files)?;
-        Ok(Collected { archive, table, made: files.into_iter().collect() })
-    }
-}
-
 /// Compares all files of a results' folder with what its points make, or, with `update`, writes what differs.
-pub fn check(verifier: &Verifier, sweep: &Collected, findings: &mut Findings) -> Result<()> {
-    let Collected { archive, table, made } = sweep;
+pub fn check(verifier: &Verifier, archive: &Archive, findings: &mut Findings) -> Result<()> {
+    let mut files = Vec::new();
+    let table = archive.files(&mut files)?;
+    let made: Made = files.into_iter().collect();
     if let Some(line) = table.lines.iter().find(|line| !line.mixed.is_empty()) {
         findings.not_checked(format!(
             "whether rows may stand side by side: '{}' differs in {}, as the table says",
@@ -70,20 +55,23 @@ pub fn check(verifier: &Verifier, sweep: &Collected, findings: &mut Findings) ->
         done => compared.report(&format!("from {done} points"), findings),
     }
     not_kept(&compared.absent, archived, &archive.path, findings);
-    pins(sweep, findings)?;
+    pins(archive, &made, findings)?;
     let sorted = |mut constants: Constants| {
         constants.sort();
         constants
     };
-    if sorted(archive.provenance.constants()) != sorted(archive.outputs.constants()) {
+    if sorted(archive.provenance.constants()) != sorted(archive.sweep.outputs.constants()) {
         findings.wrong(format!("{PROVENANCE}: [constants] are not the fields that all points share, without a column"));
     }
     if verifier.update {
         repin(archive, &held)?;
     }
-    findings.of(format!("{} points: each is done, or a [[missing]] says why not", archive.points.len()), gaps(archive));
-    page(sweep, verifier.update, findings)?;
-    others(sweep, verifier.update, findings)?;
+    findings.of(
+        format!("{} points: each is done, or a [[missing]] says why not", archive.sweep.points.len()),
+        gaps(archive),
+    );
+    page(archive, verifier.update, findings)?;
+    others(archive, &made, verifier.update, findings)?;
     for missing in &archive.provenance.missing {
         findings.not_checked(format!("{}: {}", missing.what, missing.why));
     }
@@ -92,9 +80,9 @@ pub fn check(verifier: &Verifier, sweep: &Collected, findings: &mut Findings) ->
 
 /// Returns which points have no line, or no numbers and no reason why.
 fn gaps(archive: &Archive) -> Vec<String> {
-    let (records, missing) = (&archive.outputs.records, &archive.provenance.missing);
+    let (records, missing) = (&archive.sweep.outputs.records, &archive.provenance.missing);
     let mut wrong = Vec::new();
-    for point in &archive.points {
+    for point in &archive.sweep.points {
         let own = records.iter().filter(|record| record.id == point.id);
         if own.clone().count() < point.places.len() {
             wrong.push(format!("points.csv lacks {}, which points.json has", point.label()));
@@ -146,8 +134,7 @@ fn repin(archive: &Archive, held: &[&str]) -> Result<()> {
 }
 
 /// The page, where there is one: what `augnerf report` makes of these results, or the one that was collected with images of runs.
-fn page(sweep: &Collected, update: bool, findings: &mut Findings) -> Result<()> {
-    let archive = &sweep.archive;
+fn page(archive: &Archive, update: bool, findings: &mut Findings) -> Result<()> {
     let path = archive.path.join(PAGE);
     let Some(found) = optional(&path)?.filter(|_| !archive.provenance.pinned.contains_key(PAGE)) else { return Ok(()) };
     let (_, made) = archive.page(None)?;
@@ -248,23 +235,23 @@ pub fn not_kept(absent: &[String], archived: Option<&Archived>, folder: &Path, f
 
 /// Files that are held to their hash, because nothing makes them again. What is made again needs none, and a hash would be
 /// no proof of it.
-fn pins(sweep: &Collected, findings: &mut Findings) -> Result<()> {
-    let provenance = &sweep.archive.provenance;
+fn pins(archive: &Archive, made: &Made, findings: &mut Findings) -> Result<()> {
+    let provenance = &archive.provenance;
     let archived = provenance.archived.iter().flat_map(|archived| &archived.files);
-    for (name, hash) in archived.filter(|(name, _)| !sweep.made.contains_key(*name)) {
-        if let Some(bytes) = optional(&sweep.archive.path.join(name))? {
+    for (name, hash) in archived.filter(|(name, _)| !made.contains_key(*name)) {
+        if let Some(bytes) = optional(&archive.path.join(name))? {
             pin(name, "[archived]", hash, &bytes, findings);
         }
     }
     for (name, hash) in &provenance.pinned {
-        if let Some(reason) = no_pin(sweep, name) {
+        if let Some(reason) = no_pin(archive, made, name) {
             findings.wrong(format!("{name}: {PROVENANCE} has its hash under [pinned], but {reason}"));
             continue;
         }
-        match optional(&sweep.archive.path.join(name))? {
+        match optional(&archive.path.join(name))? {
             None => findings.wrong(format!("{name}: it is not there, {PROVENANCE} has its hash")),
             // Compared above.
-            Some(_) if sweep.made.contains_key(name) => {}
+            Some(_) if made.contains_key(name) => {}
             Some(bytes) => pin(name, "[pinned]", hash, &bytes, findings),
         }
     }
@@ -283,18 +270,18 @@ fn pin(name: &str, list: &str, hash: &str, bytes: &[u8], findings: &mut Findings
 }
 
 /// Why a file must not be pinned; none where it may be. What is made of logs is made of what a results' folder may lack.
-fn no_pin(sweep: &Collected, name: &str) -> Option<String> {
+fn no_pin(archive: &Archive, made: &Made, name: &str) -> Option<String> {
     if !is_made(name) {
         return KEPT.contains(&name).then(|| "tables are made of it".into());
     }
-    let provenance = &sweep.archive.provenance;
+    let provenance = &archive.provenance;
     let is_archived = provenance.archived.iter().any(|archived| archived.files.contains_key(SCALARS));
     let is_missing = provenance.missing.iter().any(|missing| missing.what.contains(SCALARS));
     let of_logs = is_made_of_logs(name);
     match () {
         // With or without the logs, which one may get.
         () if of_logs && is_archived => None,
-        () if sweep.made.contains_key(name) => Some("the points make it".into()),
+        () if made.contains_key(name) => Some("the points make it".into()),
         () if !of_logs => Some("the points do not make it".into()),
         () if is_missing => None,
         () => Some(format!("no [[missing]] says why there is no {SCALARS} to make it of")),
@@ -302,8 +289,7 @@ fn no_pin(sweep: &Collected, name: &str) -> Option<String> {
 }
 
 /// Files that the points do not make: figures of an earlier time do not belong.
-fn others(sweep: &Collected, update: bool, findings: &mut Findings) -> Result<()> {
-    let Collected { archive, made, .. } = sweep;
+fn others(archive: &Archive, made: &Made, update: bool, findings: &mut Findings) -> Result<()> {
     let archived = archive.provenance.archived.iter().flat_map(|archived| archived.files.keys());
     let listed: Vec<&String> = archive.provenance.pinned.keys().chain(archived).collect();
     for name in names_in(&archive.path)? {

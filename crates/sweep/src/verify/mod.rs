@@ -19,7 +19,6 @@ mod tree;
 pub use archive::Archive;
 pub use findings::{Finding, Findings, Outcome};
 
-use files::Collected;
 use tree::{Kind, leaves_below};
 
 /// How thoroughly results are verified.
@@ -98,9 +97,9 @@ impl Verifier<'_> {
     }
 
     fn sweep(&self, path: &Path, findings: &mut Findings) -> Result<()> {
-        let sweep = Collected::read(path, self.data_root)?;
-        files::check(self, &sweep, findings)?;
-        retrain::check(self, &sweep.archive, findings)
+        let archive = Archive::read(path, self.data_root)?;
+        files::check(self, &archive, findings)?;
+        retrain::check(self, &archive, findings)
     }
 }
 

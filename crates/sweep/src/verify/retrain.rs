@@ -53,7 +53,7 @@ pub fn check(verifier: &Verifier, archive: &Archive, findings: &mut Findings) ->
     let (events, work) = (verifier.trainings.events, verifier.trainings);
     Runner { folder: &folder, points: &points, runtime, work, options, events, stop }.run()?;
     for point in &points {
-        let records = archive.outputs.records.iter().find(|record| record.id == point.id);
+        let records = archive.sweep.outputs.records.iter().find(|record| record.id == point.id);
         let record = records.expect("a point that is done has a record");
         if let Some(failure) = folder.point(&point.id).failure()? {
             findings.wrong(format!("{}: {}", point.label(), failure.reason));
@@ -79,7 +79,7 @@ fn drawn(count: usize, all: usize, seed: u64) -> impl Iterator<Item = usize> {
 /// What is another number than in the record, or is there in one of them alone. Names of metrics that could not be
 /// compared are left in `open`.
 fn differences(archive: &Archive, record: &Record, result: &PointResult, open: &mut Vec<&'static str>) -> Vec<String> {
-    let records = &archive.outputs.records;
+    let records = &archive.sweep.outputs.records;
     let mut wrong = Vec::new();
     for metric in METRICS.iter().filter(|metric| metric.scope != Scope::Common) {
         let key = metric.key;
