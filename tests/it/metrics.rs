@@ -44,7 +44,7 @@ fn psnr_of_a_constant_offset_is_its_closed_form() {
     let found = metrics::psnr_float(&a, &b).unwrap().unwrap();
     assert_close("psnr_float", found, 20.0, CLOSED_FORM_TOLERANCE);
     // 63.75 and 89.25 of 255 round to 64 and 89.
-    let found = metrics::psnr(&a, &b).unwrap().unwrap();
+    let found = metrics::measure("view", &a, &b, &[]).unwrap().get(&PSNR).unwrap();
     assert_close("psnr", found, -20.0 * (25.0f64 / 255.0).log10(), CLOSED_FORM_TOLERANCE);
 }
 

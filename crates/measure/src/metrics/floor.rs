@@ -50,11 +50,6 @@ impl Floor {
         (count > 0).then(|| Floor(std::array::from_fn(mean)))
     }
 
-    /// Returns the colour.
-    pub fn colour(&self) -> [f32; RGB] {
-        self.0
-    }
-
     /// Sets [`FLOOR_PSNR`] of a view: the PSNR of a picture of that colour, rounded to 8 bits as PSNR is.
     ///
     /// # Errors
@@ -102,7 +97,7 @@ mod tests {
     fn the_floor_of_black_and_white_is_grey() {
         let truth = image(&[[0.0; 3], [1.0; 3]]);
         let floor = Floor::of([(&truth, None)]).unwrap();
-        assert_eq!(floor.colour(), [0.5; 3]);
+        assert_eq!(floor.0, [0.5; 3]);
         let mut view = ViewMetrics::new("view");
         floor.measure(&mut view, &truth, None).unwrap();
         let error = ((128.0f64 / 255.0).powi(2) + (127.0f64 / 255.0).powi(2)) / 2.0;
@@ -127,7 +122,7 @@ mod tests {
         let truth = image(&[[0.0; 3], [1.0; 3], [0.2; 3]]);
         let mask = [false, false, true];
         let floor = Floor::of([(&truth, Some(&mask[..]))]).unwrap();
-        assert_eq!(floor.colour(), [0.2; 3]);
+        assert_eq!(floor.0, [0.2; 3]);
         let mut view = ViewMetrics::new("view");
         floor.measure(&mut view, &truth, Some(&mask)).unwrap();
         assert_eq!(view.get(&FLOOR_PSNR), None, "equal pictures have no PSNR");

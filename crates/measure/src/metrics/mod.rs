@@ -102,11 +102,6 @@ pub fn quantise(image: &Image) -> Image {
     Image { pixels, ..*image }
 }
 
-/// PSNR in dB of the 8-bit rounded images; `None` where these are equal.
-pub fn psnr(a: &Image, b: &Image) -> Result<Option<f64>> {
-    psnr_float(&quantise(a), &quantise(b))
-}
-
 /// PSNR in dB of the images as they are; `None` where they are equal.
 pub fn psnr_float(a: &Image, b: &Image) -> Result<Option<f64>> {
     Ok(psnr_from_mse(mse(a, b)?))
