@@ -41,17 +41,15 @@
 //! `nerf/src/field/grid.rs`. `docs/adding.md` says where a new encoding, term, site or format goes.
 //!
 //! These files are the reference: candle's operations, for f64 and for any device. In f32 on a CPU the crate `augnerf-fast`
-//! computes in their place, and tests compare the two. Five functions choose:
+//! computes in their place, and tests compare the two. Three functions choose:
 //!
 //! | what | chosen in |
 //! |---|---|
 //! | network, hash grid with its gradient, derivatives of density | `Field::prepared`, for `nerf/src/field/fast` |
-//! | activations, output deltas, compositing and loss of a pass at once | `nerf/src/render/loss.rs`, for `fused_loss.rs` |
-//! | compositing alone | `volume::composite` |
-//! | a step and a projection of PGD | `nerf/src/perturb/flat.rs` |
+//! | compositing | `volume::composite` |
 //! | Adam | `nerf/src/optimizer.rs` |
 //!
-//! `field.core = "plain"` takes candle's operations for the first two; f64 has no kernels at all.
+//! `field.core = "plain"` takes candle's operations for the first; f64 has no kernels at all.
 //!
 //! # The pipeline
 //!

@@ -29,7 +29,6 @@ mod hostile_memory;
 mod hostile_results;
 mod idle;
 mod interruption;
-mod light;
 mod loaders;
 mod methods;
 mod metrics;

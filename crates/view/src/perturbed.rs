@@ -6,11 +6,10 @@ use crate::base::Result;
 use crate::base::rng::{Random, Stream};
 use crate::data::{RayParts, Rays, Scene};
 use crate::methods::{AttackGeometry, Fields};
-use crate::perturb::{Deltas, Draw, Sets, SiteSet, worst_case};
+use crate::perturb::{Deltas, Draw, Sets, SiteSet};
 use crate::render::sampling::stratified;
 use crate::render::{
-    FixedSamples, Pass, PassOutput, Perturbation, clean_pass, columns, fine_t_vals, perturbed_pass,
-    perturbed_pass_loss, ray_parts, samples_of,
+    Pass, PassOutput, Perturbation, clean_pass, columns, fine_t_vals, perturbed_pass, ray_parts, samples_of, search,
 };
 use crate::settings::Resolved;
 
@@ -84,18 +83,7 @@ impl PerturbedRenderer {
             }
         };
         let start = sets.draw(Draw::Uniform, part, |part| Random::part(self.config.seed, Stream::View, 0, part))?;
-        let mut fixed = None;
-        let found = worst_case(&sets, start, |at| {
-            let perturbation = self.perturbation(at.deltas, &sets);
-            if fixed.is_none() && at.fixes_samples() {
-                fixed = Some(FixedSamples::new(field, pass, perturbation)?);
-            }
-            let (out, used) = match &fixed {
-                Some(fixed) => fixed.perturbed_pass_loss(perturbation, target)?,
-                None => perturbed_pass_loss(field, pass, perturbation, target)?,
-            };
-            Ok((out.loss, used))
-        })?;
+        let found = search(field, pass, self.perturbation(&start, &sets), target, 1.0)?;
         let mut scaled = Deltas::default();
         for SiteSet { site, set } in sets.iter_mut() {
             let Some(delta) = found.get(site.name()) else { continue };

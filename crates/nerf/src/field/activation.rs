@@ -27,38 +27,6 @@ pub(super) fn activate_density(activation: DensityActivation, raw: &Tensor) -> R
     }
 }
 
-/// Calls [`crate::field::Field::activate_density`] for one number.
-pub fn density_of(activation: DensityActivation, raw: f32) -> f32 {
-    match activation {
-        DensityActivation::Relu => raw.max(0.0) + raw * 0.0,
-        DensityActivation::Softplus => {
-            let x = raw - 1.0;
-            x.max(0.0) + ((-x.abs()).exp() + 1.0).ln()
-        }
-        DensityActivation::Exp => exponent(raw).unwrap_or(LARGEST_EXPONENT as f32).exp() + raw * 0.0,
-    }
-}
-
-/// Returns the gradient in raw density from that in density, as candle computes it for
-/// [`crate::field::Field::activate_density`].
-pub fn raw_density_gradient(activation: DensityActivation, raw: f32, gradient: f32) -> f32 {
-    match activation {
-        DensityActivation::Relu => gradient * f32::from(u8::from(raw >= 0.0)),
-        DensityActivation::Softplus => {
-            let x = raw - 1.0;
-            let (linear, sign) = if x >= 0.0 { (gradient, 1.0) } else { (0.0, -1.0) };
-            let decay = (-x.abs()).exp();
-            linear + -(gradient / (decay + 1.0) * decay) * sign
-        }
-        DensityActivation::Exp => exponent(raw).map_or(0.0, |x| gradient * x.exp()),
-    }
-}
-
-/// Returns the exponent of [`DensityActivation::Exp`], or `None` from the largest on.
-fn exponent(raw: f32) -> Option<f32> {
-    Some(raw - 1.0).filter(|x| *x < LARGEST_EXPONENT as f32)
-}
-
 /// MipNeRF starts from thin air: softplus(raw - 1).
 fn shifted(raw: &Tensor) -> Result<Tensor> {
     raw.affine(1.0, -1.0)
@@ -162,29 +130,6 @@ fn add(sum: &mut Option<Tensor>, term: Tensor) -> Result<()> {
 mod tests {
     use super::*;
     use candle_core::Device;
-
-    /// One number at a time, forward and back, to the bit of the operations on tensors.
-    #[test]
-    fn one_number_is_activated_as_a_tensor_is() {
-        let raw: Vec<f32> = (-40..=40).map(|i| i as f32 * 0.37).chain([1.0, -0.0, 90.0, -90.0]).collect();
-        let cotangent: Vec<f32> = raw.iter().map(|raw| (raw * 1.3).sin()).collect();
-        for activation in [DensityActivation::Relu, DensityActivation::Softplus, DensityActivation::Exp] {
-            let variable = candle_core::Var::new(raw.as_slice(), &Device::Cpu).unwrap();
-            let density = activate_density(activation, &variable).unwrap();
-            let weighted = (&density * Tensor::new(cotangent.as_slice(), &Device::Cpu).unwrap()).unwrap();
-            let store = weighted.sum_all().unwrap().backward().unwrap();
-            let slopes = store.get(&variable).unwrap().to_vec1::<f32>().unwrap();
-            for (i, (density, slope)) in density.to_vec1::<f32>().unwrap().into_iter().zip(slopes).enumerate() {
-                assert_eq!(density_of(activation, raw[i]), density, "{activation:?} of {}", raw[i]);
-                assert_eq!(
-                    raw_density_gradient(activation, raw[i], cotangent[i]),
-                    slope,
-                    "{activation:?} at {}",
-                    raw[i]
-                );
-            }
-        }
-    }
 
     #[test]
     fn nan_is_not_taken_for_empty_space() {

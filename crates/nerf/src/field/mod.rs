@@ -32,7 +32,6 @@ mod spatial;
 mod waves;
 
 pub use activation::Cotangents;
-pub use activation::{density_of, raw_density_gradient};
 pub use augnerf_fast::fused::forget as forget_buffers;
 pub use augnerf_fast::{hash, peak_gflops};
 pub use density::{Density, FieldDensity};
@@ -45,7 +44,6 @@ use hash::HashGrid;
 use inside::Inside;
 pub use nerf::{FeatureDelta, Nerf, RawOutput};
 pub use open::opening_factors;
-pub(crate) use rgb_limit::leads_away;
 pub use spatial::{DensityAt, Order, Spatial};
 
 /// A network `(points, viewdirs) -> (raw rgb, raw density)`.

@@ -30,8 +30,6 @@ pub struct RawOutput {
     pub rgb: Tensor,
     /// Density before its activation, `[n]`, 1 / length.
     pub density: Tensor,
-    /// Both together, `[4 n]`, if one operation returns them: colours of all points, then densities.
-    pub joined: Option<Tensor>,
 }
 
 /// A delta that is added to the output of one trunk layer: Aug-NeRF's perturbation of intermediate features.
@@ -88,7 +86,7 @@ impl Nerf {
         for layer in &self.view {
             view = relu(&layer.forward(&view)?)?;
         }
-        Ok(RawOutput { rgb: self.rgb.forward(&view)?, density, joined: None })
+        Ok(RawOutput { rgb: self.rgb.forward(&view)?, density })
     }
 
     /// Returns the trunk's last output, `[n, width]`.

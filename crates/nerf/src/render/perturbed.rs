@@ -6,10 +6,11 @@ use candle_core::Tensor;
 use crate::base::Result;
 use crate::field::{FeatureDelta, Field, FixedPoints, RawOutput};
 use crate::perturb::settings::OutputPlace;
-use crate::perturb::{Deltas, PaperSite, Sets, UsedDeltas, output_range, tilt};
+use crate::perturb::{Deltas, PaperSite, Sets, UsedDeltas, output_range, tilt, worst_case};
 
 use super::cast::{positions_at, samples_of};
 use super::pass::{Pass, PassOutput, SampleValues, activate, by_ray, finish, near_scaled};
+use super::photometric_loss;
 
 /// Deltas of a perturbed pass, and how they are added.
 #[derive(Clone, Copy)]
@@ -44,18 +45,34 @@ impl Perturbation<'_> {
 /// # Errors
 /// Those of candle, if shapes do not fit.
 pub fn perturbed_pass(field: &Field, pass: Pass, perturbation: Perturbation) -> Result<PerturbedOutput> {
-    query(field, pass, perturbation)?.finish()
-}
-
-/// Runs the pass through its field.
-pub(super) fn query<'a>(field: &'a Field, pass: Pass<'a>, perturbation: Perturbation<'a>) -> Result<Queried<'a>> {
     let samples = MovedSamples::new(field, pass, perturbation)?;
     let query = |viewdirs: &Tensor, delta: Option<FeatureDelta>| field.forward(&samples.positions, viewdirs, delta);
-    Queried::new(field, pass, &samples.t_vals, perturbation, query)
+    Queried::new(field, pass, &samples.t_vals, perturbation, query)?.finish()
+}
+
+/// Runs PGD ([`worst_case`]) from the deltas of `start`, on `sign` times the photometric loss against `target` `[rays, 3]`.
+/// `field` must be frozen.
+///
+/// # Errors
+/// Those of candle, if shapes do not fit.
+pub fn search(field: &Field, pass: Pass, start: Perturbation, target: &Tensor, sign: f64) -> Result<Deltas> {
+    let mut fixed = None;
+    worst_case(start.sets, start.deltas.clone(), |iterate| {
+        let perturbation = Perturbation { deltas: iterate.deltas, ..start };
+        if fixed.is_none() && iterate.fixes_samples() {
+            fixed = Some(FixedSamples::new(field, pass, perturbation)?);
+        }
+        let PerturbedOutput { pass: out, used } = match &fixed {
+            Some(fixed) => fixed.perturbed_pass(perturbation)?,
+            None => perturbed_pass(field, pass, perturbation)?,
+        };
+        let loss = photometric_loss(&out.composite.rgb, target)?;
+        Ok((if sign == 1.0 { loss } else { (loss * sign)? }, used.deltas))
+    })
 }
 
 /// The samples of a pass that no delta moves any more. What depends only on them is computed once for all passes.
-pub struct FixedSamples<'a> {
+struct FixedSamples<'a> {
     field: &'a Field,
     pass: Pass<'a>,
     t_vals: Tensor,
@@ -63,28 +80,16 @@ pub struct FixedSamples<'a> {
 }
 
 impl<'a> FixedSamples<'a> {
-    /// Fixes the samples of `pass` where deltas have moved them. `field` must be frozen. A search can do so once
-    /// [`Iterate::fixes_samples`](crate::perturb::Iterate::fixes_samples) says so.
-    ///
-    /// # Errors
-    /// Those of candle, if shapes do not fit.
-    pub fn new(field: &'a Field, pass: Pass<'a>, perturbation: Perturbation) -> Result<FixedSamples<'a>> {
+    /// Fixes the samples of `pass` where deltas have moved them.
+    fn new(field: &'a Field, pass: Pass<'a>, perturbation: Perturbation) -> Result<FixedSamples<'a>> {
         let MovedSamples { t_vals, positions } = MovedSamples::new(field, pass, perturbation)?;
         Ok(FixedSamples { field, pass, t_vals, points: field.fix(&positions)? })
     }
 
     /// Runs [`perturbed_pass`] on these samples. The deltas of sites that move samples must be those at creation.
-    ///
-    /// # Errors
-    /// Those of candle, if shapes do not fit.
-    pub fn perturbed_pass(&self, perturbation: Perturbation) -> Result<PerturbedOutput> {
-        self.query(perturbation)?.finish()
-    }
-
-    /// Runs the pass through its field.
-    pub(super) fn query<'b>(&'b self, perturbation: Perturbation<'b>) -> Result<Queried<'b>> {
+    fn perturbed_pass(&self, perturbation: Perturbation) -> Result<PerturbedOutput> {
         let query = |viewdirs: &Tensor, delta: Option<FeatureDelta>| self.points.forward(viewdirs, delta);
-        Queried::new(self.field, self.pass, &self.t_vals, perturbation, query)
+        Queried::new(self.field, self.pass, &self.t_vals, perturbation, query)?.finish()
     }
 }
 
@@ -112,13 +117,13 @@ impl MovedSamples {
 }
 
 /// A perturbed pass after its field, before compositing.
-pub(super) struct Queried<'a> {
-    pub(super) field: &'a Field,
-    pub(super) pass: Pass<'a>,
+struct Queried<'a> {
+    field: &'a Field,
+    pass: Pass<'a>,
     /// With their delta.
-    pub(super) t_vals: Tensor,
-    pub(super) perturbation: Perturbation<'a>,
-    pub(super) raw: RawOutput,
+    t_vals: Tensor,
+    perturbation: Perturbation<'a>,
+    raw: RawOutput,
 }
 
 impl<'a> Queried<'a> {
@@ -142,7 +147,7 @@ impl<'a> Queried<'a> {
     }
 
     /// Finishes the pass after its field.
-    pub(super) fn finish(self) -> Result<PerturbedOutput> {
+    fn finish(self) -> Result<PerturbedOutput> {
         let Queried { field, pass, t_vals, perturbation, raw } = self;
         let mut used = UsedDeltas { deltas: perturbation.deltas.clone(), sets: perturbation.sets.clone() };
         let values = match perturbation.output {
@@ -158,7 +163,6 @@ impl<'a> Queried<'a> {
                 let perturbed = RawOutput {
                     rgb: used.add_to(raw.rgb.clone(), PaperSite::Rgb, None)?,
                     density: used.add_to(raw.density.clone(), PaperSite::Density, None)?,
-                    joined: None,
                 };
                 activate(field, &perturbed, pass.density_noise)?
             }

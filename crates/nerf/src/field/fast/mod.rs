@@ -92,7 +92,7 @@ impl FastField {
         let delta = delta.map(|delta| (delta.layer, delta.delta));
         let raw = only_inside(inputs, self.query(below).run(&inputs.values, viewdirs, delta)?)?;
         let (rgb, density) = (raw.narrow(0, 0, 3 * n)?.reshape((n, 3))?, raw.narrow(0, 3 * n, n)?);
-        Ok(RawOutput { rgb, density, joined: Some(raw) })
+        Ok(RawOutput { rgb, density })
     }
 
     /// Computes [`Field::raw_density`] without gradients, and without points outside a grid's box.

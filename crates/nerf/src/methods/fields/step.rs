@@ -27,10 +27,10 @@ use crate::methods::Extremes;
 use crate::methods::gradients::Gradients;
 use crate::methods::learner::{StepResult, StopCheck};
 use crate::perturb::settings::DeltaSource;
-use crate::perturb::{Deltas, Draw, Sets, worst_case};
+use crate::perturb::{Deltas, Draw, Sets};
 use crate::render::{
-    FixedSamples, Pass, PassLoss, Perturbation, PerturbedOutput, clean_pass, clean_pass_loss, noiseless_acc,
-    perturbed_pass, perturbed_pass_loss, photometric_loss, place, resample, samples_of,
+    self, Pass, Perturbation, PerturbedOutput, clean_pass, noiseless_acc, perturbed_pass, photometric_loss, place,
+    resample, samples_of,
 };
 
 use super::diagnosis::diagnose;
@@ -238,22 +238,18 @@ impl<'a> StepPasses<'a> {
         let (learner, field, terms) = (self.learner, self.field(fields, plan), self.terms_of(plan));
         let pass = draws.pass(learner, plan, &t_vals);
         let weight = weight * draws.fraction * plan.weight;
+        let out = clean_pass(field, pass)?;
         let Some(target) = &draws.target else {
-            let out = clean_pass(field, pass)?;
             terms.descend(learner, (field, pass), &out, None, draws, sums)?;
             return Ok(Rendered { weights: out.composite.weights.detach(), t_vals });
         };
-        let out = if terms.count() {
-            let out = clean_pass(field, pass)?;
-            let loss = photometric_loss(&out.composite.rgb, target)?;
+        let loss = photometric_loss(&out.composite.rgb, target)?;
+        if terms.count() {
             terms.descend(learner, (field, pass), &out, Some(&(&loss * weight)?), draws, sums)?;
-            PassLoss { loss, composite: out.composite, t_vals: out.t_vals, raw_density: out.raw_density }
         } else {
-            let out = clean_pass_loss(field, pass, target)?;
-            sums.gradients.add(&learner.variables, &(&out.loss * weight)?.backward()?)?;
-            out
-        };
-        let loss = out.loss.to_dtype(DType::F64)?.to_scalar::<f64>()? * draws.fraction;
+            sums.gradients.add(&learner.variables, &(&loss * weight)?.backward()?)?;
+        }
+        let loss = loss.to_dtype(DType::F64)?.to_scalar::<f64>()? * draws.fraction;
         *(if plan.is_coarse { &mut sums.losses.coarse } else { &mut sums.losses.fine }) = Some(loss);
         if plan.is_evaluated {
             let acc = noiseless_acc(field, &out, pass)?;
@@ -281,17 +277,14 @@ impl<'a> StepPasses<'a> {
         let target = draws.target.as_ref().expect("training rays have colours");
         let perturbed = Perturbed { learner, plan, delta_plan, draws, field, pass, target, sets };
         let deltas = perturbed.deltas()?;
-        let out = match &mut sums.diagnostics {
-            Some(diagnostics) => {
-                let PerturbedOutput { pass: out, used } = perturbed_pass(field, pass, perturbed.perturbation(&deltas))?;
-                diagnose(&perturbed, &used, diagnostics)?;
-                PassLoss::of(out, target)?
-            }
-            None => perturbed_pass_loss(field, pass, perturbed.perturbation(&deltas), target)?.0,
-        };
+        let PerturbedOutput { pass: out, used } = perturbed_pass(field, pass, perturbed.perturbation(&deltas))?;
+        if let Some(diagnostics) = &mut sums.diagnostics {
+            diagnose(&perturbed, &used, diagnostics)?;
+        }
+        let loss = photometric_loss(&out.composite.rgb, target)?;
         let share = draws.fraction * plan.weight;
-        sums.gradients.add(&learner.variables, &(&out.loss * (self.weights.1 * share))?.backward()?)?;
-        let loss = out.loss.to_dtype(DType::F64)?.to_scalar::<f64>()? * share;
+        sums.gradients.add(&learner.variables, &(&loss * (self.weights.1 * share))?.backward()?)?;
+        let loss = loss.to_dtype(DType::F64)?.to_scalar::<f64>()? * share;
         sums.losses.perturbed = plus(sums.losses.perturbed, Some(loss));
         Ok(Rendered { t_vals: out.t_vals, weights: out.composite.weights.detach() })
     }
@@ -347,17 +340,6 @@ impl Perturbed<'_> {
         let field = self.field.frozen()?;
         // Scaled gradients are for parameters, not for deltas.
         let pass = Pass { scales_gradients: false, ..self.pass };
-        let mut fixed = None;
-        worst_case(&self.sets, start, |iterate| {
-            let perturbation = self.perturbation(iterate.deltas);
-            if fixed.is_none() && iterate.fixes_samples() {
-                fixed = Some(FixedSamples::new(&field, pass, perturbation)?);
-            }
-            let (out, used) = match &fixed {
-                Some(fixed) => fixed.perturbed_pass_loss(perturbation, self.target)?,
-                None => perturbed_pass_loss(&field, pass, perturbation, self.target)?,
-            };
-            Ok((if sign == 1.0 { out.loss } else { (out.loss * sign)? }, used))
-        })
+        render::search(&field, pass, self.perturbation(&start), self.target, sign)
     }
 }
