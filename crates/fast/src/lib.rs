@@ -1,6 +1,6 @@
 //! Kernels for CPUs, in place of candle's operations. `augnerf-nerf` has each in candle's own operations, to which its tests
-//! compare them, and which compute f64 and other devices. Callers ask [`augnerf_base::place`] first. If a function of [`sets`]
-//! returns `None`, candle does the work. Operations of the hash grid's points and the fused loss are in `augnerf-nerf`.
+//! compare them, and which compute f64 and other devices. Callers ask [`augnerf_base::place`] first. Operations of the hash
+//! grid's points are in `augnerf-nerf`.
 //!
 //! | kernel | in place of |
 //! |---|---|
@@ -9,7 +9,6 @@
 //! | [`hash`] | the hash grid, its derivatives and its tables' Adam |
 //! | [`inside`] | the density of empty space around a grid |
 //! | [`scan`] | `composite` |
-//! | [`sets`] | a constraint set's draw and PGD step |
 //! | [`adam`] | `Adam::update` |
 //! | [`simd`] | what all of them compute with |
 
@@ -22,7 +21,6 @@ pub mod hash;
 pub mod inside;
 mod peak;
 pub mod scan;
-pub mod sets;
 pub mod simd;
 
 pub use peak::peak_gflops;

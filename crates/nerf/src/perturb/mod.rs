@@ -6,7 +6,6 @@
 
 mod epsilon;
 mod feature;
-mod flat;
 mod geometry;
 mod input;
 mod output;
@@ -16,7 +15,6 @@ mod sets;
 pub mod settings;
 mod site;
 
-pub use augnerf_fast::sets::{larger, smaller};
 pub use epsilon::{Epsilon, REACH};
 pub use feature::Feature;
 pub use geometry::{Geometry, PaperPass, PassGeometry, PixelScale, SampleDensity};

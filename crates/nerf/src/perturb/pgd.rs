@@ -3,7 +3,6 @@
 use candle_core::{Tensor, Var};
 
 use crate::base::Result;
-use crate::perturb::flat::ascend;
 use crate::perturb::sets::{Deltas, Sets, SiteSet};
 
 /// One evaluation of the loss in a search.
@@ -51,7 +50,7 @@ pub fn worst_case(
             // Without a gradient the loss does not depend on this delta (sign(0) = 0).
             let Some(gradient) = gradients.get(tracked.get(site.name()).expect("is on")) else { continue };
             let delta = used.get(site.name()).expect("is on").detach();
-            deltas.set(site.name(), ascend(set, &delta, &gradient.detach(), site.pgd())?);
+            deltas.set(site.name(), set.ascend(&delta, &gradient.detach(), site.pgd())?);
         }
     }
     Ok(deltas)

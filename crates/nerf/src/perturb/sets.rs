@@ -6,7 +6,6 @@ use candle_core::Tensor;
 
 use crate::base::Result;
 use crate::base::rng::Random;
-use crate::perturb::flat;
 use crate::perturb::geometry::PassGeometry;
 use crate::perturb::set::{DeltaSet, Draw};
 use crate::perturb::site::{PaperSite, Site, part_of};
@@ -113,7 +112,7 @@ impl Sets {
     pub fn draw(&self, draw: Draw, pass: u64, random: impl Fn(u64) -> Random) -> Result<Deltas> {
         let mut deltas = Deltas::default();
         for SiteSet { site, set } in &self.0 {
-            deltas.set(site.name(), flat::draw(set, draw, &mut random(part_of(site.name(), pass)))?);
+            deltas.set(site.name(), set.draw(draw, &mut random(part_of(site.name(), pass)))?);
         }
         Ok(deltas)
     }
