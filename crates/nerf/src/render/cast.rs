@@ -4,7 +4,6 @@
 use candle_core::{D, Tensor};
 
 use crate::base::Result;
-use crate::base::tensors::with_values;
 use crate::data::{RayParts, Rays};
 use crate::field::Field;
 use crate::field::settings::Encoding;
@@ -36,29 +35,8 @@ pub fn samples_of(field: &Field, t_vals: &Tensor) -> Result<usize> {
 
 /// Returns origin + t * direction, `[rays, samples, 3]`.
 pub fn points_at(rays: &Rays, t_vals: &Tensor) -> Result<Tensor> {
-    if !t_vals.track_op()
-        && let Some(points) = with_values(t_vals, |t_vals| {
-            with_values(&rays.origins, |origins| with_values(&rays.directions, |d| points_of(origins, d, t_vals)))
-        })
-        && let Some(points) = points.flatten()
-    {
-        return Ok(Tensor::from_vec(points, (rays.len(), t_vals.dim(1)?, 3), t_vals.device())?);
-    }
     let along = t_vals.unsqueeze(2)?.broadcast_mul(&rays.directions.unsqueeze(1)?)?;
     Ok(along.broadcast_add(&rays.origins.unsqueeze(1)?)?)
-}
-
-/// The same in one pass over numbers.
-fn points_of(origins: &[f32], directions: &[f32], t_vals: &[f32]) -> Vec<f32> {
-    let mut points = Vec::with_capacity(3 * t_vals.len());
-    let samples = t_vals.len().checked_div(origins.len() / 3).unwrap_or(0).max(1);
-    let rays = origins.as_chunks::<3>().0.iter().zip(directions.as_chunks::<3>().0);
-    for ((origin, direction), t_vals) in rays.zip(t_vals.chunks_exact(samples)) {
-        for t in t_vals {
-            points.extend((0..3).map(|axis| t * direction[axis] + origin[axis]));
-        }
-    }
-    points
 }
 
 /// Returns mean and diagonal variance `[rays, samples, 6]` of the uniform distribution in each part of a ray's solid
@@ -157,20 +135,6 @@ mod tests {
                 }
             }
         }
-    }
-
-    /// One pass over numbers gives the bits of operations on tensors.
-    #[test]
-    fn points_in_one_pass_are_those_of_tensors() {
-        let draw = |index: u64, shape: &[usize]| {
-            Random::new(index, Stream::Init, 0).uniform_tensor(shape, DType::F32, &Device::Cpu).unwrap()
-        };
-        let rays = Rays::new(draw(1, &[4, 3]), draw(2, &[4, 3]), draw(3, &[4, 3])).unwrap();
-        let t_vals = candle_core::Var::from_tensor(&draw(4, &[4, 6])).unwrap();
-        let tracked = points_at(&rays, &t_vals).unwrap();
-        let points = points_at(&rays, &t_vals.as_detached_tensor()).unwrap();
-        assert!(tracked.track_op() && !points.track_op(), "one of two ways");
-        assert_eq!(points.to_vec3::<f32>().unwrap(), tracked.to_vec3::<f32>().unwrap());
     }
 
     /// In single precision a thin frustum far away keeps its digits; the textbook form, made of fifth powers, has none.
