@@ -44,7 +44,7 @@ fn steps_lower_the_error() {
     assert_learns(&located(planes), 43, 0.7);
 }
 
-/// SRN's steps in f32, by operations of our own, are those of f64.
+/// SRN's steps in f32 are those of f64. The norm is our own, the other operations are candle's.
 #[test]
 fn steps_are_the_same_in_both_precisions() {
     let steps = |dtype: DType| -> Vec<[f64; 3]> {
