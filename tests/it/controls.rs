@@ -2,7 +2,7 @@
 
 use crate::common::{assert_refused, assert_same_bytes, parameters, put_on_grid, tiny_config, trained};
 use augnerf::perturb::{Epsilon, PaperSite};
-use augnerf::settings::{ChangedEntries, Config, DeltaSource, Method, Resolved, SecondPass, Sizes};
+use augnerf::settings::{ChangedEntries, Config, Method, Resolved, SecondPass, Sizes};
 
 fn config(on_grid: bool, second: SecondPass, set: impl Fn(&mut Config)) -> Resolved {
     tiny_config(Method::AugNerf, |config| {
@@ -16,21 +16,21 @@ fn config(on_grid: bool, second: SecondPass, set: impl Fn(&mut Config)) -> Resol
     })
 }
 
-fn of(on_grid: bool, source: DeltaSource) -> Resolved {
-    config(on_grid, SecondPass::Perturbed(source), |_| {})
+fn of(on_grid: bool, source: SecondPass) -> Resolved {
+    config(on_grid, source, |_| {})
 }
 
 /// PGD goes up, down, or up for another ray: the sum of the sites' gains says so after some training.
 #[test]
 fn each_source_moves_the_loss_its_own_way() {
     for on_grid in [false, true] {
-        let gains = |source: DeltaSource| -> f64 {
+        let gains = |source: SecondPass| -> f64 {
             let mut trainer = trained(&of(on_grid, source), 30);
             let stats = trainer.step(true).unwrap();
             stats.sites.iter().map(|site| site.gain).sum()
         };
         let [worst, best, permuted, uniform] =
-            [DeltaSource::WorstCase, DeltaSource::BestCase, DeltaSource::Permuted, DeltaSource::Uniform].map(gains);
+            [SecondPass::WorstCase, SecondPass::BestCase, SecondPass::Permuted, SecondPass::Uniform].map(gains);
         assert!(worst > 0.0 && best < 0.0, "on a grid ({on_grid}): {worst} {best}");
         assert!(permuted < 0.5 * worst && uniform < 0.5 * worst, "{permuted} {uniform} {worst}");
     }
@@ -41,12 +41,12 @@ fn controls_have_the_same_bytes_on_threads_and_after_a_stop() {
     for on_grid in [false, true] {
         let roles = if on_grid { &["coarse"][..] } else { &["coarse", "fine"][..] };
         let mut all: Vec<Vec<f32>> = Vec::new();
-        for source in [DeltaSource::WorstCase, DeltaSource::BestCase, DeltaSource::Permuted] {
+        for source in [SecondPass::WorstCase, SecondPass::BestCase, SecondPass::Permuted] {
             all.push(assert_same_bytes(&of(on_grid, source), roles));
         }
         if on_grid {
             let masked = |config: &mut Config| config.perturb.entries = ChangedEntries::Clean;
-            let worst = SecondPass::Perturbed(DeltaSource::WorstCase);
+            let worst = SecondPass::WorstCase;
             all.push(assert_same_bytes(&config(true, worst, masked), roles));
         }
         assert!((0..all.len()).all(|i| all[..i].iter().all(|other| *other != all[i])));
@@ -57,7 +57,7 @@ fn controls_have_the_same_bytes_on_threads_and_after_a_stop() {
 /// the others.
 #[test]
 fn a_masked_second_pass_changes_the_entries_of_the_clean_pass() {
-    let worst = SecondPass::Perturbed(DeltaSource::WorstCase);
+    let worst = SecondPass::WorstCase;
     let moved = |config: &Resolved| -> Vec<bool> {
         let [before, after] = [0, 1].map(|steps| parameters(&trained(config, steps), &["coarse.table"]));
         before.chunks(2).zip(after.chunks(2)).map(|(a, b)| a != b).collect()

@@ -3,7 +3,7 @@
 use augnerf::base::Result;
 use augnerf::perturb::{DeltaSet, Norm, PaperSite, PassGeometry, Passes, Pgd, Site, StepUnit};
 use augnerf::runtime::Runtime;
-use augnerf::settings::{Config, Core, DeltaSource, Method, Resolved, SecondPass};
+use augnerf::settings::{Config, Core, Method, Resolved, SecondPass};
 use augnerf::train::{StepStats, Trainer};
 use candle_core::DType;
 
@@ -146,16 +146,10 @@ fn sites_that_cannot_be_are_refused_in_words() {
     for (found, words) in [
         (refused(&tiny_config(Method::Nerf, |_| {}), vec![plain()]), "no pass of this training is perturbed"),
         (
-            refused(&alone(|config| config.perturb.second = SecondPass::Clean), vec![plain()]),
+            refused(&alone(|config| config.perturb.second = SecondPass::FreshJitter), vec![plain()]),
             "no pass of this training is perturbed",
         ),
-        (
-            refused(
-                &alone(|config| config.perturb.second = SecondPass::Perturbed(DeltaSource::Permuted)),
-                vec![plain()],
-            ),
-            "permuted",
-        ),
+        (refused(&alone(|config| config.perturb.second = SecondPass::Permuted), vec![plain()]), "permuted"),
         (refused(&augmented, vec![plain(), plain()]), "there is a site of that name"),
         (refused(&augmented, vec![named("xyz")]), "there is a site of that name"),
         (refused(&augmented, vec![named("a,b")]), "lower-case letters"),

@@ -7,7 +7,7 @@ use augnerf::field::Field;
 use augnerf::perturb::{Deltas, Draw, Norm, PaperSite, PassGeometry, Passes, PixelScale, Sets, SiteSet};
 use augnerf::render::{clean_pass, perturbed_pass};
 use augnerf::runtime::Runtime;
-use augnerf::settings::{DeltaSource, Method, OutputPlace, PerturbConfig, PerturbField, SecondPass, Sizes};
+use augnerf::settings::{Method, OutputPlace, PerturbConfig, PerturbField, SecondPass, Sizes};
 use augnerf::train::Trainer;
 use candle_core::{DType, Device, Tensor, Var};
 use proptest::prelude::*;
@@ -278,8 +278,7 @@ fn the_search_leaves_weights_batches_and_jitter_untouched() {
 
 #[test]
 fn every_kind_and_place_trains() {
-    let perturbed = [DeltaSource::WorstCase, DeltaSource::Gaussian, DeltaSource::Uniform].map(SecondPass::Perturbed);
-    for second in perturbed.into_iter().chain([SecondPass::Clean]) {
+    for second in [SecondPass::WorstCase, SecondPass::Gaussian, SecondPass::Uniform, SecondPass::FreshJitter] {
         for output in [OutputPlace::After, OutputPlace::Before] {
             for resample in [augnerf::settings::Resample::Clean, augnerf::settings::Resample::Perturbed] {
                 let config = tiny_config(Method::AugNerf, |config| {
@@ -289,7 +288,7 @@ fn every_kind_and_place_trains() {
                 let mut trainer = trained(&config, 2);
                 let stats = trainer.step(true).unwrap();
                 assert!(stats.term("loss_perturbed").unwrap() > 0.0);
-                let expected = if second == SecondPass::Clean { 0 } else { 6 };
+                let expected = if second.perturbs() { 6 } else { 0 };
                 assert_eq!(stats.sites.len(), expected, "{second:?}");
             }
         }

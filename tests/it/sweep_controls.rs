@@ -5,7 +5,7 @@ use std::sync::atomic::Ordering;
 
 use augnerf::base::Error;
 use augnerf::perturb::{Epsilon, Geometry, PaperSite};
-use augnerf::settings::{Config, DeltaSource, Representation, SecondPass, Sizes};
+use augnerf::settings::{Config, Representation, SecondPass, Sizes};
 use augnerf::sweep::{Definition, Point, PublishedCosts, StepCosts, SweepFolder, begin, expand};
 use tempfile::TempDir;
 
@@ -70,7 +70,7 @@ fn every_shipped_sweep_with_an_augmented_row_has_its_controls() {
             // Levels and variants of the method by themselves have the whole method's controls.
             let whole = PaperSite::ALL.into_iter().all(|site| config.perturb[site].on());
             let is_whole = whole && !name.starts_with("variants");
-            if *second != SecondPass::Perturbed(DeltaSource::WorstCase) || !is_whole {
+            if *second != SecondPass::WorstCase || !is_whole {
                 continue;
             }
             augmented += 1;
@@ -80,7 +80,7 @@ fn every_shipped_sweep_with_an_augmented_row_has_its_controls() {
                     lacking.push((name.clone(), format!("{name}: no {what} '{row}'")));
                 }
             };
-            lack(of_kind(SecondPass::Clean).count() > 0, "second clean pass beside");
+            lack(of_kind(SecondPass::FreshJitter).count() > 0, "second clean pass beside");
             let same_sets = |other: &Config| {
                 (other.method, other.perturb.sizes, other.perturb.geometry)
                     == (config.method, config.perturb.sizes, config.perturb.geometry)
@@ -88,12 +88,12 @@ fn every_shipped_sweep_with_an_augmented_row_has_its_controls() {
             // The study and the comparison over scenes ask of the calibrated attack alone whether it is the worst case that helps.
             let asks_of_one = name.starts_with("study_") || name == "scenes";
             let unasked = asks_of_one && config.perturb.sizes == Sizes::Paper;
-            let uniform = of_kind(SecondPass::Perturbed(DeltaSource::Uniform)).filter(|pass| same_sets(pass.3)).count();
+            let uniform = of_kind(SecondPass::Uniform).filter(|pass| same_sets(pass.3)).count();
             lack(unasked || uniform > 0, "uniform draws in the sets of");
         }
         if name.starts_with("variants") {
             let kinds: Vec<SecondPass> = passes.iter().map(|pass| pass.1).collect();
-            assert!(kinds.contains(&SecondPass::Clean) && kinds.contains(&SecondPass::Perturbed(DeltaSource::Uniform)));
+            assert!(kinds.contains(&SecondPass::FreshJitter) && kinds.contains(&SecondPass::Uniform));
         }
         let corrupted = |point: &Point| point.config.data.corruption.is_on();
         assert!(
@@ -151,7 +151,7 @@ fn uniform_draws_are_named_by_their_sets() {
         }
         for point in expand(&definition, None, &Costs).unwrap() {
             let perturb = &point.config.perturb;
-            let uniform = perturb.second == SecondPass::Perturbed(DeltaSource::Uniform);
+            let uniform = perturb.second == SecondPass::Uniform;
             if !point.config.method.is_augmented() || !uniform {
                 continue;
             }
@@ -178,7 +178,7 @@ fn controls_of_the_study_have_the_sets_and_weight_of_its_attack() {
         let Some(uniform) = perturb("Uniform draws, calibrated") else { continue };
         let attack = perturb("Aug-NeRF calibrated").unwrap();
         let clean = perturb("NeRF + second clean pass").unwrap();
-        assert_eq!(uniform.second, SecondPass::Perturbed(DeltaSource::Uniform), "{name}");
+        assert_eq!(uniform.second, SecondPass::Uniform, "{name}");
         assert_eq!((uniform.sizes, uniform.geometry), (Sizes::Calibrated, attack.geometry), "{name}");
         assert_eq!((uniform.lambda, clean.lambda), (attack.lambda, attack.lambda), "{name}");
         assert_eq!(perturb("Aug-NeRF, paper's geometry").unwrap().geometry, Geometry::Paper, "{name}");

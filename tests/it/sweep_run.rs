@@ -11,7 +11,7 @@ use augnerf::base::{Error, Event, Listener, Result};
 use augnerf::perturb::{Epsilon, PaperSite};
 use augnerf::report::{PointResult, Status, TableSpec};
 use augnerf::runtime::Runtime;
-use augnerf::settings::{Config, DeltaSource, Regularizer, SecondPass, parse_assignment};
+use augnerf::settings::{Config, Regularizer, SecondPass, parse_assignment};
 use augnerf::sweep::{
     Change, Claim, Definition, Failure, Options, Overrides, Point, PointFolder, Progress, Runner, Sharing, StepCosts,
     SweepFolder, Unmeasured, Work, begin, evaluations_per_step, expand,
@@ -634,9 +634,9 @@ fn passes_that_only_place_samples_cost_a_forward_pass() {
     assert_eq!(evaluations(&with_slopes), evaluations(nerf) + f64::from(4 * 32));
     assert_eq!(augmented.train.steps, nerf.train.steps / 3);
     let mut second = augmented.clone();
-    second.perturb.second = SecondPass::Clean;
+    second.perturb.second = SecondPass::FreshJitter;
     assert_eq!(evaluations(&second), 2.0 * evaluations(nerf));
-    second.perturb.second = SecondPass::Perturbed(DeltaSource::Uniform);
+    second.perturb.second = SecondPass::Uniform;
     assert_eq!(evaluations(&second), evaluations(nerf) + f64::from(3 * 32));
 }
 

@@ -2,8 +2,7 @@
 
 use augnerf_base::{Error, Result};
 use augnerf_nerf::settings::{
-    ChangedEntries, Config, DeltaSource, Encoding, FieldConfig, Precision, Regularizer, Resolved, SecondPass,
-    WeightSchedule,
+    ChangedEntries, Config, Encoding, FieldConfig, Precision, Regularizer, Resolved, SecondPass, WeightSchedule,
 };
 
 use crate::device::Gpu;
@@ -29,12 +28,11 @@ pub fn check(config: &Resolved) -> Result<()> {
         }
     }
     let (train, perturb, regularizer) = (&config.train, &config.perturb, &config.regularizer);
-    let is_second = |source: DeltaSource| perturb.second == SecondPass::Perturbed(source);
     let unsupported = [
         (!regularizer.unseen_groups().is_empty(), "with terms on unseen rays (regularizer.rays)"),
         (!regularizer.schedule.is_empty(), "with scheduled weights (regularizer.schedule)"),
-        (is_second(DeltaSource::BestCase), "with perturb.kind = \"best-case\""),
-        (is_second(DeltaSource::Permuted), "with perturb.kind = \"permuted\""),
+        (perturb.second == SecondPass::BestCase, "with perturb.kind = \"best-case\""),
+        (perturb.second == SecondPass::Permuted, "with perturb.kind = \"permuted\""),
         (perturb.entries == ChangedEntries::Clean, "with perturb.entries = \"clean\""),
         (train.gradient_scaling, "with scaled gradients (train.gradient_scaling)"),
         (

@@ -74,11 +74,9 @@ fn evaluations(config: &Config, placing: usize, trained: usize) -> f64 {
     let clean = points(placing) + 3.0 * points(trained);
     let second = match (config.method.is_augmented(), config.perturb.second) {
         (false, _) => 0.0,
-        (true, SecondPass::Clean) => clean,
-        (true, SecondPass::Perturbed(source)) if source.searches() => {
-            (3.0 + 2.0 * f64::from(search_steps(&config.perturb))) * points(trained)
-        }
-        (true, SecondPass::Perturbed(_)) => 3.0 * points(trained),
+        (true, SecondPass::FreshJitter) => clean,
+        (true, second) if second.searches() => (3.0 + 2.0 * f64::from(search_steps(&config.perturb))) * points(trained),
+        (true, _) => 3.0 * points(trained),
     };
     // A sharpness-aware step computes everything twice.
     let times = if config.train.sam_radius > 0.0 { 2.0 } else { 1.0 };

@@ -3,7 +3,7 @@
 use augnerf_base::rng::Stream;
 use augnerf_nerf::methods::{DeltaPlan, PassPlan, SampleSource};
 use augnerf_nerf::perturb::{Draw, PaperSite};
-use augnerf_nerf::settings::{DeltaSource, OutputPlace, Regularizer, Resolved};
+use augnerf_nerf::settings::{OutputPlace, Regularizer, Resolved, SecondPass};
 use wgpu::Buffer;
 
 use crate::device::groups;
@@ -229,13 +229,13 @@ impl<'a> ChunkRecorder<'a> {
         let sets = steps.sets[index].as_ref().expect("a perturbed pass has sets");
         let buffers = steps.buffers.sets[index].as_ref().expect("a perturbed pass has deltas");
         let before = perturb.output == OutputPlace::Before;
-        let draw = if source == DeltaSource::Gaussian { Draw::Gaussian } else { Draw::Uniform };
+        let draw = if source == SecondPass::Gaussian { Draw::Gaussian } else { Draw::Uniform };
         let at = self.draw_at(index, &pass, draw, Stream::Search, false);
         recorder.draw(&at);
         let deltas = buffers.of_pass(sets, Deltas::Searched, perturb.injection_layer, before);
         let pass = PassAt { deltas, ..pass };
         let loss = PassLoss { weight: self.weight(weight * plan.weight), ..PassLoss::default() };
-        if source == DeltaSource::WorstCase {
+        if source == SecondPass::WorstCase {
             // A loss without a weight: lambda may be 0.
             let searched = PassLoss { weight: self.weight(1.0), ..PassLoss::default() };
             for step in 0..sets.steps() {

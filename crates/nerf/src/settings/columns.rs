@@ -37,7 +37,7 @@ pub fn applies(column: &Column, config: &Config) -> bool {
 
 /// Returns whether there are deltas.
 pub fn perturbed(config: &Config) -> bool {
-    config.method.is_augmented() && config.perturb.source().is_some()
+    config.method.is_augmented() && config.perturb.second.perturbs()
 }
 
 /// Returns whether the loss has a term next to the colour loss.

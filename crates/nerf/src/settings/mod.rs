@@ -46,8 +46,8 @@ pub use crate::losses::{
     LatticePoints, REGULARIZERS, RegularizedFields, Regularizer, RegularizerConfig, TermNeeds, TermRays, WeightSchedule,
 };
 pub use crate::perturb::settings::{
-    ChangedEntries, DeltaSource, Objective, OutputPlace, PerturbConfig, PerturbField, Resample, ResolvedPerturb,
-    SecondPass, SiteConfig, Sizes,
+    ChangedEntries, Objective, OutputPlace, PerturbConfig, PerturbField, Resample, ResolvedPerturb, SecondPass,
+    SiteConfig, Sizes,
 };
 pub use crate::render::settings::{SamplingConfig, Spacing};
 

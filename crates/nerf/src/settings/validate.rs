@@ -1,8 +1,8 @@
 //! Checks of sections against one another. Each section checks its own settings.
 
 use super::{
-    Capability, ChangedEntries, Config, Core, CorruptionKind, DataKind, DeltaSource, Encoding, MESH_SIDES, Objective,
-    PerturbField, Regularizer, Representation, Resample, SecondPass, Spacing, TermNeeds, UnseenPoses, word,
+    Capability, ChangedEntries, Config, Core, CorruptionKind, DataKind, Encoding, MESH_SIDES, Objective, PerturbField,
+    Regularizer, Representation, Resample, SecondPass, Spacing, TermNeeds, UnseenPoses, word,
 };
 use crate::base::settings::{refuse, require};
 use crate::base::{Error, Result};
@@ -156,7 +156,7 @@ impl Config {
         let lambda = perturb.lambda.max(perturb.lambda_schedule.at(perturb.lambda, 0));
         let allowed = "0 or positive, and at most 1 with perturb.objective = \"released\"";
         require(perturb.objective == Objective::Paper || lambda <= 1.0, "perturb.lambda", lambda, allowed)?;
-        let fresh = perturb.second == SecondPass::Clean;
+        let fresh = !perturb.second.perturbs();
         refuse(
             fresh && perturb.field == PerturbField::Separate,
             "perturb.kind = \"fresh-jitter\" is a second pass of the same fields; perturb.field must be \"shared\"",
@@ -166,7 +166,7 @@ impl Config {
         }
         let on_grid = self.field.encoding == Encoding::Hash;
         let separable = on_grid && self.field.core == Core::Fused && perturb.field == PerturbField::Shared;
-        let permutes = perturb.second == SecondPass::Perturbed(DeltaSource::Permuted);
+        let permutes = perturb.second == SecondPass::Permuted;
         let still = !self.sampling.jitter && self.sampling.density_noise == Some(0.0);
         refuse_first([
             (

@@ -14,7 +14,7 @@ use crate::losses::{LossTerm, WeightedTerm};
 use crate::methods::batches::Batches;
 use crate::methods::diagnostics::columns as site_columns;
 use crate::methods::learner::{Learner, LogColumns, StepResult, StopCheck};
-use crate::perturb::settings::{ChangedEntries, DeltaSource};
+use crate::perturb::settings::{ChangedEntries, SecondPass};
 use crate::perturb::{PaperSite, Site};
 use crate::render::{ray_parts, render_rays};
 use crate::settings::Resolved;
@@ -146,12 +146,12 @@ impl Learner for FieldLearner {
         let (name, at) = (site.name(), site.at());
         let refuse = |why: &str| Err(Error::Config(format!("the site '{name}' cannot be added: {why}")));
         let perturb = &self.config.perturb;
-        if !self.config.method.is_augmented() || perturb.source().is_none() {
+        if !self.config.method.is_augmented() || !perturb.second.perturbs() {
             return refuse(
                 "no pass of this training is perturbed; use --method aug-nerf and a perturb.kind with deltas",
             );
         }
-        if perturb.source() == Some(DeltaSource::Permuted) {
+        if perturb.second == SecondPass::Permuted {
             return refuse(
                 "perturb.kind = \"permuted\" gives rays each other's deltas, and an own delta need not have rays",
             );

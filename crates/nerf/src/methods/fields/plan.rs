@@ -3,7 +3,7 @@
 use std::sync::Arc;
 
 use crate::losses::{RegularizedFields, WeightSchedule};
-use crate::perturb::settings::{DeltaSource, Objective, PerturbField, Resample, SecondPass};
+use crate::perturb::settings::{Objective, PerturbField, Resample, SecondPass};
 use crate::perturb::{PaperSite, Site};
 use crate::settings::Resolved;
 
@@ -66,8 +66,8 @@ pub enum CountedTerms {
 /// The deltas of a perturbed pass.
 #[derive(Clone)]
 pub struct DeltaPlan {
-    /// Where they come from.
-    pub source: DeltaSource,
+    /// Where they come from: not [`SecondPass::FreshJitter`], which has none.
+    pub source: SecondPass,
     /// The sites with a delta, each with its PGD steps and its set.
     pub sites: Vec<Arc<dyn Site>>,
 }
@@ -89,10 +89,8 @@ impl Plan {
         let clean = Plan::clean(config, config.regularizer.fields);
         let second = match (config.method.is_augmented(), config.perturb.second) {
             (false, _) => Vec::new(),
-            (true, SecondPass::Clean) => clean.iter().cloned().map(alone).collect(),
-            (true, SecondPass::Perturbed(source)) => {
-                clean.iter().cloned().map(|pass| perturbed(config, source, alone(pass))).collect()
-            }
+            (true, SecondPass::FreshJitter) => clean.iter().cloned().map(alone).collect(),
+            (true, source) => clean.iter().cloned().map(|pass| perturbed(config, source, alone(pass))).collect(),
         };
         let lambda = (config.perturb.lambda, config.perturb.lambda_schedule);
         Plan { clean, second, objective: config.perturb.objective, lambda }
@@ -178,7 +176,7 @@ fn alone(pass: PassPlan) -> PassPlan {
 }
 
 /// Returns the same pass with deltas. It has the samples of the clean one, unless its coarse pass places them.
-fn perturbed(config: &Resolved, source: DeltaSource, pass: PassPlan) -> PassPlan {
+fn perturbed(config: &Resolved, source: SecondPass, pass: PassPlan) -> PassPlan {
     let resamples = config.perturb.resample == Resample::Perturbed && pass.samples == SampleSource::Resampled;
     PassPlan {
         field: match config.perturb.field {

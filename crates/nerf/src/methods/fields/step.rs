@@ -26,7 +26,7 @@ use crate::losses::{LossTerm, TermSource, WeightedTerm};
 use crate::methods::Extremes;
 use crate::methods::gradients::Gradients;
 use crate::methods::learner::{StepResult, StopCheck};
-use crate::perturb::settings::DeltaSource;
+use crate::perturb::settings::SecondPass;
 use crate::perturb::{Deltas, Draw, Sets};
 use crate::render::{
     self, Pass, Perturbation, PerturbedOutput, clean_pass, noiseless_acc, perturbed_pass, photometric_loss, place,
@@ -322,11 +322,12 @@ impl Perturbed<'_> {
     /// Returns random or worst-case deltas, detached.
     fn deltas(&self) -> Result<Deltas> {
         match self.delta_plan.source {
-            DeltaSource::Gaussian => self.draw(Draw::Gaussian, Stream::Search),
-            DeltaSource::Uniform => self.draw(Draw::Uniform, Stream::Search),
-            DeltaSource::WorstCase => self.search(1.0),
-            DeltaSource::BestCase => self.search(-1.0),
-            DeltaSource::Permuted => {
+            SecondPass::FreshJitter => unreachable!("the plan of a clean pass has no deltas"),
+            SecondPass::Gaussian => self.draw(Draw::Gaussian, Stream::Search),
+            SecondPass::Uniform => self.draw(Draw::Uniform, Stream::Search),
+            SecondPass::WorstCase => self.search(1.0),
+            SecondPass::BestCase => self.search(-1.0),
+            SecondPass::Permuted => {
                 let seed = self.learner.config.seed;
                 let mut random = Random::part(seed, Stream::Permutation, self.draws.step, self.number());
                 self.sets.permuted(&self.search(1.0)?, self.pass.rays.len(), &mut random)

@@ -21,7 +21,7 @@ use crate::schedule::{SCHEDULES, WeightSchedule};
 mod second_pass;
 mod site;
 
-pub use second_pass::{DeltaSource, SecondPass};
+pub use second_pass::SecondPass;
 use site::switched_off;
 pub use site::{SiteConfig, Sizes};
 pub(crate) use site::{check_levels, forget_passes};
@@ -89,7 +89,7 @@ section! {
         /// `best-case` (PGD down the loss), `permuted` (the worst case of other rays), or `fresh-jitter` (a second clean
         /// pass, the control of equal loss weight).
         #[serde(rename = "kind")]
-        pub second: SecondPass = SecondPass::Perturbed(DeltaSource::WorstCase),
+        pub second: SecondPass = SecondPass::WorstCase,
             numbers().key("kind").column("perturb_kind");
         /// Source of the sites' empty numbers: `paper` or `calibrated`.
         #[serde(rename = "attack")]
@@ -191,14 +191,6 @@ impl PerturbConfig {
         self.sites().filter(|(_, site)| site.on())
     }
 
-    /// Returns the source of the deltas, or `None` if the second pass is a clean one.
-    pub fn source(&self) -> Option<DeltaSource> {
-        match self.second {
-            SecondPass::Perturbed(source) => Some(source),
-            SecondPass::Clean => None,
-        }
-    }
-
     /// Returns whether no number is empty, as in a run's file.
     pub(crate) fn is_filled_in(&self) -> bool {
         let is_filled = |site: &SiteConfig| {
@@ -284,8 +276,8 @@ impl PerturbConfig {
         ];
         let of_deltas = [&of_deltas[..], &PaperSite::ALL.map(PaperSite::name)].concat();
         let why = format!("perturb.kind is \"{kind}\", a second pass without deltas");
-        idle.add(Noted, "perturb.", &of_deltas, self.second == SecondPass::Clean, why);
-        let is_searched = self.source().is_some_and(|source| source.searches());
+        idle.add(Noted, "perturb.", &of_deltas, !self.second.perturbs(), why);
+        let is_searched = self.second.searches();
         let no_search = format!("perturb.kind is \"{kind}\", which searches nothing");
         idle.add(Noted, "perturb.", &["step_unit"], !is_searched, &*no_search);
         for (site, config) in self.sites() {

@@ -2,20 +2,10 @@
 
 use serde::{Deserialize, Serialize};
 
-/// The second pass of a step.
+/// The second pass of a step: the clean pass with deltas at the sites, by their source, or another clean pass.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(from = "Kind", into = "Kind")]
+#[serde(rename_all = "kebab-case")]
 pub enum SecondPass {
-    /// The clean pass with deltas at the sites.
-    Perturbed(DeltaSource),
-    /// Another clean pass with new jitter, noise and samples: the control of equal loss weight. Nothing is searched. It
-    /// costs two of NeRF's steps, where the worst case with the paper's three PGD steps costs four.
-    Clean,
-}
-
-/// The source of the deltas of a perturbed pass.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum DeltaSource {
     /// PGD on the perturbed loss.
     WorstCase,
     /// Normal samples of standard deviation epsilon/sqrt(3), projected onto the same constraint sets.
@@ -26,49 +16,19 @@ pub enum DeltaSource {
     BestCase,
     /// The worst case of the rays, each given to another ray: deltas of the same sizes that answer nothing.
     Permuted,
-}
-
-impl DeltaSource {
-    /// Returns whether PGD searches the deltas.
-    pub fn searches(self) -> bool {
-        matches!(self, DeltaSource::WorstCase | DeltaSource::BestCase | DeltaSource::Permuted)
-    }
-}
-
-/// The names of `perturb.kind`.
-#[derive(Clone, Copy, Serialize, Deserialize)]
-#[serde(rename_all = "kebab-case")]
-enum Kind {
-    WorstCase,
-    Gaussian,
-    Uniform,
-    BestCase,
-    Permuted,
+    /// Another clean pass with new jitter, noise and samples: the control of equal loss weight. Nothing is searched. It
+    /// costs two of NeRF's steps, where the worst case with the paper's three PGD steps costs four.
     FreshJitter,
 }
 
-impl From<Kind> for SecondPass {
-    fn from(kind: Kind) -> SecondPass {
-        match kind {
-            Kind::WorstCase => SecondPass::Perturbed(DeltaSource::WorstCase),
-            Kind::Gaussian => SecondPass::Perturbed(DeltaSource::Gaussian),
-            Kind::Uniform => SecondPass::Perturbed(DeltaSource::Uniform),
-            Kind::BestCase => SecondPass::Perturbed(DeltaSource::BestCase),
-            Kind::Permuted => SecondPass::Perturbed(DeltaSource::Permuted),
-            Kind::FreshJitter => SecondPass::Clean,
-        }
+impl SecondPass {
+    /// Returns whether the pass has deltas.
+    pub fn perturbs(self) -> bool {
+        self != SecondPass::FreshJitter
     }
-}
 
-impl From<SecondPass> for Kind {
-    fn from(second: SecondPass) -> Kind {
-        match second {
-            SecondPass::Perturbed(DeltaSource::WorstCase) => Kind::WorstCase,
-            SecondPass::Perturbed(DeltaSource::Gaussian) => Kind::Gaussian,
-            SecondPass::Perturbed(DeltaSource::Uniform) => Kind::Uniform,
-            SecondPass::Perturbed(DeltaSource::BestCase) => Kind::BestCase,
-            SecondPass::Perturbed(DeltaSource::Permuted) => Kind::Permuted,
-            SecondPass::Clean => Kind::FreshJitter,
-        }
+    /// Returns whether PGD searches the deltas.
+    pub fn searches(self) -> bool {
+        matches!(self, SecondPass::WorstCase | SecondPass::BestCase | SecondPass::Permuted)
     }
 }
