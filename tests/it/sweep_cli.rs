@@ -119,6 +119,9 @@ fn a_scene_that_is_missing_and_a_definition_that_changed_are_said() {
     let note = r#"{ "host": "a", "pid": 1, "step": 2, "steps": 5, "seconds": 1.0, "first": 0 }"#;
     std::fs::write(own.join("claim.json"), note).unwrap();
     place.says("sweep status runs/tiny", 8, &["2 no data"]);
+    std::fs::write(own.join("failed.json"), r#"{ "reason": "a device was lost", "exit_code": 1 }"#).unwrap();
+    let words = ["1 x no data", "3 x already done or failed"];
+    place.says("sweep plan tiny.toml --set train.steps=5 --seeds 0 --scenes builtin,orchids", 8, &words);
     let zero = "--set sampling.spacing=disparity --set data.near=0 --name zero";
     assert_says(&quick(zero, 2), &["rays that start beyond 0", "set data.near"]);
     // Without any scene there is no table.
