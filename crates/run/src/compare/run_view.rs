@@ -160,6 +160,11 @@ impl RunView {
 
 /// Returns the index of the view with that name, or else with that number.
 fn find_view(label: &str, names: &[&str], view: &str) -> Result<usize> {
+    if names.is_empty() {
+        return Err(Error::Config(format!(
+            "{label}: its scene has no held-out view, and runs are shown at one; name runs of a scene that has"
+        )));
+    }
     let named = names.iter().position(|known| *known == view);
     let numbered = || view.parse().ok().filter(|&index: &usize| index < names.len());
     named.or_else(numbered).ok_or_else(|| {
@@ -229,5 +234,20 @@ fn flatten(prefix: String, table: &toml::Table, into: &mut Vec<(String, String)>
             toml::Value::String(text) => into.push((format!("{prefix}{name}"), text.clone())),
             other => into.push((format!("{prefix}{name}"), other.to_string())),
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_view_has_a_name_or_a_number_if_the_scene_holds_any_out() {
+        let names = ["7", "a"];
+        let found = ["7", "a", "0"].map(|view| find_view("run", &names, view).unwrap());
+        assert_eq!(found, [0, 1, 0]);
+        let refused = |names: &[&str], view| find_view("run", names, view).unwrap_err().to_string();
+        assert!(refused(&names, "2").contains("give 0 to 1, or one of 7, a"));
+        assert!(refused(&[], "0").contains("no held-out view"));
     }
 }
