@@ -272,13 +272,15 @@ fn summarize(Finished { report, model, seconds, heavy_terms, .. }: &Finished, fo
     for picture in first.iter().filter(|picture| picture.is_file()) {
         console.say(&format!("image: {}", picture.display()));
     }
-    console.say(&next_commands(folder, model.has_density()));
+    // What learned nothing has no surface.
+    let surface = model.has_density() && report.check_learned(folder).is_ok();
+    console.say(&next_commands(folder, surface));
 }
 
-/// Names the commands that show a finished run: a mesh only of a method with `density`.
-fn next_commands(folder: &Path, density: bool) -> String {
+/// Names the commands that show a finished run: a mesh only of a run with a `surface`.
+fn next_commands(folder: &Path, surface: bool) -> String {
     let folder = folder.display();
-    let mesh = density.then(|| format!("augnerf mesh {folder} --picture mesh.png"));
+    let mesh = surface.then(|| format!("augnerf mesh {folder} --picture mesh.png"));
     let always = |command: &str| Some(format!("augnerf {command} {folder}"));
     let commands = [always("view"), always("render"), mesh, always("report")];
     format!("next: {}", commands.into_iter().flatten().collect::<Vec<_>>().join("\n      "))
@@ -296,8 +298,8 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_run_without_density_is_not_sent_to_mesh() {
-        let next = |density| next_commands(Path::new("runs/a"), density);
+    fn a_run_without_surface_is_not_sent_to_mesh() {
+        let next = |surface| next_commands(Path::new("runs/a"), surface);
         assert_eq!(next(false), "next: augnerf view runs/a\n      augnerf render runs/a\n      augnerf report runs/a");
         assert!(next(true).contains("\n      augnerf mesh runs/a --picture mesh.png\n"));
     }
