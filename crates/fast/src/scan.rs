@@ -3,44 +3,14 @@
 use augnerf_base::tensors::slice;
 use candle_core::{CpuStorage, CustomOp3, DType, Layout, Result, Shape, Tensor};
 
-/// From colours `[rays, samples, 3]`, densities `[rays, samples]` and positions to one flat tensor. Positions are
-/// points `[rays, samples]`, or edges of intervals `[rays, samples + 1]`. The tensor holds colour `[3 rays]`, depth
-/// `[rays]`, acc `[rays]` and weights `[rays * samples]`.
-pub struct Scan {
+/// The operation of [`composite`].
+struct Scan {
     /// Lengths of the rays' directions.
-    pub direction_norm: Vec<f64>,
+    direction_norm: Vec<f64>,
     /// Length of the last interval of samples at points, in units of `t_vals`.
-    pub last_interval: f64,
+    last_interval: f64,
     /// Colour behind the samples.
-    pub background: Option<[f32; 3]>,
-}
-
-/// Inputs and results of a forward pass.
-pub struct Passed<'a> {
-    /// `[rays, samples, 3]`.
-    pub rgb: &'a [f32],
-    /// `[rays, samples]`.
-    pub density: &'a [f32],
-    /// `[rays, samples]`, or edges `[rays, samples + 1]`.
-    pub t_vals: &'a [f32],
-    /// `[rays, samples]`.
-    pub weights: &'a [f32],
-    /// Transmittance behind each sample.
-    pub behind: &'a [f32],
-}
-
-/// Gradients of rendered rays. A missing one counts as 0.
-pub struct Gradients<'a> {
-    /// `[rays, 3]`.
-    pub colours: &'a [f32],
-    /// `[rays]`.
-    pub depths: Option<&'a [f32]>,
-    /// `[rays]`.
-    pub accs: Option<&'a [f32]>,
-    /// `[rays, samples]`.
-    pub weights: Option<&'a [f32]>,
-    /// Whether positions need a gradient. It stays 0 otherwise.
-    pub wants_t_vals: bool,
+    background: Option<[f32; 3]>,
 }
 
 /// One ray's samples.
@@ -96,7 +66,9 @@ impl Ray<'_> {
     }
 }
 
-/// Composites f32 colours, densities and positions on the CPU in candle's graph, to what a [`Scan`] returns.
+/// Composites f32 colours `[rays, samples, 3]`, densities `[rays, samples]` and positions on the CPU in candle's graph
+/// to one flat tensor. Positions are points `[rays, samples]`, or edges of intervals `[rays, samples + 1]`. The tensor
+/// holds colour `[3 rays]`, depth `[rays]`, acc `[rays]` and weights `[rays * samples]`.
 ///
 /// # Errors
 /// Those of candle.
@@ -129,7 +101,7 @@ impl Scan {
     }
 
     /// Returns the flat output, and the transmittance behind each sample.
-    pub fn forward(&self, rgb: &[f32], density: &[f32], t_vals: &[f32]) -> (Vec<f32>, Vec<f32>) {
+    fn forward(&self, rgb: &[f32], density: &[f32], t_vals: &[f32]) -> (Vec<f32>, Vec<f32>) {
         let rays = self.direction_norm.len();
         let samples = density.len().checked_div(rays).unwrap_or(0);
         let mut out = vec![0.0; rays * (5 + samples)];
@@ -159,22 +131,26 @@ impl Scan {
         (out, all_behind)
     }
 
-    /// Returns the gradients of colours, densities and positions. With G_k the gradient of weight k, that of the
-    /// optical depth o_k = density_k * interval_k is G_k T_k exp(-o_k) - sum over l > k of G_l w_l. The last interval's
-    /// o is in no other weight.
-    pub fn backward(&self, passed: Passed, gradients: Gradients) -> [Vec<f32>; 3] {
-        let Passed { rgb, density, t_vals, weights, behind } = passed;
+    /// Returns the gradients of colours, densities and, if `wants_t_vals`, positions (zeros otherwise), from the
+    /// `gradient` of the flat output. With G_k the gradient of weight k, that of the optical depth
+    /// o_k = density_k * interval_k is G_k T_k exp(-o_k) - sum over l > k of G_l w_l. The last interval's o is in no
+    /// other weight.
+    fn backward(&self, [rgb, density, t_vals]: [&[f32]; 3], gradient: &[f32], wants_t_vals: bool) -> [Vec<f32>; 3] {
         let rays = self.direction_norm.len();
         let samples = density.len().checked_div(rays).unwrap_or(0);
+        let (out, behind) = self.forward(rgb, density, t_vals);
+        let weights = &out[5 * rays..];
+        let (g_colours, rest) = gradient.split_at(3 * rays);
+        let (g_depths, rest) = rest.split_at(rays);
+        let (g_accs, g_weights) = rest.split_at(rays);
         let zeros = |n: usize| vec![0.0; n];
         let mut out = [zeros(rgb.len()), zeros(density.len()), zeros(t_vals.len())];
         let [d_rgb, d_density, d_t] = &mut out;
-        let entry = |gradient: Option<&[f32]>, at: usize| gradient.map_or(0.0, |gradient| f64::from(gradient[at]));
         for i in 0..rays {
             let ray = self.ray(i, samples, rgb, density, t_vals);
-            let g_colour: [f64; 3] = std::array::from_fn(|c| f64::from(gradients.colours[3 * i + c]));
-            let (g_depth, fill) = (entry(gradients.depths, i), self.fill());
-            let g_acc = entry(gradients.accs, i) - (0..3).map(|c| g_colour[c] * fill[c]).sum::<f64>();
+            let g_colour: [f64; 3] = std::array::from_fn(|c| f64::from(g_colours[3 * i + c]));
+            let (g_depth, fill) = (f64::from(g_depths[i]), self.fill());
+            let g_acc = f64::from(g_accs[i]) - (0..3).map(|c| g_colour[c] * fill[c]).sum::<f64>();
             let row = i * samples;
             // Contribution of the samples behind; 0 behind the last.
             let mut later = 0.0;
@@ -182,14 +158,14 @@ impl Scan {
                 let colour = &ray.rgb[3 * k..3 * k + 3];
                 let weight = f64::from(weights[row + k]);
                 let of_colour: f64 = (0..3).map(|c| g_colour[c] * f64::from(colour[c])).sum();
-                let g_weight = of_colour + g_depth * ray.position(k) + g_acc + entry(gradients.weights, row + k);
+                let g_weight = of_colour + g_depth * ray.position(k) + g_acc + f64::from(g_weights[row + k]);
                 for c in 0..3 {
                     d_rgb[3 * (row + k) + c] = (weight * g_colour[c]) as f32;
                 }
                 let d_optical = g_weight * f64::from(behind[row + k]) - later;
                 d_density[row + k] = (d_optical * f64::from(ray.interval(k))) as f32;
                 later += g_weight * weight;
-                if !gradients.wants_t_vals {
+                if !wants_t_vals {
                     continue;
                 }
                 let d_length = d_optical * f64::from(ray.density[k]) * ray.norm;
@@ -243,23 +219,8 @@ impl CustomOp3 for Scan {
         gradient: &Tensor,
     ) -> Result<(Option<Tensor>, Option<Tensor>, Option<Tensor>)> {
         let values = |tensor: &Tensor| tensor.flatten_all()?.to_vec1::<f32>();
-        let (of_rgb, of_density, of_t) = (values(rgb)?, values(density)?, values(t_vals)?);
-        let rays = self.direction_norm.len();
-        let (out, behind) = self.forward(&of_rgb, &of_density, &of_t);
-        let gradient = values(gradient)?;
-        let (colours, rest) = gradient.split_at(3 * rays);
-        let (depths, rest) = rest.split_at(rays);
-        let (accs, weights) = rest.split_at(rays);
-        let passed =
-            Passed { rgb: &of_rgb, density: &of_density, t_vals: &of_t, weights: &out[5 * rays..], behind: &behind };
-        let gradients = Gradients {
-            colours,
-            depths: Some(depths),
-            accs: Some(accs),
-            weights: Some(weights),
-            wants_t_vals: t_vals.track_op(),
-        };
-        let [d_rgb, d_density, d_t] = self.backward(passed, gradients);
+        let passed = [&values(rgb)?[..], &values(density)?, &values(t_vals)?];
+        let [d_rgb, d_density, d_t] = self.backward(passed, &values(gradient)?, t_vals.track_op());
         let tensor = |values: Vec<f32>, like: &Tensor| {
             like.track_op().then(|| Tensor::from_vec(values, like.shape(), like.device())).transpose()
         };

@@ -322,7 +322,7 @@ impl Perturbed<'_> {
     /// Returns random or worst-case deltas, detached.
     fn deltas(&self) -> Result<Deltas> {
         match self.delta_plan.source {
-            SecondPass::FreshJitter => unreachable!("the plan of a clean pass has no deltas"),
+            SecondPass::FreshJitter => Ok(Deltas::default()),
             SecondPass::Gaussian => self.draw(Draw::Gaussian, Stream::Search),
             SecondPass::Uniform => self.draw(Draw::Uniform, Stream::Search),
             SecondPass::WorstCase => self.search(1.0),
