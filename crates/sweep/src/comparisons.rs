@@ -120,7 +120,7 @@ impl ComparisonRequest {
         for ((source, view), records) in sources.iter().zip(&views).zip(records) {
             let chosen: Vec<Record> = records.into_iter().filter(|record| self.is_chosen(record)).collect();
             if !chosen.is_empty() {
-                tables.push(of_sweep(source, table_of(&view, &chosen))?);
+                tables.push(of_sweep(source, table_of(view, &chosen))?);
             }
         }
         let found = Comparisons::over_scenes(baseline, &tables);

@@ -2,7 +2,7 @@
 
 use std::collections::HashMap;
 
-use candle_core::{DType, Device, Tensor, Var};
+use candle_core::{DType, Device, Tensor};
 
 use crate::data::{Camera, Rays};
 use crate::grids::reference::{error, fixture, values, with_gradients};
@@ -125,37 +125,6 @@ fn rays_of_its_cameras_are_ours() {
             assert!((direction[axis] - d[3 * ray + axis]).abs() < 1e-12);
         }
     }
-}
-
-/// The fixture's SRN with other numbers in the step's head.
-fn with_head(weight: f64, bias: f64) -> Srn {
-    let value = |(name, var): &(String, Var)| match name.as_str() {
-        "head.weight" => (var.as_tensor() * weight).unwrap(),
-        "head.bias" => var.affine(0.0, bias).unwrap(),
-        _ => var.as_tensor().clone(),
-    };
-    let values = original().parameters.variables.iter().map(value).collect();
-    Srn::from_parameters(&config(), values).unwrap()
-}
-
-#[test]
-fn a_head_that_says_how_far_leads_there() {
-    let rays = rays();
-    for length in [0.0, 0.4] {
-        let march = march(&with_head(0.0, length));
-        let z = (get("z0") + (rays.direction_norm.recip().unwrap() * (10.0 * length)).unwrap()).unwrap();
-        assert_near("z", &march.z, &z, 1e-14);
-    }
-}
-
-/// Rays that stand still show what is where they start, however many steps they take.
-#[test]
-fn a_head_of_zeros_leaves_the_colour() {
-    let srn = with_head(0.0, 0.0);
-    let values = srn.parameters.variables.iter().map(|(_, var)| var.as_tensor().clone()).collect();
-    let once = Srn::from_parameters(&SrnConfig { steps: 1, ..config() }, values).unwrap();
-    let (found, expected) = (march(&srn), march(&once));
-    assert_near("colour", &found.colour, &expected.colour, 1e-14);
 }
 
 /// Positions times `scale` are what the network sees: a scene half as large at twice the scale is the same.

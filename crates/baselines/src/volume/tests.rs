@@ -192,35 +192,6 @@ fn first_values_are_xaviers_in_blocks() {
     rows.iter().for_each(|row| row.iter().zip(&rows[0]).for_each(|(a, b)| assert!((a - b).abs() < 1e-12)));
 }
 
-/// Sets the parameters whose names start so.
-fn set(volume: &NeuralVolume, start: &str, of: impl Fn(usize) -> f64) {
-    for (name, var) in volume.parameters.variables.iter().filter(|(name, _)| name.starts_with(start)) {
-        let numbers: Vec<f64> =
-            (0..var.elem_count()).map(|i| if name.ends_with("bias") { of(i) } else { 0.0 }).collect();
-        var.set(&Tensor::from_vec(numbers, var.shape(), &Device::Cpu).unwrap()).unwrap();
-    }
-}
-
-/// Scale 1, no turn and no shift leave all points where they are; a quarter turn about z brings x to y.
-#[test]
-fn known_maps_move_points_as_they_should() {
-    let volume = NeuralVolume::init(&small(&["nv.warp_resolution=3"]), DType::F64, &Device::Cpu).unwrap();
-    let warp = || volume.decode(&volume.code().0, true).unwrap().warp.unwrap();
-    let at = |i: usize| i as f64 - 1.0;
-    let identity: Vec<f64> = (0..27).flat_map(|i| [at(i % 3), at(i / 3 % 3), at(i / 9)]).collect();
-    set(&volume, "volume.warp.scale.1", |_| 1.0);
-    set(&volume, "volume.warp.quaternion.1", |i| if i % 4 == 3 { 1e3 } else { 0.0 });
-    set(&volume, "volume.warp.translation.1", |_| 0.0);
-    for (found, expected) in values(&warp()).iter().zip(&identity) {
-        assert!((found - expected).abs() < 1e-6, "{found} {expected}");
-    }
-    set(&volume, "volume.warp.quaternion.1", |i| if i % 4 >= 2 { 1e3 } else { 0.0 });
-    for (found, from) in values(&warp()).chunks(3).zip(identity.chunks(3)) {
-        let expected = [-from[1], from[0], from[2]];
-        assert!(found.iter().zip(expected).all(|(a, b)| (a - b).abs() < 1e-6), "{found:?} {expected:?}");
-    }
-}
-
 /// Density is the template's opacity through the warp over half the cube's side, and nothing outside the cube; its gradient is
 /// that of differences.
 #[test]

@@ -1,17 +1,15 @@
-//! Closed forms: a textured wall, blends of equals, a camera's own planes.
+//! Closed forms: a textured wall from its own camera and between cameras, backgrounds, sides.
 
 use candle_core::{DType, Device, Tensor};
 
 use crate::base::Image;
 use crate::data::{RayBuffer, RayParts};
-use crate::grids::alpha_over::alpha_over;
-use crate::grids::planes::plane_sample;
 use crate::grids::reference::values;
 use crate::methods::{RenderedRays, Renderer};
+use crate::planes::PlanesRenderer;
 use crate::planes::geometry::{Viewpoint, depths, nearest};
 use crate::planes::mpi::Mpi;
-use crate::planes::sweep::{Window, padded, sweep};
-use crate::planes::{PlanesRenderer, blend::blend};
+use crate::planes::sweep::{Window, padded};
 use crate::settings::PixelOrigin;
 
 use super::{eye, f64s, made, picture, texture};
@@ -28,67 +26,9 @@ fn wall(image: &Image, planes: usize, opaque: usize) -> Tensor {
     f64s(values, &[planes, image.height, image.width, 4])
 }
 
-fn rays(of: &Viewpoint) -> Vec<([f64; 3], [f64; 3])> {
-    let (width, height) = (of.camera.width, of.camera.height);
-    (0..width * height).map(|i| of.ray([(i % width) as f64, (i / width) as f64])).collect()
-}
-
 /// Depths of four planes: 4, 2, 4/3, 1.
 fn four() -> Vec<f64> {
     depths(1.0, 4.0, 4)
-}
-
-/// A camera that is b to the right sees a wall at depth z shifted by f b / z pixels to the left: exactly, where that is whole.
-#[test]
-fn a_shifted_camera_sees_a_shifted_wall() {
-    let (width, height, focal) = (16, 8, 20.0);
-    let own = eye([0.0, 0.0], width, height, focal);
-    let image = picture(&own, 2.0);
-    for (b, pixels) in [(0.2, 2usize), (0.5, 5), (0.0, 0)] {
-        let other = eye([b, 0.0], width, height, focal);
-        let places = own.places(&rays(&other), &four());
-        let seen = alpha_over(&plane_sample(&wall(&image, 4, 1), &places).unwrap()).unwrap();
-        for (i, seen) in values(&seen).chunks(4).enumerate() {
-            let (column, row) = (i % width + pixels, i / width);
-            let inside = column < width;
-            assert!((seen[3] - f64::from(inside)).abs() < 1e-9, "{b} {i}: {seen:?}");
-            for (c, seen) in seen[..3].iter().enumerate() {
-                let expected = if inside { image.pixels[3 * (row * width + column) + c] } else { 0.0 };
-                assert!((seen - f64::from(expected)).abs() < 1e-9, "{b} {i}");
-            }
-        }
-    }
-}
-
-/// Two views' sweep volumes agree on the plane of the wall that both see, and on no other.
-#[test]
-fn sweeps_of_two_views_agree_where_the_wall_is() {
-    let (side, focal) = (24, 30.0);
-    let [own, other] = [[0.0, 0.0], [0.25, -0.125]].map(|place| eye(place, side, side, focal));
-    let pictures = [&own, &other].map(|eye| picture(eye, 2.0));
-    let seen = [(&own, &pictures[0]), (&other, &pictures[1])];
-    // The middle, which both see on every plane.
-    let window = Window { left: 8, top: 8, width: 8, height: 8 };
-    let volume = values(&sweep(&own, &seen, &four(), window, DType::F64, &Device::Cpu).unwrap());
-    let differences: Vec<f64> = volume
-        .chunks(64 * 6)
-        .map(|plane| {
-            plane.chunks(6).flat_map(|cell| (0..3).map(|c| (cell[c] - cell[3 + c]).abs())).sum::<f64>() / 192.0
-        })
-        .collect();
-    // Between pixels the texture is not linear.
-    assert!(differences[1] < 2e-3, "{differences:?}");
-    assert!([0, 2, 3].iter().all(|&k| differences[k] > 0.05), "{differences:?}");
-}
-
-#[test]
-fn a_blend_of_equals_is_what_each_is() {
-    let one = f64s((0..40).map(|i| (i as f64 * 0.9).sin() * 0.3 + 0.4).collect(), &[10, 4]);
-    let alone = blend(vec![(one.clone(), 1.0)], None).unwrap();
-    let many = blend(vec![(one.clone(), 1.0), (one.clone(), 0.3), (one, 0.05)], None).unwrap();
-    for (a, b) in [(&alone.rgb, &many.rgb), (&alone.acc, &many.acc)] {
-        assert!(values(a).iter().zip(values(b)).all(|(a, b)| (a - b).abs() < 1e-7));
-    }
 }
 
 /// Three views in a row whose planes are a wall at depth 2.
