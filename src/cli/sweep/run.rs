@@ -103,10 +103,12 @@ impl RunArguments {
             begin_folder(&self.location, &definition, self.extend, (&trainings, &trainings), &console)?;
         let records = folder.records(&definition, &points)?;
         check_any_data(&records)?;
-        if self.remeasure || records.iter().any(|record| record.status != Status::Done) {
+        let is_open = records.iter().any(|record| record.status != Status::Done);
+        if self.remeasure || is_open {
             say_what_is_missing(&definition, &trainings, &console);
         }
-        if !definition.is_preset_changed() && points.iter().any(|point| point.config.train.steps >= PAPER_STEPS) {
+        let is_long = points.iter().any(|point| point.config.train.steps >= PAPER_STEPS);
+        if is_open && is_long && !definition.is_preset_changed() {
             console
                 .say("no --preset is named: points of 100,000 steps take days on a CPU; --preset fast takes minutes");
         }
