@@ -32,7 +32,7 @@
 //! | `nerf/src/perturb/input.rs` | the sites of coordinates: `t`, `xyz`, `view`. `feature.rs` and `output.rs` beside it have the other levels |
 //! | `nerf/src/perturb/set.rs` | constraint sets, and projection onto them |
 //! | `nerf/src/perturb/pgd.rs` | the search for the worst case |
-//! | `nerf/src/render/perturbed.rs` | where each delta enters the pass |
+//! | `nerf/src/render/pass.rs` | a pass of rays, and where each delta enters it |
 //! | `nerf/src/losses/mod.rs` | the table of loss terms; each has a file beside it, such as `tv.rs` |
 //! | `nerf/src/methods/fields/plan.rs` | the passes of a step with their weights, such as lambda |
 //! | `nerf/src/methods/fields/step.rs` | a training step, as the Aug-NeRF paper's Algorithm 1 |

@@ -126,8 +126,8 @@ fn epsilon_zero_is_the_clean_pass_exactly() {
         let perturbed = perturbed_pass(&setting.field, setting.pass(), setting.perturbation(&deltas)).unwrap();
         let clean = clean_pass(&setting.field, setting.pass()).unwrap();
         let rows = |tensor: &Tensor| tensor.to_vec2::<f64>().unwrap();
-        assert_eq!(rows(&perturbed.pass.composite.rgb), rows(&clean.composite.rgb));
-        assert_eq!(rows(&perturbed.pass.composite.weights), rows(&clean.composite.weights));
+        assert_eq!(rows(&perturbed.composite.rgb), rows(&clean.composite.rgb));
+        assert_eq!(rows(&perturbed.composite.weights), rows(&clean.composite.weights));
     }
 }
 
@@ -147,8 +147,8 @@ fn assert_legal(setting: &Setting, deltas: &Deltas) -> Result<(), TestCaseError>
         prop_assert!(excess <= rounding, "{} exceeds its radius by {excess:e}", site.name());
     }
     let padding = setting.field.config().rgb_padding;
-    prop_assert!(flat(&out.pass.rgb).iter().all(|c| (-padding..=1.0 + padding).contains(c)));
-    prop_assert!(flat(&out.pass.density).iter().all(|d| *d >= 0.0));
+    prop_assert!(flat(&out.rgb).iter().all(|c| (-padding..=1.0 + padding).contains(c)));
+    prop_assert!(flat(&out.density).iter().all(|d| *d >= 0.0));
     let t_vals = (&setting.t_vals + out.used.deltas.get(PaperSite::T).unwrap()).unwrap().to_vec2::<f64>().unwrap();
     for ray in t_vals {
         prop_assert!(ray.windows(2).all(|pair| pair[0] <= pair[1]), "{ray:?}");
@@ -346,11 +346,11 @@ fn density_noise_cannot_make_an_empty_white_scene_opaque() {
     deltas.set(PaperSite::Density, Tensor::full(0.01f64, (6, 9), &CPU).unwrap());
     let out = perturbed_pass(&setting.field, setting.pass(), setting.perturbation(&deltas)).unwrap();
     let norms = setting.rays.direction_norm.flatten_all().unwrap().to_vec1::<f64>().unwrap();
-    for (rgb, norm) in out.pass.composite.rgb.to_vec2::<f64>().unwrap().iter().zip(norms) {
+    for (rgb, norm) in out.composite.rgb.to_vec2::<f64>().unwrap().iter().zip(norms) {
         let limit = 0.01 * 4.0 * norm;
         assert!(rgb.iter().all(|c| (1.0 - c) <= limit && *c <= 1.0 + 1e-12), "{rgb:?} beyond {limit}");
     }
-    assert!(out.pass.composite.acc.max(0).unwrap().to_scalar::<f64>().unwrap() > 0.0);
+    assert!(out.composite.acc.max(0).unwrap().to_scalar::<f64>().unwrap() > 0.0);
 }
 
 #[test]

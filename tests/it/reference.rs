@@ -8,7 +8,7 @@ use augnerf::data::Rays;
 use augnerf::field::{Field, encode};
 use augnerf::perturb::{DeltaSet, Deltas, Norm, PaperSite, PassGeometry, PixelScale, SampleDensity, Sets, worst_case};
 use augnerf::render::sampling::inverse_cdf;
-use augnerf::render::{Pass, Perturbation, PerturbedOutput, perturbed_pass, photometric_loss, volume};
+use augnerf::render::{Pass, PassOutput, Perturbation, perturbed_pass, photometric_loss, volume};
 use augnerf::settings::{FieldConfig, OutputPlace, PerturbConfig};
 use candle_core::{DType, Device, Tensor, Var};
 
@@ -175,7 +175,7 @@ impl Attack {
         Pass { rays: &self.rays, t_vals: &self.t_vals, density_noise: None, background: None, scales_gradients: false }
     }
 
-    fn perturbed(&self, field: &Field, deltas: &Deltas) -> PerturbedOutput {
+    fn perturbed(&self, field: &Field, deltas: &Deltas) -> PassOutput {
         let perturbation = Perturbation { deltas, sets: &self.sets, injection_layer: 4, output: OutputPlace::After };
         perturbed_pass(field, self.pass(), perturbation).unwrap()
     }
@@ -209,7 +209,7 @@ fn gradients_of_the_perturbed_loss_in_every_delta() {
             tracked.set(site, variables[site as usize].as_tensor().clone());
         }
         let out = a.perturbed(&a.field.frozen().unwrap(), &tracked);
-        let loss = photometric_loss(&out.pass.composite.rgb, &a.target).unwrap();
+        let loss = photometric_loss(&out.composite.rgb, &a.target).unwrap();
         assert!((loss.to_scalar::<f64>().unwrap() - a.expected_loss(loss_name)).abs() < 1e-12, "{stage}");
         let gradients = loss.backward().unwrap();
         for site in SITES {
@@ -233,7 +233,7 @@ fn two_search_steps_and_the_final_pass() {
     let found = worst_case(&a.sets, start, |at| {
         let out = a.perturbed(&frozen, at.deltas);
         iterates.push(out.used.deltas.clone());
-        Ok((photometric_loss(&out.pass.composite.rgb, &a.target)?, out.used.deltas))
+        Ok((photometric_loss(&out.composite.rgb, &a.target)?, out.used.deltas))
     })
     .unwrap();
     let last = a.perturbed(&a.field, &found);
@@ -250,17 +250,17 @@ fn two_search_steps_and_the_final_pass() {
     let points = t_vals.unsqueeze(2).unwrap().broadcast_mul(&a.rays.directions.unsqueeze(1).unwrap()).unwrap();
     let points = points.broadcast_add(&a.rays.origins.unsqueeze(1).unwrap()).unwrap();
     assert_close("points", &(points + found.get(PaperSite::Xyz).unwrap()).unwrap(), &expected("points"), F64);
-    assert_close("rgb", &last.pass.rgb, &expected("rgb"), F64);
-    assert_close("density", &last.pass.density, &expected("density"), F64);
-    assert_close("weights", &last.pass.composite.weights, &expected("weights"), F64);
-    assert_close("colour", &last.pass.composite.rgb, &expected("colour"), F64);
+    assert_close("rgb", &last.rgb, &expected("rgb"), F64);
+    assert_close("density", &last.density, &expected("density"), F64);
+    assert_close("weights", &last.composite.weights, &expected("weights"), F64);
+    assert_close("colour", &last.composite.rgb, &expected("colour"), F64);
     let view = found.get(PaperSite::View).unwrap();
     let along = |axis: usize, tangent: &Tensor| view.narrow(1, axis, 1).unwrap().broadcast_mul(tangent).unwrap();
     let [u, w] = a.rays.tangents.as_ref().unwrap();
     let moved = ((&a.rays.viewdirs + along(0, u)).unwrap() + along(1, w)).unwrap();
     let norm = moved.sqr().unwrap().sum_keepdim(1).unwrap().sqrt().unwrap();
     assert_close("view", &moved.broadcast_div(&norm).unwrap(), &expected("view"), F64);
-    let loss = photometric_loss(&last.pass.composite.rgb, &a.target).unwrap();
+    let loss = photometric_loss(&last.composite.rgb, &a.target).unwrap();
     assert!((loss.to_scalar::<f64>().unwrap() - a.expected_loss("final")).abs() < 1e-12);
     let gradients = loss.backward().unwrap();
     for (name, var) in a.field.variables() {

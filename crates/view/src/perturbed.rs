@@ -97,7 +97,7 @@ impl PerturbedRenderer {
             // What is scaled up leaves its set on purpose.
             set.radius = (&set.radius * attack.scale.max(1.0))?;
         }
-        Ok(perturbed_pass(field, pass, self.perturbation(&scaled, &sets))?.pass)
+        perturbed_pass(field, pass, self.perturbation(&scaled, &sets))
     }
 
     fn perturbation<'a>(&self, deltas: &'a Deltas, sets: &'a Sets) -> Perturbation<'a> {

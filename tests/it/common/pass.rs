@@ -82,7 +82,7 @@ impl Setting {
     /// Loss with a tracked graph, and the deltas as used.
     pub fn loss(&self, deltas: &Deltas) -> (Tensor, Deltas) {
         let out = perturbed_pass(&self.field, self.pass(), self.perturbation(deltas)).unwrap();
-        (photometric_loss(&out.pass.composite.rgb, &self.target).unwrap(), out.used.deltas)
+        (photometric_loss(&out.composite.rgb, &self.target).unwrap(), out.used.deltas)
     }
 
     pub fn loss_value(&self, deltas: &Deltas) -> f64 {
@@ -97,7 +97,7 @@ impl Setting {
         let frozen = self.field.frozen().unwrap();
         worst_case(&self.sets, start, |at| {
             let out = perturbed_pass(&frozen, self.pass(), self.perturbation(at.deltas))?;
-            Ok((photometric_loss(&out.pass.composite.rgb, &self.target)?, out.used.deltas))
+            Ok((photometric_loss(&out.composite.rgb, &self.target)?, out.used.deltas))
         })
         .unwrap()
     }

@@ -55,7 +55,7 @@ impl Recorder {
     }
 }
 
-/// A cache of the trunk's lower part at fixed points (`FixedPoints` of `augnerf_nerf::field`), up to one layer.
+/// A cache of the trunk's lower part at fixed points (`QueryPoints` of `augnerf_nerf::field`), up to one layer.
 #[derive(Default)]
 pub struct PrefixCache(RefCell<Option<(usize, Arc<Prefix>)>>);
 

@@ -62,21 +62,33 @@ pub struct Field {
     fast: Option<FastField>,
 }
 
-/// Points at which a search queries a field many times, without gradients of weights or points. The fused core computes
-/// the trunk below the feature delta, or all of it, once.
-pub struct FixedPoints<'a> {
+/// Positions at which a field is queried.
+pub struct QueryPoints<'a> {
     field: &'a Field,
     inputs: Inputs,
-    below: PrefixCache,
+    /// The trunk below the feature delta, or all of it, which the fused core computes once for all queries at fixed points.
+    trunk: Option<PrefixCache>,
 }
 
-impl FixedPoints<'_> {
+impl QueryPoints<'_> {
+    /// Returns the field.
+    pub fn field(&self) -> &Field {
+        self.field
+    }
+
     /// Runs [`Field::forward`] at these points.
     ///
     /// # Errors
     /// Those of candle, if shapes do not fit.
     pub fn forward(&self, viewdirs: &Tensor, delta: Option<FeatureDelta>) -> Result<RawOutput> {
-        self.field.raw_at(&self.inputs, viewdirs, delta, Some(&self.below))
+        let QueryPoints { field, inputs, trunk } = self;
+        if let Some(fast) = field.fast() {
+            return fast.forward(inputs, viewdirs, delta, trunk.as_ref());
+        }
+        let (n, _) = inputs.values.dims2()?;
+        let directions = field.encode_views(viewdirs, n / viewdirs.dim(0)?.max(1))?;
+        let raw = field.nerf.forward(&encode_positions(&field.config, &inputs.values)?, &directions, delta)?;
+        Ok(RawOutput { density: inputs.only_inside(raw.density)?, ..raw })
     }
 }
 
@@ -301,12 +313,6 @@ impl Field {
         self.detached().prepared()
     }
 
-    /// Fixes points `[n, 3]` that do not move any more. They get no gradient.
-    pub fn fix(&self, points: &Tensor) -> Result<FixedPoints<'_>> {
-        let inputs = self.inputs(&points.detach())?;
-        Ok(FixedPoints { field: self, inputs, below: PrefixCache::default() })
-    }
-
     fn detached(&self) -> Field {
         let detached = |layer: &Linear| Ok(Linear::new(layer.weight().detach(), Some(nerf::bias(layer).detach())));
         let nerf = self.nerf.map(detached).expect("nothing is computed");
@@ -338,7 +344,17 @@ impl Field {
     /// Returns raw colour and density of points `[n, 3]` along unit directions `viewdirs [rays, 3]`. All rays have the
     /// same number of points, and the points of a ray are consecutive.
     pub fn forward(&self, points: &Tensor, viewdirs: &Tensor, delta: Option<FeatureDelta>) -> Result<RawOutput> {
-        self.raw_at(&self.inputs(points)?, viewdirs, delta, None)
+        self.query_points(points)?.forward(viewdirs, delta)
+    }
+
+    /// Returns points `[n, 3]` at which it is queried.
+    pub fn query_points(&self, points: &Tensor) -> Result<QueryPoints<'_>> {
+        Ok(QueryPoints { field: self, inputs: self.inputs(points)?, trunk: None })
+    }
+
+    /// Returns points that do not move any more, for many queries without gradients of weights or points.
+    pub fn fixed_points(&self, points: &Tensor) -> Result<QueryPoints<'_>> {
+        Ok(QueryPoints { trunk: Some(PrefixCache::default()), ..self.query_points(&points.detach())? })
     }
 
     /// Returns the networks' input at `positions`: the positions, or their features in the hash grid.
@@ -349,22 +365,6 @@ impl Field {
             None => grid.encode(positions)?,
         };
         Ok(Inputs { values, inside: grid.inside(positions)? })
-    }
-
-    fn raw_at(
-        &self,
-        inputs: &Inputs,
-        viewdirs: &Tensor,
-        delta: Option<FeatureDelta>,
-        below: Option<&PrefixCache>,
-    ) -> Result<RawOutput> {
-        if let Some(fast) = self.fast() {
-            return fast.forward(inputs, viewdirs, delta, below);
-        }
-        let (n, _) = inputs.values.dims2()?;
-        let directions = self.encode_views(viewdirs, n / viewdirs.dim(0)?.max(1))?;
-        let raw = self.nerf.forward(&encode_positions(&self.config, &inputs.values)?, &directions, delta)?;
-        Ok(RawOutput { density: inputs.only_inside(raw.density)?, ..raw })
     }
 
     /// Returns 1 where density can be and 0 elsewhere, for points `[n, 3]`, as `[n]`. `None` if it is 1 everywhere.

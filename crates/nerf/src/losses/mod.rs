@@ -318,6 +318,7 @@ impl WeightedTerm {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::perturb::UsedDeltas;
     use crate::render::volume::composite_reference;
     use candle_core::Device;
 
@@ -396,7 +397,8 @@ mod tests {
             let rgb = Tensor::zeros((rays, n, 3), candle_core::DType::F64, &Device::Cpu).unwrap();
             let composite = composite_reference(&rgb, &density, &t_vals, &direction_norm, None).unwrap();
             let raw_density = density.as_tensor().clone();
-            let output = PassOutput { composite, rgb, density: density.as_tensor().clone(), t_vals, raw_density };
+            let (density_of_samples, used) = (density.as_tensor().clone(), UsedDeltas::default());
+            let output = PassOutput { composite, rgb, density: density_of_samples, t_vals, raw_density, used };
             let slopes = Tensor::from_slice(&self.slopes, (rays, n, 3), &Device::Cpu).unwrap();
             let slopes = Var::from_tensor(&slopes).unwrap();
             let point_t = self.point_t.map(|t| Tensor::from_slice(&[t], 1, &Device::Cpu).unwrap());

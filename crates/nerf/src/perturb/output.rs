@@ -120,7 +120,7 @@ pub fn output_range(site: PaperSite, padding: f64) -> (f64, f64) {
 
 /// The deltas of a pass as it used them, and the sets onto which they were projected. Those of the output level are cut by
 /// what the forward pass allows.
-#[derive(Clone)]
+#[derive(Clone, Default)]
 pub struct UsedDeltas {
     /// Projected at the output level, the others as given.
     pub deltas: Deltas,

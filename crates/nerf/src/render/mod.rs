@@ -7,15 +7,13 @@ use crate::base::Result;
 mod cast;
 mod image;
 mod pass;
-mod perturbed;
 pub mod sampling;
 pub mod settings;
 pub mod volume;
 
 pub use cast::{gaussians_at, points_at, positions_at, ray_parts, samples_of};
 pub use image::{columns, fine_t_vals, place, render_rays, resample};
-pub use pass::{Pass, PassOutput, clean_pass, noiseless_acc};
-pub use perturbed::{Perturbation, PerturbedOutput, perturbed_pass, search};
+pub use pass::{Pass, PassOutput, Perturbation, clean_pass, noiseless_acc, perturbed_pass, search};
 pub use volume::Composite;
 
 /// Returns the mean squared error over rays and channels between colours `[rays, 3]`.

@@ -1,15 +1,19 @@
-//! One clean pass of rays through one field.
+//! One pass of rays through one field, clean or perturbed (paper, algorithm 1, lines 9 to 20): where each site's delta is
+//! added, and what a search need not compute again.
 
 use candle_core::{D, Tensor};
 
 use crate::base::Result;
 use crate::data::Rays;
-use crate::field::{Field, RawOutput};
+use crate::field::{FeatureDelta, Field, QueryPoints, RawOutput};
+use crate::perturb::settings::OutputPlace;
+use crate::perturb::{Deltas, PaperSite, Sets, UsedDeltas, output_range, tilt, worst_case};
 
 use super::cast::{positions_at, samples_of};
+use super::photometric_loss;
 use super::volume::{self, Composite};
 
-/// The inputs of a pass, except the field.
+/// The inputs of a pass, except its field and its deltas.
 #[derive(Clone, Copy)]
 pub struct Pass<'a> {
     /// Origins and directions, `[rays, 3]`, with the other parts that the method needs.
@@ -26,6 +30,26 @@ pub struct Pass<'a> {
     pub scales_gradients: bool,
 }
 
+/// Deltas of a perturbed pass, and how they are added.
+#[derive(Clone, Copy)]
+pub struct Perturbation<'a> {
+    /// The deltas.
+    pub deltas: &'a Deltas,
+    /// Their sites and constraint sets. A delta without one is not added.
+    pub sets: &'a Sets,
+    /// Trunk layer (1-based) to which the feature delta is added.
+    pub injection_layer: usize,
+    /// Where the output deltas are added.
+    pub output: OutputPlace,
+}
+
+impl Perturbation<'_> {
+    /// Returns all that is added at a site of the paper.
+    fn at(&self, site: PaperSite) -> Result<Option<Tensor>> {
+        self.deltas.at(self.sets, site)
+    }
+}
+
 /// The result of a pass.
 pub struct PassOutput {
     /// Colour, depth, accumulation, weights.
@@ -38,62 +62,134 @@ pub struct PassOutput {
     pub t_vals: Tensor,
     /// Raw density of each sample without noise, detached, `[rays, samples]`.
     pub raw_density: Tensor,
+    /// The deltas as they were used. A clean pass has none.
+    pub used: UsedDeltas,
 }
 
-/// Renders one pass without perturbation.
+/// Renders one pass without deltas.
+///
+/// # Errors
+/// Those of candle, if shapes do not fit.
 pub fn clean_pass(field: &Field, pass: Pass) -> Result<PassOutput> {
-    let positions = positions_at(field, pass.rays, pass.t_vals)?.flatten(0, 1)?;
-    let raw = field.forward(&positions, &pass.rays.viewdirs, None)?;
-    let raw = near_scaled(by_ray(raw, pass.rays.len(), samples_of(field, pass.t_vals)?)?, pass, pass.t_vals)?;
-    finish(pass, pass.t_vals, &raw, activate(field, &raw, pass.density_noise)?)
+    let (deltas, sets) = (Deltas::default(), Sets::default());
+    let perturbation = Perturbation { deltas: &deltas, sets: &sets, injection_layer: 1, output: OutputPlace::After };
+    perturbed_pass(field, pass, perturbation)
 }
 
-/// Returns a pass's raw output with the gradients that [`Pass::scales_gradients`] asks for.
-pub(super) fn near_scaled(raw: RawOutput, pass: Pass, t_vals: &Tensor) -> Result<RawOutput> {
-    if !pass.scales_gradients {
-        return Ok(raw);
-    }
-    let (_, samples) = raw.density.dims2()?;
-    let places = volume::middles(t_vals, samples)?.detach();
-    let scale = places.broadcast_mul(&pass.rays.direction_norm)?.sqr()?.minimum(1.0)?;
-    // The value stays, to the bit.
-    let scaled = |values: &Tensor, scale: &Tensor| -> Result<Tensor> {
-        let moved = values.broadcast_mul(scale)?;
-        Ok((values.detach() + (&moved - moved.detach())?)?)
+/// Renders one pass with deltas.
+///
+/// # Errors
+/// Those of candle, if shapes do not fit.
+pub fn perturbed_pass(field: &Field, pass: Pass, perturbation: Perturbation) -> Result<PassOutput> {
+    let (t_vals, positions) = moved_samples(field, pass, perturbation)?;
+    render_samples(pass, perturbation, &t_vals, &field.query_points(&positions)?)
+}
+
+/// Runs PGD ([`worst_case`]) from the deltas of `start`, on `sign` times the photometric loss against `target` `[rays, 3]`.
+/// `field` must be frozen.
+///
+/// # Errors
+/// Those of candle, if shapes do not fit.
+pub fn search(field: &Field, pass: Pass, start: Perturbation, target: &Tensor, sign: f64) -> Result<Deltas> {
+    // Once no delta moves the samples any more, what depends on them alone is computed once for all further steps.
+    let mut fixed_samples = None;
+    worst_case(start.sets, start.deltas.clone(), |iterate| {
+        let perturbation = Perturbation { deltas: iterate.deltas, ..start };
+        if fixed_samples.is_none() && iterate.fixes_samples() {
+            let (t_vals, positions) = moved_samples(field, pass, perturbation)?;
+            fixed_samples = Some((t_vals, field.fixed_points(&positions)?));
+        }
+        let out = match &fixed_samples {
+            Some((t_vals, points)) => render_samples(pass, perturbation, t_vals, points)?,
+            None => perturbed_pass(field, pass, perturbation)?,
+        };
+        let loss = photometric_loss(&out.composite.rgb, target)?;
+        Ok((if sign == 1.0 { loss } else { (loss * sign)? }, out.used.deltas))
+    })
+}
+
+/// Returns the `t_vals` of a pass with the delta of `t`, and the positions there with that of `xyz`: points
+/// `[rays * samples, 3]`, or Gaussians `[rays * samples, 6]` whose means move.
+fn moved_samples(field: &Field, pass: Pass, perturbation: Perturbation) -> Result<(Tensor, Tensor)> {
+    let t_vals = match perturbation.at(PaperSite::T)? {
+        Some(delta) => (pass.t_vals + delta)?,
+        None => pass.t_vals.clone(),
     };
-    Ok(RawOutput { rgb: scaled(&raw.rgb, &scale.unsqueeze(2)?)?, density: scaled(&raw.density, &scale)? })
+    let positions = positions_at(field, pass.rays, &t_vals)?;
+    let positions = match perturbation.at(PaperSite::Xyz)? {
+        Some(delta) if positions.dim(2)? > 3 => (positions + Tensor::cat(&[&delta, &delta.zeros_like()?], 2)?)?,
+        Some(delta) => (positions + delta)?,
+        None => positions,
+    };
+    Ok((t_vals, positions.flatten(0, 1)?))
 }
 
-/// Composites the samples of a pass at `t_vals`.
-pub(super) fn finish(pass: Pass, t_vals: &Tensor, raw: &RawOutput, samples: SampleValues) -> Result<PassOutput> {
-    let SampleValues { rgb, density } = samples;
-    let composite = volume::composite(&rgb, &density, t_vals, &pass.rays.direction_norm, pass.background)?;
+/// Renders a pass with samples at `t_vals`, whose positions are `points`: adds the other sites' deltas to the direction, the
+/// feature, and the colours and densities, which are then composited.
+fn render_samples(pass: Pass, perturbation: Perturbation, t_vals: &Tensor, points: &QueryPoints) -> Result<PassOutput> {
+    let (field, rays) = (points.field(), pass.rays);
+    let viewdirs = match perturbation.at(PaperSite::View)? {
+        Some(angles) => tilt(&rays.viewdirs, tangents(rays)?, &angles)?,
+        None => rays.viewdirs.clone(),
+    };
+    let feature = perturbation.at(PaperSite::Feature)?.map(|delta| delta.flatten(0, 1)).transpose()?;
+    let feature = feature.as_ref().map(|delta| FeatureDelta { layer: perturbation.injection_layer, delta });
+    let raw = points.forward(&viewdirs, feature)?;
+    let raw = near_scaled(by_ray(raw, rays.len(), samples_of(field, t_vals)?)?, pass, t_vals)?;
+    let mut used = UsedDeltas { deltas: perturbation.deltas.clone(), sets: perturbation.sets.clone() };
+    let (rgb, density) = match perturbation.output {
+        OutputPlace::After => {
+            let (rgb, density) = activate(field, &raw, pass.density_noise)?;
+            let range = |site| Some(output_range(site, field.config().rgb_padding));
+            let rgb = used.add_to(rgb, PaperSite::Rgb, range(PaperSite::Rgb))?;
+            (rgb, used.add_to(density, PaperSite::Density, range(PaperSite::Density))?)
+        }
+        OutputPlace::Before => {
+            let rgb = used.add_to(raw.rgb.clone(), PaperSite::Rgb, None)?;
+            let density = used.add_to(raw.density.clone(), PaperSite::Density, None)?;
+            activate(field, &RawOutput { rgb, density }, pass.density_noise)?
+        }
+    };
+    let composite = volume::composite(&rgb, &density, t_vals, &rays.direction_norm, pass.background)?;
     let (t_vals, raw_density) = (t_vals.detach(), raw.density.detach());
-    Ok(PassOutput { composite, rgb, density, t_vals, raw_density })
+    Ok(PassOutput { composite, rgb, density, t_vals, raw_density, used })
+}
+
+fn tangents(rays: &Rays) -> Result<&[Tensor; 2]> {
+    let missing = || candle_core::Error::Msg("these rays have no tangents to tilt them along".into());
+    Ok(rays.tangents.as_ref().ok_or_else(missing)?)
 }
 
 /// Returns a field's raw output as rgb `[rays, samples, 3]` and density `[rays, samples]`.
-pub(super) fn by_ray(raw: RawOutput, rays: usize, samples: usize) -> Result<RawOutput> {
+fn by_ray(raw: RawOutput, rays: usize, samples: usize) -> Result<RawOutput> {
     let (rgb, density) = (raw.rgb.reshape((rays, samples, 3))?, raw.density.reshape((rays, samples))?);
     Ok(RawOutput { rgb, density })
 }
 
-/// Colour and density of each sample, as they are composited.
-pub(super) struct SampleValues {
-    /// `[rays, samples, 3]`.
-    pub(super) rgb: Tensor,
-    /// `[rays, samples]`.
-    pub(super) density: Tensor,
+/// Returns a pass's raw output with the gradients that [`Pass::scales_gradients`] asks for.
+fn near_scaled(raw: RawOutput, pass: Pass, t_vals: &Tensor) -> Result<RawOutput> {
+    if !pass.scales_gradients {
+        return Ok(raw);
+    }
+    let (_, samples) = raw.density.dims2()?;
+    let t_of_samples = volume::middles(t_vals, samples)?.detach();
+    let scale = t_of_samples.broadcast_mul(&pass.rays.direction_norm)?.sqr()?.minimum(1.0)?;
+    // The value stays, to the bit.
+    let scaled = |values: &Tensor, scale: &Tensor| -> Result<Tensor> {
+        let product = values.broadcast_mul(scale)?;
+        Ok((values.detach() + (&product - product.detach())?)?)
+    };
+    Ok(RawOutput { rgb: scaled(&raw.rgb, &scale.unsqueeze(2)?)?, density: scaled(&raw.density, &scale)? })
 }
 
-/// Applies the field's activations to colour and density, and noise to density.
-pub(super) fn activate(field: &Field, raw: &RawOutput, density_noise: Option<&Tensor>) -> Result<SampleValues> {
+/// Returns colour and density of each sample: the field's activations of raw colour and of raw density with noise.
+fn activate(field: &Field, raw: &RawOutput, density_noise: Option<&Tensor>) -> Result<(Tensor, Tensor)> {
     let rgb = field.activate_rgb(&raw.rgb)?;
     let density = match density_noise {
         Some(noise) => field.activate_density(&(&raw.density + noise)?)?,
         None => field.activate_density(&raw.density)?,
     };
-    Ok(SampleValues { rgb, density })
+    Ok((rgb, density))
 }
 
 /// Returns the accumulation of rays without density noise, `[rays]`, as in an evaluation: 1 - exp(-sum of density *
@@ -154,7 +250,14 @@ mod tests {
             let expected: Vec<f32> = of(&raw_density).acc.to_vec1().unwrap();
             let composite = of(&(&raw_density + &noise).unwrap());
             let (rgb, density) = (rgb.clone(), noise.clone());
-            let out = PassOutput { composite, rgb, density, t_vals: t_vals.clone(), raw_density: raw_density.clone() };
+            let out = PassOutput {
+                composite,
+                rgb,
+                density,
+                t_vals: t_vals.clone(),
+                raw_density: raw_density.clone(),
+                used: UsedDeltas::default(),
+            };
             let (density_noise, background) = (Some(&noise), None);
             let pass = Pass { rays: &rays, t_vals: &t_vals, density_noise, background, scales_gradients: false };
             let found: Vec<f32> = noiseless_acc(&field, &out, pass).unwrap().to_vec1().unwrap();

@@ -17,7 +17,7 @@ pub(super) fn diagnose(at: &Perturbed, used: &UsedDeltas, sums: &mut Sums) -> Re
     let frozen = at.field.frozen()?;
     // The loss, with its weight in the pass, and the rays' colours.
     let render = |deltas: &Deltas| -> Result<(f64, Tensor)> {
-        let rgb = perturbed_pass(&frozen, at.pass, at.perturbation(deltas))?.pass.composite.rgb;
+        let rgb = perturbed_pass(&frozen, at.pass, at.perturbation(deltas))?.composite.rgb;
         let loss = photometric_loss(&rgb, at.target)?.to_dtype(DType::F64)?.to_scalar::<f64>()?;
         Ok((at.plan.weight * loss, rgb))
     };

@@ -29,8 +29,7 @@ use crate::methods::learner::{StepResult, StopCheck};
 use crate::perturb::settings::SecondPass;
 use crate::perturb::{Deltas, Draw, Sets};
 use crate::render::{
-    self, Pass, Perturbation, PerturbedOutput, clean_pass, noiseless_acc, perturbed_pass, photometric_loss, place,
-    resample, samples_of,
+    self, Pass, Perturbation, clean_pass, noiseless_acc, perturbed_pass, photometric_loss, place, resample, samples_of,
 };
 
 use super::diagnosis::diagnose;
@@ -277,9 +276,9 @@ impl<'a> StepPasses<'a> {
         let target = draws.target.as_ref().expect("training rays have colours");
         let perturbed = Perturbed { learner, plan, delta_plan, draws, field, pass, target, sets };
         let deltas = perturbed.deltas()?;
-        let PerturbedOutput { pass: out, used } = perturbed_pass(field, pass, perturbed.perturbation(&deltas))?;
+        let out = perturbed_pass(field, pass, perturbed.perturbation(&deltas))?;
         if let Some(diagnostics) = &mut sums.diagnostics {
-            diagnose(&perturbed, &used, diagnostics)?;
+            diagnose(&perturbed, &out.used, diagnostics)?;
         }
         let loss = photometric_loss(&out.composite.rgb, target)?;
         let share = draws.fraction * plan.weight;
