@@ -5,11 +5,11 @@
 
 use std::sync::{Arc, Mutex, PoisonError};
 
-use candle_core::{CpuStorage, CustomOp1, Device, Layout, Result, Shape, Tensor, Var};
+use candle_core::{CpuStorage, CustomOp2, Device, Layout, Result, Shape, Tensor};
 
 use crate::base::tensors::{Values, slice};
 use crate::field::grid::Grid;
-use augnerf_fast::hash::{Cotangents, Operator};
+use augnerf_fast::hash::{Cotangents, Domain, HashGrid, Operator};
 
 /// The records of a field, in the order of its backward passes.
 pub(super) type Records = Arc<Mutex<Vec<TableRecord>>>;
@@ -47,56 +47,59 @@ pub(super) fn table_gradient<'a>(grid: &Grid, records: impl IntoIterator<Item = 
 /// Returns features `[n, channels]` at points `[n, 3]`. Backward passes leave what the table's gradient needs in `records`, if
 /// there are any.
 pub(super) fn encode(grid: &Grid, points: &Tensor, records: Option<Records>) -> Result<Tensor> {
-    let points = points.contiguous()?;
-    // If points are not tracked, candle's backward pass would not reach the table.
-    let tracked = match &records {
-        Some(_) if !points.track_op() => Var::from_tensor(&points)?.as_tensor().clone(),
-        _ => points.clone(),
-    };
-    let operation = Encode { grid: grid.clone(), records, wants_points: points.track_op(), unit: Mutex::default() };
-    tracked.apply_op1(operation)
+    let operation = Encode { shape: grid.shape.clone(), domain: grid.domain, records, unit: Mutex::default() };
+    points.contiguous()?.apply_op2(&grid.table.contiguous()?, operation)
 }
 
-/// The encoding, without the table in the graph.
+/// The encoding of points by a table, whose gradient is recorded beside candle's graph.
 struct Encode {
-    grid: Grid,
+    shape: Arc<HashGrid>,
+    domain: Domain,
     records: Option<Records>,
-    wants_points: bool,
     /// The points in the grid's cube, kept from the forward to the backward pass.
     unit: Mutex<Vec<f32>>,
 }
 
-impl CustomOp1 for Encode {
+impl CustomOp2 for Encode {
     fn name(&self) -> &'static str {
         "hash-encode"
     }
 
-    fn cpu_fwd(&self, points: &CpuStorage, layout: &Layout) -> Result<(CpuStorage, Shape)> {
+    fn cpu_fwd(
+        &self,
+        points: &CpuStorage,
+        layout: &Layout,
+        table: &CpuStorage,
+        table_layout: &Layout,
+    ) -> Result<(CpuStorage, Shape)> {
         let points: &[f32] = slice(points, layout)?;
-        let Grid { shape, domain, table } = &self.grid;
         let mut unit = vec![0f32; points.len()];
         let n = points.len() / 3;
-        domain.map(points, &mut unit, &mut vec![false; n]);
-        let mut out = vec![0f32; n * shape.channels()];
-        shape.encode(Values::of(&table.contiguous()?).slice()?, &unit, None, &mut out);
+        self.domain.map(points, &mut unit, &mut vec![false; n]);
+        let mut out = vec![0f32; n * self.shape.channels()];
+        self.shape.encode(slice(table, table_layout)?, &unit, None, &mut out);
         *self.unit.lock().unwrap_or_else(PoisonError::into_inner) = unit;
-        Ok((CpuStorage::F32(out), Shape::from((n, shape.channels()))))
+        Ok((CpuStorage::F32(out), Shape::from((n, self.shape.channels()))))
     }
 
-    fn bwd(&self, points: &Tensor, _features: &Tensor, gradient: &Tensor) -> Result<Option<Tensor>> {
-        let Grid { shape, domain, table } = &self.grid;
+    fn bwd(
+        &self,
+        points: &Tensor,
+        table: &Tensor,
+        _features: &Tensor,
+        gradient: &Tensor,
+    ) -> Result<(Option<Tensor>, Option<Tensor>)> {
         let unit = std::mem::take(&mut *self.unit.lock().unwrap_or_else(PoisonError::into_inner));
         if unit.is_empty() && points.elem_count() > 0 {
             candle_core::bail!("hash encoding: a second backward pass through one forward pass");
         }
         let gradient = gradient.contiguous()?;
         let gradient = Values::of(&gradient).slice()?.to_vec();
-        let d_points = if self.wants_points {
+        let d_points = if points.track_op() {
             let mut d_unit = vec![0f32; unit.len()];
-            shape.point_gradient(Values::of(&table.contiguous()?).slice()?, &unit, &gradient, &mut d_unit);
-            let points = points.contiguous()?;
+            self.shape.point_gradient(Values::of(table).slice()?, &unit, &gradient, &mut d_unit);
             let mut d_points = vec![0f32; unit.len()];
-            domain.backward(Values::of(&points).slice()?, &d_unit, &mut d_points);
+            self.domain.backward(Values::of(points).slice()?, &d_unit, &mut d_points);
             Some(Tensor::from_vec(d_points, points.shape(), &Device::Cpu)?)
         } else {
             None
@@ -105,6 +108,6 @@ impl CustomOp1 for Encode {
             let record = TableRecord { points: unit, gradient, operators: None, is_of_second_pass: false };
             records.lock().unwrap_or_else(PoisonError::into_inner).push(record);
         }
-        Ok(d_points)
+        Ok((d_points, None))
     }
 }
