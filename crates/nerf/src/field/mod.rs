@@ -260,7 +260,7 @@ impl Field {
         self.grid.as_ref().map(|grid| &*grid.shape)
     }
 
-    /// Returns the records for the table of the hash grid that backward passes have left, in their order.
+    /// Returns the records for the table of the hash grid that backward passes have left since the last call, in their order.
     pub fn table_records(&self) -> Vec<TableRecord> {
         self.with_table_records(std::mem::take)
     }
@@ -272,18 +272,6 @@ impl Field {
             "the field does not record"
         );
         self.with_table_records(|records| records.extend(record));
-    }
-
-    /// Marks the records after the first `count` as those of a step's second pass.
-    pub fn mark_second_pass(&self, count: usize) {
-        self.with_table_records(|records| {
-            records.iter_mut().skip(count).for_each(|record| record.is_of_second_pass = true)
-        });
-    }
-
-    /// Returns the number of records for the table that backward passes have left.
-    pub fn record_count(&self) -> usize {
-        self.with_table_records(|records| records.len())
     }
 
     fn with_table_records<T: Default>(&self, work: impl FnOnce(&mut Vec<TableRecord>) -> T) -> T {

@@ -125,19 +125,9 @@ impl Fields {
         Ok(gradients)
     }
 
-    /// Returns what the gradients of hash grids are made of, field by field in the fixed order.
+    /// Returns what the gradients of hash grids are made of, recorded since the last call, field by field in the fixed order.
     pub fn table_records(&self) -> Vec<Vec<TableRecord>> {
         self.by_role().map(|(_, field)| field.table_records()).collect()
-    }
-
-    /// Returns the number of records that each field has so far, in the fixed order.
-    pub fn record_counts(&self) -> Vec<usize> {
-        self.by_role().map(|(_, field)| field.record_count()).collect()
-    }
-
-    /// Marks what the fields recorded since these counts as the second pass's.
-    pub fn mark_second_pass(&self, since: &[usize]) {
-        self.by_role().zip(since).for_each(|((_, field), count)| field.mark_second_pass(*count));
     }
 
     /// Returns the gradients of hash grids from those of the records that `counts` accepts, field by field, in the order of

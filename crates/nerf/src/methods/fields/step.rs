@@ -153,7 +153,7 @@ impl<'a> StepPasses<'a> {
                 sums.add(self.chunk(&fields, &whole.narrow(index, start, count)?)?)?;
             }
             sums.gradients.merge(Gradients(fields.recorded()?))?;
-            Ok(Sums { tables: fields.table_records(), ..sums })
+            Ok(sums)
         };
         // One thread per part, so that a chunk's tensors stay in its core's cache. Parts do not depend on the number of
         // threads, and the sums below are in their order. The bits are always the same.
@@ -171,7 +171,7 @@ impl<'a> StepPasses<'a> {
             let t_vals = self.samples(plan, fields, draws, clean.last(), None)?;
             clean.push(self.clean_pass(plan, fields, draws, t_vals, self.weights.0, &mut sums)?);
         }
-        let of_clean_passes = fields.record_counts();
+        sums.add_tables(fields.table_records());
         let again = match self.second {
             [PassPlan { deltas: None, .. }, ..] => Some(draws.again(self.learner)?),
             _ => None,
@@ -186,7 +186,9 @@ impl<'a> StepPasses<'a> {
                 None => self.clean_pass(plan, fields, draws, t_vals, self.weights.1, &mut control)?,
             });
         }
-        fields.mark_second_pass(&of_clean_passes);
+        let mut second_records = fields.table_records();
+        second_records.iter_mut().flatten().for_each(|record| record.is_of_second_pass = true);
+        sums.add_tables(second_records);
         sums.gradients.merge(control.gradients)?;
         sums.losses.perturbed = plus(sums.losses.perturbed, control.losses.clean(self.clean[0].weight));
         Ok(sums)

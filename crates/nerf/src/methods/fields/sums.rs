@@ -53,12 +53,17 @@ impl Sums {
     pub(super) fn add(&mut self, other: Sums) -> Result<()> {
         self.gradients.merge(other.gradients)?;
         self.losses.add(other.losses);
-        self.tables.resize_with(other.tables.len().max(self.tables.len()), Vec::new);
-        self.tables.iter_mut().zip(other.tables).for_each(|(records, more)| records.extend(more));
+        self.add_tables(other.tables);
         if let Some(other) = other.diagnostics {
             self.diagnostics.get_or_insert_default().merge(other);
         }
         Ok(())
+    }
+
+    /// Adds records of each field.
+    pub(super) fn add_tables(&mut self, tables: Vec<Vec<TableRecord>>) {
+        self.tables.resize_with(tables.len().max(self.tables.len()), Vec::new);
+        self.tables.iter_mut().zip(tables).for_each(|(records, more)| records.extend(more));
     }
 }
 
