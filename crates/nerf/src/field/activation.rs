@@ -37,8 +37,8 @@ const LARGEST_EXPONENT: f64 = 11.0;
 
 /// Returns x, or the largest exponent, which has no gradient.
 fn bounded(x: &Tensor) -> Result<Tensor> {
-    let below = x.detach().lt(LARGEST_EXPONENT)?;
-    below.where_cond(x, &(x.zeros_like()? + LARGEST_EXPONENT)?)
+    let is_below = x.detach().lt(LARGEST_EXPONENT)?;
+    is_below.where_cond(x, &(x.zeros_like()? + LARGEST_EXPONENT)?)
 }
 
 /// Returns ln(1 + exp(x)) without overflow.
@@ -74,8 +74,8 @@ impl Activated {
             }
             // All derivatives of exp are exp itself, and 0 beyond the bound.
             DensityActivation::Exp => {
-                let below = shifted(raw)?.detach().lt(LARGEST_EXPONENT)?.to_dtype(raw.dtype())?;
-                let first = (&value * below)?;
+                let is_below = shifted(raw)?.detach().lt(LARGEST_EXPONENT)?.to_dtype(raw.dtype())?;
+                let first = (&value * is_below)?;
                 Ok(Activated { value, curved: Some((first.clone(), first.clone())), first })
             }
         }

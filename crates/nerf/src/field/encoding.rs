@@ -47,14 +47,14 @@ pub fn encode(x: &Tensor, octaves: usize) -> Result<Tensor> {
 /// exp(-f^2 variance / 2) times those of the mean (Barron et al. 2021, equation 14).
 pub fn encode_integrated(gaussians: &Tensor, octaves: usize) -> Result<Tensor> {
     let (n, _) = gaussians.dims2()?;
-    let of_each = |power: f64| -> Result<Tensor> {
+    let powers_of_two = |power: f64| -> Result<Tensor> {
         let values: Vec<f64> = (0..octaves).map(|octave| 2f64.powf(octave as f64 * power)).collect();
         Tensor::from_vec(values, (1, octaves, 1), gaussians.device())?.to_dtype(gaussians.dtype())
     };
-    let angles = gaussians.narrow(1, 0, 3)?.unsqueeze(1)?.broadcast_mul(&of_each(1.0)?)?; // [n, octaves, 3]
-    let spread = gaussians.narrow(1, 3, 3)?.unsqueeze(1)?.broadcast_mul(&of_each(2.0)?)?;
-    let kept = (spread * -0.5)?.exp()?;
-    let waves = Tensor::cat(&[(&kept * angles.sin()?)?, (&kept * angles.cos()?)?], 2)?; // [n, octaves, 6]
+    let angles = gaussians.narrow(1, 0, 3)?.unsqueeze(1)?.broadcast_mul(&powers_of_two(1.0)?)?; // [n, octaves, 3]
+    let variances = gaussians.narrow(1, 3, 3)?.unsqueeze(1)?.broadcast_mul(&powers_of_two(2.0)?)?;
+    let damping = (variances * -0.5)?.exp()?;
+    let waves = Tensor::cat(&[(&damping * angles.sin()?)?, (&damping * angles.cos()?)?], 2)?; // [n, octaves, 6]
     waves.reshape((n, 6 * octaves))
 }
 
@@ -77,11 +77,11 @@ mod tests {
     #[test]
     fn the_integrated_one_is_an_expectation() {
         let (n, octaves, draws) = (4, 6, 40_000);
-        let given = gaussians(n).to_vec2::<f64>().unwrap();
-        let found = encode_integrated(&gaussians(n), octaves).unwrap().to_vec2::<f64>().unwrap();
+        let moments = gaussians(n).to_vec2::<f64>().unwrap();
+        let encoded = encode_integrated(&gaussians(n), octaves).unwrap().to_vec2::<f64>().unwrap();
         let mut random = Random::new(3, Stream::Init, 0);
-        for (gaussian, found) in given.iter().zip(found) {
-            let mut sums = vec![0f64; found.len()];
+        for (gaussian, expected) in moments.iter().zip(encoded) {
+            let mut sums = vec![0f64; expected.len()];
             for _ in 0..draws {
                 for axis in 0..3 {
                     let x = gaussian[axis] + gaussian[3 + axis].sqrt() * random.normal_pair().0;
@@ -93,7 +93,7 @@ mod tests {
                 }
             }
             // Four and a half standard errors of a mean of numbers within -1..1.
-            let off = sums.iter().zip(&found).fold(0f64, |m, (a, b)| m.max((a - b).abs()));
+            let off = sums.iter().zip(&expected).fold(0f64, |m, (a, b)| m.max((a - b).abs()));
             assert!(off < 4.5 / f64::from(draws).sqrt(), "{off}");
         }
     }

@@ -47,13 +47,13 @@ impl Grid {
     /// Returns features `[n, channels]` at points `[n, 3]`.
     pub(super) fn encode(&self, points: &Tensor) -> Result<Tensor> {
         let unit = match self.inside(points)? {
-            None => self.place(points)?,
+            None => self.to_unit_cube(points)?,
             Some(inside) => {
                 // A point outside has no gradient along any axis.
                 let inside = inside.mask(points)?.unsqueeze(1)?;
                 let (free, fixed) =
                     (points.broadcast_mul(&inside)?, points.detach().broadcast_mul(&inside.affine(-1.0, 1.0)?)?);
-                self.place(&(free + fixed)?)?
+                self.to_unit_cube(&(free + fixed)?)?
             }
         };
         let (n, device, dtype) = (unit.dim(0)?, points.device(), points.dtype());
@@ -63,31 +63,30 @@ impl Grid {
         let scaled = unit.unsqueeze(1)?.broadcast_mul(&cells)?; // [n, levels, 3]
         let (lower, entries) = self.corners(&scaled.detach())?;
         let lower = Tensor::from_vec(lower, scaled.shape(), device)?.to_dtype(dtype)?;
-        let f = (scaled - lower)?;
+        let fraction = (scaled - lower)?;
         let upper = match self.shape.interpolation() {
-            Interpolation::Linear => f,
-            Interpolation::Smoothstep => (f.sqr()? * f.affine(-2.0, 3.0)?)?,
+            Interpolation::Linear => fraction,
+            Interpolation::Smoothstep => (fraction.sqr()? * fraction.affine(-2.0, 3.0)?)?,
         };
-        let both = Tensor::stack(&[upper.affine(-1.0, 1.0)?, upper], 3)?; // [n, levels, axis, lower and upper]
-        let along = |axis: usize| both.narrow(2, axis, 1)?.squeeze(2);
+        let weights = Tensor::stack(&[upper.affine(-1.0, 1.0)?, upper], 3)?; // [n, levels, axis, lower and upper]
+        let along = |axis: usize| weights.narrow(2, axis, 1)?.squeeze(2);
         let (x, y, z) = (along(0)?, along(1)?, along(2)?);
         let square = y.unsqueeze(3)?.broadcast_mul(&x.unsqueeze(2)?)?.flatten_from(2)?; // [n, levels, 4], x fastest
-        let share = z.unsqueeze(3)?.broadcast_mul(&square.unsqueeze(2)?)?.flatten_from(2)?; // [n, levels, 8]
+        let weights = z.unsqueeze(3)?.broadcast_mul(&square.unsqueeze(2)?)?.flatten_from(2)?; // [n, levels, 8]
         let entries = Tensor::from_vec(entries, n * levels.len() * 8, device)?;
         let features = self.table.index_select(&entries, 0)?;
         let features = features.reshape((n, levels.len(), 8, self.shape.features()))?;
-        features.broadcast_mul(&share.unsqueeze(3)?)?.sum(2)?.flatten_from(1)
+        features.broadcast_mul(&weights.unsqueeze(3)?)?.sum(2)?.flatten_from(1)
     }
 
-    /// Returns the place of points in the unit cube.
-    fn place(&self, points: &Tensor) -> Result<Tensor> {
+    /// Returns the positions of points in the unit cube.
+    fn to_unit_cube(&self, points: &Tensor) -> Result<Tensor> {
         let (low, high) = self.domain.corners();
         let row = |values: [f64; 3]| Tensor::new(&[values], points.device())?.to_dtype(points.dtype());
-        let place =
-            points.broadcast_sub(&row(low)?)?.broadcast_div(&row(std::array::from_fn(|i| high[i] - low[i]))?)?;
-        let y = place.affine(2.0, -1.0)?;
+        let unit = points.broadcast_sub(&row(low)?)?.broadcast_div(&row(std::array::from_fn(|i| high[i] - low[i]))?)?;
+        let y = unit.affine(2.0, -1.0)?;
         let size = match self.domain.contraction() {
-            Contraction::None => return place.maximum(0.0)?.minimum(1.0),
+            Contraction::None => return unit.maximum(0.0)?.minimum(1.0),
             Contraction::Axes => y.abs()?.maximum(1.0)?,
             Contraction::Ball => y.sqr()?.sum_keepdim(D::Minus1)?.maximum(1.0)?.sqrt()?,
         };
@@ -102,11 +101,11 @@ impl Grid {
         let levels = self.shape.levels();
         let mut lower = Vec::with_capacity(scaled.len());
         let mut entries = Vec::with_capacity(scaled.len() / 3 * 8);
-        for (i, place) in scaled.as_chunks::<3>().0.iter().enumerate() {
+        for (i, position) in scaled.as_chunks::<3>().0.iter().enumerate() {
             let level = &levels[i % levels.len()];
             let last = f64::from(level.resolution - 1);
-            // A place that is no number is in the first cell, where its shares are no numbers.
-            let cell = place.map(|x| x.floor().max(0.0).min(last));
+            // A position that is NaN is in the first cell, where its weights are NaN.
+            let cell = position.map(|x| x.floor().max(0.0).min(last));
             lower.extend(cell);
             let entry = |k: u32| {
                 let corner = [k & 1, k >> 1 & 1, k >> 2];
@@ -149,15 +148,15 @@ impl Grid {
         let features = features.reshape((n, levels, 8, self.shape.features()))?;
         let derivative = |(value, gradient, laplacian): (f64, [f64; 3], f64)| {
             let points = scene.as_chunks::<3>().0.iter().zip(vertices.chunks(levels * 8));
-            let shares = points.flat_map(|(point, vertices)| {
+            let weights = points.flat_map(|(point, vertices)| {
                 let operator = self.domain.operator(*point, value, gradient, laplacian);
                 vertices.iter().map(move |vertex| vertex.operated(Some(&operator)))
             });
-            let shares = Tensor::from_vec(shares.collect::<Vec<f64>>(), (n, levels, 8, 1), device)?;
-            features.broadcast_mul(&shares.to_dtype(features.dtype())?)?.sum(2)?.flatten_from(1)
+            let weights = Tensor::from_vec(weights.collect::<Vec<f64>>(), (n, levels, 8, 1), device)?;
+            features.broadcast_mul(&weights.to_dtype(features.dtype())?)?.sum(2)?.flatten_from(1)
         };
         let along = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]].map(|axis| (0.0, axis, 0.0));
-        let all = [&[(1.0, [0.0; 3], 0.0)], &along[..], &[(0.0, [0.0; 3], 1.0)]].concat();
-        all.into_iter().take(1 + order.derivatives()).map(derivative).collect()
+        let operators = [&[(1.0, [0.0; 3], 0.0)], &along[..], &[(0.0, [0.0; 3], 1.0)]].concat();
+        operators.into_iter().take(1 + order.derivatives()).map(derivative).collect()
     }
 }

@@ -46,7 +46,14 @@ pub use nerf::{FeatureDelta, Nerf, RawOutput};
 pub use open::opening_factors;
 pub use spatial::{DensityAt, Order, Spatial};
 
-/// A network `(points, viewdirs) -> (raw rgb, raw density)`.
+/// A network `(points, viewdirs) -> (raw rgb, raw density)`. One set of weights has four forms:
+///
+/// | form | gradients of the weights | computes with |
+/// |---|---|---|
+/// | as created, or [`opened`](Field::opened) | in candle's graph | candle |
+/// | [`prepared`](Field::prepared) | in candle's graph | candle; derivatives in space with the fused core |
+/// | [`recording`](Field::recording) | added up beside the graph | the fused core, if it applies |
+/// | [`frozen`](Field::frozen) | none | the fused core, if it applies |
 #[derive(Clone)]
 pub struct Field {
     config: FieldConfig,
@@ -112,10 +119,10 @@ impl Field {
     /// `rgb.bias`. A hash grid's `table` comes before them.
     pub fn parameter_names(config: &FieldConfig) -> Vec<(String, Vec<usize>)> {
         let mut names = Vec::new();
-        let nothing = Tensor::zeros((), DType::F32, &Device::Cpu).expect("a number");
+        let number = Tensor::zeros((), DType::F32, &Device::Cpu).expect("a number");
         let named = Field::from_source(config, |name, shape, _| {
             names.push((name.to_string(), shape.dims().to_vec()));
-            nothing.broadcast_as(shape)
+            number.broadcast_as(shape)
         });
         named.expect("a number has any shape");
         names
@@ -184,17 +191,20 @@ impl Field {
     }
 
     /// Returns the same field with the low frequencies of its encodings alone (FreeNeRF, equation 3): of the channels of each
-    /// axis, of which there are n, number i is multiplied by clamp(share n + 1 - i, 0, 1). Of a hash grid these are levels.
-    /// `share` 1 opens all. What is hidden is computed from the current parameters, which are shared.
+    /// axis, of which there are n, number i is multiplied by clamp(fraction n + 1 - i, 0, 1). Of a hash grid these are levels.
+    /// `fraction` 1 opens all. What is hidden is computed from the current parameters, which are shared.
     ///
     /// Hidden channels are hidden in the layers that read them: a channel times a factor is a column of weights times it.
     ///
     /// # Panics
     /// The field is frozen.
-    pub fn opened(&self, share: f64) -> Result<Field> {
+    pub fn opened(&self, fraction: f64) -> Result<Field> {
         let mut variables = self.variables[usize::from(self.grid.is_some())..].iter().map(|(_, var)| var.as_tensor());
-        let factors =
-            if share < 1.0 { Some(opening_factors(&self.config, share, self.dtype(), self.device())?) } else { None };
+        let factors = if fraction < 1.0 {
+            Some(opening_factors(&self.config, fraction, self.dtype(), self.device())?)
+        } else {
+            None
+        };
         let mut factor = factors.iter().flatten();
         let nerf = self.nerf.map(|_| {
             let [weight, bias] = [(); 2].map(|()| variables.next().expect("weight and bias of each layer"));
@@ -215,9 +225,9 @@ impl Field {
     }
 
     /// Multiplies gradients of the layers' weights and biases, in the order of parameters, by the factors of hidden inputs.
-    fn hide(&self, of_layers: &mut [Option<Tensor>]) -> Result<()> {
+    fn hide(&self, layer_gradients: &mut [Option<Tensor>]) -> Result<()> {
         let Some(hidden) = &self.hidden else { return Ok(()) };
-        for (gradient, factor) in of_layers.iter_mut().step_by(2).zip(&**hidden) {
+        for (gradient, factor) in layer_gradients.iter_mut().step_by(2).zip(&**hidden) {
             if let (Some(gradient), Some(factor)) = (gradient, factor) {
                 *gradient = gradient.broadcast_mul(factor)?;
             }
@@ -250,9 +260,9 @@ impl Field {
         let shapes = self.parameters_of_layers().map(|parameter| parameter.dims().to_vec()).collect();
         let recorded = self.fast.as_ref().map(|fast| fast.recorded(shapes)).transpose()?.flatten();
         let Some(recorded) = recorded else { return Ok(vec![None; self.variables.len()]) };
-        let mut of_layers: Vec<Option<Tensor>> = recorded.into_iter().map(Some).collect();
-        self.hide(&mut of_layers)?;
-        Ok(self.grid.iter().map(|_| None).chain(of_layers).collect())
+        let mut layer_gradients: Vec<Option<Tensor>> = recorded.into_iter().map(Some).collect();
+        self.hide(&mut layer_gradients)?;
+        Ok(self.grid.iter().map(|_| None).chain(layer_gradients).collect())
     }
 
     /// Returns the hash grid that encodes positions, if there is one. Its table is the first parameter.

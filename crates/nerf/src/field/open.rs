@@ -7,30 +7,40 @@ use crate::field::settings::{Encoding, FieldConfig};
 
 use super::{encoded_channels, position_channels};
 
-/// Returns for each layer, in the order of parameters, the factors of its inputs, `[1, inputs]`, or `None` if all are 1. `share` of
-/// the opening is over ([`FieldConfig::frequency_steps`]).
-pub fn opening_factors(config: &FieldConfig, share: f64, dtype: DType, device: &Device) -> Result<Vec<Option<Tensor>>> {
-    // Channels next to each other that open together: one of each axis, or a level's features.
-    let together = if config.encoding == Encoding::Hash { config.hash.features } else { 3 };
-    let of_positions = of_channels(position_channels(config), together, share);
-    let of_views = of_channels(encoded_channels(config.view_octaves), 3, share);
+/// Returns for each layer, in the order of parameters, the factors of its inputs, `[1, inputs]`, or `None` if all are 1.
+/// `fraction` of the opening is over ([`FieldConfig::frequency_steps`]).
+pub fn opening_factors(
+    config: &FieldConfig,
+    fraction: f64,
+    dtype: DType,
+    device: &Device,
+) -> Result<Vec<Option<Tensor>>> {
+    // Channels next to each other that open at once: one of each axis, or a level's features.
+    let at_once = if config.encoding == Encoding::Hash { config.hash.features } else { 3 };
+    let position_factors = channel_factors(position_channels(config), at_once, fraction);
+    let view_factors = channel_factors(encoded_channels(config.view_octaves), 3, fraction);
     let open = vec![1.0; config.width];
-    let beside = |first: &[f64], second: &[f64]| Some([first, second].concat());
-    let of_trunk = (0..config.depth).map(|i| match i {
-        0 => Some(of_positions.clone()),
-        i if config.skips.contains(&i) => beside(&of_positions, &open),
+    let concatenated = |first: &[f64], second: &[f64]| Some([first, second].concat());
+    let trunk_factors = (0..config.depth).map(|i| match i {
+        0 => Some(position_factors.clone()),
+        i if config.skips.contains(&i) => concatenated(&position_factors, &open),
         _ => None,
     });
-    let of_view = (0..config.view_depth).map(|i| if i == 0 { beside(&open, &of_views) } else { None });
+    let view_layer_factors =
+        (0..config.view_depth).map(|i| if i == 0 { concatenated(&open, &view_factors) } else { None });
     let (heads, rgb) = ([None, None], [None]);
     let row = |factors: Vec<f64>| Tensor::from_vec(factors.clone(), (1, factors.len()), device)?.to_dtype(dtype);
-    let rows = of_trunk.chain(heads).chain(of_view).chain(rgb).map(|factors| Ok(factors.map(row).transpose()?));
+    let rows = trunk_factors
+        .chain(heads)
+        .chain(view_layer_factors)
+        .chain(rgb)
+        .map(|factors| Ok(factors.map(row).transpose()?));
     rows.collect()
 }
 
-fn of_channels(channels: usize, together: usize, share: f64) -> Vec<f64> {
-    let open = share * (channels / together) as f64 + 1.0;
-    (0..channels).map(|channel| (open - (channel / together) as f64).clamp(0.0, 1.0)).collect()
+fn channel_factors(channels: usize, at_once: usize, fraction: f64) -> Vec<f64> {
+    let open = fraction * (channels / at_once) as f64 + 1.0;
+    (0..channels).map(|channel| (open - (channel / at_once) as f64).clamp(0.0, 1.0)).collect()
 }
 
 #[cfg(test)]
@@ -43,11 +53,11 @@ mod tests {
     /// Of 2 octaves: x, sin x, cos x, sin 2x, cos 2x, each of three axes.
     #[test]
     fn low_frequencies_open_first() {
-        let of = |share: f64| of_channels(15, 3, share).into_iter().step_by(3).collect::<Vec<f64>>();
-        assert_eq!(of(0.0), [1.0, 0.0, 0.0, 0.0, 0.0]);
-        assert_eq!(of(0.3), [1.0, 1.0, 0.5, 0.0, 0.0]);
-        assert_eq!(of(1.0), [1.0; 5]);
-        assert_eq!(of_channels(8, 2, 0.375), [1.0, 1.0, 1.0, 1.0, 0.5, 0.5, 0.0, 0.0]);
+        let first_axis = |fraction: f64| channel_factors(15, 3, fraction).into_iter().step_by(3).collect::<Vec<f64>>();
+        assert_eq!(first_axis(0.0), [1.0, 0.0, 0.0, 0.0, 0.0]);
+        assert_eq!(first_axis(0.3), [1.0, 1.0, 0.5, 0.0, 0.0]);
+        assert_eq!(first_axis(1.0), [1.0; 5]);
+        assert_eq!(channel_factors(8, 2, 0.375), [1.0, 1.0, 1.0, 1.0, 0.5, 0.5, 0.0, 0.0]);
     }
 
     fn configs() -> [FieldConfig; 2] {
@@ -65,16 +75,16 @@ mod tests {
     }
 
     /// The same field with its weights multiplied by hand.
-    fn by_hand(field: &Field, config: &FieldConfig, share: f64) -> (Field, Vec<Option<Tensor>>) {
-        let factors = opening_factors(config, share, field.dtype(), field.device()).unwrap();
+    fn by_hand(field: &Field, config: &FieldConfig, fraction: f64) -> (Field, Vec<Option<Tensor>>) {
+        let factors = opening_factors(config, fraction, field.dtype(), field.device()).unwrap();
         let tables = usize::from(field.hash_grid().is_some());
         let factor = |i: usize| i.checked_sub(tables).filter(|i| i % 2 == 0).and_then(|i| factors[i / 2].clone());
-        let all: Vec<Option<Tensor>> = (0..field.variables().len()).map(factor).collect();
-        let values = field.variables().iter().zip(&all).map(|((_, var), factor)| match factor {
+        let factors: Vec<Option<Tensor>> = (0..field.variables().len()).map(factor).collect();
+        let values = field.variables().iter().zip(&factors).map(|((_, var), factor)| match factor {
             Some(factor) => var.as_tensor().broadcast_mul(factor).unwrap(),
             None => var.as_tensor().clone(),
         });
-        (Field::from_parameters(config, values.collect()).unwrap(), all)
+        (Field::from_parameters(config, values.collect()).unwrap(), factors)
     }
 
     fn largest(tensor: &Tensor) -> f64 {
@@ -100,10 +110,11 @@ mod tests {
                         + raw.density.sqr().unwrap().sum_all().unwrap())
                     .unwrap();
                     let store = sum.backward().unwrap();
-                    let of_graph = field.variables().iter().map(|(_, var)| store.get(var).cloned());
+                    let gradients_in_graph = field.variables().iter().map(|(_, var)| store.get(var).cloned());
                     let recorded = recording.recorded().unwrap();
-                    let both: Vec<_> = of_graph.zip(recorded).map(|(graph, recorded)| recorded.or(graph)).collect();
-                    (raw.density.detach(), both)
+                    let gradients: Vec<_> =
+                        gradients_in_graph.zip(recorded).map(|(graph, recorded)| recorded.or(graph)).collect();
+                    (raw.density.detach(), gradients)
                 };
                 let opened = field.opened(0.3).unwrap();
                 let ((density, found), (expected, by_hand)) = (gradients(&opened), gradients(&multiplied));
@@ -134,8 +145,8 @@ mod tests {
                 compare(&found, &by_hand);
                 assert!(compared >= 20, "{compared}");
                 // All open again.
-                let whole = opened.opened(1.0).unwrap();
-                let [a, b] = [&whole, &field]
+                let reopened = opened.opened(1.0).unwrap();
+                let [a, b] = [&reopened, &field]
                     .map(|field| gradients(field).0.to_dtype(DType::F64).unwrap().to_vec1::<f64>().unwrap());
                 assert_eq!(a, b);
             }

@@ -54,11 +54,11 @@ pub struct Spatial<'a> {
     /// Density, gradient and Laplacian at the points.
     pub at: DensityAt,
     field: &'a Field,
-    way: Way,
+    backward: Backward,
 }
 
 /// How weight gradients are computed.
-enum Way {
+enum Backward {
     /// By candle, from the same derivatives in its graph.
     Graph(DensityAt),
     /// By the fused core.
@@ -90,12 +90,12 @@ impl Field {
         let order = if self.config.has_laplacian() { order } else { order.min(Order::Gradient) };
         if let Some(fast) = &self.fast {
             let (at, tape) = fast.spatial(self, order, points)?;
-            return Ok(Spatial { at, field: self, way: Way::Tape(Box::new(tape)) });
+            return Ok(Spatial { at, field: self, backward: Backward::Tape(Box::new(tape)) });
         }
         let graph = self.spatial_in_graph(order, &points.detach())?;
         let DensityAt { density, gradient, laplacian } = &graph;
         let at = DensityAt { density: density.detach(), gradient: gradient.detach(), laplacian: laplacian.detach() };
-        Ok(Spatial { at, field: self, way: Way::Graph(graph) })
+        Ok(Spatial { at, field: self, backward: Backward::Graph(graph) })
     }
 
     fn spatial_in_graph(&self, order: Order, points: &Tensor) -> Result<DensityAt> {
@@ -125,11 +125,11 @@ impl Field {
         let slopes = tangents.iter().map(|tangent| tangent.matmul(&head)).collect::<candle_core::Result<Vec<_>>>()?;
         let gradient = match slopes.get(..3) {
             Some(slopes) => Tensor::cat(slopes, 1)?,
-            None => unasked(&raw, &[3])?,
+            None => not_requested(&raw, &[3])?,
         };
         let laplacian = match slopes.get(3) {
             Some(laplacian) => laplacian.squeeze(1)?,
-            None => unasked(&raw, &[])?,
+            None => not_requested(&raw, &[])?,
         };
         let activated = Activated::new(self.config.density_activation, &raw)?;
         let (gradient, laplacian) = activated.chain(&gradient, &laplacian)?;
@@ -156,9 +156,9 @@ impl Spatial<'_> {
     /// # Errors
     /// The field is frozen, and the fused core does not compute it. Also errors of candle.
     pub fn weight_gradients(&self, loss: &Cotangents) -> Result<(Vec<Option<Tensor>>, Option<TableRecord>)> {
-        let graph = match &self.way {
-            Way::Tape(tape) => return tape.weight_gradients(self.field, loss),
-            Way::Graph(graph) => graph,
+        let graph = match &self.backward {
+            Backward::Tape(tape) => return tape.weight_gradients(self.field, loss),
+            Backward::Graph(graph) => graph,
         };
         let variables = self.field.variables();
         if variables.is_empty() {
@@ -166,9 +166,9 @@ impl Spatial<'_> {
         }
         let pairs =
             [(&graph.density, &loss.density), (&graph.gradient, &loss.gradient), (&graph.laplacian, &loss.laplacian)];
-        let asked = pairs.into_iter().filter_map(|(value, slope)| Some((value, slope.as_ref()?)));
+        let requested = pairs.into_iter().filter_map(|(value, slope)| Some((value, slope.as_ref()?)));
         let products =
-            asked.map(|(value, slope)| (value * slope)?.sum_all()).collect::<candle_core::Result<Vec<_>>>()?;
+            requested.map(|(value, slope)| (value * slope)?.sum_all()).collect::<candle_core::Result<Vec<_>>>()?;
         if products.is_empty() {
             return Ok((vec![None; variables.len()], None));
         }
@@ -178,7 +178,7 @@ impl Spatial<'_> {
 }
 
 /// Returns NaN of `shape` for each number of `raw [n]`.
-pub(super) fn unasked(raw: &Tensor, shape: &[usize]) -> Result<Tensor> {
+pub(super) fn not_requested(raw: &Tensor, shape: &[usize]) -> Result<Tensor> {
     let shape = [&[raw.dim(0)?], shape].concat();
     Ok(Tensor::full(f64::NAN, shape, raw.device())?.to_dtype(raw.dtype())?)
 }

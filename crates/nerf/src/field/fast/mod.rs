@@ -100,13 +100,13 @@ impl FastField {
         let Some(grid) = &field.grid else { return Ok(self.query(None).density(points)?) };
         let density = |points: &Tensor| Ok::<_, Error>(self.query(None).density(&self.features(grid, points)?)?);
         let Some(inside) = grid.are_inside(points)? else { return density(points) };
-        let asked: Vec<u32> = (0..).zip(&inside).filter_map(|(i, inside)| inside.then_some(i)).collect();
+        let indices: Vec<u32> = (0..).zip(&inside).filter_map(|(i, inside)| inside.then_some(i)).collect();
         let mut raw = vec![NOTHING; inside.len()];
-        if !asked.is_empty() {
-            let points = points.index_select(&Tensor::new(asked.as_slice(), points.device())?, 0)?;
-            let found = density(&points)?.to_vec1::<f32>()?;
-            for (i, found) in asked.iter().zip(found) {
-                raw[*i as usize] = found;
+        if !indices.is_empty() {
+            let points = points.index_select(&Tensor::new(indices.as_slice(), points.device())?, 0)?;
+            let raw_inside = density(&points)?.to_vec1::<f32>()?;
+            for (index, value) in indices.iter().zip(raw_inside) {
+                raw[*index as usize] = value;
             }
         }
         Ok(Tensor::new(raw, points.device())?)
@@ -195,14 +195,14 @@ mod tests {
         let drawn = Random::new(4, Stream::Init, 0).uniform_tensor(&[1300, 3], DType::F32, &Device::Cpu).unwrap();
         for (scale, some_inside, some_outside) in [(1.3, true, true), (0.9, true, false)] {
             let points = drawn.affine(2.0 * scale, -scale).unwrap();
-            let found = field.raw_density(&points).unwrap().to_vec1::<f32>().unwrap();
+            let raw = field.raw_density(&points).unwrap().to_vec1::<f32>().unwrap();
             let inputs = field.inputs(&points).unwrap();
-            let all = field.fast.as_ref().unwrap().query(None).density(&inputs.values).unwrap();
-            assert_eq!(found, only_inside(&inputs, all).unwrap().to_vec1::<f32>().unwrap(), "scale {scale}");
-            let outside = found.iter().filter(|raw| **raw == -1e4).count();
+            let unmasked = field.fast.as_ref().unwrap().query(None).density(&inputs.values).unwrap();
+            assert_eq!(raw, only_inside(&inputs, unmasked).unwrap().to_vec1::<f32>().unwrap(), "scale {scale}");
+            let outside = raw.iter().filter(|raw| **raw == -1e4).count();
             assert_eq!((outside < 1300, outside > 0), (some_inside, some_outside), "scale {scale}");
         }
-        let nothing = field.raw_density(&drawn.affine(1.0, 5.0).unwrap()).unwrap().to_vec1::<f32>().unwrap();
-        assert_eq!(nothing, vec![-1e4; 1300], "all of them outside");
+        let empty = field.raw_density(&drawn.affine(1.0, 5.0).unwrap()).unwrap().to_vec1::<f32>().unwrap();
+        assert_eq!(empty, vec![-1e4; 1300], "all of them outside");
     }
 }

@@ -29,7 +29,7 @@ use crate::base::tensors::{Values, sum};
 use crate::field::activation::{Activated, Cotangents};
 use crate::field::grid::Grid;
 use crate::field::settings::DensityActivation;
-use crate::field::spatial::{DensityAt, Order, unasked};
+use crate::field::spatial::{DensityAt, Order, not_requested};
 use crate::field::waves::Waves;
 use crate::field::{Field, Inputs};
 use augnerf_fast::fused::Slope;
@@ -70,11 +70,11 @@ impl FastField {
         let slope = Slope::new(self.network.clone(), &values, positive_alone)?;
         let raw = only_inside(&Inputs { values, inside }, slope.raw.clone())?;
         let raw_gradient = match order {
-            Order::Density => unasked(&raw, &[3])?,
+            Order::Density => not_requested(&raw, &[3])?,
             Order::Gradient | Order::Laplacian => slopes.gradient(&slope.slope)?,
         };
         let raw_laplacian = match order {
-            Order::Density | Order::Gradient => unasked(&raw, &[])?,
+            Order::Density | Order::Gradient => not_requested(&raw, &[])?,
             Order::Laplacian => slopes.laplacian(&slope.slope)?,
         };
         let activated = Activated::new(config.density_activation, &raw)?;
@@ -98,12 +98,14 @@ impl Tape {
         if cotangent.is_none() && raw.density.is_none() {
             return Ok((gradients, None));
         }
-        let of_layers = &mut gradients[usize::from(field.grid.is_some())..];
-        let found = self.raw.gradients(cotangent.as_ref(), raw.density.as_ref())?;
-        for ((gradient, values), parameter) in of_layers.iter_mut().zip(found).zip(field.parameters_of_layers()) {
+        let layer_gradients = &mut gradients[usize::from(field.grid.is_some())..];
+        let values_of_layers = self.raw.gradients(cotangent.as_ref(), raw.density.as_ref())?;
+        for ((gradient, values), parameter) in
+            layer_gradients.iter_mut().zip(values_of_layers).zip(field.parameters_of_layers())
+        {
             *gradient = Some(Tensor::from_vec(values, parameter.shape(), &Device::Cpu)?);
         }
-        field.hide(of_layers)?;
+        field.hide(layer_gradients)?;
         let record = match &self.slopes {
             Slopes::Waves(_) => None,
             Slopes::Grid(grid) => Some(grid.record(&raw, &self.raw.slope)?),
@@ -219,13 +221,13 @@ impl GridSlopes {
         let numbers = |factor: &Option<Tensor>| factor.as_ref().map(values).transpose();
         let (value, gradient) = (numbers(&factors.density)?, numbers(&factors.gradient)?);
         let laplacian = numbers(&factors.laplacian)?;
-        let at = |(i, point): (usize, &[f64; 3])| {
-            let one = |factors: &Option<Vec<f64>>, i: usize| factors.as_ref().map_or(0.0, |factors| factors[i]);
-            let slope = std::array::from_fn(|axis| one(&gradient, 3 * i + axis));
-            let operator = self.grid.domain.operator(*point, one(&value, i), slope, one(&laplacian, i));
+        let operator_at = |(i, point): (usize, &[f64; 3])| {
+            let factor = |factors: &Option<Vec<f64>>, i: usize| factors.as_ref().map_or(0.0, |factors| factors[i]);
+            let slope = std::array::from_fn(|axis| factor(&gradient, 3 * i + axis));
+            let operator = self.grid.domain.operator(*point, factor(&value, i), slope, factor(&laplacian, i));
             operator.map(|number| number as f32)
         };
-        Ok(self.points.as_chunks().0.iter().enumerate().map(at).collect())
+        Ok(self.points.as_chunks().0.iter().enumerate().map(operator_at).collect())
     }
 }
 
