@@ -75,7 +75,7 @@ fn a_masked_second_pass_changes_the_entries_of_the_clean_pass() {
     assert!(count(&of_all) > count(&of_nerf), "{} {}", count(&of_all), count(&of_nerf));
     let logged = |config: &Resolved, log: bool| {
         let stats = trained(config, 0).step(log).unwrap();
-        stats.of_weights.iter().find(|(name, _)| name == "only_second.entries").map(|(_, share)| *share)
+        stats.weight_columns.iter().find(|(name, _)| name == "only_second.entries").map(|(_, share)| *share)
     };
     let share = logged(&unmasked, true).unwrap();
     let expected = (count(&of_all) - count(&of_nerf)) as f64 / count(&of_all) as f64;

@@ -4,7 +4,7 @@ use crate::common::pass::{Setting, geometry};
 use crate::common::{flat, parameters, put_on_grid, tiny_config, tiny_scene, trained};
 use augnerf::base::rng::{Random, Stream};
 use augnerf::field::Field;
-use augnerf::perturb::{Deltas, Draw, Norm, PaperSite, PassGeometry, Passes, PixelScale, Sets, SiteSet};
+use augnerf::perturb::{Deltas, Distribution, Norm, PaperSite, PassGeometry, Passes, PixelScale, Sets, SiteSet};
 use augnerf::render::{clean_pass, perturbed_pass};
 use augnerf::runtime::Runtime;
 use augnerf::settings::{Method, OutputPlace, PerturbConfig, PerturbField, SecondPass, Sizes};
@@ -184,7 +184,7 @@ proptest! {
         let start = setting.draw(seed);
         assert_legal(&setting, &start)?;
         assert_legal(&setting, &setting.search(start))?;
-        let gaussian = setting.sets.draw(Draw::Gaussian, 0, |part| Random::part(seed, Stream::Search, 1, part)).unwrap();
+        let gaussian = setting.sets.draw(Distribution::Gaussian, 0, |part| Random::part(seed, Stream::Search, 1, part)).unwrap();
         assert_legal(&setting, &gaussian)?;
     }
 

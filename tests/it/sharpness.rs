@@ -39,13 +39,13 @@ fn on_the_builtin_scene(on_grid: bool, sam: &[&str], steps: u64) -> StepStats {
 #[test]
 fn weights_that_move_up_lose_more_than_random_ones() {
     let of = |stats: &StepStats, column: &str| {
-        stats.of_weights.iter().find(|(name, _)| name == column).unwrap_or_else(|| panic!("no {column}")).1
+        stats.weight_columns.iter().find(|(name, _)| name == column).unwrap_or_else(|| panic!("no {column}")).1
     };
     for on_grid in [false, true] {
         let run = |sam: &[&str], steps: u64| on_the_builtin_scene(on_grid, sam, steps);
         let (plain, moved) = (run(&[], 0), run(&["train.sam_radius=0.02"], 0));
         assert_eq!((moved.loss, moved.mse, &moved.terms), (plain.loss, plain.mse, &plain.terms));
-        assert!(plain.of_weights.is_empty());
+        assert!(plain.weight_columns.is_empty());
         // Where a field starts, a move takes whole rays from empty to full. Later losses are smoother.
         let up = run(&["train.sam_radius=0.005"], 20);
         let random = run(&["train.sam_radius=0.005", "train.sam_direction=random"], 20);
@@ -108,7 +108,7 @@ fn methods_without_fields_have_sharpness_aware_steps() {
             })
         };
         let stats = trained(&with(1e-3), 2).step(true).unwrap();
-        assert_eq!(stats.of_weights.len(), 2, "{method:?}");
+        assert_eq!(stats.weight_columns.len(), 2, "{method:?}");
         assert_eq!(trained(&with(1e-3), 0).step(true).unwrap().loss, trained(&with(0.0), 0).step(true).unwrap().loss);
     }
 }

@@ -4,8 +4,8 @@ use augnerf_base::Result;
 use augnerf_base::rng::Stream;
 use augnerf_nerf::methods::{AttackGeometry, DeltaPlan, PassPlan};
 use augnerf_nerf::perturb::{
-    Draw, Epsilon, Level, Norm, PaperSite, PassGeometry, PerSite, Radius, SampleDensity, Sets, SiteNumbers, StepUnit,
-    output_range,
+    Distribution, Epsilon, Level, Norm, PaperSite, PassGeometry, PerSite, Radius, SampleDensity, Sets, SiteNumbers,
+    StepUnit, output_range,
 };
 use augnerf_nerf::settings::{OutputPlace, Resolved};
 use augnerf_scenes::Scene;
@@ -148,7 +148,7 @@ impl SetBuffers {
         SetBuffers {
             deltas: PerSite::from_fn(of),
             random: PerSite::from_fn(of),
-            used: PerSite::from_fn(|site| of(site).filter(|_| site.about().level == Level::Output)),
+            used: PerSite::from_fn(|site| of(site).filter(|_| site.spec().level == Level::Output)),
         }
     }
 
@@ -294,7 +294,7 @@ impl<'a> Recorder<'a> {
             let part_step = (set.site.part(number + 2) - set.site.part(number)) as usize;
             let of_ray = set.per_ray * set.size;
             let per_chunk = chunks.size * of_ray;
-            let gaussian = draw == Draw::Gaussian;
+            let gaussian = draw == Distribution::Gaussian;
             let ball = set.numbers.norm == Norm::L2 && !gaussian;
             let normals = if gaussian || ball { per_chunk.next_multiple_of(2) } else { per_chunk };
             let distances = (whole + 1) * normals;
@@ -375,7 +375,7 @@ impl<'a> Recorder<'a> {
         padding: f64,
     ) {
         let set = sets.set(site);
-        let is_output = site.about().level == Level::Output && !pass.deltas.before;
+        let is_output = site.spec().level == Level::Output && !pass.deltas.before;
         let range = is_output.then(|| output_range(site, padding));
         // Values lie as their gradients do.
         let offset = if is_output { self.gradient_of(site, OutputPlace::After).2 } else { 0 };
@@ -412,7 +412,7 @@ pub(crate) struct DrawAt<'a> {
     pub(crate) sets: &'a PassSets,
     pub(crate) buffers: &'a SetBuffers,
     pub(crate) pass: &'a PassAt<'a>,
-    pub(crate) draw: Draw,
+    pub(crate) draw: Distribution,
     pub(crate) stream: Stream,
     pub(crate) is_coarse: bool,
     /// Into the random deltas, not the search's.

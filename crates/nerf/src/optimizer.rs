@@ -42,13 +42,13 @@ pub fn learning_rate(config: &Located, step: u64) -> f64 {
             train.learning_rate * train.decay_rate.powf(step as f64 / decay_steps)
         }
         Schedule::LogLinear => {
-            let done = step as f64 / train.steps as f64;
-            let course = train.learning_rate.powf(1.0 - done) * train.final_learning_rate.powf(done);
-            if done >= train.warmup_share {
-                return course;
+            let fraction = step as f64 / train.steps as f64;
+            let log_linear = train.learning_rate.powf(1.0 - fraction) * train.final_learning_rate.powf(fraction);
+            if fraction >= train.warmup_share {
+                return log_linear;
             }
-            let risen = (std::f64::consts::FRAC_PI_2 * done / train.warmup_share).sin();
-            course * (train.warmup_from + (1.0 - train.warmup_from) * risen)
+            let warmup = (std::f64::consts::FRAC_PI_2 * fraction / train.warmup_share).sin();
+            log_linear * (train.warmup_from + (1.0 - train.warmup_from) * warmup)
         }
     }
 }
@@ -117,8 +117,8 @@ impl Adam {
         if self.variables.iter().all(|(_, var)| is_ours_in_f32(var)) {
             let update =
                 adam::Update { betas: [BETA1, beta2], epsilon, rate: learning_rate / correction1, correction2 };
-            let all = self.variables.par_iter().zip(&self.moments).zip(gradients);
-            return all.try_for_each(|(((name, var), moments), gradient)| {
+            let parameters = self.variables.par_iter().zip(&self.moments).zip(gradients);
+            return parameters.try_for_each(|(((name, var), moments), gradient)| {
                 Ok(update.apply(var, [&moments.first, &moments.second], gradient.as_ref(), is_table(name))?)
             });
         }
@@ -135,17 +135,17 @@ impl Adam {
             let mut first = ((&moments.first * BETA1)? + (gradient * (1.0 - BETA1))?)?;
             let mut second = ((&moments.second * beta2)? + (gradient.sqr()? * (1.0 - beta2))?)?;
             let scale = ((&second / correction2)?.sqrt()? + epsilon)?;
-            let mut moved = (var.as_tensor() - ((&first * (learning_rate / correction1))? / scale)?)?;
+            let mut updated = (var.as_tensor() - ((&first * (learning_rate / correction1))? / scale)?)?;
             if is_table(name) {
                 // An entry without a gradient keeps its values and its moments.
                 let has_gradient = gradient.ne(0f64)?.to_dtype(gradient.dtype())?.max_keepdim(1)?.gt(0f64)?;
                 let has_gradient = has_gradient.broadcast_as(gradient.shape())?;
                 first = has_gradient.where_cond(&first, &moments.first)?;
                 second = has_gradient.where_cond(&second, &moments.second)?;
-                moved = has_gradient.where_cond(&moved, var.as_tensor())?;
+                updated = has_gradient.where_cond(&updated, var.as_tensor())?;
             }
             *moments = Moments { first, second };
-            var.set(&moved)?;
+            var.set(&updated)?;
         }
         Ok(())
     }
@@ -174,8 +174,8 @@ mod tests {
         let mut adam = Adam::new(AdamSettings::of(&TrainConfig::default()), vec![("p".into(), var.clone())]).unwrap();
         let gradient = Tensor::new(&[4.0f64, -0.5, 0.0], &Device::Cpu).unwrap();
         adam.update(&[Some(gradient)], 0.1, 1).unwrap();
-        let found = var.to_vec1::<f64>().unwrap();
-        assert!(found.iter().zip([0.9, -1.9, 3.0]).all(|(a, b)| (a - b).abs() < 1e-6), "{found:?}");
+        let values = var.to_vec1::<f64>().unwrap();
+        assert!(values.iter().zip([0.9, -1.9, 3.0]).all(|(a, b)| (a - b).abs() < 1e-6), "{values:?}");
     }
 
     /// The scalar recursion of the paper, algorithm 1, written out.
@@ -214,8 +214,8 @@ mod tests {
         for updates in 1..=2 {
             adam.update(&[Some(zero.clone()), None, None, None, None, None, None], 0.1, updates).unwrap();
         }
-        let found = variables.map(|(_, var)| var.to_vec2::<f64>().unwrap()[0][0]);
+        let values = variables.map(|(_, var)| var.to_vec2::<f64>().unwrap()[0][0]);
         let decayed = 2.0 * 0.95 * 0.95;
-        assert_eq!(found, [decayed, decayed, decayed, 2.0, 2.0, 2.0, 2.0]);
+        assert_eq!(values, [decayed, decayed, decayed, 2.0, 2.0, 2.0, 2.0]);
     }
 }

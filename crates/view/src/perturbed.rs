@@ -6,7 +6,7 @@ use crate::base::Result;
 use crate::base::rng::{Random, Stream};
 use crate::data::{RayParts, Rays, Scene};
 use crate::methods::{AttackGeometry, Fields};
-use crate::perturb::{Deltas, Draw, Sets, SiteSet};
+use crate::perturb::{Deltas, Distribution, Sets, SiteSet};
 use crate::render::sampling::stratified;
 use crate::render::{
     Pass, PassOutput, Perturbation, clean_pass, columns, fine_t_vals, perturbed_pass, ray_parts, samples_of, search,
@@ -52,7 +52,7 @@ impl PerturbedRenderer {
     /// none on, as NeRF, they are those that Aug-NeRF has with the run's settings.
     pub fn sites(&self) -> Vec<&'static str> {
         let numbers = self.config.perturb.numbers.iter();
-        numbers.filter(|(_, numbers)| numbers.on() && numbers.perturbs()).map(|(site, _)| site.about().name).collect()
+        numbers.filter(|(_, numbers)| numbers.on() && numbers.perturbs()).map(|(site, _)| site.spec().name).collect()
     }
 
     /// Runs the evaluated pass with the deltas of `attack`. Without sites it is the clean pass. The search raises the squared
@@ -82,13 +82,14 @@ impl PerturbedRenderer {
                 &clean
             }
         };
-        let start = sets.draw(Draw::Uniform, part, |part| Random::part(self.config.seed, Stream::View, 0, part))?;
+        let start =
+            sets.draw(Distribution::Uniform, part, |part| Random::part(self.config.seed, Stream::View, 0, part))?;
         let found = search(field, pass, self.perturbation(&start, &sets), target, 1.0)?;
         let mut scaled = Deltas::default();
         for SiteSet { site, set } in sets.iter_mut() {
             let Some(delta) = found.get(site.name()) else { continue };
             let scaled_up = (delta.detach() * attack.scale)?;
-            if site.at().about().largest_epsilon.0 < f64::MAX {
+            if site.at().spec().largest_epsilon.0 < f64::MAX {
                 // Its set ends where deltas lose their meaning: samples would pass each other.
                 scaled.set(site.name(), set.project(&scaled_up)?);
                 continue;

@@ -3,7 +3,9 @@
 use augnerf::base::rng::{Random, Stream};
 use augnerf::data::{RayBuffer, RayParts, Rays};
 use augnerf::field::Field;
-use augnerf::perturb::{Deltas, Draw, PaperSite, PassGeometry, Passes, PixelScale, SampleDensity, Sets, worst_case};
+use augnerf::perturb::{
+    Deltas, Distribution, PaperSite, PassGeometry, Passes, PixelScale, SampleDensity, Sets, worst_case,
+};
 use augnerf::render::{Pass, Perturbation, perturbed_pass, photometric_loss, sampling};
 use augnerf::settings::{Method, PerturbConfig, Resolved, Spacing};
 use candle_core::{DType, Device, Tensor};
@@ -90,7 +92,7 @@ impl Setting {
     }
 
     pub fn draw(&self, index: u64) -> Deltas {
-        self.sets.draw(Draw::Uniform, 0, |part| Random::part(3, Stream::Search, index, part)).unwrap()
+        self.sets.draw(Distribution::Uniform, 0, |part| Random::part(3, Stream::Search, index, part)).unwrap()
     }
 
     pub fn search(&self, start: Deltas) -> Deltas {

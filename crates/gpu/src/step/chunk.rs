@@ -2,7 +2,7 @@
 
 use augnerf_base::rng::Stream;
 use augnerf_nerf::methods::{DeltaPlan, PassPlan, SampleSource};
-use augnerf_nerf::perturb::{Draw, PaperSite};
+use augnerf_nerf::perturb::{Distribution, PaperSite};
 use augnerf_nerf::settings::{OutputPlace, Regularizer, Resolved, SecondPass};
 use wgpu::Buffer;
 
@@ -229,7 +229,7 @@ impl<'a> ChunkRecorder<'a> {
         let sets = steps.sets[index].as_ref().expect("a perturbed pass has sets");
         let buffers = steps.buffers.sets[index].as_ref().expect("a perturbed pass has deltas");
         let before = perturb.output == OutputPlace::Before;
-        let draw = if source == SecondPass::Gaussian { Draw::Gaussian } else { Draw::Uniform };
+        let draw = if source == SecondPass::Gaussian { Distribution::Gaussian } else { Distribution::Uniform };
         let at = self.draw_at(index, &pass, draw, Stream::Search, false);
         recorder.draw(&at);
         let deltas = buffers.of_pass(sets, Deltas::Searched, perturb.injection_layer, before);
@@ -263,7 +263,14 @@ impl<'a> ChunkRecorder<'a> {
         recorder.back(&pass, Wanted { weights: true, ..Wanted::default() });
     }
 
-    fn draw_at<'b>(&self, index: usize, pass: &'b PassAt<'a>, draw: Draw, stream: Stream, random: bool) -> DrawAt<'b>
+    fn draw_at<'b>(
+        &self,
+        index: usize,
+        pass: &'b PassAt<'a>,
+        draw: Distribution,
+        stream: Stream,
+        random: bool,
+    ) -> DrawAt<'b>
     where
         'a: 'b,
     {
@@ -293,7 +300,7 @@ impl<'a> ChunkRecorder<'a> {
         let sets = steps.sets[index].as_ref().expect("a perturbed pass has sets");
         let buffers = steps.buffers.sets[index].as_ref().expect("a perturbed pass has deltas");
         let before = perturb.output == OutputPlace::Before;
-        let at = self.draw_at(index, pass, Draw::Uniform, Stream::Diagnostics, true);
+        let at = self.draw_at(index, pass, Distribution::Uniform, Stream::Diagnostics, true);
         recorder.draw(&at);
         // The shares at bounds are those of the deltas that the complete pass uses.
         recorder.forward(pass, None);

@@ -120,11 +120,11 @@ impl Field {
     pub fn parameter_names(config: &FieldConfig) -> Vec<(String, Vec<usize>)> {
         let mut names = Vec::new();
         let number = Tensor::zeros((), DType::F32, &Device::Cpu).expect("a number");
-        let named = Field::from_source(config, |name, shape, _| {
+        let shapes = Field::from_source(config, |name, shape, _| {
             names.push((name.to_string(), shape.dims().to_vec()));
             number.broadcast_as(shape)
         });
-        named.expect("a number has any shape");
+        shapes.expect("a number has any shape");
         names
     }
 
@@ -133,15 +133,15 @@ impl Field {
         let mut random = Random::new(seed, Stream::Init, index);
         let mut parameters = Vec::new();
         Field::from_source(config, |_, shape, init| {
-            let drawn = match init {
+            let values = match init {
                 Init::Uniform { lo, up } => random
                     .uniform_tensor(shape.dims(), dtype, device)
                     .map_err(candle_core::Error::wrap)?
                     .affine(up - lo, lo)?,
                 _ => Tensor::zeros(shape, dtype, device)?,
             };
-            parameters.push(drawn.clone());
-            Ok(drawn)
+            parameters.push(values.clone());
+            Ok(values)
         })?;
         Field::from_parameters(config, parameters)
     }

@@ -66,10 +66,10 @@ impl Batches {
     }
 
     fn check(&self) -> Result<()> {
-        let (available, of) = match self.batching {
+        let (available, owner) = match self.batching {
             Batching::AllImages => (self.pixels(), "all training images have"),
             Batching::OneImage => {
-                let smallest = (0..self.cameras.len()).map(|view| self.kept(view, 0));
+                let smallest = (0..self.cameras.len()).map(|view| self.usable_pixels(view, 0));
                 (smallest.min().unwrap_or(0), "one image (its central part during train.precrop_steps) has")
             }
         };
@@ -80,7 +80,7 @@ impl Batches {
         }
         if self.rays > available {
             return Err(Error::Config(format!(
-                "train.rays = {} is out of range: it must be at most {available}, the pixels that {of}{}",
+                "train.rays = {} is out of range: it must be at most {available}, the pixels that {owner}{}",
                 self.rays,
                 if self.unmasked.iter().any(Option::is_some) { " beside its mask" } else { "" }
             )));
@@ -89,12 +89,12 @@ impl Batches {
     }
 
     /// Returns the first pixel, and the number of pixels, that a step uses along a side of `size`.
-    fn part(&self, size: usize, step: u64) -> (u32, u32) {
+    fn central_range(&self, size: usize, step: u64) -> (u32, u32) {
         if step >= self.precrop_steps {
             return (0, size as u32);
         }
-        let kept = ((size as f64 * self.precrop_fraction).round() as usize).clamp(1, size);
-        (((size - kept) / 2) as u32, kept as u32)
+        let used = ((size as f64 * self.precrop_fraction).round() as usize).clamp(1, size);
+        (((size - used) / 2) as u32, used as u32)
     }
 
     /// Returns the cameras of the training views.
@@ -111,8 +111,8 @@ impl Batches {
     /// Returns the batch of a step.
     pub fn batch(&mut self, step: u64) -> Batch {
         let pixels = match self.batching {
-            Batching::AllImages => self.shuffled(step),
-            Batching::OneImage => self.of_one_image(step),
+            Batching::AllImages => self.next_pixels(step),
+            Batching::OneImage => self.pixels_of_one_image(step),
         };
         let rays: Vec<(&Camera, u32, u32)> = pixels.iter().map(|&(view, x, y)| (&self.cameras[view], x, y)).collect();
         let rays = RayBuffer::new(&rays, self.ndc.as_ref(), self.pixel_origin, self.parts);
@@ -124,7 +124,7 @@ impl Batches {
     }
 
     /// Returns the next part of a permutation of all pixels. Every epoch has its own permutation.
-    fn shuffled(&mut self, step: u64) -> Vec<(usize, u32, u32)> {
+    fn next_pixels(&mut self, step: u64) -> Vec<(usize, u32, u32)> {
         let (total, rays) = (self.pixels(), self.rays);
         let per_epoch = (total / rays) as u64;
         let epoch = step / per_epoch;
@@ -145,41 +145,41 @@ impl Batches {
     /// Returns view, column and row of a pixel, given its number among those of all views.
     fn locate(&self, flat: usize) -> (usize, u32, u32) {
         let view = self.offsets.partition_point(|&offset| offset <= flat) - 1;
-        let (rest, width) = (flat - self.offsets[view], self.cameras[view].width);
-        let rest = self.unmasked[view].as_ref().map_or(rest, |unmasked| unmasked[rest] as usize);
-        (view, (rest % width) as u32, (rest / width) as u32)
+        let (index, width) = (flat - self.offsets[view], self.cameras[view].width);
+        let pixel = self.unmasked[view].as_ref().map_or(index, |unmasked| unmasked[index] as usize);
+        (view, (pixel % width) as u32, (pixel / width) as u32)
     }
 
     /// Returns the number of pixels of a view that a step can use.
-    fn kept(&self, view: usize, step: u64) -> usize {
-        let ((_, width), (_, height)) = self.central(view, step);
+    fn usable_pixels(&self, view: usize, step: u64) -> usize {
+        let ((_, width), (_, height)) = self.central_part(view, step);
         self.unmasked[view].as_ref().map_or((width * height) as usize, |_| self.unmasked_in_centre(view, step).len())
     }
 
     /// Returns the first pixel, and the number of pixels, that a step uses in both directions.
-    fn central(&self, view: usize, step: u64) -> ((u32, u32), (u32, u32)) {
+    fn central_part(&self, view: usize, step: u64) -> ((u32, u32), (u32, u32)) {
         let camera = &self.cameras[view];
-        (self.part(camera.width, step), self.part(camera.height, step))
+        (self.central_range(camera.width, step), self.central_range(camera.height, step))
     }
 
     /// Returns the pixels of a masked view that a step can use.
     fn unmasked_in_centre(&self, view: usize, step: u64) -> Vec<(u32, u32)> {
-        let ((x0, width), (y0, height)) = self.central(view, step);
-        let (columns, all) = (self.cameras[view].width as u32, self.unmasked[view].as_deref().unwrap_or_default());
-        let places = all.iter().map(|flat| (flat % columns, flat / columns));
-        places.filter(|(x, y)| (x0..x0 + width).contains(x) && (y0..y0 + height).contains(y)).collect()
+        let ((x0, width), (y0, height)) = self.central_part(view, step);
+        let (columns, unmasked) = (self.cameras[view].width as u32, self.unmasked[view].as_deref().unwrap_or_default());
+        let pixels = unmasked.iter().map(|flat| (flat % columns, flat / columns));
+        pixels.filter(|(x, y)| (x0..x0 + width).contains(x) && (y0..y0 + height).contains(y)).collect()
     }
 
     /// Returns distinct pixels of one image, of its central part during pre-crop.
-    fn of_one_image(&self, step: u64) -> Vec<(usize, u32, u32)> {
+    fn pixels_of_one_image(&self, step: u64) -> Vec<(usize, u32, u32)> {
         let mut random = Random::new(self.seed, Stream::Batches, step);
         let view = random.below(self.cameras.len() as u32) as usize;
         if self.unmasked[view].is_some() {
-            let places = self.unmasked_in_centre(view, step);
-            let chosen = random.distinct(self.rays, places.len() as u32);
-            return chosen.iter().map(|&place| places[place as usize]).map(|(x, y)| (view, x, y)).collect();
+            let pixels = self.unmasked_in_centre(view, step);
+            let chosen = random.distinct(self.rays, pixels.len() as u32);
+            return chosen.iter().map(|&index| pixels[index as usize]).map(|(x, y)| (view, x, y)).collect();
         }
-        let ((x0, width), (y0, height)) = self.central(view, step);
+        let ((x0, width), (y0, height)) = self.central_part(view, step);
         let chosen = random.distinct(self.rays, width * height);
         chosen.iter().map(|&flat| (view, x0 + flat % width, y0 + flat / width)).collect()
     }
@@ -293,16 +293,16 @@ mod tests {
 
     #[test]
     fn masked_pixels_are_never_drawn_and_all_others_are() {
-        let mut all = masked(Batching::AllImages, 12).unwrap();
-        let targets: Vec<f32> = (0..6).flat_map(|step| all.batch(step).target).collect();
+        let mut epochs = masked(Batching::AllImages, 12).unwrap();
+        let targets: Vec<f32> = (0..6).flat_map(|step| epochs.batch(step).target).collect();
         let mut pixels: Vec<&[f32]> = targets.chunks(3).collect();
         assert!(pixels.iter().all(|pixel| pixel[1] < 4.0));
         pixels.sort_by(|a, b| a.partial_cmp(b).unwrap());
         pixels.dedup();
         assert_eq!(pixels.len(), 72);
-        let mut one = masked(Batching::OneImage, 6).unwrap();
+        let mut batches = masked(Batching::OneImage, 6).unwrap();
         for step in 0..10 {
-            let batch = one.batch(step);
+            let batch = batches.batch(step);
             assert_eq!((batch.rays.len(), batch.target.len()), (6, 18));
             let pixels: Vec<&[f32]> = batch.target.chunks(3).collect();
             assert!((0..6).all(|i| pixels[..i].iter().all(|pixel| *pixel != pixels[i])));
@@ -310,8 +310,8 @@ mod tests {
             assert!(pixels.iter().all(|pixel| from.contains(&pixel[1])), "{step}: {pixels:?}");
         }
         // The central part is 4 x 3, of which the left half counts.
-        let said = masked(Batching::OneImage, 7).err().expect("too many").to_string();
-        assert!(said.contains("at most 6") && said.contains("mask"), "{said}");
+        let message = masked(Batching::OneImage, 7).err().expect("too many").to_string();
+        assert!(message.contains("at most 6") && message.contains("mask"), "{message}");
     }
 
     #[test]

@@ -97,8 +97,8 @@ pub fn logged_sites<'a>(header: impl Iterator<Item = &'a str>) -> Vec<String> {
     // A gain alone is not a site's: sharpness-aware steps log that of weights.
     let mut names: Vec<String> =
         header.filter_map(|column| column.strip_prefix("inactive.")).map(str::to_string).collect();
-    let place = |name: &String| PaperSite::of_name(name).map_or(PaperSite::ALL.len(), |site| site as usize);
-    names.sort_by_key(place);
+    let order = |name: &String| PaperSite::of_name(name).map_or(PaperSite::ALL.len(), |site| site as usize);
+    names.sort_by_key(order);
     names
 }
 
@@ -113,24 +113,25 @@ impl SiteSummary {
     pub fn read(scalars: &Path, last_step: u64) -> Result<Vec<SiteSummary>> {
         let broken = |error: csv::Error| Error::Checkpoint(format!("cannot read {}: {error}", scalars.display()));
         let text = read_text(scalars, TABLE_BYTES).map_err(|error| broken(error.into()))?;
-        let whole = text.rfind('\n').map_or("", |end| &text[..end]);
-        let mut reader = csv::Reader::from_reader(whole.as_bytes());
+        let complete_lines = text.rfind('\n').map_or("", |end| &text[..end]);
+        let mut reader = csv::Reader::from_reader(complete_lines.as_bytes());
         let header = reader.headers().map_err(broken)?.clone();
         // Only these columns, since a log may be long.
         let sites = logged_sites(header.iter());
         let names = sites.iter().flat_map(|site| columns(site));
-        let places = names.filter_map(|name| Some((header.iter().position(|found| found == name)?, name)));
-        let mut kept: Vec<(usize, String, Vec<f64>)> = places.map(|(place, name)| (place, name, Vec::new())).collect();
+        let indices = names.filter_map(|name| Some((header.iter().position(|column| column == name)?, name)));
+        let mut logged: Vec<(usize, String, Vec<f64>)> =
+            indices.map(|(index, name)| (index, name, Vec::new())).collect();
         for row in reader.records() {
             let row = row.map_err(broken)?;
             if row.get(0).and_then(|step| step.parse::<u64>().ok()).is_some_and(|step| step <= last_step) {
-                let number = |place: usize| row.get(place).and_then(|cell| cell.parse::<f64>().ok());
-                kept.iter_mut().for_each(|(place, _, values)| values.extend(number(*place)));
+                let number = |index: usize| row.get(index).and_then(|cell| cell.parse::<f64>().ok());
+                logged.iter_mut().for_each(|(index, _, values)| values.extend(number(*index)));
             }
         }
         let column = |name: &str| {
-            let kept = kept.iter().find(|(_, known, _)| known == name);
-            kept.map(|(.., values)| values.clone()).unwrap_or_default()
+            let column = logged.iter().find(|(_, column, _)| column == name);
+            column.map(|(.., values)| values.clone()).unwrap_or_default()
         };
         Ok(SiteSummary::of_columns(&sites, column))
     }
@@ -166,7 +167,7 @@ impl SiteSummary {
 #[derive(Clone, Copy, Default)]
 pub(super) struct SiteEffect {
     /// The chunk's fraction of the step's rays.
-    pub(super) share: f64,
+    pub(super) fraction: f64,
     pub(super) gain: f64,
     pub(super) gain_over_random: f64,
     /// Mean absolute change of the rays' colours, in 8-bit steps.
@@ -174,25 +175,25 @@ pub(super) struct SiteEffect {
     pub(super) at_bound: Option<f64>,
 }
 
-/// Sums over chunks and passes, by site: of gain, gain over random, shift, share at the bound, and of the fractions behind
+/// SiteSums over chunks and passes, by site: of gain, gain over random, shift, share at the bound, and of the fractions behind
 /// the last two.
 #[derive(Default)]
-pub(super) struct Sums(Vec<(String, [f64; 6])>);
+pub(super) struct SiteSums(Vec<(String, [f64; 6])>);
 
-impl Sums {
+impl SiteSums {
     pub(super) fn add(&mut self, site: &str, effect: SiteEffect) {
-        let SiteEffect { share, gain, gain_over_random, shift, at_bound } = effect;
-        let bounded = if at_bound.is_some() { share } else { 0.0 };
-        let weighted = [share * gain, share * gain_over_random, share * shift, share * at_bound.unwrap_or(0.0)];
-        self.add_sums(site, &[&weighted[..], &[share, bounded]].concat());
+        let SiteEffect { fraction, gain, gain_over_random, shift, at_bound } = effect;
+        let bounded = if at_bound.is_some() { fraction } else { 0.0 };
+        let weighted = [gain, gain_over_random, shift, at_bound.unwrap_or(0.0)].map(|number| fraction * number);
+        self.add_sums(site, &[&weighted[..], &[fraction, bounded]].concat());
     }
 
-    pub(super) fn merge(&mut self, other: Sums) {
+    pub(super) fn merge(&mut self, other: SiteSums) {
         other.0.iter().for_each(|(site, sums)| self.add_sums(site, sums));
     }
 
     fn add_sums(&mut self, site: &str, sums: &[f64]) {
-        let index = self.0.iter().position(|(known, _)| known == site).unwrap_or_else(|| {
+        let index = self.0.iter().position(|(name, _)| name == site).unwrap_or_else(|| {
             self.0.push((site.to_string(), [0.0; 6]));
             self.0.len() - 1
         });

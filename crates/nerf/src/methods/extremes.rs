@@ -64,13 +64,13 @@ impl Extremes {
 
     /// Returns the extremes of two parts. NaN is dropped; the step's loss is checked for it.
     pub fn join(self, other: Extremes) -> Extremes {
-        let both = |a: [[f64; 2]; RGB], b: [[f64; 2]; RGB]| {
+        let union = |a: [[f64; 2]; RGB], b: [[f64; 2]; RGB]| {
             std::array::from_fn(|c| [a[c][0].min(b[c][0]), a[c][1].max(b[c][1])])
         };
         Extremes {
             largest_acc: self.largest_acc.max(other.largest_acc),
-            rendered: both(self.rendered, other.rendered),
-            target: both(self.target, other.target),
+            rendered: union(self.rendered, other.rendered),
+            target: union(self.target, other.target),
         }
     }
 
@@ -100,20 +100,20 @@ mod tests {
         let rendered = [[0.1f64, 0.5, 0.9], [0.2, 0.5, 0.4], [0.1, 0.75, 0.4]];
         let target = [[1.0f64, 0.0, 0.0], [1.0, 0.25, 0.0], [1.0, 0.0, 0.0]];
         let acc = [0.25f64, 0.75, 0.5];
-        let of = |rays: std::ops::Range<usize>| {
+        let extremes = |rays: std::ops::Range<usize>| {
             let tensor =
                 |colours: &[[f64; 3]]| Tensor::from_vec(colours.concat(), (colours.len(), 3), &Device::Cpu).unwrap();
             let acc = Tensor::new(&acc[rays.clone()], &Device::Cpu).unwrap();
             Extremes::of(&acc, &tensor(&rendered[rays.clone()]), &tensor(&target[rays])).unwrap()
         };
-        let whole = of(0..3);
-        assert_eq!(whole.largest_acc, 0.75);
-        assert_eq!((whole.rendered_spread(), whole.target_spread()), (0.9 - 0.4, 0.25));
-        assert_eq!(of(0..1).join(of(1..3)), whole);
+        let all = extremes(0..3);
+        assert_eq!(all.largest_acc, 0.75);
+        assert_eq!((all.rendered_spread(), all.target_spread()), (0.9 - 0.4, 0.25));
+        assert_eq!(extremes(0..1).join(extremes(1..3)), all);
         let mut added = Extremes::none(0.75);
         for (rendered, target) in rendered.iter().zip(&target) {
             (0..3).for_each(|channel| added.add(channel, rendered[channel], target[channel]));
         }
-        assert_eq!(added, whole);
+        assert_eq!(added, all);
     }
 }

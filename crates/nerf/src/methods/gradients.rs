@@ -31,11 +31,11 @@ impl Gradients {
     /// share the parameters.
     pub fn sum(parts: Vec<Gradients>) -> Result<Gradients> {
         let parameters = parts.first().map_or(0, |part| part.0.len());
-        let of_parameter = |index: usize| {
-            let there: Vec<&Tensor> = parts.iter().filter_map(|part| part.0[index].as_ref()).collect();
-            sum_of(&there)
+        let sum_of_parameter = |index: usize| {
+            let summands: Vec<&Tensor> = parts.iter().filter_map(|part| part.0[index].as_ref()).collect();
+            sum_of(&summands)
         };
-        Ok(Gradients((0..parameters).into_par_iter().map(of_parameter).collect::<Result<_>>()?))
+        Ok(Gradients((0..parameters).into_par_iter().map(sum_of_parameter).collect::<Result<_>>()?))
     }
 
     /// Adds other gradients of the same model.
@@ -84,11 +84,11 @@ mod tests {
                 if part == 2 { tensor.t().unwrap().contiguous().unwrap().t().unwrap() } else { tensor }
             };
             let part = |part: usize| Gradients(vec![(part != 1).then(|| tensor(part)), None]);
-            let found = Gradients::sum((0..4).map(part).collect()).unwrap();
+            let sum = Gradients::sum((0..4).map(part).collect()).unwrap();
             let expected = (((tensor(0) + tensor(2)).unwrap()) + tensor(3)).unwrap();
             let bits = |tensor: &Tensor| tensor.to_dtype(DType::F64).unwrap().to_vec2::<f64>().unwrap();
-            assert_eq!(bits(found.0[0].as_ref().unwrap()), bits(&expected), "{dtype:?}");
-            assert!(found.0[1].is_none());
+            assert_eq!(bits(sum.0[0].as_ref().unwrap()), bits(&expected), "{dtype:?}");
+            assert!(sum.0[1].is_none());
         }
     }
 }

@@ -40,13 +40,13 @@ pub struct StepReport {
     /// Diagnostics of each site, at log steps.
     pub sites: Vec<SiteDiagnostics>,
     /// What was measured of the weights, by columns.
-    pub of_weights: Vec<(String, f64)>,
+    pub weight_columns: Vec<(String, f64)>,
 }
 
 impl StepReport {
     /// Returns the report of a step without sites and moved weights.
     pub fn new(terms: Vec<Term>, loss: f64, mse: f64, extremes: Extremes) -> StepReport {
-        StepReport { terms, loss, mse, extremes, sites: Vec::new(), of_weights: Vec::new() }
+        StepReport { terms, loss, mse, extremes, sites: Vec::new(), weight_columns: Vec::new() }
     }
 }
 

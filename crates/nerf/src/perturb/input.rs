@@ -57,26 +57,25 @@ impl Site for T {
         let gaps = (t_vals.narrow(1, 1, samples - 1)? - t_vals.narrow(1, 0, samples - 1)?)?;
         let before = Tensor::cat(&[&gaps.narrow(1, 0, 1)?, &gaps], 1)?;
         let after = Tensor::cat(&[&gaps, &gaps.narrow(1, samples - 2, 1)?], 1)?;
-        let short = match t_vals.dtype() {
+        let two_roundings = match t_vals.dtype() {
             DType::F64 => 1.0 - 2.0 * f64::EPSILON,
             _ => 1.0 - 2.0 * f64::from(f32::EPSILON),
         };
-        let nearer = before.minimum(&after)?;
+        let nearer_gap = before.minimum(&after)?;
         let radius = match self.numbers.epsilon {
             // The paper's gaps may be wider than these. More than half of these would lose the order.
             Epsilon::Units(epsilon) => match pass.sample_density.uniform() {
-                Some(density) => (nearer * ((epsilon / density).min(LARGEST_SHIFT) * short))?,
+                Some(density) => (nearer_gap * ((epsilon / density).min(LARGEST_SHIFT) * two_roundings))?,
                 None => {
                     let coarse_gap = (far - near) / (pass.coarse_samples as f64 - 1.0);
                     let density = pass.sample_density.around(&((before + after)? * 0.5)?, coarse_gap)?;
-                    let share = (density.recip()? * epsilon)?
+                    let fraction = (density.recip()? * epsilon)?
                         .minimum(&pass.scalar(LARGEST_SHIFT)?.broadcast_as((rays, samples))?)?;
-                    ((nearer * share)? * short)?
+                    ((nearer_gap * fraction)? * two_roundings)?
                 }
             },
-            Epsilon::Reach => {
-                (nearer * (LARGEST_SHIFT * short))?.broadcast_minimum(&pass.scalar(self.numbers.radius(|e| e))?)?
-            }
+            Epsilon::Reach => (nearer_gap * (LARGEST_SHIFT * two_roundings))?
+                .broadcast_minimum(&pass.scalar(self.numbers.radius(|e| e))?)?,
         };
         let zero = t_vals.zeros_like()?;
         // Rounding can put a sample outside near..far. Its own bound must not push it.
@@ -209,7 +208,7 @@ impl Site for View {
 /// Those of candle, if shapes do not fit.
 pub fn tilt(viewdirs: &Tensor, tangents: &[Tensor; 2], angles: &Tensor) -> Result<Tensor> {
     let along = |axis: usize| angles.narrow(1, axis, 1)?.broadcast_mul(&tangents[axis]);
-    let moved = ((viewdirs + along(0)?)? + along(1)?)?;
-    let norm = moved.sqr()?.sum_keepdim(1)?.sqrt()?;
-    Ok(moved.broadcast_div(&norm)?)
+    let tilted = ((viewdirs + along(0)?)? + along(1)?)?;
+    let norm = tilted.sqr()?.sum_keepdim(1)?.sqrt()?;
+    Ok(tilted.broadcast_div(&norm)?)
 }

@@ -21,6 +21,6 @@ pub use geometry::{Geometry, PaperPass, PassGeometry, PixelScale, SampleDensity}
 pub use input::{Radius, T, View, Xyz, tilt};
 pub use output::{Density, Rgb, UsedDeltas, output_range};
 pub use pgd::{Iterate, worst_case};
-pub use set::{DeltaSet, Draw, Norm};
+pub use set::{DeltaSet, Distribution, Norm};
 pub use sets::{Deltas, Sets, SiteSet};
 pub use site::{DefaultSizes, Level, PaperSite, Passes, PerSite, Pgd, Site, SiteNumbers, SiteSpec, StepUnit};

@@ -134,28 +134,32 @@ impl UsedDeltas {
     ///
     /// # Errors
     /// Those of candle and of a site's own spread.
-    pub fn add_to(&mut self, value: Tensor, at: PaperSite, range: Option<(f64, f64)>) -> Result<Tensor> {
+    pub fn add_to(&mut self, value: Tensor, paper_site: PaperSite, range: Option<(f64, f64)>) -> Result<Tensor> {
         let UsedDeltas { deltas, sets } = self;
         // A projected sum can leave the range by rounding, and a spread delta is not projected onto it.
-        let legal = |sum: Tensor| match range {
+        let within_range = |sum: Tensor| match range {
             Some((low, high)) if high < UNLIMITED => sum.clamp(low, high),
             Some(_) => sum.relu(),
             None => Ok(sum),
         };
-        let mut sum = match deltas.spread(sets, at)? {
-            Some(spread) => straight_through(legal((value.detach() + spread.detach())?)?, &value, &spread)?,
+        let mut sum = match deltas.spread(sets, paper_site)? {
+            Some(spread) => straight_through(within_range((value.detach() + spread.detach())?)?, &value, &spread)?,
             None => value,
         };
-        for SiteSet { site, set } in sets.iter_mut().filter(|entry| entry.site.at() == at && !entry.set.spreads()) {
+        for SiteSet { site, set } in
+            sets.iter_mut().filter(|entry| entry.site.at() == paper_site && !entry.set.spreads())
+        {
             let Some(delta) = deltas.get(site.name()).cloned() else { continue };
-            let now = sum.detach();
+            let values = sum.detach();
             *set = match range {
-                Some((low, high)) if high < UNLIMITED => set.within(now.affine(-1.0, low)?, now.affine(-1.0, high)?),
-                Some((_, high)) => set.within(now.neg()?, (now.zeros_like()? + high)?),
+                Some((low, high)) if high < UNLIMITED => {
+                    set.within(values.affine(-1.0, low)?, values.affine(-1.0, high)?)
+                }
+                Some((_, high)) => set.within(values.neg()?, (values.zeros_like()? + high)?),
                 None => set.clone(),
             };
             let projected = set.project(&delta.detach())?;
-            sum = straight_through(legal((&now + &projected)?)?, &sum, &delta)?;
+            sum = straight_through(within_range((&values + &projected)?)?, &sum, &delta)?;
             deltas.set(site.name(), projected);
         }
         Ok(sum)

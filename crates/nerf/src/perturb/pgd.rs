@@ -16,7 +16,7 @@ impl Iterate<'_> {
     /// Returns whether no site that moves samples moves in this step, and so in no later one. What depends only on the
     /// samples need not be computed again.
     pub fn fixes_samples(&self) -> bool {
-        !self.moving.iter().any(|entry| entry.site.at().about().moves_samples)
+        !self.moving.iter().any(|entry| entry.site.at().spec().moves_samples)
     }
 }
 
@@ -36,8 +36,8 @@ pub fn worst_case(
     mut loss: impl FnMut(Iterate) -> Result<(Tensor, Deltas)>,
 ) -> Result<Deltas> {
     let mut deltas = start;
-    let longest = sets.iter().map(|entry| entry.site.pgd().steps).max().unwrap_or(0);
-    for step in 0..longest {
+    let most_steps = sets.iter().map(|entry| entry.site.pgd().steps).max().unwrap_or(0);
+    for step in 0..most_steps {
         let moving: Vec<&SiteSet> = sets.iter().filter(|entry| step < entry.site.pgd().steps).collect();
         let mut tracked = deltas.clone();
         for SiteSet { site, .. } in &moving {
@@ -124,12 +124,12 @@ mod tests {
             (Norm::L2, [3.0, 0.0, -4.0], 0, [0.0, 0.0, 0.0]),
         ] {
             let peak = Tensor::new(&[[peak]], &Device::Cpu).unwrap();
-            let found = search([Vector { at: PaperSite::Xyz, steps, norm, radius: 0.5 }], |at| {
+            let deltas = search([Vector { at: PaperSite::Xyz, steps, norm, radius: 0.5 }], |at| {
                 let offset = (at.deltas.get(PaperSite::Xyz).unwrap() - &peak)?;
                 Ok((offset.sqr()?.sum_all()?.neg()?, at.deltas.clone()))
             });
-            let found: Vec<f64> = found.get(PaperSite::Xyz).unwrap().flatten_all().unwrap().to_vec1().unwrap();
-            assert!(found.iter().zip(expected).all(|(a, b)| (a - b).abs() < 1e-9), "{found:?}");
+            let maximum: Vec<f64> = deltas.get(PaperSite::Xyz).unwrap().flatten_all().unwrap().to_vec1().unwrap();
+            assert!(maximum.iter().zip(expected).all(|(a, b)| (a - b).abs() < 1e-9), "{maximum:?}");
         }
     }
 
@@ -137,13 +137,13 @@ mod tests {
     fn samples_are_fixed_after_the_steps_of_the_sites_that_move_them() {
         let site = |at, steps| Vector { at, steps, norm: Norm::Linf, radius: 9.0 };
         let mut fixed = Vec::new();
-        let found = search([site(PaperSite::Xyz, 2), site(PaperSite::Rgb, 4)], |at| {
+        let deltas = search([site(PaperSite::Xyz, 2), site(PaperSite::Rgb, 4)], |at| {
             fixed.push(at.fixes_samples());
             let sum = (at.deltas.get(PaperSite::Xyz).unwrap() + at.deltas.get(PaperSite::Rgb).unwrap())?;
             Ok((sum.sum_all()?, at.deltas.clone()))
         });
         assert_eq!(fixed, [false, false, true, true]);
-        let travelled = |site| found.get(site).unwrap().max_all().unwrap().to_scalar::<f64>().unwrap();
+        let travelled = |site| deltas.get(site).unwrap().max_all().unwrap().to_scalar::<f64>().unwrap();
         assert!((travelled(PaperSite::Xyz) - 0.2).abs() < 1e-12 && (travelled(PaperSite::Rgb) - 0.4).abs() < 1e-12);
     }
 }

@@ -31,7 +31,7 @@ impl Norm {
 
 /// The distribution of random points of a set.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Draw {
+pub enum Distribution {
     /// Uniform in the set.
     Uniform,
     /// Normal with the uniform's standard deviation, radius / sqrt(3), then projected.
@@ -118,11 +118,11 @@ impl DeltaSet {
             Norm::L2 => {
                 // Scaled by the largest entry first, so that tiny gradients do not underflow.
                 let largest = gradient.abs()?.max_keepdim(D::Minus1)?;
-                let safe = largest.gt(0f64)?.where_cond(&largest, &largest.ones_like()?)?;
-                let scaled = gradient.broadcast_div(&safe)?;
+                let divisor = largest.gt(0f64)?.where_cond(&largest, &largest.ones_like()?)?;
+                let scaled = gradient.broadcast_div(&divisor)?;
                 let norm = l2_norm(&scaled)?;
-                let safe = norm.gt(0f64)?.where_cond(&norm, &norm.ones_like()?)?;
-                scaled.broadcast_div(&safe)
+                let divisor = norm.gt(0f64)?.where_cond(&norm, &norm.ones_like()?)?;
+                scaled.broadcast_div(&divisor)
             }
         }
     }
@@ -141,9 +141,9 @@ impl DeltaSet {
     }
 
     /// Returns a random point of the set.
-    pub fn draw(&self, draw: Draw, random: &mut Random) -> Result<Tensor> {
+    pub fn draw(&self, distribution: Distribution, random: &mut Random) -> Result<Tensor> {
         let (dtype, device) = (self.radius.dtype(), self.radius.device());
-        if draw == Draw::Gaussian {
+        if distribution == Distribution::Gaussian {
             let normal = random.normal_tensor(&self.shape, dtype, device)?;
             let delta = normal.broadcast_mul(&(&self.radius / 3f64.sqrt())?)?;
             return Ok(self.project(&delta)?);
@@ -164,9 +164,9 @@ impl DeltaSet {
             Norm::L2 => {
                 let dimensions = *self.shape.last().expect("a ball has a last axis");
                 let normal = random.normal_tensor(&self.shape, dtype, device)?;
-                let mut outer = self.shape.clone();
-                *outer.last_mut().expect("not empty") = 1;
-                let distance = random.uniform_tensor(&outer, dtype, device)?.powf(1.0 / dimensions as f64)?;
+                let mut balls = self.shape.clone();
+                *balls.last_mut().expect("not empty") = 1;
+                let distance = random.uniform_tensor(&balls, dtype, device)?.powf(1.0 / dimensions as f64)?;
                 self.direction(&normal)?.broadcast_mul(&distance)?.broadcast_mul(&self.radius)?
             }
         };
@@ -185,16 +185,16 @@ impl DeltaSet {
         if let Some((lower, upper)) = &self.bounds
             && self.norm == Norm::Linf
         {
-            let cut = (delta.broadcast_le(lower)? + delta.broadcast_ge(upper)?)?.gt(0u8)?.to_dtype(DType::F64)?;
-            at_bound = at_bound.maximum(&cut)?;
+            let on_bounds = (delta.broadcast_le(lower)? + delta.broadcast_ge(upper)?)?.gt(0u8)?.to_dtype(DType::F64)?;
+            at_bound = at_bound.maximum(&on_bounds)?;
         }
         let mut movable = radius.gt(0f64)?.to_dtype(DType::F64)?;
         if let Some(mask) = &self.mask {
             movable = movable.broadcast_mul(&mask.to_dtype(DType::F64)?)?;
         }
         let total = movable.sum_all()?.to_scalar::<f64>()?;
-        let share = (at_bound * movable)?.sum_all()?.to_scalar::<f64>()?;
-        Ok((total > 0.0).then(|| share / total))
+        let movable_at_bound = (at_bound * movable)?.sum_all()?.to_scalar::<f64>()?;
+        Ok((total > 0.0).then(|| movable_at_bound / total))
     }
 }
 

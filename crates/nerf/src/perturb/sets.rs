@@ -7,7 +7,7 @@ use candle_core::Tensor;
 use crate::base::Result;
 use crate::base::rng::Random;
 use crate::perturb::geometry::PassGeometry;
-use crate::perturb::set::{DeltaSet, Draw};
+use crate::perturb::set::{DeltaSet, Distribution};
 use crate::perturb::site::{PaperSite, Site, part_of};
 
 /// The deltas of one pass by the names of their sites. A site that is off has none.
@@ -23,7 +23,7 @@ impl Deltas {
     /// Sets a site's delta.
     pub fn set(&mut self, site: impl AsRef<str>, delta: Tensor) {
         match self.0.iter_mut().find(|(name, _)| name == site.as_ref()) {
-            Some((_, known)) => *known = delta,
+            Some((_, entry)) => *entry = delta,
             None => self.0.push((site.as_ref().to_string(), delta)),
         }
     }
@@ -37,13 +37,13 @@ impl Deltas {
     ///
     /// # Errors
     /// Those of the functions of [`DeltaSet::spread_by`].
-    pub fn at(&self, sets: &Sets, at: PaperSite) -> Result<Option<Tensor>> {
-        self.sum(sets, |entry| entry.site.at() == at)
+    pub fn at(&self, sets: &Sets, paper_site: PaperSite) -> Result<Option<Tensor>> {
+        self.sum(sets, |entry| entry.site.at() == paper_site)
     }
 
     /// Returns what deltas of other shapes than the site's add there.
-    pub(super) fn spread(&self, sets: &Sets, at: PaperSite) -> Result<Option<Tensor>> {
-        self.sum(sets, |entry| entry.site.at() == at && entry.set.spreads())
+    pub(super) fn spread(&self, sets: &Sets, paper_site: PaperSite) -> Result<Option<Tensor>> {
+        self.sum(sets, |entry| entry.site.at() == paper_site && entry.set.spreads())
     }
 
     fn sum(&self, sets: &Sets, chosen: impl Fn(&SiteSet) -> bool) -> Result<Option<Tensor>> {
@@ -109,10 +109,10 @@ impl Sets {
     ///
     /// # Errors
     /// Those of candle.
-    pub fn draw(&self, draw: Draw, pass: u64, random: impl Fn(u64) -> Random) -> Result<Deltas> {
+    pub fn draw(&self, distribution: Distribution, pass: u64, random: impl Fn(u64) -> Random) -> Result<Deltas> {
         let mut deltas = Deltas::default();
         for SiteSet { site, set } in &self.0 {
-            deltas.set(site.name(), set.draw(draw, &mut random(part_of(site.name(), pass)))?);
+            deltas.set(site.name(), set.draw(distribution, &mut random(part_of(site.name(), pass)))?);
         }
         Ok(deltas)
     }

@@ -99,7 +99,7 @@ impl PaperSite {
         [PaperSite::T, PaperSite::Xyz, PaperSite::View, PaperSite::Feature, PaperSite::Rgb, PaperSite::Density];
 
     /// Returns its constants: name, level, default sizes.
-    pub fn about(self) -> &'static SiteSpec {
+    pub fn spec(self) -> &'static SiteSpec {
         match self {
             PaperSite::T => &input::T::SPEC,
             PaperSite::Xyz => &input::Xyz::SPEC,
@@ -112,7 +112,7 @@ impl PaperSite {
 
     /// Returns the name in settings, logs and tables.
     pub fn name(self) -> &'static str {
-        self.about().name
+        self.spec().name
     }
 
     /// Returns the site of a name.

@@ -43,8 +43,8 @@ pub fn points_at(rays: &Rays, t_vals: &Tensor) -> Result<Tensor> {
 /// between `edges [rays, samples + 1]` (Barron et al. 2021, equations 7, 8 and 16).
 pub fn gaussians_at(rays: &Rays, edges: &Tensor) -> Result<Tensor> {
     let samples = edges.dim(1)? - 1;
-    let (from, to) = (edges.narrow(1, 0, samples)?, edges.narrow(1, 1, samples)?);
-    let (middle, half) = (((&from + &to)? * 0.5)?, ((&to - &from)? * 0.5)?);
+    let (start, end) = (edges.narrow(1, 0, samples)?, edges.narrow(1, 1, samples)?);
+    let (middle, half) = (((&start + &end)? * 0.5)?, ((&end - &start)? * 0.5)?);
     let missing = || candle_core::Error::Msg("these rays have no footprint to cast".into());
     let footprint = rays.footprint.as_ref().ok_or_else(missing)?;
     let radius_squared = footprint.radii.sqr()?; // [rays, 1]
@@ -58,9 +58,9 @@ pub fn gaussians_at(rays: &Rays, edges: &Tensor) -> Result<Tensor> {
     let mean = points_at(rays, &t)?;
     // The fraction of each axis along the ray, d^2, and across it, 1 - d^2 / |d|^2.
     let squared = rays.directions.sqr()?;
-    let flat = squared.broadcast_div(&squared.sum_keepdim(D::Minus1)?)?.affine(-1.0, 1.0)?;
-    let spread = |variance: &Tensor, share: &Tensor| variance.unsqueeze(2)?.broadcast_mul(&share.unsqueeze(1)?);
-    let variance = (spread(&along, &squared)? + spread(&across, &flat)?)?;
+    let across_fraction = squared.broadcast_div(&squared.sum_keepdim(D::Minus1)?)?.affine(-1.0, 1.0)?;
+    let per_axis = |variance: &Tensor, fraction: &Tensor| variance.unsqueeze(2)?.broadcast_mul(&fraction.unsqueeze(1)?);
+    let variance = (per_axis(&along, &squared)? + per_axis(&across, &across_fraction)?)?;
     Ok(Tensor::cat(&[mean, variance], 2)?)
 }
 
@@ -127,11 +127,12 @@ mod tests {
             for stretch in [[0.5, 1.5], [2.0, 2.4]] {
                 let edges = Tensor::new(&[stretch], &Device::Cpu).unwrap();
                 let rays = ray(direction, radius, cylinders);
-                let found = gaussians_at(&rays, &edges).unwrap().flatten_all().unwrap().to_vec1::<f64>().unwrap();
-                for (i, (found, expected)) in found.iter().zip(drawn(direction, radius, cylinders, stretch)).enumerate()
+                let moments = gaussians_at(&rays, &edges).unwrap().flatten_all().unwrap().to_vec1::<f64>().unwrap();
+                for (i, (moment, expected)) in
+                    moments.iter().zip(drawn(direction, radius, cylinders, stretch)).enumerate()
                 {
                     let tolerance = if i < 3 { 2e-3 } else { 0.02 * expected };
-                    assert!((found - expected).abs() < tolerance, "{cylinders} {stretch:?} {i}: {found} {expected}");
+                    assert!((moment - expected).abs() < tolerance, "{cylinders} {stretch:?} {i}: {moment} {expected}");
                 }
             }
         }

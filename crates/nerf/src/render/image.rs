@@ -56,12 +56,18 @@ pub fn render_rays(
 /// Returns the `t_vals` of an evaluation's fine pass, from the coarse field at `t_vals`.
 pub fn fine_t_vals(coarse: &Field, rays: &Rays, t_vals: &Tensor, sampling: &SamplingConfig) -> Result<Tensor> {
     let u = sampling::even_u(rays.len(), columns(coarse, sampling).1, t_vals)?;
-    place(coarse, rays, t_vals, sampling, &u)
+    t_vals_by_density(coarse, rays, t_vals, sampling, &u)
 }
 
 /// Returns the fine pass's `t_vals` at `u` from the density of the coarse field at `t_vals` only. It needs no colours,
 /// gradients or noise.
-pub fn place(coarse: &Field, rays: &Rays, t_vals: &Tensor, sampling: &SamplingConfig, u: &Tensor) -> Result<Tensor> {
+pub fn t_vals_by_density(
+    coarse: &Field,
+    rays: &Rays,
+    t_vals: &Tensor,
+    sampling: &SamplingConfig,
+    u: &Tensor,
+) -> Result<Tensor> {
     let positions = positions_at(coarse, rays, t_vals)?.flatten(0, 1)?;
     let raw = coarse.raw_density(&positions)?.reshape((rays.len(), sampling.coarse))?;
     let intervals = volume::intervals(t_vals, &rays.direction_norm, sampling.coarse)?;

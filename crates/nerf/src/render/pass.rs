@@ -214,21 +214,21 @@ mod tests {
     #[test]
     fn gradients_near_the_camera_fall_with_the_distance_squared() {
         let device = Device::Cpu;
-        let of = |values: &[f64]| Tensor::new(values, &device).unwrap().reshape((1, ())).unwrap();
+        let one_ray = |values: &[f64]| Tensor::new(values, &device).unwrap().reshape((1, ())).unwrap();
         let directions = Tensor::new(&[[0.0f64, 0.0, -2.0]], &device).unwrap();
         let rays = Rays::new(directions.zeros_like().unwrap(), directions.clone(), directions).unwrap();
-        let t_vals = of(&[0.25, 0.5, 2.0]);
+        let t_vals = one_ray(&[0.25, 0.5, 2.0]);
         let pass = Pass { rays: &rays, t_vals: &t_vals, density_noise: None, background: None, scales_gradients: true };
-        let density = Var::from_tensor(&of(&[0.1, 0.7, 0.3])).unwrap();
+        let density = Var::from_tensor(&one_ray(&[0.1, 0.7, 0.3])).unwrap();
         let rgb = Var::from_tensor(&Tensor::ones((1, 3, 3), DType::F64, &device).unwrap()).unwrap();
         let raw = RawOutput { rgb: rgb.as_tensor().clone(), density: density.as_tensor().clone() };
         let scaled = near_scaled(raw, pass, &t_vals).unwrap();
         assert_eq!(scaled.density.to_vec2::<f64>().unwrap(), density.to_vec2::<f64>().unwrap());
         let sum = (scaled.density.sum_all().unwrap() + scaled.rgb.sum_all().unwrap()).unwrap();
-        let slopes = sum.backward().unwrap();
-        assert_eq!(slopes.get(&density).unwrap().to_vec2::<f64>().unwrap(), [[0.25, 1.0, 1.0]]);
-        let of_rgb = slopes.get(&rgb).unwrap().to_vec3::<f64>().unwrap();
-        assert_eq!(of_rgb[0], [[0.25; 3], [1.0; 3], [1.0; 3]]);
+        let gradients = sum.backward().unwrap();
+        assert_eq!(gradients.get(&density).unwrap().to_vec2::<f64>().unwrap(), [[0.25, 1.0, 1.0]]);
+        let rgb_gradient = gradients.get(&rgb).unwrap().to_vec3::<f64>().unwrap();
+        assert_eq!(rgb_gradient[0], [[0.25; 3], [1.0; 3], [1.0; 3]]);
     }
 
     #[test]
@@ -243,12 +243,12 @@ mod tests {
         for density_activation in [DensityActivation::Relu, DensityActivation::Softplus, DensityActivation::Exp] {
             let config = FieldConfig { width: 8, density_activation, ..FieldConfig::default() };
             let field = Field::init(&config, 0, 0, DType::F32, &Device::Cpu).unwrap();
-            let of = |raw: &Tensor| {
+            let rendered = |raw: &Tensor| {
                 let density = field.activate_density(raw).unwrap();
                 volume::composite(&rgb, &density, &t_vals, &rays.direction_norm, None).unwrap()
             };
-            let expected: Vec<f32> = of(&raw_density).acc.to_vec1().unwrap();
-            let composite = of(&(&raw_density + &noise).unwrap());
+            let expected: Vec<f32> = rendered(&raw_density).acc.to_vec1().unwrap();
+            let composite = rendered(&(&raw_density + &noise).unwrap());
             let (rgb, density) = (rgb.clone(), noise.clone());
             let out = PassOutput {
                 composite,
@@ -260,9 +260,9 @@ mod tests {
             };
             let (density_noise, background) = (Some(&noise), None);
             let pass = Pass { rays: &rays, t_vals: &t_vals, density_noise, background, scales_gradients: false };
-            let found: Vec<f32> = noiseless_acc(&field, &out, pass).unwrap().to_vec1().unwrap();
-            let is_same = |(found, expected): (&f32, &f32)| (found - expected).abs() < 1e-6 && *found > 0.0;
-            assert!(found.iter().zip(&expected).all(is_same), "{density_activation:?}: {found:?} {expected:?}");
+            let noiseless: Vec<f32> = noiseless_acc(&field, &out, pass).unwrap().to_vec1().unwrap();
+            let is_same = |(acc, expected): (&f32, &f32)| (acc - expected).abs() < 1e-6 && *acc > 0.0;
+            assert!(noiseless.iter().zip(&expected).all(is_same), "{density_activation:?}: {noiseless:?} {expected:?}");
         }
     }
 }

@@ -61,22 +61,22 @@ pub fn resample_intervals(edges: &Tensor, weights: &Tensor, u: &Tensor, padding:
     let (rays, coarse) = weights.dims2()?;
     let (_, new) = u.dims2()?;
     let (t, w, u) = (host_rows(edges)?, host_rows(weights)?, host_rows(u)?);
-    let mut drawn = vec![0f64; rays * new];
-    for (ray, out) in drawn.chunks_mut(new).enumerate() {
+    let mut fine_edges = vec![0f64; rays * new];
+    for (ray, out) in fine_edges.chunks_mut(new).enumerate() {
         let blurred = blur(&w[ray * coarse..][..coarse], padding);
         let cdf = cumulative(&blurred);
         invert(&t[ray * (coarse + 1)..][..coarse + 1], &cdf, &u[ray * new..][..new], f64::MIN_POSITIVE, out);
         // Rounding may have exchanged two equal edges.
         out.sort_unstable_by(f64::total_cmp);
     }
-    Ok(Tensor::from_vec(drawn, (rays, new), &Device::Cpu)?.to_dtype(edges.dtype())?.to_device(edges.device())?)
+    Ok(Tensor::from_vec(fine_edges, (rays, new), &Device::Cpu)?.to_dtype(edges.dtype())?.to_device(edges.device())?)
 }
 
 fn blur(weights: &[f64], padding: f64) -> Vec<f64> {
     let larger = |a: f64, b: f64| if a.is_nan() || a > b { a } else { b };
-    let at = |i: usize| weights[i.min(weights.len() - 1)];
-    let of = |i: usize| 0.5 * (larger(at(i.saturating_sub(1)), at(i)) + larger(at(i), at(i + 1))) + padding;
-    (0..weights.len()).map(of).collect()
+    let weight = |i: usize| weights[i.min(weights.len() - 1)];
+    let larger_before = |i: usize| larger(weight(i.saturating_sub(1)), weight(i));
+    (0..weights.len()).map(|i| 0.5 * (larger_before(i) + larger_before(i + 1)) + padding).collect()
 }
 
 /// Returns one sorted u in each of `count` equal parts of 0..1, from `u [rays, count]` uniform in 0..1.
@@ -124,10 +124,10 @@ fn cumulative(weights: &[f64]) -> Vec<f64> {
 fn invert(bins: &[f64], cdf: &[f64], u: &[f64], narrowest: f64, out: &mut [f64]) {
     let last = cdf.len() - 1;
     for (out, &u) in out.iter_mut().zip(u) {
-        let above = cdf.partition_point(|&c| c <= u);
-        let (lower, upper) = (above.saturating_sub(1), above.min(last));
-        let share = cdf[upper] - cdf[lower];
-        let fraction = (u - cdf[lower]) / if share < narrowest { 1.0 } else { share };
+        let next = cdf.partition_point(|&c| c <= u);
+        let (lower, upper) = (next.saturating_sub(1), next.min(last));
+        let probability = cdf[upper] - cdf[lower];
+        let fraction = (u - cdf[lower]) / if probability < narrowest { 1.0 } else { probability };
         *out = bins[lower] + fraction * (bins[upper] - bins[lower]);
     }
 }
@@ -164,27 +164,23 @@ mod tests {
         let total: f64 = blurred.iter().sum();
         let u = [0.0, 0.05, 0.3, 0.31, 0.77, 1.0];
         let expected = u.map(|u| {
-            let mut below = 0.0;
+            let mut cdf = 0.0;
             for (i, w) in blurred.iter().enumerate() {
-                let share = w / total;
-                if u <= below + share {
-                    return edges[i] + (u - below) / share * (edges[i + 1] - edges[i]);
+                let probability = w / total;
+                if u <= cdf + probability {
+                    return edges[i] + (u - cdf) / probability * (edges[i + 1] - edges[i]);
                 }
-                below += share;
+                cdf += probability;
             }
             edges[4]
         });
         let tensor = |values: &[f64]| Tensor::new(values, &Device::Cpu).unwrap().unsqueeze(0).unwrap();
-        let found = resample_intervals(&tensor(&edges), &tensor(&weights), &tensor(&u), 0.01).unwrap();
-        for (a, b) in found.to_vec2::<f64>().unwrap()[0].iter().zip(expected) {
+        let edges_drawn = resample_intervals(&tensor(&edges), &tensor(&weights), &tensor(&u), 0.01).unwrap();
+        for (a, b) in edges_drawn.to_vec2::<f64>().unwrap()[0].iter().zip(expected) {
             assert!((a - b).abs() < 1e-9, "{a} {b}");
         }
-        let nothing = resample_intervals(&tensor(&edges), &tensor(&[0.0; 4]), &tensor(&[0.0, 0.5, 1.0]), 0.01).unwrap();
-        assert_eq!(
-            nothing.to_vec2::<f64>().unwrap()[0],
-            [1.0, 3.0, 6.0],
-            "evenly over intervals where nothing is seen"
-        );
+        let empty = resample_intervals(&tensor(&edges), &tensor(&[0.0; 4]), &tensor(&[0.0, 0.5, 1.0]), 0.01).unwrap();
+        assert_eq!(empty.to_vec2::<f64>().unwrap()[0], [1.0, 3.0, 6.0], "evenly over intervals where nothing is seen");
         let even = stratified_u(&tensor(&[0.5, 0.0, 0.999])).unwrap().to_vec2::<f64>().unwrap().remove(0);
         assert!(even[0] == 0.5 / 3.0 && even[1] == 1.0 / 3.0 && even[2] < 1.0, "{even:?}");
     }
@@ -195,8 +191,8 @@ mod tests {
         let u: Vec<f64> = (0..1000).map(|i| (i as f64 + 0.5) / 1000.0).collect();
         let mut out = vec![0.0; 1000];
         inverse_cdf(&bins, &[1.0, 0.0, 3.0], &u, &mut out);
-        let share = |lo: f64, hi: f64| out.iter().filter(|t| **t >= lo && **t < hi).count();
-        assert!(share(0.0, 1.0).abs_diff(250) <= 1 && share(2.0, 3.1).abs_diff(750) <= 1);
+        let count = |lo: f64, hi: f64| out.iter().filter(|t| **t >= lo && **t < hi).count();
+        assert!(count(0.0, 1.0).abs_diff(250) <= 1 && count(2.0, 3.1).abs_diff(750) <= 1);
         assert!(out.windows(2).all(|pair| pair[0] <= pair[1]));
     }
 }

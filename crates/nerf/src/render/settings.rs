@@ -17,10 +17,10 @@ pub enum Spacing {
 
 impl Spacing {
     /// Returns t at a fraction of the way from near to far. Near is positive if the spacing is in disparity.
-    pub fn at(self, (near, far): (f64, f64), share: f64) -> f64 {
+    pub fn at(self, (near, far): (f64, f64), fraction: f64) -> f64 {
         match self {
-            Spacing::Depth => near * (1.0 - share) + far * share,
-            Spacing::Disparity => 1.0 / ((1.0 - share) / near + share / far),
+            Spacing::Depth => near * (1.0 - fraction) + far * fraction,
+            Spacing::Disparity => 1.0 / ((1.0 - fraction) / near + fraction / far),
         }
     }
 }
@@ -72,8 +72,8 @@ impl SamplingConfig {
         if step >= self.anneal_steps {
             return (near, far);
         }
-        let share = self.anneal_start + (1.0 - self.anneal_start) * (step as f64 / self.anneal_steps as f64);
+        let fraction = self.anneal_start + (1.0 - self.anneal_start) * (step as f64 / self.anneal_steps as f64);
         let middle = near + self.anneal_middle * (far - near);
-        (middle + share * (near - middle), middle + share * (far - middle))
+        (middle + fraction * (near - middle), middle + fraction * (far - middle))
     }
 }

@@ -298,7 +298,7 @@ fn ratios(config: &Resolved, scene: &Scene) -> String {
 
 /// Returns the norms of the constraint sets. A site of one number a sample has no norm to choose.
 fn norms(perturb: &ResolvedPerturb) -> String {
-    let on = perturb.numbers.iter().filter(|(site, numbers): &(PaperSite, _)| numbers.on() && !site.about().scalar);
+    let on = perturb.numbers.iter().filter(|(site, numbers): &(PaperSite, _)| numbers.on() && !site.spec().scalar);
     let named = on.map(|(site, numbers)| format!("{} {}", site.name(), numbers.norm.name()));
     named.collect::<Vec<String>>().join(", ")
 }

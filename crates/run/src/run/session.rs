@@ -65,7 +65,7 @@ fn values(stats: &StepStats) -> Vec<(String, f64)> {
     for site in &stats.sites {
         values.extend(site.columns());
     }
-    values.extend(stats.of_weights.iter().cloned());
+    values.extend(stats.weight_columns.iter().cloned());
     values
 }
 

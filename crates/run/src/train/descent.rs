@@ -109,17 +109,17 @@ fn at_moved_weights(
 ) -> Result<StepResult> {
     let displacement = sharpness.displacement(&gradients, step)?;
     let result = at_moved(variables, &displacement, || learner.step(step, false, stop_check))?;
-    report.of_weights.push((GAIN.into(), result.report.loss - report.loss));
+    report.weight_columns.push((GAIN.into(), result.report.loss - report.loss));
     if log {
         let random = sharpness.random(&gradients, step, Draw::Compared)?;
         let random = at_moved(variables, &random, || learner.step(step, false, stop_check))?;
-        report.of_weights.push((GAIN_OVER_RANDOM.into(), result.report.loss - random.report.loss));
+        report.weight_columns.push((GAIN_OVER_RANDOM.into(), result.report.loss - random.report.loss));
         let colours = at_moved(variables, &displacement, || learner.colours(step))?;
         if let Some((moved, unmoved)) = colours.zip(learner.colours(step)?) {
-            report.of_weights.push((SHIFT.into(), colour_shift(&moved, &unmoved)?));
+            report.weight_columns.push((SHIFT.into(), colour_shift(&moved, &unmoved)?));
         }
     }
     // A comparison that is not a number ends no training.
-    report.of_weights.retain(|(_, found)| found.is_finite());
+    report.weight_columns.retain(|(_, found)| found.is_finite());
     Ok(StepResult { gradients: result.gradients, report })
 }

@@ -8,9 +8,9 @@ use crate::field::settings::Encoding;
 use crate::losses::{LossTerm, TermSource, WeightedTerm};
 use crate::losses::{REGULARIZERS, Regularizer, RegularizerConfig, TermNeeds, TermRays};
 
-use super::draws::Draws;
 use super::learner::FieldLearner;
 use super::plan::{PassPlan, Plan};
+use super::rays::StepRays;
 use super::space::{space_terms, table_terms};
 use super::step::{StepPasses, on_unseen};
 use super::terms::in_space;
@@ -48,7 +48,7 @@ impl FieldLearner {
     /// after `step` finished ones. `config` says where terms are evaluated. It changes no weights.
     pub fn balance(&mut self, config: &RegularizerConfig, step: u64) -> Result<Vec<Balance>> {
         self.fields = self.fields.at_step(&self.config, step)?;
-        let batch = Draws::batch(self, step)?;
+        let batch = StepRays::batch(self, step)?;
         let clean = Plan::clean(&self.config, config.fields);
         let of_photos = photometric(self, &clean).over(&batch)?.gradients;
         let photometric_norm = of_photos.norm()?;

@@ -4,30 +4,30 @@ use candle_core::{DType, Tensor};
 
 use crate::base::Result;
 use crate::base::rng::Stream;
-use crate::methods::diagnostics::{SiteEffect, Sums, colour_shift};
-use crate::perturb::{Deltas, Draw, PaperSite, UsedDeltas};
+use crate::methods::diagnostics::{SiteEffect, SiteSums, colour_shift};
+use crate::perturb::{Deltas, Distribution, PaperSite, UsedDeltas};
 use crate::render::{perturbed_pass, photometric_loss};
 
-use super::step::Perturbed;
+use super::step::PerturbedPass;
 
 /// Measures each site of a perturbed pass separately: with the deltas that it used, and with random ones.
-pub(super) fn diagnose(at: &Perturbed, used: &UsedDeltas, sums: &mut Sums) -> Result<()> {
-    let drawn = at.draw(Draw::Uniform, Stream::Diagnostics)?;
-    let (share, perturb) = (at.draws.fraction, &at.learner.config.perturb);
-    let frozen = at.field.frozen()?;
+pub(super) fn diagnose(perturbed: &PerturbedPass, used: &UsedDeltas, sums: &mut SiteSums) -> Result<()> {
+    let drawn = perturbed.draw(Distribution::Uniform, Stream::Diagnostics)?;
+    let (fraction, perturb) = (perturbed.chunk.fraction, &perturbed.learner.config.perturb);
+    let frozen = perturbed.field.frozen()?;
     // The loss, with its weight in the pass, and the rays' colours.
     let render = |deltas: &Deltas| -> Result<(f64, Tensor)> {
-        let rgb = perturbed_pass(&frozen, at.pass, at.perturbation(deltas))?.composite.rgb;
-        let loss = photometric_loss(&rgb, at.target)?.to_dtype(DType::F64)?.to_scalar::<f64>()?;
-        Ok((at.plan.weight * loss, rgb))
+        let rgb = perturbed_pass(&frozen, perturbed.pass, perturbed.perturbation(deltas))?.composite.rgb;
+        let loss = photometric_loss(&rgb, perturbed.target)?.to_dtype(DType::F64)?.to_scalar::<f64>()?;
+        Ok((perturbed.plan.weight * loss, rgb))
     };
     let (without, unmoved) = render(&Deltas::default())?;
-    let on = perturb.numbers.iter().filter(|(_, numbers)| numbers.on()).map(|(site, _)| site.name());
-    for name in on.chain(at.delta_plan.own_sites().map(|site| site.name())) {
+    let sites_on = perturb.numbers.iter().filter(|(_, numbers)| numbers.on()).map(|(site, _)| site.name());
+    for name in sites_on.chain(perturbed.delta_plan.user_sites().map(|site| site.name())) {
         let (Some(set), Some(delta)) = (used.sets.get(name), used.deltas.get(name)) else {
             // Switched on with a set of size 0: there is no perturbation, and no gain.
             if PaperSite::of_name(name).is_some_and(|site| !perturb.numbers[site].perturbs()) {
-                sums.add(name, SiteEffect { share, ..SiteEffect::default() });
+                sums.add(name, SiteEffect { fraction, ..SiteEffect::default() });
             }
             continue;
         };
@@ -35,7 +35,7 @@ pub(super) fn diagnose(at: &Perturbed, used: &UsedDeltas, sums: &mut Sums) -> Re
         let ((with, moved), (with_random, _)) = (render(&used.deltas.only(name))?, render(&drawn.only(name))?);
         let shift = colour_shift(&moved, &unmoved)?;
         let (gain, gain_over_random) = (with - without, with - with_random);
-        sums.add(name, SiteEffect { share, gain, gain_over_random, shift, at_bound });
+        sums.add(name, SiteEffect { fraction, gain, gain_over_random, shift, at_bound });
     }
     Ok(())
 }

@@ -11,7 +11,7 @@ use crate::perturb::settings::{ChangedEntries, PerturbField};
 
 use super::learner::FieldLearner;
 
-/// Of the hash grid's entries that a step changes, the share that only its second pass changes.
+/// Of the hash grid's entries that a step changes, the fraction that only its second pass changes.
 pub(super) const ONLY_SECOND: &str = "only_second.entries";
 
 /// Returns whether the gradients of a hash grid's two passes are known apart.
@@ -22,21 +22,21 @@ pub(super) fn are_separate(learner: &FieldLearner) -> bool {
 }
 
 /// Returns the gradients of hash grids from a step's records. With `log` it also returns, of the entries that both passes
-/// change, the share that only the second one changes, if there are two passes.
-pub(super) fn of_tables(
+/// change, the fraction that only the second one changes, if there are two passes.
+pub(super) fn table_gradients(
     learner: &FieldLearner,
     tables: &[Vec<TableRecord>],
     log: bool,
 ) -> Result<(Gradients, Option<f64>)> {
     let masks = learner.config.perturb.entries == ChangedEntries::Clean;
-    let of = |counts: &dyn Fn(&TableRecord) -> bool| learner.fields.table_gradients(tables, counts);
+    let gradients_of = |counts: &dyn Fn(&TableRecord) -> bool| learner.fields.table_gradients(tables, counts);
     let is_of_second = |record: &TableRecord| record.is_of_second_pass;
     let has_second = tables.iter().flatten().any(is_of_second);
     if !has_second || !(masks || log) {
-        return Ok((Gradients(of(&|_| true)?), None));
+        return Ok((Gradients(gradients_of(&|_| true)?), None));
     }
-    let clean = of(&|record| !is_of_second(record))?;
-    let second = of(&is_of_second)?;
+    let clean = gradients_of(&|record| !is_of_second(record))?;
+    let second = gradients_of(&is_of_second)?;
     let (mut changed, mut only_second) = (0.0, 0.0);
     let mut masked = Vec::new();
     for (clean, second) in clean.iter().zip(&second) {
@@ -49,14 +49,14 @@ pub(super) fn of_tables(
         only_second += count(&(&by_second * (1.0 - &by_clean)?)?)?;
         masked.push(Some(second.broadcast_mul(&by_clean)?));
     }
-    let share = (log && changed > 0.0).then(|| only_second / changed);
+    let fraction = (log && changed > 0.0).then(|| only_second / changed);
     if !masks {
         // All at once, whose rounding is that of other steps.
-        return Ok((Gradients(of(&|_| true)?), share));
+        return Ok((Gradients(gradients_of(&|_| true)?), fraction));
     }
     let mut gradients = Gradients(clean);
     gradients.merge(Gradients(masked))?;
-    Ok((gradients, share))
+    Ok((gradients, fraction))
 }
 
 /// Returns 1 for entries, `[entries, 1]`, with a gradient, and 0 for others.

@@ -99,7 +99,7 @@ impl Learner for FieldLearner {
     fn columns(&self) -> LogColumns {
         let terms = self.terms.iter().map(|WeightedTerm { term, .. }| term.name());
         let mut columns = log_columns(&self.config, &self.plan, terms);
-        columns.further.extend(self.plan.own_sites().flat_map(|site| site_columns(site.name())));
+        columns.further.extend(self.plan.user_sites().flat_map(|site| site_columns(site.name())));
         if self.config.method.is_augmented() && entries::are_separate(self) {
             columns.further.push(entries::ONLY_SECOND.into());
         }
@@ -107,7 +107,7 @@ impl Learner for FieldLearner {
     }
 
     fn add_term(&mut self, term: LossTerm, weight: f64) -> Result<()> {
-        if self.terms.iter().any(|known| known.term.name() == term.name()) {
+        if self.terms.iter().any(|other| other.term.name() == term.name()) {
             let name = term.name();
             return Err(Error::Config(format!("the loss already has a term '{name}'; rename the new one")));
         }
@@ -163,7 +163,7 @@ impl Learner for FieldLearner {
                 "its name must have lower-case letters, digits, '_' and '-' alone, because it names columns of the logs",
             );
         }
-        if PaperSite::of_name(name).is_some() || self.plan.own_sites().any(|known| known.name() == name) {
+        if PaperSite::of_name(name).is_some() || self.plan.user_sites().any(|other| other.name() == name) {
             return refuse("there is a site of that name; rename it");
         }
         if at == PaperSite::View && !perturb[PaperSite::View].on() {
@@ -182,11 +182,11 @@ impl Learner for FieldLearner {
         let rays = self.batches.batch(step).rays.to_tensors(self.dtype, &self.device)?;
         let (sampling, size) = (&self.config.sampling, self.config.train.chunk);
         let starts: Vec<usize> = (0..rays.len()).step_by(size).collect();
-        let of_part = |starts: &[usize]| -> Result<Tensor> {
+        let colours_of_part = |starts: &[usize]| -> Result<Tensor> {
             let part = rays.narrow(starts[0], size.min(rays.len() - starts[0]))?;
             Ok(render_rays(fields.coarse(), fields.fine(), &part, self.bounds, sampling, self.background)?.rgb)
         };
-        Ok(Some(Tensor::cat(&over_parts(&self.device, &starts, 1, of_part)?, 0)?))
+        Ok(Some(Tensor::cat(&over_parts(&self.device, &starts, 1, colours_of_part)?, 0)?))
     }
 
     fn step(&mut self, step: u64, log: bool, stop_check: &StopCheck) -> Result<StepResult> {
@@ -204,8 +204,8 @@ pub(super) fn unseen_cameras(
     points: &PointRays,
     terms: &[WeightedTerm],
 ) -> Result<Option<UnseenCameras>> {
-    let of_cameras = |group: &RayGroup| *group != RayGroup::Point;
-    let is_read = unseen_groups(terms).any(|group| of_cameras(&group));
+    let needs_cameras = |group: &RayGroup| *group != RayGroup::Point;
+    let is_read = unseen_groups(terms).any(|group| needs_cameras(&group));
     let unseen = is_read.then(|| UnseenCameras::of(cameras, config.unseen_poses)).transpose()?;
     unseen_groups(terms).try_for_each(|group| {
         if config.unseen_rays < group.rays() {
@@ -222,7 +222,7 @@ pub(super) fn unseen_cameras(
                     .into(),
             ));
         }
-        unseen.as_ref().filter(|_| of_cameras(&group)).map_or(Ok(()), |cameras| cameras.check(group))
+        unseen.as_ref().filter(|_| needs_cameras(&group)).map_or(Ok(()), |cameras| cameras.check(group))
     })?;
     Ok(unseen)
 }

@@ -4,12 +4,12 @@
 
 mod balance;
 mod diagnosis;
-mod draws;
 mod entries;
 mod geometry;
 mod learner;
 mod networks;
 mod plan;
+mod rays;
 mod renderer;
 mod report;
 mod space;

@@ -43,8 +43,8 @@ impl Fields {
 
     /// Returns names and shapes of all parameters (`coarse.trunk.0.weight`, ...), in their fixed order.
     pub fn parameter_names(config: &Config) -> Vec<(String, Vec<usize>)> {
-        let of_field = Field::parameter_names(&config.field);
-        let named = |role| of_field.iter().map(move |(name, shape)| (format!("{role}.{name}"), shape.clone()));
+        let names_of_field = Field::parameter_names(&config.field);
+        let named = |role| names_of_field.iter().map(move |(name, shape)| (format!("{role}.{name}"), shape.clone()));
         Fields::roles(config).into_iter().flat_map(named).collect()
     }
 
@@ -77,7 +77,7 @@ impl Fields {
 
     /// Returns the field of a name, one of [`Fields::roles`].
     pub fn get(&self, role: &str) -> Option<&Field> {
-        self.by_role().find(|(known, _)| *known == role).map(|(_, field)| field)
+        self.by_role().find(|(name, _)| *name == role).map(|(_, field)| field)
     }
 
     /// Iterates over the fields with their names, in the fixed order.
@@ -139,11 +139,11 @@ impl Fields {
     ) -> Result<Vec<Option<Tensor>>> {
         let mut gradients = Vec::new();
         for ((_, field), records) in self.by_role().zip(records) {
-            let mut of_field = vec![None; field.variables().len()];
+            let mut field_gradients = vec![None; field.variables().len()];
             if let Some(gradient) = field.table_gradient(records.iter().filter(|record| counts(record)))? {
-                of_field[0] = Some(gradient);
+                field_gradients[0] = Some(gradient);
             }
-            gradients.extend(of_field);
+            gradients.extend(field_gradients);
         }
         Ok(gradients)
     }

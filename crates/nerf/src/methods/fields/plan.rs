@@ -57,8 +57,8 @@ pub enum SampleSource {
 pub enum CountedTerms {
     /// All.
     All,
-    /// All but those of the evaluated pass alone.
-    ButOfEvaluated,
+    /// All but those that count in the evaluated pass alone.
+    OfAnyPass,
     /// None.
     None,
 }
@@ -77,7 +77,7 @@ impl PassPlan {
     pub fn counts(&self, is_of_evaluated_pass: bool) -> bool {
         match self.terms {
             CountedTerms::All => true,
-            CountedTerms::ButOfEvaluated => !is_of_evaluated_pass,
+            CountedTerms::OfAnyPass => !is_of_evaluated_pass,
             CountedTerms::None => false,
         }
     }
@@ -89,8 +89,10 @@ impl Plan {
         let clean = Plan::clean(config, config.regularizer.fields);
         let second = match (config.method.is_augmented(), config.perturb.second) {
             (false, _) => Vec::new(),
-            (true, SecondPass::FreshJitter) => clean.iter().cloned().map(alone).collect(),
-            (true, source) => clean.iter().cloned().map(|pass| perturbed(config, source, alone(pass))).collect(),
+            (true, SecondPass::FreshJitter) => clean.iter().cloned().map(without_terms).collect(),
+            (true, source) => {
+                clean.iter().cloned().map(|pass| perturbed(config, source, without_terms(pass))).collect()
+            }
         };
         let lambda = (config.perturb.lambda, config.perturb.lambda_schedule);
         Plan { clean, second, objective: config.perturb.objective, lambda }
@@ -100,22 +102,22 @@ impl Plan {
     pub fn clean(config: &Resolved, fields: RegularizedFields) -> Vec<PassPlan> {
         let (has_coarse, has_fine) = (config.representation().has_coarse_loss(), config.sampling.fine > 0);
         let (coarse, fine) = config.samples();
-        let both = fields == RegularizedFields::Both;
-        let first = PassPlan {
+        let is_for_both = fields == RegularizedFields::Both;
+        let coarse_pass = PassPlan {
             is_coarse: true,
             field: "coarse",
             samples: SampleSource::Stratified,
             count: coarse,
             weight: if has_fine { config.train.coarse_weight } else { 1.0 },
             is_evaluated: !has_fine,
-            terms: match (has_fine, both) {
+            terms: match (has_fine, is_for_both) {
                 (false, _) => CountedTerms::All,
-                (true, true) => CountedTerms::ButOfEvaluated,
+                (true, true) => CountedTerms::OfAnyPass,
                 (true, false) => CountedTerms::None,
             },
             deltas: None,
         };
-        let last = PassPlan {
+        let fine_pass = PassPlan {
             is_coarse: false,
             field: if config.representation().has_fine_field() { "fine" } else { "coarse" },
             samples: if has_coarse { SampleSource::Resampled } else { SampleSource::PlacedByDensity },
@@ -125,7 +127,7 @@ impl Plan {
             terms: CountedTerms::All,
             deltas: None,
         };
-        let passes = [(has_coarse || !has_fine).then_some(first), has_fine.then_some(last)];
+        let passes = [(has_coarse || !has_fine).then_some(coarse_pass), has_fine.then_some(fine_pass)];
         passes.into_iter().flatten().collect()
     }
 
@@ -157,21 +159,21 @@ impl Plan {
     }
 
     /// Returns the sites that were added.
-    pub fn own_sites(&self) -> impl Iterator<Item = &Arc<dyn Site>> {
+    pub fn user_sites(&self) -> impl Iterator<Item = &Arc<dyn Site>> {
         let delta_plan = self.second.first().and_then(|pass| pass.deltas.as_ref());
-        delta_plan.into_iter().flat_map(DeltaPlan::own_sites)
+        delta_plan.into_iter().flat_map(DeltaPlan::user_sites)
     }
 }
 
 impl DeltaPlan {
     /// Returns the sites of the user's own.
-    pub fn own_sites(&self) -> impl Iterator<Item = &Arc<dyn Site>> {
+    pub fn user_sites(&self) -> impl Iterator<Item = &Arc<dyn Site>> {
         self.sites.iter().filter(|site| PaperSite::of_name(site.name()).is_none())
     }
 }
 
 /// Returns a pass without terms, which nothing is evaluated by.
-fn alone(pass: PassPlan) -> PassPlan {
+fn without_terms(pass: PassPlan) -> PassPlan {
     PassPlan { is_evaluated: false, terms: CountedTerms::None, ..pass }
 }
 

@@ -51,10 +51,10 @@ impl StepLosses<'_> {
             ("loss_fine", "loss of the clean fine pass", self.fine, clean_weight),
             ("loss_perturbed", "loss of the perturbed pass", self.perturbed, perturbed_weight),
         ];
-        let of_pass = |(name, described, value, weight): (&str, &str, Option<f64>, f64)| {
+        let term_of_pass = |(name, described, value, weight): (&str, &str, Option<f64>, f64)| {
             value.map(|value| Term { name: name.into(), described: described.into(), value, weight })
         };
-        let mut terms: Vec<Term> = passes.into_iter().filter_map(of_pass).collect();
+        let mut terms: Vec<Term> = passes.into_iter().filter_map(term_of_pass).collect();
         let clean = coarse_weight * self.coarse.unwrap_or(0.0) + self.fine.unwrap_or(0.0);
         let mut loss = clean_weight * clean + self.perturbed.map_or(0.0, |loss| perturbed_weight * loss);
         loss += self.further.iter().map(|(_, weight, value)| weight * value).sum::<f64>();

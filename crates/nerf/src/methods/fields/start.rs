@@ -11,9 +11,9 @@ use crate::render::positions_at;
 use crate::settings::Resolved;
 use crate::space::Lattice;
 
-use super::draws::Draws;
 use super::learner::{FieldLearner, check_device, unseen_cameras};
 use super::networks::Fields;
+use super::rays::StepRays;
 use super::space;
 
 /// Number of redraws of a dead start before the run fails.
@@ -30,7 +30,7 @@ impl FieldLearner {
         let mut redraws = vec![0; Fields::roles(config).len()];
         let fields = Fields::init(config, &redraws, dtype, device)?.at_step(config, 0)?;
         let mut learner = FieldLearner::new(config, scene, fields, dtype, device)?;
-        let first = Draws::batch(&mut learner, 0)?;
+        let first = StepRays::batch(&mut learner, 0)?;
         let positions = positions_at(learner.fields.coarse(), &first.rays, &first.t_coarse)?.flatten(0, 1)?;
         loop {
             let dead = learner.dead_fields(&positions)?;
@@ -81,12 +81,12 @@ impl FieldLearner {
         for (index, (_, field)) in self.fields.by_role().enumerate() {
             let sum = |tensor: &Tensor| tensor.to_dtype(DType::F64)?.sum_all()?.to_scalar::<f64>();
             let positive = sum(&field.frozen()?.raw_density(positions)?.gt(0f64)?)?;
-            let looked_at = match field.inside(positions)? {
+            let positions_inside = match field.inside(positions)? {
                 Some(inside) => sum(&inside)?,
                 None => positions.dim(0)? as f64,
             };
             // Without positions nothing is known. 0 times infinity is NaN, which is not below any fraction.
-            if positive * looked_at.recip() < self.config.train.dead_start_share {
+            if positive * positions_inside.recip() < self.config.train.dead_start_share {
                 dead.push(index);
             }
         }

@@ -27,17 +27,18 @@ use crate::methods::Extremes;
 use crate::methods::gradients::Gradients;
 use crate::methods::learner::{StepResult, StopCheck};
 use crate::perturb::settings::SecondPass;
-use crate::perturb::{Deltas, Draw, Sets};
+use crate::perturb::{Deltas, Distribution, Sets};
 use crate::render::{
-    self, Pass, Perturbation, clean_pass, noiseless_acc, perturbed_pass, photometric_loss, place, resample, samples_of,
+    self, Pass, Perturbation, clean_pass, noiseless_acc, perturbed_pass, photometric_loss, resample, samples_of,
+    t_vals_by_density,
 };
 
 use super::diagnosis::diagnose;
-use super::draws::Draws;
-use super::entries::{ONLY_SECOND, of_tables};
+use super::entries::{ONLY_SECOND, table_gradients};
 use super::learner::FieldLearner;
 use super::networks::Fields;
 use super::plan::{DeltaPlan, PassPlan, Plan, SampleSource};
+use super::rays::StepRays;
 use super::report::StepLosses;
 use super::space::{space_terms, table_terms};
 use super::sums::{Losses, Sums, plus};
@@ -56,7 +57,7 @@ pub fn parts(chunks: usize) -> usize {
 pub(super) fn step(learner: &mut FieldLearner, step: u64, log: bool, stop_check: &StopCheck) -> Result<StepResult> {
     learner.fields = learner.fields.at_step(&learner.config, step)?;
     // Line 3: rays with their colours, and all random numbers of their clean passes.
-    let batch = Draws::batch(learner, step)?;
+    let batch = StepRays::batch(learner, step)?;
     let learner = &*learner;
     let (plan, config) = (&learner.plan, &learner.config);
     let terms: Vec<WeightedTerm> = learner.terms.iter().map(|term| term.at(step)).collect();
@@ -83,15 +84,17 @@ pub(super) fn step(learner: &mut FieldLearner, step: u64, log: bool, stop_check:
         gradients.merge(unseen.gradients)?;
         values.fill(TermSource::UnseenRays(group), &unseen.losses.on_rays);
     }
-    if let Some((found, of_space)) = space_terms(learner, &in_space(&terms), &config.regularizer, step, stop_check)? {
-        gradients.merge(of_space)?;
-        values.fill(TermSource::Space, &found.to_vec1::<f64>()?);
+    if let Some((space_values, space_gradients)) =
+        space_terms(learner, &in_space(&terms), &config.regularizer, step, stop_check)?
+    {
+        gradients.merge(space_gradients)?;
+        values.fill(TermSource::Space, &space_values.to_vec1::<f64>()?);
     }
     for WeightedTerm { term, weight, .. } in &terms {
         if let LossTerm::OnTables(term) = term {
-            let (found, of_tables) = table_terms(learner, *term, *weight, &config.regularizer, &gradients)?;
-            gradients.merge(of_tables)?;
-            values.fill(TermSource::Tables, &[found]);
+            let (value, decay_gradients) = table_terms(learner, *term, *weight, &config.regularizer, &gradients)?;
+            gradients.merge(decay_gradients)?;
+            values.fill(TermSource::Tables, &[value]);
         }
     }
 
@@ -100,7 +103,7 @@ pub(super) fn step(learner: &mut FieldLearner, step: u64, log: bool, stop_check:
     let losses = StepLosses { coarse, fine, perturbed, further: values.finish() };
     let sites = |clean| diagnostics.map_or_else(Vec::new, |sums| sums.finish(clean));
     let mut report = losses.report(plan, step, extremes, sites);
-    report.of_weights.extend(only_second.map(|share| (ONLY_SECOND.to_string(), share)));
+    report.weight_columns.extend(only_second.map(|fraction| (ONLY_SECOND.to_string(), fraction)));
     Ok(StepResult { gradients, report })
 }
 
@@ -108,7 +111,7 @@ pub(super) fn step(learner: &mut FieldLearner, step: u64, log: bool, stop_check:
 pub(super) fn on_unseen(passes: StepPasses, group: RayGroup, step: u64) -> Result<Sums> {
     let passes = StepPasses { second: &[], source: TermSource::UnseenRays(group), log: false, ..passes };
     let clean = Plan::unseen(passes.clean, |pass| passes.terms_of(pass).count());
-    StepPasses { clean: &clean, ..passes }.over(&Draws::unseen(passes.learner, group, step)?)
+    StepPasses { clean: &clean, ..passes }.over(&StepRays::unseen(passes.learner, group, step)?)
 }
 
 /// The passes of a step over its rays, and what they minimize.
@@ -137,53 +140,56 @@ struct Rendered {
 
 impl<'a> StepPasses<'a> {
     /// Runs them over all rays of a step.
-    pub(super) fn over(&self, whole: &Draws) -> Result<Sums> {
+    pub(super) fn over(&self, batch: &StepRays) -> Result<Sums> {
         let learner = self.learner;
-        // Rays that belong together stay together.
-        let together = if let TermSource::UnseenRays(group) = self.source { group.rays() } else { 1 };
-        let size = (learner.config.train.chunk / together).max(1) * together;
-        let starts: Vec<(usize, usize)> = (0..whole.rays.len()).step_by(size).enumerate().collect();
+        // The rays of a group stay in one chunk.
+        let group_size = if let TermSource::UnseenRays(group) = self.source { group.rays() } else { 1 };
+        let chunk_size = (learner.config.train.chunk / group_size).max(1) * group_size;
+        let starts: Vec<(usize, usize)> = (0..batch.rays.len()).step_by(chunk_size).enumerate().collect();
         let prepared = learner.fields.prepared()?;
-        let work = |part: &[(usize, usize)]| -> Result<Sums> {
+        let sums_of_part = |part: &[(usize, usize)]| -> Result<Sums> {
             let fields = prepared.recording()?;
             let mut sums = Sums::new(learner.variables.len());
             for &(index, start) in part {
                 (self.stop_check)()?;
-                let count = size.min(whole.rays.len() - start);
-                sums.add(self.chunk(&fields, &whole.narrow(index, start, count)?)?)?;
+                let count = chunk_size.min(batch.rays.len() - start);
+                sums.add(self.over_chunk(&fields, &batch.narrow(index, start, count)?)?)?;
             }
             sums.gradients.merge(Gradients(fields.recorded()?))?;
             Ok(sums)
         };
         // One thread per part, so that a chunk's tensors stay in its core's cache. Parts do not depend on the number of
         // threads, and the sums below are in their order. The bits are always the same.
-        let mut sums = Sums::sum(over_parts(&learner.device, &starts, starts.len().div_ceil(PARTS), work)?)?;
-        let (of_tables, only_second) = of_tables(learner, &std::mem::take(&mut sums.tables), self.log)?;
-        sums.gradients.merge(of_tables)?;
+        let mut sums = Sums::sum(over_parts(&learner.device, &starts, starts.len().div_ceil(PARTS), sums_of_part)?)?;
+        let records = std::mem::take(&mut sums.tables);
+        let (gradients_of_tables, only_second) = table_gradients(learner, &records, self.log)?;
+        sums.gradients.merge(gradients_of_tables)?;
         Ok(Sums { only_second, ..sums })
     }
 
     /// Runs them over a chunk. Losses and gradients are weighted with its fraction of the rays, so that chunks add up.
-    fn chunk(&self, fields: &Fields, draws: &Draws) -> Result<Sums> {
+    fn over_chunk(&self, fields: &Fields, chunk: &StepRays) -> Result<Sums> {
+        let (clean_weight, second_weight) = self.weights;
         let mut sums = Sums::new(self.learner.variables.len()).with_diagnostics(self.log);
         let mut clean: Vec<Rendered> = Vec::new();
         for plan in self.clean {
-            let t_vals = self.samples(plan, fields, draws, clean.last(), None)?;
-            clean.push(self.clean_pass(plan, fields, draws, t_vals, self.weights.0, &mut sums)?);
+            let t_vals = self.samples(plan, fields, chunk, clean.last(), None)?;
+            clean.push(self.clean_pass(plan, fields, chunk, t_vals, clean_weight, &mut sums)?);
         }
         sums.add_tables(fields.table_records());
-        let again = match self.second {
-            [PassPlan { deltas: None, .. }, ..] => Some(draws.again(self.learner)?),
+        // Clean passes that follow clean ones have random numbers of their own.
+        let redrawn = match self.second {
+            [PassPlan { deltas: None, .. }, ..] => Some(chunk.redrawn(self.learner)?),
             _ => None,
         };
+        let chunk = redrawn.as_ref().unwrap_or(chunk);
         let mut control = Sums::new(self.learner.variables.len());
         let mut second: Vec<Rendered> = Vec::new();
-        for (plan, of_clean) in self.second.iter().zip(&clean) {
-            let draws = again.as_ref().unwrap_or(draws);
-            let t_vals = self.samples(plan, fields, draws, second.last(), Some(of_clean))?;
+        for (plan, clean_pass) in self.second.iter().zip(&clean) {
+            let t_vals = self.samples(plan, fields, chunk, second.last(), Some(clean_pass))?;
             second.push(match &plan.deltas {
-                Some(delta_plan) => self.perturbed_pass(plan, delta_plan, fields, draws, &t_vals, &mut sums)?,
-                None => self.clean_pass(plan, fields, draws, t_vals, self.weights.1, &mut control)?,
+                Some(delta_plan) => self.perturbed_pass(plan, delta_plan, fields, chunk, &t_vals, &mut sums)?,
+                None => self.clean_pass(plan, fields, chunk, t_vals, second_weight, &mut control)?,
             });
         }
         let mut second_records = fields.table_records();
@@ -199,19 +205,19 @@ impl<'a> StepPasses<'a> {
         &self,
         plan: &PassPlan,
         fields: &Fields,
-        draws: &Draws,
+        chunk: &StepRays,
         coarse: Option<&Rendered>,
         clean: Option<&Rendered>,
     ) -> Result<Tensor> {
         let sampling = &self.learner.config.sampling;
         match plan.samples {
-            SampleSource::Stratified => Ok(draws.t_coarse.clone()),
+            SampleSource::Stratified => Ok(chunk.t_coarse.clone()),
             SampleSource::Resampled => {
                 let Rendered { t_vals, weights } = coarse.expect("the coarse pass comes first");
-                resample(fields.coarse(), sampling, t_vals, weights, draws.u())
+                resample(fields.coarse(), sampling, t_vals, weights, chunk.u())
             }
             SampleSource::PlacedByDensity => {
-                place(&fields.coarse().frozen()?, &draws.rays, &draws.t_coarse, sampling, draws.u())
+                t_vals_by_density(&fields.coarse().frozen()?, &chunk.rays, &chunk.t_coarse, sampling, chunk.u())
             }
             SampleSource::OfCleanPass => Ok(clean.expect("clean passes come first").t_vals.clone()),
         }
@@ -231,26 +237,26 @@ impl<'a> StepPasses<'a> {
         &self,
         plan: &PassPlan,
         fields: &Fields,
-        draws: &Draws,
+        chunk: &StepRays,
         t_vals: Tensor,
         weight: f64,
         sums: &mut Sums,
     ) -> Result<Rendered> {
         let (learner, field, terms) = (self.learner, self.field(fields, plan), self.terms_of(plan));
-        let pass = draws.pass(learner, plan, &t_vals);
-        let weight = weight * draws.fraction * plan.weight;
+        let pass = chunk.pass(learner, plan, &t_vals);
+        let weight = weight * chunk.fraction * plan.weight;
         let out = clean_pass(field, pass)?;
-        let Some(target) = &draws.target else {
-            terms.descend(learner, (field, pass), &out, None, draws, sums)?;
+        let Some(target) = &chunk.target else {
+            terms.descend(learner, (field, pass), &out, None, chunk, sums)?;
             return Ok(Rendered { weights: out.composite.weights.detach(), t_vals });
         };
         let loss = photometric_loss(&out.composite.rgb, target)?;
         if terms.count() {
-            terms.descend(learner, (field, pass), &out, Some(&(&loss * weight)?), draws, sums)?;
+            terms.descend(learner, (field, pass), &out, Some(&(&loss * weight)?), chunk, sums)?;
         } else {
             sums.gradients.add(&learner.variables, &(&loss * weight)?.backward()?)?;
         }
-        let loss = loss.to_dtype(DType::F64)?.to_scalar::<f64>()? * draws.fraction;
+        let loss = loss.to_dtype(DType::F64)?.to_scalar::<f64>()? * chunk.fraction;
         *(if plan.is_coarse { &mut sums.losses.coarse } else { &mut sums.losses.fine }) = Some(loss);
         if plan.is_evaluated {
             let acc = noiseless_acc(field, &out, pass)?;
@@ -266,44 +272,44 @@ impl<'a> StepPasses<'a> {
         plan: &PassPlan,
         delta_plan: &DeltaPlan,
         fields: &Fields,
-        draws: &Draws,
+        chunk: &StepRays,
         t_vals: &Tensor,
         sums: &mut Sums,
     ) -> Result<Rendered> {
         let (learner, field) = (self.learner, self.field(fields, plan));
-        let pass = draws.pass(learner, plan, t_vals);
+        let pass = chunk.pass(learner, plan, t_vals);
         let norm = &pass.rays.direction_norm;
         let geometry = learner.geometry.pass(t_vals, samples_of(field, t_vals)?, norm, plan.is_coarse)?;
         let sets = Sets::new(delta_plan.sites.iter().cloned(), &geometry)?;
-        let target = draws.target.as_ref().expect("training rays have colours");
-        let perturbed = Perturbed { learner, plan, delta_plan, draws, field, pass, target, sets };
+        let target = chunk.target.as_ref().expect("training rays have colours");
+        let perturbed = PerturbedPass { learner, plan, delta_plan, chunk, field, pass, target, sets };
         let deltas = perturbed.deltas()?;
         let out = perturbed_pass(field, pass, perturbed.perturbation(&deltas))?;
         if let Some(diagnostics) = &mut sums.diagnostics {
             diagnose(&perturbed, &out.used, diagnostics)?;
         }
         let loss = photometric_loss(&out.composite.rgb, target)?;
-        let share = draws.fraction * plan.weight;
-        sums.gradients.add(&learner.variables, &(&loss * (self.weights.1 * share))?.backward()?)?;
-        let loss = loss.to_dtype(DType::F64)?.to_scalar::<f64>()? * share;
+        let weight = chunk.fraction * plan.weight;
+        sums.gradients.add(&learner.variables, &(&loss * (self.weights.1 * weight))?.backward()?)?;
+        let loss = loss.to_dtype(DType::F64)?.to_scalar::<f64>()? * weight;
         sums.losses.perturbed = plus(sums.losses.perturbed, Some(loss));
         Ok(Rendered { t_vals: out.t_vals, weights: out.composite.weights.detach() })
     }
 }
 
 /// A perturbed pass of a chunk, and the sets of its deltas.
-pub(super) struct Perturbed<'a> {
+pub(super) struct PerturbedPass<'a> {
     pub(super) learner: &'a FieldLearner,
     pub(super) plan: &'a PassPlan,
     pub(super) delta_plan: &'a DeltaPlan,
-    pub(super) draws: &'a Draws,
+    pub(super) chunk: &'a StepRays,
     pub(super) field: &'a Field,
     pub(super) pass: Pass<'a>,
     pub(super) target: &'a Tensor,
     sets: Sets,
 }
 
-impl Perturbed<'_> {
+impl PerturbedPass<'_> {
     pub(super) fn perturbation<'a>(&'a self, deltas: &'a Deltas) -> Perturbation<'a> {
         let perturb = &self.learner.config.perturb;
         Perturbation { deltas, sets: &self.sets, injection_layer: perturb.injection_layer, output: perturb.output }
@@ -311,26 +317,26 @@ impl Perturbed<'_> {
 
     /// Number of the pass within the step. Each has its own random numbers.
     fn number(&self) -> u64 {
-        2 * self.draws.index + u64::from(self.plan.is_coarse)
+        2 * self.chunk.index + u64::from(self.plan.is_coarse)
     }
 
     /// Returns a random point of every set. Each site has its own numbers of `stream`.
-    pub(super) fn draw(&self, draw: Draw, stream: Stream) -> Result<Deltas> {
-        let random = |part| Random::part(self.learner.config.seed, stream, self.draws.step, part);
-        self.sets.draw(draw, self.number(), random)
+    pub(super) fn draw(&self, distribution: Distribution, stream: Stream) -> Result<Deltas> {
+        let random = |part| Random::part(self.learner.config.seed, stream, self.chunk.step, part);
+        self.sets.draw(distribution, self.number(), random)
     }
 
     /// Returns random or worst-case deltas, detached.
     fn deltas(&self) -> Result<Deltas> {
         match self.delta_plan.source {
             SecondPass::FreshJitter => Ok(Deltas::default()),
-            SecondPass::Gaussian => self.draw(Draw::Gaussian, Stream::Search),
-            SecondPass::Uniform => self.draw(Draw::Uniform, Stream::Search),
+            SecondPass::Gaussian => self.draw(Distribution::Gaussian, Stream::Search),
+            SecondPass::Uniform => self.draw(Distribution::Uniform, Stream::Search),
             SecondPass::WorstCase => self.search(1.0),
             SecondPass::BestCase => self.search(-1.0),
             SecondPass::Permuted => {
                 let seed = self.learner.config.seed;
-                let mut random = Random::part(seed, Stream::Permutation, self.draws.step, self.number());
+                let mut random = Random::part(seed, Stream::Permutation, self.chunk.step, self.number());
                 self.sets.permuted(&self.search(1.0)?, self.pass.rays.len(), &mut random)
             }
         }
@@ -338,7 +344,7 @@ impl Perturbed<'_> {
 
     /// Runs PGD from a random start, on the loss times `sign`.
     fn search(&self, sign: f64) -> Result<Deltas> {
-        let start = self.draw(Draw::Uniform, Stream::Search)?;
+        let start = self.draw(Distribution::Uniform, Stream::Search)?;
         let field = self.field.frozen()?;
         // Scaled gradients are for parameters, not for deltas.
         let pass = Pass { scales_gradients: false, ..self.pass };

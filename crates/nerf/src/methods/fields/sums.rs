@@ -3,7 +3,7 @@
 use crate::base::Result;
 use crate::field::TableRecord;
 use crate::methods::Extremes;
-use crate::methods::diagnostics::Sums as SiteSums;
+use crate::methods::diagnostics::SiteSums;
 use crate::methods::gradients::Gradients;
 
 /// The contribution of one chunk, or of several, to a step.

@@ -11,9 +11,9 @@ use crate::losses::{LossTerm, RayPass, RayTerm, SpaceTerm, TermSource, WeightedT
 use crate::methods::gradients::Gradients;
 use crate::render::{Pass, PassOutput, positions_at};
 
-use super::draws::Draws;
 use super::learner::FieldLearner;
 use super::plan::PassPlan;
+use super::rays::StepRays;
 use super::sums::Sums;
 
 /// The terms in space with their weights.
@@ -82,7 +82,7 @@ impl<'a> RayTerms<'a> {
         (field, pass): (&Field, Pass),
         out: &PassOutput,
         loss: Option<&Tensor>,
-        draws: &Draws,
+        chunk: &StepRays,
         sums: &mut Sums,
     ) -> Result<()> {
         let reads_slopes = self.0.iter().any(|(term, _, counts)| *counts && term.reads_slopes());
@@ -93,7 +93,7 @@ impl<'a> RayTerms<'a> {
             direction_norm: &pass.rays.direction_norm,
             directions: &pass.rays.directions,
             slopes: slopes.as_ref().map(|slopes| slopes.at_samples.as_tensor()),
-            point_t: draws.point_t.as_ref(),
+            point_t: chunk.point_t.as_ref(),
         };
         let (mut total, mut values) = (Tensor::zeros((), DType::F64, &learner.device)?, Vec::new());
         for (term, weight, counts) in &self.0 {
@@ -102,8 +102,8 @@ impl<'a> RayTerms<'a> {
                 continue;
             }
             let mean = term.per_group(&seen)?.mean_all()?.to_dtype(DType::F64)?;
-            total = (total + (&mean * (weight * draws.fraction))?)?;
-            values.push(mean.to_scalar::<f64>()? * draws.fraction);
+            total = (total + (&mean * (weight * chunk.fraction))?)?;
+            values.push(mean.to_scalar::<f64>()? * chunk.fraction);
         }
         if let Some(loss) = loss {
             total = (loss + total.to_dtype(loss.dtype())?)?;

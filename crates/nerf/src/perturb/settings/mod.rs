@@ -211,7 +211,7 @@ impl PerturbConfig {
         });
         let numbers = PerSite::from_fn(|site| {
             let numbers = self[site].resolve(site, sizes, step_unit, interval);
-            let scales = geometry == Geometry::Paper && site.about().over_units && numbers.norm == Norm::Linf;
+            let scales = geometry == Geometry::Paper && site.spec().over_units && numbers.norm == Norm::Linf;
             if scales { scaled(numbers, PaperPass::box_scale(width)) } else { numbers }
         });
         ResolvedPerturb { config: self, numbers }
@@ -220,14 +220,14 @@ impl PerturbConfig {
     /// Checks the sites' numbers.
     pub(crate) fn validate(&self) -> base::Result<()> {
         for (site, config) in self.sites() {
-            let (about, name) = (site.about(), site.name());
-            let (largest, allowed) = about.largest_epsilon;
+            let (spec, name) = (site.spec(), site.name());
+            let (largest, allowed) = spec.largest_epsilon;
             if let Some(Epsilon::Units(epsilon)) = config.epsilon {
                 require(epsilon <= largest, &format!("perturb.{name}.epsilon"), epsilon, allowed)?;
             }
             // For one number per sample both norms give the same set, which has one name.
             refuse(
-                about.scalar && config.norm == Some(Norm::L2),
+                spec.scalar && config.norm == Some(Norm::L2),
                 format!(
                     "perturb.{name}.norm = \"l2\": this delta is one number a sample, for which l2 and linf are the same; \
                      use \"linf\""

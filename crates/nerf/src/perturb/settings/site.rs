@@ -48,7 +48,7 @@ impl SiteConfig {
 
     /// Fills what is empty. `interval` is (far - near) / coarse samples in the units of `t_vals`.
     pub(super) fn resolve(&mut self, site: PaperSite, sizes: Sizes, unit: StepUnit, interval: f64) -> SiteNumbers {
-        let default = site.about().sizes;
+        let default = site.spec().sizes;
         let steps = *self.steps.get_or_insert(default.steps);
         let epsilon = *self.epsilon.get_or_insert_with(|| match sizes {
             Sizes::Paper => default.paper_epsilon.into(),
@@ -68,7 +68,7 @@ impl SiteConfig {
 
 /// Iterates over the sites whose levels are not named. Without `levels` there are none.
 pub(super) fn switched_off(levels: Option<&[Level]>) -> impl Iterator<Item = PaperSite> {
-    PaperSite::ALL.into_iter().filter(move |site| levels.is_some_and(|levels| !levels.contains(&site.about().level)))
+    PaperSite::ALL.into_iter().filter(move |site| levels.is_some_and(|levels| !levels.contains(&site.spec().level)))
 }
 
 /// Removes from `base` the passes of the sites that levels in `over` switch off: the later layer wins.
@@ -91,7 +91,7 @@ pub(crate) fn check_levels(text: &Table) -> Result<(), String> {
             "perturb.{}.passes contradicts perturb.levels, which switches that site off; add its level there (\"{}\"), or \
              remove one of the two",
             site.name(),
-            word(site.about().level)
+            word(site.spec().level)
         ))
     })
 }

@@ -1,4 +1,4 @@
-//! The rays of a step with the random numbers of its clean pass, complete and in chunks.
+//! The rays of a step with the random numbers of its clean passes, complete and in chunks.
 
 use candle_core::Tensor;
 
@@ -13,8 +13,8 @@ use super::plan::PassPlan;
 /// Streams of random numbers of a step's unseen rays: one for each kind of groups.
 const GROUPS: u64 = 3;
 
-/// Rays of one step, their targets, and the random numbers of their clean passes.
-pub(super) struct Draws {
+/// The rays of a step, or a chunk of them, with their targets and the random numbers of their clean passes.
+pub(super) struct StepRays {
     pub(super) rays: Rays,
     /// True colours, `[rays, 3]`. Unseen rays have none.
     pub(super) target: Option<Tensor>,
@@ -33,17 +33,17 @@ pub(super) struct Draws {
     pub(super) index: u64,
 }
 
-impl Draws {
+impl StepRays {
     /// Returns the batch of the step after `step` finished ones.
-    pub(super) fn batch(learner: &mut FieldLearner, step: u64) -> Result<Draws> {
+    pub(super) fn batch(learner: &mut FieldLearner, step: u64) -> Result<StepRays> {
         let batch = learner.batches.batch(step);
         let target = Tensor::from_vec(batch.target, (batch.rays.len(), 3), &learner.device)?.to_dtype(learner.dtype)?;
         let mut random = Random::new(learner.config.seed, Stream::Jitter, step);
-        Ok(Draws { target: Some(target), ..Draws::of(learner, &batch.rays, step, &mut random)? })
+        Ok(StepRays { target: Some(target), ..StepRays::from_buffer(learner, &batch.rays, step, &mut random)? })
     }
 
     /// Returns a step's rays without photographs' colours in groups.
-    pub(super) fn unseen(learner: &FieldLearner, group: RayGroup, step: u64) -> Result<Draws> {
+    pub(super) fn unseen(learner: &FieldLearner, group: RayGroup, step: u64) -> Result<StepRays> {
         let (seed, count) = (learner.config.seed, learner.config.unseen_rays);
         let kind = match group {
             RayGroup::One => 0,
@@ -53,30 +53,30 @@ impl Draws {
                 let mut random = Random::new(seed, Stream::Points, step);
                 let (pixels, t) = learner.points.draw(count, &mut random);
                 let point_t = Tensor::from_vec(t, pixels.len(), &learner.device)?.to_dtype(learner.dtype)?;
-                let draws = Draws::of(learner, &learner.batches.rays_of(&pixels), step, &mut random)?;
-                return Ok(Draws { point_t: Some(point_t), ..draws });
+                let rays = StepRays::from_buffer(learner, &learner.batches.rays_of(&pixels), step, &mut random)?;
+                return Ok(StepRays { point_t: Some(point_t), ..rays });
             }
         };
         let mut random = Random::new(seed, Stream::Unseen, step * GROUPS + kind);
         let cameras = learner.unseen.as_ref().expect("cameras are placed with the term");
         let pixels = cameras.rays(group, count / group.rays(), &mut random);
-        Draws::of(learner, &learner.batches.rays_of(&pixels), step, &mut random)
+        StepRays::from_buffer(learner, &learner.batches.rays_of(&pixels), step, &mut random)
     }
 
-    fn of(learner: &FieldLearner, rays: &RayBuffer, step: u64, random: &mut Random) -> Result<Draws> {
-        Draws::of_rays(learner, rays.to_tensors(learner.dtype, &learner.device)?, step, random)
+    fn from_buffer(learner: &FieldLearner, rays: &RayBuffer, step: u64, random: &mut Random) -> Result<StepRays> {
+        StepRays::draw(learner, rays.to_tensors(learner.dtype, &learner.device)?, step, random)
     }
 
     /// Returns the same chunk with random numbers of its own.
-    pub(super) fn again(&self, learner: &FieldLearner) -> Result<Draws> {
-        let Draws { fraction, step, index, .. } = *self;
+    pub(super) fn redrawn(&self, learner: &FieldLearner) -> Result<StepRays> {
+        let StepRays { fraction, step, index, .. } = *self;
         let mut random = Random::part(learner.config.seed, Stream::Search, step, index);
-        let drawn = Draws::of_rays(learner, self.rays.clone(), step, &mut random)?;
-        Ok(Draws { target: self.target.clone(), fraction, index, ..drawn })
+        let drawn = StepRays::draw(learner, self.rays.clone(), step, &mut random)?;
+        Ok(StepRays { target: self.target.clone(), fraction, index, ..drawn })
     }
 
-    /// Draws jitter, density noise and inverse-CDF positions of a clean pass, in a fixed order.
-    fn of_rays(learner: &FieldLearner, rays: Rays, step: u64, random: &mut Random) -> Result<Draws> {
+    /// StepRays jitter, density noise and inverse-CDF positions of a clean pass, in a fixed order.
+    fn draw(learner: &FieldLearner, rays: Rays, step: u64, random: &mut Random) -> Result<StepRays> {
         let FieldLearner { config, dtype, device, .. } = learner;
         let sampling = &config.sampling;
         let (n, coarse, fine) = (rays.len(), sampling.coarse, sampling.fine);
@@ -102,15 +102,15 @@ impl Draws {
             (_, false) => Some(sampling::even_u(n, fine_columns, &t_coarse)?),
         };
         let (target, point_t) = (None, None);
-        Ok(Draws { rays, target, point_t, t_coarse, noise_coarse, noise_fine, u, fraction: 1.0, step, index: 0 })
+        Ok(StepRays { rays, target, point_t, t_coarse, noise_coarse, noise_fine, u, fraction: 1.0, step, index: 0 })
     }
 
     /// Returns chunk number `index` of a step's rays.
-    pub(super) fn narrow(&self, index: usize, start: usize, count: usize) -> Result<Draws> {
+    pub(super) fn narrow(&self, index: usize, start: usize, count: usize) -> Result<StepRays> {
         // Shared, not copied, if the complete tensor is contiguous.
         let part = |tensor: &Tensor| tensor.narrow(0, start, count)?.contiguous();
         let maybe = |tensor: &Option<Tensor>| tensor.as_ref().map(part).transpose();
-        Ok(Draws {
+        Ok(StepRays {
             rays: self.rays.narrow(start, count)?,
             target: maybe(&self.target)?,
             point_t: maybe(&self.point_t)?,
