@@ -134,7 +134,7 @@ impl UsedDeltas {
     ///
     /// # Errors
     /// Those of candle and of a site's own spread.
-    pub fn add_to(&mut self, value: Tensor, paper_site: PaperSite, range: Option<(f64, f64)>) -> Result<Tensor> {
+    pub fn add_to(&mut self, value: Tensor, at: PaperSite, range: Option<(f64, f64)>) -> Result<Tensor> {
         let UsedDeltas { deltas, sets } = self;
         // A projected sum can leave the range by rounding, and a spread delta is not projected onto it.
         let within_range = |sum: Tensor| match range {
@@ -142,13 +142,11 @@ impl UsedDeltas {
             Some(_) => sum.relu(),
             None => Ok(sum),
         };
-        let mut sum = match deltas.spread(sets, paper_site)? {
+        let mut sum = match deltas.spread(sets, at)? {
             Some(spread) => straight_through(within_range((value.detach() + spread.detach())?)?, &value, &spread)?,
             None => value,
         };
-        for SiteSet { site, set } in
-            sets.iter_mut().filter(|entry| entry.site.at() == paper_site && !entry.set.spreads())
-        {
+        for SiteSet { site, set } in sets.iter_mut().filter(|entry| entry.site.at() == at && !entry.set.spreads()) {
             let Some(delta) = deltas.get(site.name()).cloned() else { continue };
             let values = sum.detach();
             *set = match range {

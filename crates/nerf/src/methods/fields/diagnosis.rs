@@ -12,7 +12,7 @@ use super::step::PerturbedPass;
 
 /// Measures each site of a perturbed pass separately: with the deltas that it used, and with random ones.
 pub(super) fn diagnose(perturbed: &PerturbedPass, used: &UsedDeltas, sums: &mut SiteSums) -> Result<()> {
-    let drawn = perturbed.draw(Distribution::Uniform, Stream::Diagnostics)?;
+    let random_deltas = perturbed.draw(Distribution::Uniform, Stream::Diagnostics)?;
     let (fraction, perturb) = (perturbed.chunk.fraction, &perturbed.learner.config.perturb);
     let frozen = perturbed.field.frozen()?;
     // The loss, with its weight in the pass, and the rays' colours.
@@ -21,7 +21,7 @@ pub(super) fn diagnose(perturbed: &PerturbedPass, used: &UsedDeltas, sums: &mut 
         let loss = photometric_loss(&rgb, perturbed.target)?.to_dtype(DType::F64)?.to_scalar::<f64>()?;
         Ok((perturbed.plan.weight * loss, rgb))
     };
-    let (without, unmoved) = render(&Deltas::default())?;
+    let (clean_loss, clean_rgb) = render(&Deltas::default())?;
     let sites_on = perturb.numbers.iter().filter(|(_, numbers)| numbers.on()).map(|(site, _)| site.name());
     for name in sites_on.chain(perturbed.delta_plan.user_sites().map(|site| site.name())) {
         let (Some(set), Some(delta)) = (used.sets.get(name), used.deltas.get(name)) else {
@@ -32,9 +32,9 @@ pub(super) fn diagnose(perturbed: &PerturbedPass, used: &UsedDeltas, sums: &mut 
             continue;
         };
         let at_bound = set.share_at_bound(delta)?;
-        let ((with, moved), (with_random, _)) = (render(&used.deltas.only(name))?, render(&drawn.only(name))?);
-        let shift = colour_shift(&moved, &unmoved)?;
-        let (gain, gain_over_random) = (with - without, with - with_random);
+        let ((loss, rgb), (random_loss, _)) = (render(&used.deltas.only(name))?, render(&random_deltas.only(name))?);
+        let shift = colour_shift(&rgb, &clean_rgb)?;
+        let (gain, gain_over_random) = (loss - clean_loss, loss - random_loss);
         sums.add(name, SiteEffect { fraction, gain, gain_over_random, shift, at_bound });
     }
     Ok(())
