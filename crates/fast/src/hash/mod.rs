@@ -29,7 +29,7 @@ pub use domain::{Contraction, Domain};
 pub use encode::fetch_tables;
 pub use operator::Operator;
 pub use reference::{Real, Vertex};
-pub use scatter::Cotangents;
+pub use scatter::EncodingGradients;
 
 use serde::{Deserialize, Serialize};
 

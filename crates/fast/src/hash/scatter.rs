@@ -11,7 +11,7 @@ use crate::simd::{Kernel, LANES, Lanes, Processor, Simd};
 
 /// Points, and the gradients in their encodings or in the results of operators on those.
 #[derive(Clone, Copy)]
-pub struct Cotangents<'a> {
+pub struct EncodingGradients<'a> {
     /// `[n, 3]`, in the unit cube.
     pub points: &'a [f32],
     /// `[n, channels]`.
@@ -26,7 +26,7 @@ impl HashGrid {
     ///
     /// # Panics
     /// If the sizes do not fit.
-    pub fn table_gradient(&self, records: &[Cotangents], sum: &mut [f32]) {
+    pub fn table_gradient(&self, records: &[EncodingGradients], sum: &mut [f32]) {
         assert_eq!(sum.len(), self.entries() * self.features, "the gradient is of another grid's tables");
         let mut rest = sum;
         let mut parts = Vec::with_capacity(self.levels.len());
@@ -48,8 +48,8 @@ impl HashGrid {
     ///
     /// # Panics
     /// If the sizes do not fit.
-    pub fn scatter(&self, level: usize, record: Cotangents, sum: &mut [f32]) {
-        let Cotangents { points, d_out, operators } = record;
+    pub fn scatter(&self, level: usize, record: EncodingGradients, sum: &mut [f32]) {
+        let EncodingGradients { points, d_out, operators } = record;
         let count = self.check(self.entries() * self.features, points.len(), d_out.len());
         assert!(operators.is_none_or(|operators| operators.len() == count), "one operator a point");
         assert_eq!(sum.len(), self.levels[level].entries * self.features, "the gradient is of another level's table");

@@ -25,8 +25,8 @@ fn signed(count: usize, seed: u64) -> Vec<f64> {
 }
 
 /// The gradients in the encodings themselves.
-fn record<'a>(points: &'a [f32], d_out: &'a [f32]) -> Cotangents<'a> {
-    Cotangents { points, d_out, operators: None }
+fn record<'a>(points: &'a [f32], d_out: &'a [f32]) -> EncodingGradients<'a> {
+    EncodingGradients { points, d_out, operators: None }
 }
 
 fn narrow(values: &[f64]) -> Vec<f32> {
@@ -255,7 +255,7 @@ fn table_gradients_have_the_same_bytes_for_any_number_of_threads() {
         .iter()
         .map(|n| (narrow(&numbers(3 * n, *n as u64)), narrow(&signed(n * grid.channels(), 99 + *n as u64))))
         .collect();
-    let records: Vec<Cotangents> = records.iter().map(|(points, d_out)| record(points, d_out)).collect();
+    let records: Vec<EncodingGradients> = records.iter().map(|(points, d_out)| record(points, d_out)).collect();
     let sums = [1, 2, 3].map(|threads| {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
         // What was there is written over.
@@ -266,7 +266,8 @@ fn table_gradients_have_the_same_bytes_for_any_number_of_threads() {
     assert_eq!(bits(&sums[0]), bits(&sums[1]));
     assert_eq!(bits(&sums[0]), bits(&sums[2]));
     let mut expected = vec![0.0; sums[0].len()];
-    let all = |pick: fn(&Cotangents) -> Vec<f32>| records.iter().flat_map(pick).map(f64::from).collect::<Vec<_>>();
+    let all =
+        |pick: fn(&EncodingGradients) -> Vec<f32>| records.iter().flat_map(pick).map(f64::from).collect::<Vec<_>>();
     let (points, d_out) = (all(|record| record.points.to_vec()), all(|record| record.d_out.to_vec()));
     grid.table_gradient_reference(&points, None, &d_out, &mut expected);
     assert!(off(&sums[0], &expected) < 1e-5);

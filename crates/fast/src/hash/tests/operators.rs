@@ -33,7 +33,7 @@ fn kernels_of_operators_follow_the_reference_with_the_same_bits_on_each_processo
             let all = on_each(|| {
                 let mut found = [vec![0f32; d_out.len()], vec![0.0; tables.len()]];
                 grid.encode(&tables32, &points32, Some(&operators32), &mut found[0]);
-                let record = Cotangents { operators: Some(&operators32), ..record(&points32, &d_out32) };
+                let record = EncodingGradients { operators: Some(&operators32), ..record(&points32, &d_out32) };
                 for (l, level) in grid.levels.iter().enumerate() {
                     let sum = &mut found[1][level.offset * grid.features..][..level.entries * grid.features];
                     grid.scatter(l, record, sum);
@@ -148,13 +148,13 @@ fn records_with_and_without_operators_add_up() {
     let mut twice = [0.0; 10];
     twice[0] = 2.0;
     let operators = vec![twice; 700];
-    let gradient = |records: &[Cotangents]| {
+    let gradient = |records: &[EncodingGradients]| {
         let mut sum = vec![f32::NAN; grid.entries() * 2];
         grid.table_gradient(records, &mut sum);
         sum
     };
     let plain = record(&points, &d_out);
-    let found = gradient(&[Cotangents { operators: Some(&operators), ..plain }, plain]);
+    let found = gradient(&[EncodingGradients { operators: Some(&operators), ..plain }, plain]);
     let expected: Vec<f64> = gradient(&[plain]).iter().map(|x| 3.0 * f64::from(*x)).collect();
     assert!(off(&found, &expected) < 1e-5);
 }

@@ -9,7 +9,7 @@ use candle_core::{CpuStorage, CustomOp2, Device, Layout, Result, Shape, Tensor};
 
 use crate::base::tensors::{Values, slice};
 use crate::field::grid::Grid;
-use augnerf_fast::hash::{Cotangents, Domain, HashGrid, Operator};
+use augnerf_fast::hash::{Domain, EncodingGradients, HashGrid, Operator};
 
 /// The records of a field, in the order of its backward passes.
 pub(super) type Records = Arc<Mutex<Vec<TableRecord>>>;
@@ -30,8 +30,8 @@ impl TableRecord {
         self.points.len() / 3
     }
 
-    fn cotangents(&self) -> Cotangents<'_> {
-        Cotangents { points: &self.points, d_out: &self.gradient, operators: self.operators.as_deref() }
+    fn encoding_gradients(&self) -> EncodingGradients<'_> {
+        EncodingGradients { points: &self.points, d_out: &self.gradient, operators: self.operators.as_deref() }
     }
 }
 
@@ -39,7 +39,7 @@ impl TableRecord {
 pub(super) fn table_gradient<'a>(grid: &Grid, records: impl IntoIterator<Item = &'a TableRecord>) -> Result<Tensor> {
     let shape = &grid.shape;
     let mut sum = vec![0f32; shape.entries() * shape.features()];
-    let records: Vec<Cotangents> = records.into_iter().map(TableRecord::cotangents).collect();
+    let records: Vec<EncodingGradients> = records.into_iter().map(TableRecord::encoding_gradients).collect();
     shape.table_gradient(&records, &mut sum);
     Tensor::from_vec(sum, (shape.entries(), shape.features()), &Device::Cpu)
 }
