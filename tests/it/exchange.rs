@@ -104,7 +104,6 @@ fn what_cannot_be_taken_over_is_refused() {
     place.write("bad.tar", "no archive");
     let tar = &fixture("nerf_pytorch.tar").display().to_string();
     let far = "regularizer.kind=tv regularizer.domain=[[50,50,50],[51,51,51]]";
-    let endless = "regularizer.kind=tv regularizer.points=full regularizer.lattice=1024 train.steps=1000000000";
     let from = |flags: &str, settings: &str| format!("train --from {flags}{} --out out -q", set(settings));
     for (line, code, words) in [
         (from("short", ""), 2, &["step 2", "train.steps=4", "--restart"][..]),
@@ -112,7 +111,6 @@ fn what_cannot_be_taken_over_is_refused() {
         // The checks of a start with random weights.
         (from("short --restart", far), 2, &["regularizer.domain", "outside"]),
         (from("short", &format!("train.steps=4 {far}")), 2, &["regularizer.domain"]),
-        (from("short --restart", endless), 2, &["regularizer.lattice = 1024", "days", "sampled"]),
         (from("hash --restart", "field.hash.bounds=[[50,50,50],[51,51,51]]"), 2, &["field.hash.bounds", "outside"]),
         ("train --preset smoke --set train.parent=abc --out out -q".into(), 2, &["train.parent", "--from"]),
         ("import x.tar --out out".into(), 3, &["cannot read x.tar: No such file"]),

@@ -180,14 +180,6 @@ fn a_hangup_that_is_ignored_stays_so() {
     child.wait().unwrap();
 }
 
-/// A whole lattice of 1024 cells a side in each step would take hours, and says so.
-#[test]
-fn a_step_that_would_take_hours_is_refused() {
-    let place = Place::new();
-    let full = "regularizer.kind=tv regularizer.points=full regularizer.lattice=1024 field.width=512 field.depth=8";
-    place.says(&train("run", full), 2, &["regularizer.lattice = 1024", "s per step here", "10 minutes", "sampled"]);
-}
-
 /// A command of somebody who may read the folder but not write into it: of nobody, where this test is root's.
 #[cfg(unix)]
 fn as_reader(place: &Place, line: &str) -> Command {

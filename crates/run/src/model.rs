@@ -8,8 +8,7 @@ use crate::accelerator;
 use crate::base::{Error, Result};
 use crate::data::Scene;
 use crate::field::{Density, Field, FieldDensity};
-use crate::losses::WeightedTerm;
-use crate::methods::{Family, FieldLearner, FieldRenderer, Fields, Learner, Network, Renderer, is_timed};
+use crate::methods::{Family, FieldLearner, FieldRenderer, Fields, Learner, Network, Renderer};
 use crate::runtime::Runtime;
 use crate::settings::{Capability, Config, Representation, Resolved};
 
@@ -54,7 +53,6 @@ impl Model {
         let device = runtime.device();
         if config.representation().is_field() {
             let (learner, redraws) = FieldLearner::start(config, scene, dtype, device)?;
-            check_duration(&learner, config, runtime)?;
             return Ok((Model::Fields(learner.fields().clone()), redraws));
         }
         let family = baseline(config)?;
@@ -62,7 +60,7 @@ impl Model {
         Ok((Model::Baseline(config.representation(), (family.init)(config, dtype, device)?), vec![0]))
     }
 
-    /// Checks that a run can start at step 0. It makes a model only to measure terms in space at very many points.
+    /// Checks that a run can start, from initial or other parameters. It makes no model.
     ///
     /// # Errors
     /// Those of [`Model::start`], except a dead start.
@@ -70,21 +68,7 @@ impl Model {
         if !config.representation().is_field() {
             return (baseline(config)?.check)(config, scene);
         }
-        match runtime.accelerator().is_none() && is_timed(&config.regularizer) {
-            true => Model::start(config, scene, dtype, runtime).map(drop),
-            false => FieldLearner::check(config, scene, dtype, runtime.device()),
-        }
-    }
-
-    /// Checks that a run can start from these parameters.
-    ///
-    /// # Errors
-    /// Settings do not suit the scene.
-    pub fn check_start(&self, config: &Resolved, scene: &Scene, dtype: DType, runtime: &Runtime) -> Result<()> {
-        let Model::Fields(fields) = self else { return (baseline(config)?.check)(config, scene) };
-        FieldLearner::check(config, scene, dtype, runtime.device())?;
-        let learner = FieldLearner::new(config, scene, fields.clone(), dtype, runtime.device())?;
-        check_duration(&learner, config, runtime)
+        FieldLearner::check(config, scene, dtype, runtime.device())
     }
 
     /// Returns the names of a configuration's networks, in the fixed order of parameters.
@@ -213,14 +197,6 @@ pub(crate) fn density(runtime: &Runtime, field: &Field) -> Result<Box<dyn Densit
         Some(accelerator) => accelerator.density(field),
         None => Ok(Box::new(FieldDensity::new(field)?)),
     }
-}
-
-/// Returns an error if a run's terms in space would take this machine too long. An accelerator takes its own time.
-fn check_duration(learner: &FieldLearner, config: &Resolved, runtime: &Runtime) -> Result<()> {
-    if runtime.accelerator().is_some() {
-        return Ok(());
-    }
-    learner.check_duration(&WeightedTerm::all(&config.regularizer), &config.regularizer, config.train.steps)
 }
 
 /// Returns the error for an operation that the representation does not support.

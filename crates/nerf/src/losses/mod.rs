@@ -65,7 +65,7 @@ pub use orientation::Orientation;
 pub use settings::{LatticePoints, REGULARIZERS, RegularizedFields, Regularizer, RegularizerConfig, TermRays};
 pub use smoothness::{Smoothness, measure, measure_density};
 pub use sparse_depth::SparseDepth;
-pub use spatial::{Regularized, WeightedSpaceTerm, estimate_seconds, regularize, regularize_at, regularize_unless};
+pub use spatial::{Regularized, WeightedSpaceTerm, regularize, regularize_at, regularize_unless};
 pub use tv::Tv;
 
 /// A rendered pass, as a term on rays reads it.

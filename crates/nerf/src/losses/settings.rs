@@ -136,6 +136,8 @@ pub enum RegularizedFields {
 
 /// Largest number of points of a step. They are drawn at once, and this many take a few hundred megabytes.
 const MOST_POINTS_PER_STEP: usize = 1 << 22;
+/// Largest grid whose every cell a step queries. There is no checkpoint within a step, and so many points take minutes.
+const MOST_CELLS_A_SIDE: usize = 256;
 
 const POINTS: &[&str] = &["regularizer_points"];
 
@@ -290,10 +292,13 @@ impl RegularizerConfig {
             let allowed = format!("a multiple of {together}, the rays of a {of}");
             require(rays.is_multiple_of(together), "regularizer.unseen_rays", rays, &allowed)?;
         }
-        if self.points == LatticePoints::Full {
-            return Ok(());
-        }
         let (points, lattice) = (self.points_per_step, self.lattice);
+        if self.points == LatticePoints::Full {
+            let allowed = format!(
+                "at most {MOST_CELLS_A_SIDE} with regularizer.points = \"full\"; lower it, or set regularizer.points = \"sampled\""
+            );
+            return require(lattice <= MOST_CELLS_A_SIDE, "regularizer.lattice", lattice, &allowed);
+        }
         let cells = lattice.pow(3);
         let most = cells.min(MOST_POINTS_PER_STEP);
         let allowed = format!(

@@ -4,7 +4,7 @@ use candle_core::{DType, Tensor};
 
 use crate::base::Result;
 use crate::field::{Cotangents, DensityAt, Field, Order, TableRecord};
-use crate::space::{Lattice, Quadrature, chunk_size, chunks_at_once, over_chunks};
+use crate::space::{Quadrature, over_chunks};
 
 use super::SpaceTerm;
 
@@ -129,27 +129,4 @@ fn cotangents(at: &DensityAt, terms: &[WeightedSpaceTerm], volume: f64) -> Resul
         sum.laplacian = plus(sum.laplacian.take(), scaled(own.laplacian)?)?;
     }
     Ok(sum)
-}
-
-/// Estimates the seconds that the weight gradients of `terms` take for `count` points of a sampling grid here, from one
-/// chunk. Without terms it estimates those of density's derivatives only.
-pub fn estimate_seconds(field: &Field, lattice: &Lattice, count: usize, terms: &[WeightedSpaceTerm]) -> Result<f64> {
-    let field = &field.prepared()?;
-    let device = field.device();
-    let chunk = chunk_size(device).min(lattice.cells());
-    let points = Quadrature::full(*lattice).tensor(0, chunk, field.dtype(), device)?;
-    let work = || -> Result<f64> {
-        let started = std::time::Instant::now();
-        if terms.is_empty() {
-            field.spatial(&points)?;
-        } else {
-            chunk_at(field, &points, terms, 1.0)?;
-        }
-        device.synchronize()?;
-        Ok(started.elapsed().as_secs_f64())
-    };
-    // The first run pays for new memory, and other programs may be at work.
-    work()?;
-    let least = work()?.min(work()?).min(work()?);
-    Ok(least * count as f64 / chunk as f64 / chunks_at_once(device) as f64)
 }

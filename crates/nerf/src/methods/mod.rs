@@ -21,7 +21,7 @@ pub use diagnostics::{SiteDiagnostics, SiteSummary, colour_shift, columns as sit
 pub use extremes::Extremes;
 pub use fields::{
     AttackGeometry, Balance, CountedTerms, DeltaPlan, FieldLearner, FieldRenderer, Fields, PassPlan, Plan,
-    SampleSource, StepLosses, is_regularized, is_timed, log_columns, parts, step_over_radius,
+    SampleSource, StepLosses, is_regularized, log_columns, parts, step_over_radius,
 };
 pub use gradients::Gradients;
 pub use learner::{Learner, LogColumns, StepReport, StepResult, StopCheck, Term, no_sites, not_finite};

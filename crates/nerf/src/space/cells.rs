@@ -69,11 +69,6 @@ pub fn chunk_size(device: &Device) -> usize {
     if is_host(device) { CHUNK } else { DEVICE_CHUNK_OF_DERIVATIVES }
 }
 
-/// Returns the number of chunks that are processed at once.
-pub fn chunks_at_once(device: &Device) -> usize {
-    if is_host(device) { rayon::current_num_threads().min(CHUNKS_AT_ONCE) } else { 1 }
-}
-
 /// Processes points of a precision on a device in chunks that suit derivatives of density, some at once, and returns the
 /// results in order. Memory does not grow with their number, and the number of threads changes no bit.
 pub fn over_chunks<T: Send>(

@@ -4,10 +4,9 @@ use candle_core::DType;
 use serde::Serialize;
 
 use crate::base::{Error, Event, Listener, Result};
-use crate::losses::{LossTerm, WeightedTerm};
 use crate::methods::FieldLearner;
 use crate::runtime::Runtime;
-use crate::settings::{Capability, Config, Method, REGULARIZERS, Resolved};
+use crate::settings::{Capability, Config, Method, Resolved};
 use crate::space::Lattice;
 use crate::train::Trainer;
 
@@ -38,7 +37,7 @@ pub struct BalancedWeight {
 /// evaluated; the training itself has no regularizer. Also returns the settings of the training.
 ///
 /// # Errors
-/// The method is not NeRF; the box misses the scene's rays; the measurement would take too long; training diverges.
+/// The method is not NeRF; the box misses the scene's rays; training diverges.
 pub fn balance(
     config: Config,
     steps: u64,
@@ -72,11 +71,6 @@ fn balance_here(
     // It shares the trainer's weights.
     let fields = trainer.model()?.fields()?.clone();
     let mut learner = FieldLearner::new(&config, &scene, fields, DType::F32, runtime.device())?;
-    let in_space: Vec<WeightedTerm> =
-        REGULARIZERS.map(|term| WeightedTerm::constant(LossTerm::of(term, &regularizer), 1.0)).into();
-    // Each term in space needs its own pass.
-    let passes = REGULARIZERS.iter().filter(|term| term.in_space()).count();
-    learner.check_duration(&in_space, &regularizer, passes as u64)?;
     events.on(Event::TrainingStarted { first: 0, steps, rays: config.train.rays });
     for _ in 0..steps {
         let stats = trainer.step(false)?;

@@ -2,7 +2,6 @@
 //! whatever the training used.
 
 use std::path::Path;
-use std::time::Instant;
 
 use serde::Serialize;
 
@@ -11,19 +10,16 @@ use crate::base::csv::csv_of_named;
 use crate::base::files::write_atomic;
 use crate::base::{Error, Event, Listener, Result};
 use crate::data::Scene;
-use crate::field::Density;
-use crate::losses::{Smoothness, estimate_seconds, measure, measure_density};
+use crate::losses::{Smoothness, measure, measure_density};
 use crate::model::{Model, density};
 use crate::runtime::Runtime;
 use crate::settings::{Capability, Config};
-use crate::space::{Lattice, Quadrature, chunk_count};
+use crate::space::{Lattice, chunk_count};
 
 use super::{Protocol, Trained, columns};
 
 /// Cells after which an accelerator's measurement advances.
 const CELLS: usize = 1024;
-/// Time limit of a measurement in hours.
-const MOST_HOURS: f64 = 12.0;
 /// The paper's box for its regularizers.
 const PAPER_BOX: [[f64; 3]; 2] = [[-1.0; 3], [1.0; 3]];
 /// Default number of cells along each side of the sampling grid.
@@ -62,7 +58,7 @@ impl SmoothnessReport {
     /// Measures the coarse and the fine field of a model on a runtime.
     ///
     /// # Errors
-    /// [`Error::Config`]: the box misses the scene's rays, or the sampling grid would take too long.
+    /// [`Error::Config`]: the box misses the scene's rays.
     /// [`Error::Diverged`]: densities are not numbers.
     pub fn measure(
         model: &Model,
@@ -102,11 +98,6 @@ fn measure_fields(
     if runtime.accelerator().is_some() && has_laplacian {
         events.on(Event::Note("the field has a Laplacian, which the processor computes: this is measured there"));
     }
-    let seconds = match on_accelerator {
-        true => seconds_on(&*density(runtime, fields[0].1)?, lattice)?,
-        false => estimate_seconds(fields[0].1, lattice, lattice.cells(), &[])?,
-    };
-    check_duration(seconds * fields.len() as f64, lattice)?;
     let parts =
         if on_accelerator { lattice.cells().div_ceil(CELLS) } else { chunk_count(lattice.cells(), runtime.device()) };
     events.on(Event::Started { what: "measuring", parts: (fields.len() * parts) as u64 });
@@ -131,30 +122,6 @@ fn measure_fields(
     let fields = measured.collect::<Result<Vec<_>>>()?;
     events.on(Event::Finished);
     Ok(fields)
-}
-
-/// Estimates the seconds of all cells from a part of them, on an accelerator.
-fn seconds_on(density: &dyn Density, lattice: &Lattice) -> Result<f64> {
-    let count = density.at_once().unwrap_or(CELLS).min(lattice.cells());
-    let points = Quadrature::full(*lattice).tensor(0, count, density.dtype(), density.device())?;
-    let started = Instant::now();
-    density.density(&points, lattice.cell_variance())?;
-    density.gradient(&points, lattice.cell_variance())?;
-    Ok(started.elapsed().as_secs_f64() * lattice.cells() as f64 / count as f64)
-}
-
-/// Returns an error for a sampling grid that would take too long.
-fn check_duration(seconds: f64, lattice: &Lattice) -> Result<()> {
-    let hours = seconds / 3600.0;
-    if hours <= MOST_HOURS {
-        return Ok(());
-    }
-    Err(Error::Config(format!(
-        "a sampling grid of {} a side has {} points, which would take about {hours:.0} hours here (at most \
-         {MOST_HOURS} are allowed); choose fewer cells a side",
-        lattice.side,
-        lattice.cells()
-    )))
 }
 
 /// Returns an error for a run without such numbers.

@@ -117,9 +117,8 @@ impl Trainer {
     /// initialized again.
     ///
     /// # Errors
-    /// [`Error::Config`]: the run needs more memory than is free, or a regularizer's box misses the scene's rays or
-    /// takes too long, or the runtime's accelerator does not train the method. [`Error::Diverged`]: every initialization
-    /// of a field is dead.
+    /// [`Error::Config`]: the run needs more memory than is free, or a regularizer's box misses the scene's rays, or
+    /// the runtime's accelerator does not train the method. [`Error::Diverged`]: every initialization of a field is dead.
     pub fn new(config: &Resolved, scene: &Scene, dtype: DType, runtime: &Runtime) -> Result<Trainer> {
         if let Some(parent) = &config.train.parent {
             return Err(Error::Config(format!(

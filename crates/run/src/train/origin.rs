@@ -64,7 +64,7 @@ impl Trainer {
                     (Model::from_parameters(config, values)?, None, state)
                 }
             };
-            model.check_start(config, scene, dtype, runtime)?;
+            Model::check(config, scene, dtype, runtime)?;
             let steps = inputs.steps(&model, moments)?;
             Ok(inputs.trainer(model, steps, state))
         })

@@ -25,5 +25,5 @@ pub use networks::Fields;
 pub use plan::{CountedTerms, DeltaPlan, PassPlan, Plan, SampleSource};
 pub use renderer::FieldRenderer;
 pub use report::{StepLosses, log_columns};
-pub use space::{is_regularized, is_timed};
+pub use space::is_regularized;
 pub use step::parts;

@@ -1,43 +1,19 @@
-//! The terms in space and on tables of a step, and how long those in space take.
+//! The terms in space and on tables of a step.
 
 use candle_core::{DType, Tensor};
 
-use crate::base::{Error, Result};
+use crate::base::Result;
 use crate::field::Field;
-use crate::losses::{HashDecay, SpaceTerm, WeightedTerm, estimate_seconds, regularize_unless};
-use crate::losses::{LatticePoints, RegularizedFields, RegularizerConfig};
+use crate::losses::{HashDecay, RegularizedFields, RegularizerConfig, SpaceTerm, regularize_unless};
 use crate::methods::gradients::Gradients;
 use crate::methods::learner::StopCheck;
 use crate::space::Lattice;
 
 use super::learner::FieldLearner;
-use super::terms::in_space;
-
-/// Longest time of regularizers in days. A run with more is rejected.
-const MOST_DAYS: f64 = 30.0;
-/// Longest time of a single step in minutes. There is no checkpoint within a step.
-const MOST_MINUTES_A_STEP: f64 = 10.0;
-const SECONDS_PER_MINUTE: f64 = 60.0;
-const SECONDS_PER_DAY: f64 = 86_400.0;
-/// With this few points per step no estimate is needed.
-const SURELY_FINISHED: usize = 1 << 16;
 
 /// Returns the sampling grid of a configuration.
 pub(super) fn lattice(config: &RegularizerConfig) -> Lattice {
     Lattice { domain: config.domain, side: config.lattice }
-}
-
-/// Returns whether a check of a run measures how long its terms in space take.
-pub fn is_timed(config: &RegularizerConfig) -> bool {
-    config.has_space_terms() && points_per_step(config) > SURELY_FINISHED
-}
-
-/// Returns the points of a step's terms in space.
-fn points_per_step(config: &RegularizerConfig) -> usize {
-    match config.points {
-        LatticePoints::Sampled => config.points_per_step,
-        LatticePoints::Full => lattice(config).cells(),
-    }
 }
 
 /// Returns whether terms in space count for the field of this role, one of `roles`.
@@ -109,34 +85,4 @@ pub(super) fn table_terms(
         gradients.extend(of_field);
     }
     Ok((value, Gradients(gradients)))
-}
-
-impl FieldLearner {
-    /// Returns an error for terms in space whose points would take this machine too long in `steps` steps.
-    ///
-    /// # Errors
-    /// They take more than 10 minutes a step, or 30 days.
-    pub fn check_duration(&self, terms: &[WeightedTerm], config: &RegularizerConfig, steps: u64) -> Result<()> {
-        let terms = in_space(terms);
-        let (lattice, points) = (lattice(config), points_per_step(config));
-        if points <= SURELY_FINISHED || terms.is_empty() {
-            return Ok(());
-        }
-        let fields: Vec<&Field> =
-            regularized(self, config).filter(|(_, counts)| *counts).map(|(field, _)| field).collect();
-        let step = estimate_seconds(fields[0], &lattice, points, &terms)? * fields.len() as f64;
-        let days = step * steps as f64 / SECONDS_PER_DAY;
-        if days <= MOST_DAYS && step <= MOST_MINUTES_A_STEP * SECONDS_PER_MINUTE {
-            return Ok(());
-        }
-        Err(Error::Config(format!(
-            "regularizer.lattice = {}, points = \"{}\" queries {} points per step: about {step:.0} s per step here, \
-             {days:.0} days for {steps} steps (at most {MOST_MINUTES_A_STEP} minutes and {MOST_DAYS} days are allowed); set \
-             regularizer.points = \"sampled\" with \
-             fewer points_per_step, or a smaller lattice",
-            lattice.side,
-            if config.points == LatticePoints::Full { "full" } else { "sampled" },
-            points * fields.len()
-        )))
-    }
 }
