@@ -121,7 +121,7 @@ fn regularizer_evaluations(config: &Config) -> f64 {
         }
         false => 0.0,
     };
-    if !kind.iter().any(|kind| kind.in_space()) {
+    if !config.regularizer.has_space_terms() {
         return of_slopes;
     }
     let points = match points {

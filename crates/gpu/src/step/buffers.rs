@@ -103,7 +103,7 @@ pub(super) struct SpaceBuffers {
 impl SpaceBuffers {
     /// Makes the buffers for terms whose points are queried through so many rows of samples. `None` without such terms.
     fn new(gpu: &Gpu, config: &Resolved, rows: usize) -> Result<Option<SpaceBuffers>> {
-        if !config.regularizer.terms().any(|(term, _)| term.in_space()) {
+        if !config.regularizer.has_space_terms() {
             return Ok(None);
         }
         let has_gradient = config.regularizer.terms().any(|(term, _)| term == Regularizer::Tv);

@@ -54,7 +54,7 @@ fn exclusive_sum(samples: usize, like: &Tensor) -> Result<Tensor> {
 mod tests {
     use super::super::edges;
     use super::*;
-    use candle_core::{Device, Var};
+    use candle_core::Device;
 
     fn row(values: &[f64]) -> Tensor {
         Tensor::from_slice(values, (1, values.len()), &Device::Cpu).unwrap()
@@ -91,22 +91,10 @@ mod tests {
     }
 
     #[test]
-    fn sums_equal_pairs_and_gradients_equal_finite_differences() {
+    fn sums_equal_pairs() {
         let weights = [0.05, 0.3, 0.0, 0.2, 0.11, 0.07];
         let edges = [0.0, 0.11, 0.12, 0.4, 0.4, 0.77, 1.0];
         assert!((value(&weights, &edges) - by_pairs(&weights, &edges)).abs() < 1e-15);
-        let var = Var::from_tensor(&row(&weights)).unwrap();
-        let loss = distortion(var.as_tensor(), &row(&edges)).unwrap().sum_all().unwrap();
-        let gradient = loss.backward().unwrap().get(&var).unwrap().to_vec2::<f64>().unwrap();
-        for i in 0..weights.len() {
-            let moved = |by: f64| {
-                let mut weights = weights;
-                weights[i] += by;
-                by_pairs(&weights, &edges)
-            };
-            let slope = (moved(1e-5) - moved(-1e-5)) / 2e-5;
-            assert!((gradient[0][i] - slope).abs() < 1e-9, "{i}: {} {slope}", gradient[0][i]);
-        }
     }
 
     #[test]

@@ -41,7 +41,7 @@ impl RayTerm for InformationGain {
 
 #[cfg(test)]
 mod tests {
-    use super::super::tests::{assert_slopes_by_differences, pair};
+    use super::super::tests::pair;
     use super::*;
 
     /// The density of an opacity, where intervals are 1 long.
@@ -67,10 +67,5 @@ mod tests {
         let faint = [0.25, 0.125, 0.125].map(of_opacity);
         assert!(of(a, faint).abs() < 1e-8);
         assert!(of(a, [half, 0.0, half]) > 0.0);
-    }
-
-    #[test]
-    fn slopes_are_those_of_differences() {
-        assert_slopes_by_differences(&InformationGain, &pair(&[0.3, 0.9, 0.2, 0.6, 0.4, 0.1, 0.8, 1.0], 3.0));
     }
 }

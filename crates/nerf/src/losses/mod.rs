@@ -226,6 +226,12 @@ impl LossTerm {
         }
     }
 
+    /// Returns the groups of unseen rays that terms read, each once, in a fixed order.
+    pub fn unseen_groups<'a>(terms: impl Iterator<Item = &'a LossTerm> + Clone) -> Vec<RayGroup> {
+        let is_read = |group: &RayGroup| terms.clone().any(|term| term.source() == TermSource::UnseenRays(*group));
+        [RayGroup::Point, RayGroup::One, RayGroup::Pair, RayGroup::Patch].into_iter().filter(is_read).collect()
+    }
+
     /// Creates a term in space.
     pub fn in_space(term: impl SpaceTerm + 'static) -> LossTerm {
         LossTerm::InSpace(Arc::new(term))
@@ -423,15 +429,31 @@ mod tests {
         }
     }
 
-    /// Compares a term's derivatives in density with a function of it.
-    pub(super) fn assert_slopes(term: &dyn RayTerm, density: &[f64], slope: impl Fn(f64) -> f64) {
-        let (_, found) = rays(density, 1.0).differentiated(term);
-        for (found, density) in found.iter().zip(density) {
-            assert!((found - slope(*density)).abs() < 1e-12, "{found} for {}", slope(*density));
-        }
+    /// Each term's derivatives, which are candle's, in density and its gradients are those of differences of the term.
+    #[test]
+    fn slopes_are_those_of_differences() {
+        let four = [0.3, 0.9, 0.2, 0.6];
+        let slopes = (0..12).map(|i| (1.7 * f64::from(i)).sin()).collect();
+        // The factor has no gradient; on rays that end in something opaque it does not move.
+        let of_pixel = |i: usize| [0.1 + 0.07 * ((i * 37 % 11) as f64), 0.1 + 0.05 * ((i * 23 % 13) as f64), 1e6];
+        let opaque: Vec<f64> = (0..RayGroup::Patch.rays()).flat_map(of_pixel).collect();
+        let terms: [(&dyn RayTerm, TestRay); 11] = [
+            (&Distortion, rays(&four, 2.0)),
+            (&Distortion, between_edges(&four, 2.0)),
+            (&Occlusion { share: 0.6 }, rays(&four, 2.0)),
+            (&Entropy, rays(&four, 2.0)),
+            (&Entropy, between_edges(&four, 2.0)),
+            (&Cauchy, rays(&four, 2.0)),
+            (&OpacityPrior, between_edges(&four, 2.0)),
+            (&InformationGain, pair(&[four, [0.4, 0.1, 0.8, 1.0]].concat(), 3.0)),
+            (&Orientation, rays(&four, 4.0).sloped(slopes)),
+            (&SparseDepth, rays(&four, 4.0).with_point(1.3)),
+            (&DepthSmoothness, patch(&opaque, 3, 2.0).edged()),
+        ];
+        terms.iter().for_each(|(term, ray)| assert_slopes_by_differences(*term, ray));
     }
 
-    pub(super) fn assert_slopes_by_differences(term: &dyn RayTerm, ray: &TestRay) {
+    fn assert_slopes_by_differences(term: &dyn RayTerm, ray: &TestRay) {
         let (_, found) = ray.differentiated(term);
         for (i, found) in found.iter().enumerate() {
             let moved = |by: f64| {
@@ -440,7 +462,7 @@ mod tests {
                 TestRay { density, slopes, ..*ray }.value(term)
             };
             let slope = (moved(1e-6) - moved(-1e-6)) / 2e-6;
-            assert!((found - slope).abs() < 1e-7, "{i}: {found} for {slope}");
+            assert!((found - slope).abs() < 1e-7, "{}, {i}: {found} for {slope}", term.name());
         }
     }
 }

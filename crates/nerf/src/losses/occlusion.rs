@@ -40,7 +40,7 @@ impl RayTerm for Occlusion {
 
 #[cfg(test)]
 mod tests {
-    use super::super::tests::{assert_slopes, between_edges, rays};
+    use super::super::tests::{between_edges, rays};
     use super::*;
 
     #[test]
@@ -55,6 +55,5 @@ mod tests {
         );
         // A part of an interval counts as a part.
         assert!((of(&[1.0, 2.0, 0.0, 0.0, 0.0], 0.3) - (1.0 + 0.5 * 2.0) / 5.0).abs() < 1e-12);
-        assert_slopes(&Occlusion { share: 1.0 }, &[0.3, 2.0, 5.0], |_| 1.0 / 3.0);
     }
 }

@@ -44,7 +44,7 @@ impl RayTerm for Orientation {
 
 #[cfg(test)]
 mod tests {
-    use super::super::tests::{assert_slopes_by_differences, rays};
+    use super::super::tests::rays;
     use super::*;
 
     const FAR: f64 = 4.0;
@@ -76,11 +76,5 @@ mod tests {
         // Of one sample that faces away, its weight.
         let one = rays(&density, FAR).sloped([[0.0, 0.0, 1.0], [0.0, 0.0, -1.0], [0.0; 3], [0.0; 3]].concat());
         assert!((one.value(&Orientation) - weights(&density)[1]).abs() < 1e-12);
-    }
-
-    #[test]
-    fn slopes_are_those_of_differences() {
-        let slopes: Vec<f64> = (0..12).map(|i| (1.7 * f64::from(i)).sin()).collect();
-        assert_slopes_by_differences(&Orientation, &rays(&[0.3, 0.9, 0.2, 0.6], FAR).sloped(slopes));
     }
 }

@@ -88,17 +88,6 @@ impl Regularizer {
     pub fn is_of_evaluated_pass(self) -> bool {
         LossTerm::of(self, &RegularizerConfig::default()).is_of_evaluated_pass()
     }
-
-    /// Returns whether the term is an integral over the box of section `regularizer`, of density or its derivatives at
-    /// points.
-    pub fn in_space(self) -> bool {
-        matches!(self.needs(), TermNeeds::Density(_))
-    }
-
-    /// Returns whether the term reads density or its derivatives at points, of the box or of rays.
-    pub fn reads_points(self) -> bool {
-        self.in_space() || self.needs() == TermNeeds::Slopes
-    }
 }
 
 /// The rays on which terms of single rays are computed.
@@ -226,22 +215,13 @@ impl RegularizerConfig {
 
     /// Returns the groups in which terms read rays without photographs' colours, each once.
     pub fn unseen_groups(&self) -> Vec<RayGroup> {
-        let groups = [RayGroup::Point, RayGroup::One, RayGroup::Pair, RayGroup::Patch];
-        let reads = |group: &RayGroup| {
-            let of_group = |term: &Regularizer| term.group() == Some(*group);
-            (*group != RayGroup::One || self.rays == TermRays::Unseen) && self.kind.iter().any(of_group)
-        };
-        groups.into_iter().filter(reads).collect()
+        let terms: Vec<LossTerm> = self.kind.iter().map(|kind| LossTerm::of(*kind, self)).collect();
+        LossTerm::unseen_groups(terms.iter())
     }
 
     /// Returns whether any term is an integral over the box.
     pub fn has_space_terms(&self) -> bool {
-        self.kind.iter().any(|kind| kind.in_space())
-    }
-
-    /// Returns whether any term reads density or its derivatives at points.
-    pub fn reads_points(&self) -> bool {
-        self.kind.iter().any(|kind| kind.reads_points())
+        self.kind.iter().any(|kind| matches!(kind.needs(), TermNeeds::Density(_)))
     }
 
     /// Returns the box's volume, in cubic units of the points.

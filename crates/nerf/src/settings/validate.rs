@@ -56,7 +56,8 @@ impl Config {
             "regularizer.kind with method {method}: terms in space and orientation read density at points, and this \
              field is queried at Gaussians; use nerf or aug-nerf, or other terms on rays, such as distortion"
         );
-        refuse(!representation.has_derivatives_at_points() && self.regularizer.reads_points(), message)
+        let reads_points = |term: &Regularizer| matches!(term.needs(), TermNeeds::Density(_) | TermNeeds::Slopes);
+        refuse(!representation.has_derivatives_at_points() && self.regularizer.kind.iter().any(reads_points), message)
     }
 
     /// Rejects terms and spaces for which a method without fields has no answer.

@@ -1,12 +1,9 @@
 //! The gradient norms of terms beside that of the photometric loss.
 
 use crate::base::Result;
+use crate::data::RayGroup;
 use crate::data::settings::CorruptionKind;
-use crate::data::{RayGroup, UnseenCameras};
-use crate::field::Order;
-use crate::field::settings::Encoding;
-use crate::losses::{LossTerm, TermSource, WeightedTerm};
-use crate::losses::{REGULARIZERS, Regularizer, RegularizerConfig, TermNeeds, TermRays};
+use crate::losses::{LossTerm, REGULARIZERS, RegularizerConfig, TermRays, TermSource, WeightedTerm};
 
 use super::learner::FieldLearner;
 use super::plan::{PassPlan, Plan};
@@ -45,38 +42,23 @@ fn photometric<'a>(learner: &'a FieldLearner, clean: &'a [PassPlan]) -> StepPass
 
 impl FieldLearner {
     /// Measures the gradient norm of every term at weight 1, and that of the photometric loss, on the batch of the step
-    /// after `step` finished ones. `config` says where terms are evaluated. It changes no weights.
+    /// after `step` finished ones. `config` says where terms are evaluated. Terms that need what the fields or the scene
+    /// lack are left out. It changes no weights.
     pub fn balance(&mut self, config: &RegularizerConfig, step: u64) -> Result<Vec<Balance>> {
         self.fields = self.fields.at_step(&self.config, step)?;
         let batch = StepRays::batch(self, step)?;
         let clean = Plan::clean(&self.config, config.fields);
         let of_photos = photometric(self, &clean).over(&batch)?.gradients;
         let photometric_norm = of_photos.norm()?;
-        let field = self.config.field.clone();
-        let (unseen, unseen_rays) =
-            (UnseenCameras::of(self.batches.cameras(), self.config.unseen_poses).ok(), self.config.unseen_rays);
-        let sees = |group: RayGroup| {
-            unseen_rays >= group.rays() && unseen.as_ref().is_some_and(|cameras| cameras.check(group).is_ok())
-        };
-        // A moved camera sees them elsewhere than its photo does.
+        // A moved camera sees points elsewhere than its photo does.
         let is_moved = self.config.data.corruption.kind == CorruptionKind::Poses;
-        let has_points = self.points.count() > 0 && !is_moved;
-        let has_slopes = self.config.representation().has_derivatives_at_points();
-        let measurable = |term: &Regularizer| match term.needs() {
-            TermNeeds::Density(Order::Laplacian) => field.has_laplacian(),
-            TermNeeds::Tables => field.encoding == Encoding::Hash,
-            TermNeeds::Slopes if !has_slopes => false,
-            TermNeeds::Samples(RayGroup::One) | TermNeeds::Slopes if config.rays == TermRays::Training => true,
-            TermNeeds::Samples(RayGroup::Point) => has_points,
-            TermNeeds::Samples(group) => sees(group),
-            TermNeeds::Slopes => sees(RayGroup::One),
-            TermNeeds::Density(_) => true,
-        };
-        let mut alone = |term: LossTerm| -> Result<Balance> {
+        let alone = |term: LossTerm| -> Result<Option<Balance>> {
             let name = term.name().to_string();
+            let misses_points = is_moved && term.source() == TermSource::UnseenRays(RayGroup::Point);
+            let is_lacking = misses_points || self.check_term(&term).is_err();
             let terms = [WeightedTerm::constant(term, 1.0)];
-            if matches!(terms[0].term.source(), TermSource::UnseenRays(_)) {
-                self.place_unseen_cameras(&terms)?;
+            if is_lacking || self.place_unseen_cameras(&terms).is_err() {
+                return Ok(None);
             }
             let alone = StepPasses { weights: (0.0, 0.0), terms: &terms, ..photometric(self, &clean) };
             let gradients = match &terms[0].term {
@@ -87,8 +69,9 @@ impl FieldLearner {
                 LossTerm::OnRays(term, TermRays::Unseen) => on_unseen(alone, term.group(), step)?.gradients,
                 LossTerm::OnRays(..) => alone.over(&batch)?.gradients,
             };
-            Ok(Balance { term: name, photometric_norm, term_norm: gradients.norm()? })
+            Ok(Some(Balance { term: name, photometric_norm, term_norm: gradients.norm()? }))
         };
-        REGULARIZERS.into_iter().filter(measurable).map(|term| alone(LossTerm::of(term, config))).collect()
+        let found = REGULARIZERS.map(|term| LossTerm::of(term, config)).into_iter().map(alone);
+        found.filter_map(Result::transpose).collect()
     }
 }

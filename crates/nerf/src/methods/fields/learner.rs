@@ -23,7 +23,6 @@ use super::geometry::AttackGeometry;
 use super::networks::Fields;
 use super::plan::Plan;
 use super::report::log_columns;
-use super::terms::unseen_groups;
 use super::{entries, step};
 
 /// Trains the fields of one experiment on one scene.
@@ -89,6 +88,36 @@ impl FieldLearner {
         Ok(())
     }
 
+    /// Returns an error for a term that needs what these fields lack.
+    pub(super) fn check_term(&self, term: &LossTerm) -> Result<()> {
+        let reads_derivatives = match term {
+            LossTerm::InSpace(_) => true,
+            LossTerm::OnRays(term, _) => term.reads_slopes(),
+            LossTerm::OnTables(_) => false,
+        };
+        if reads_derivatives && !self.config.representation().has_derivatives_at_points() {
+            return Err(Error::Config(format!(
+                "the term '{}' needs density's derivatives at points, which method {} lacks; use nerf or aug-nerf",
+                term.name(),
+                self.config.method.name()
+            )));
+        }
+        let reads_laplacian = matches!(term, LossTerm::InSpace(term) if term.order() == Order::Laplacian);
+        if reads_laplacian && !self.config.field.has_laplacian() {
+            let name = term.name();
+            return Err(Error::Config(format!(
+                "the term '{name}' needs density's Laplacian, which a linear hash grid lacks; set field.hash.interpolation = \"smoothstep\""
+            )));
+        }
+        if matches!(term, LossTerm::OnTables(_)) && self.config.field.encoding != Encoding::Hash {
+            let name = term.name();
+            return Err(Error::Config(format!(
+                "the term '{name}' needs the tables of a hash grid; set field.encoding = \"hash\""
+            )));
+        }
+        Ok(())
+    }
+
     /// Returns the fields that are trained.
     pub fn fields(&self) -> &Fields {
         &self.fields
@@ -111,31 +140,7 @@ impl Learner for FieldLearner {
             let name = term.name();
             return Err(Error::Config(format!("the loss already has a term '{name}'; rename the new one")));
         }
-        let reads_derivatives = match &term {
-            LossTerm::InSpace(_) => true,
-            LossTerm::OnRays(term, _) => term.reads_slopes(),
-            LossTerm::OnTables(_) => false,
-        };
-        if reads_derivatives && !self.config.representation().has_derivatives_at_points() {
-            return Err(Error::Config(format!(
-                "the term '{}' needs density's derivatives at points, which method {} lacks; use nerf or aug-nerf",
-                term.name(),
-                self.config.method.name()
-            )));
-        }
-        let reads_laplacian = matches!(&term, LossTerm::InSpace(term) if term.order() == Order::Laplacian);
-        if reads_laplacian && !self.config.field.has_laplacian() {
-            let name = term.name();
-            return Err(Error::Config(format!(
-                "the term '{name}' needs density's Laplacian, which a linear hash grid lacks; set field.hash.interpolation = \"smoothstep\""
-            )));
-        }
-        if matches!(term, LossTerm::OnTables(_)) && self.config.field.encoding != Encoding::Hash {
-            let name = term.name();
-            return Err(Error::Config(format!(
-                "the term '{name}' needs the tables of a hash grid; set field.encoding = \"hash\""
-            )));
-        }
+        self.check_term(&term)?;
         let term = WeightedTerm::constant(term, weight);
         self.place_unseen_cameras(std::slice::from_ref(&term))?;
         self.terms.push(term);
@@ -205,9 +210,9 @@ pub(super) fn unseen_cameras(
     terms: &[WeightedTerm],
 ) -> Result<Option<UnseenCameras>> {
     let needs_cameras = |group: &RayGroup| *group != RayGroup::Point;
-    let is_read = unseen_groups(terms).any(|group| needs_cameras(&group));
-    let unseen = is_read.then(|| UnseenCameras::of(cameras, config.unseen_poses)).transpose()?;
-    unseen_groups(terms).try_for_each(|group| {
+    let groups = LossTerm::unseen_groups(terms.iter().map(|term| &term.term));
+    let unseen = groups.iter().any(needs_cameras).then(|| UnseenCameras::of(cameras, config.unseen_poses)).transpose()?;
+    groups.into_iter().try_for_each(|group| {
         if config.unseen_rays < group.rays() {
             return Err(Error::Config(format!(
                 "a term of the loss reads {} unseen rays at once, and regularizer.unseen_rays is {}; raise it, or train.rays",

@@ -42,7 +42,7 @@ use super::rays::StepRays;
 use super::report::StepLosses;
 use super::space::{space_terms, table_terms};
 use super::sums::{Losses, Sums, plus};
-use super::terms::{RayTerms, TermValues, in_space, unseen_groups};
+use super::terms::{RayTerms, TermValues, in_space};
 
 /// Number of parts of a step, which threads share. Each sums its gradients in place.
 const PARTS: usize = 16;
@@ -79,7 +79,7 @@ pub(super) fn step(learner: &mut FieldLearner, step: u64, log: bool, stop_check:
     values.fill(TermSource::TrainingRays, &losses.on_rays);
 
     // Terms that the paper's line 22 has not: on rays without photographs, in space, and on tables.
-    for group in unseen_groups(&terms) {
+    for group in LossTerm::unseen_groups(terms.iter().map(|term| &term.term)) {
         let unseen = on_unseen(passes, group, step)?;
         gradients.merge(unseen.gradients)?;
         values.fill(TermSource::UnseenRays(group), &unseen.losses.on_rays);

@@ -5,7 +5,6 @@ use candle_core::{DType, Tensor, Var};
 
 use crate::base::Result;
 use crate::base::tensors::sum;
-use crate::data::RayGroup;
 use crate::field::{Cotangents, Field, Order, Spatial};
 use crate::losses::{LossTerm, RayPass, RayTerm, SpaceTerm, TermSource, WeightedTerm};
 use crate::methods::gradients::Gradients;
@@ -23,12 +22,6 @@ pub(super) fn in_space(terms: &[WeightedTerm]) -> Vec<(&dyn SpaceTerm, f64)> {
         LossTerm::OnRays(..) | LossTerm::OnTables(_) => None,
     });
     in_space.collect()
-}
-
-/// The groups of unseen rays that terms read, in a fixed order.
-pub(super) fn unseen_groups(terms: &[WeightedTerm]) -> impl Iterator<Item = RayGroup> {
-    let is_read = |group: &RayGroup| terms.iter().any(|term| term.term.source() == TermSource::UnseenRays(*group));
-    [RayGroup::Point, RayGroup::One, RayGroup::Pair, RayGroup::Patch].into_iter().filter(is_read)
 }
 
 /// The values of a step's terms, in their order.
