@@ -1,13 +1,12 @@
-//! Operations on tensors that may be missing, access to their values, and a ReLU that keeps NaN.
+//! Operations on tensors that may be missing, with gradients of their own, access to their values, and a ReLU that keeps NaN.
 
 use std::ops::Deref;
 
-use candle_core::{CpuStorage, Layout, Storage, Tensor, WithDType};
-
-use super::Result;
+use candle_core::backend::BackendStorage;
+use candle_core::{CpuStorage, CudaStorage, CustomOp2, Layout, Result, Shape, Storage, Tensor, WithDType};
 
 /// Returns `a + b`, or the one that is present.
-pub fn sum(a: Option<Tensor>, b: Option<Tensor>) -> Result<Option<Tensor>> {
+pub fn sum(a: Option<Tensor>, b: Option<Tensor>) -> super::Result<Option<Tensor>> {
     Ok(match (a, b) {
         (Some(a), Some(b)) => Some((a + b)?),
         (a, b) => a.or(b),
@@ -16,13 +15,50 @@ pub fn sum(a: Option<Tensor>, b: Option<Tensor>) -> Result<Option<Tensor>> {
 
 /// Returns x if it is positive, and 0 otherwise, with slope 0 at 0. NaN stays NaN, to be found and reported, where candle's own
 /// ReLU gives 0.
-pub fn relu(x: &Tensor) -> candle_core::Result<Tensor> {
+pub fn relu(x: &Tensor) -> Result<Tensor> {
     x.detach().le(0.0)?.where_cond(&x.zeros_like()?, x)
 }
 
 /// Returns `x` if it is not below 0, and `slope x` otherwise. NaN stays NaN, where candle's own ReLU gives 0.
-pub fn leaky_relu(x: &Tensor, slope: f64) -> candle_core::Result<Tensor> {
+pub fn leaky_relu(x: &Tensor, slope: f64) -> Result<Tensor> {
     x.lt(0.0)?.where_cond(&(x * slope)?, x)
+}
+
+/// Returns `value`, of the shape of `x`, on whose backward pass `x` gets `gradient(x, gradient of the value)`.
+///
+/// # Errors
+/// Errors of candle.
+pub fn with_gradient(
+    x: &Tensor,
+    value: &Tensor,
+    gradient: impl Fn(&Tensor, &Tensor) -> Result<Tensor> + Send + Sync + 'static,
+) -> Result<Tensor> {
+    x.apply_op2(&value.detach().contiguous()?, WithGradient(gradient))
+}
+
+struct WithGradient<F>(F);
+
+/// Copies contiguous values from their part of the storage.
+fn copy<S: BackendStorage>(values: &S, layout: &Layout) -> Result<(S, Shape)> {
+    Ok((values.affine(layout, 1.0, 0.0)?, layout.shape().clone()))
+}
+
+impl<F: Fn(&Tensor, &Tensor) -> Result<Tensor> + Send + Sync> CustomOp2 for WithGradient<F> {
+    fn name(&self) -> &'static str {
+        "with-gradient"
+    }
+
+    fn cpu_fwd(&self, _: &CpuStorage, _: &Layout, value: &CpuStorage, at: &Layout) -> Result<(CpuStorage, Shape)> {
+        copy(value, at)
+    }
+
+    fn cuda_fwd(&self, _: &CudaStorage, _: &Layout, value: &CudaStorage, at: &Layout) -> Result<(CudaStorage, Shape)> {
+        copy(value, at)
+    }
+
+    fn bwd(&self, x: &Tensor, _: &Tensor, _: &Tensor, gradient: &Tensor) -> Result<(Option<Tensor>, Option<Tensor>)> {
+        Ok((Some((self.0)(x, gradient)?), None))
+    }
 }
 
 /// Calls `read` with the values of a contiguous f32 tensor on the CPU. Returns `None` for other tensors.
@@ -51,7 +87,7 @@ impl<'a> Values<'a> {
     ///
     /// # Errors
     /// The tensor is not on the CPU, not contiguous, or of another type.
-    pub fn slice<T: WithDType>(&self) -> candle_core::Result<&[T]> {
+    pub fn slice<T: WithDType>(&self) -> Result<&[T]> {
         match &**self.storage {
             Storage::Cpu(storage) => slice(storage, self.layout),
             _ => candle_core::bail!("this operation needs tensors on the CPU"),
@@ -63,7 +99,7 @@ impl<'a> Values<'a> {
 ///
 /// # Errors
 /// The argument is not contiguous, or of another type.
-pub fn slice<'a, T: WithDType>(storage: &'a CpuStorage, layout: &Layout) -> candle_core::Result<&'a [T]> {
+pub fn slice<'a, T: WithDType>(storage: &'a CpuStorage, layout: &Layout) -> Result<&'a [T]> {
     match layout.contiguous_offsets() {
         Some((start, end)) => Ok(&T::cpu_storage_as_slice(storage)?[start..end]),
         None => candle_core::bail!("this operation needs contiguous arguments, got {layout:?}"),

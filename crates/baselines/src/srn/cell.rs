@@ -1,8 +1,8 @@
 //! The recurrent cell of the march in candle's operations.
 
-use candle_core::backend::BackendStorage;
-use candle_core::{CpuStorage, CudaStorage, CustomOp1, Layout, MetalStorage, Result, Shape, Tensor};
+use candle_core::{Result, Tensor};
 
+use crate::base::tensors::with_gradient;
 use crate::parameters::linear;
 
 /// Weights of a recurrent layer: of its input `[4 hidden, inputs]` and its state `[4 hidden, hidden]`, each with a bias
@@ -29,36 +29,5 @@ impl Lstm<'_> {
 
 /// Returns the same tensor, whose gradient is clipped to -`limit`..=`limit` in the backward pass.
 pub(super) fn clamp_gradient(x: &Tensor, limit: f64) -> Result<Tensor> {
-    x.contiguous()?.apply_op1(ClampGradient { limit })
-}
-
-struct ClampGradient {
-    limit: f64,
-}
-
-impl CustomOp1 for ClampGradient {
-    fn name(&self) -> &'static str {
-        "clamp-gradient"
-    }
-
-    fn cpu_fwd(&self, x: &CpuStorage, layout: &Layout) -> Result<(CpuStorage, Shape)> {
-        copy(x, layout)
-    }
-
-    fn cuda_fwd(&self, x: &CudaStorage, layout: &Layout) -> Result<(CudaStorage, Shape)> {
-        copy(x, layout)
-    }
-
-    fn metal_fwd(&self, x: &MetalStorage, layout: &Layout) -> Result<(MetalStorage, Shape)> {
-        copy(x, layout)
-    }
-
-    fn bwd(&self, _x: &Tensor, _y: &Tensor, gradient: &Tensor) -> Result<Option<Tensor>> {
-        Ok(Some(gradient.clamp(-self.limit, self.limit)?))
-    }
-}
-
-/// Copies contiguous values from their part of the storage.
-fn copy<S: BackendStorage>(x: &S, layout: &Layout) -> Result<(S, Shape)> {
-    Ok((x.affine(layout, 1.0, 0.0)?, layout.shape().clone()))
+    with_gradient(x, x, move |_, gradient| gradient.clamp(-limit, limit))
 }

@@ -1,7 +1,8 @@
 //! The limit of raw colours, as a differentiable operation on any device.
 
-use candle_core::backend::BackendStorage;
-use candle_core::{CpuStorage, CudaStorage, CustomOp2, Layout, MetalStorage, Result, Shape, Tensor};
+use candle_core::{Result, Tensor};
+
+use crate::base::tensors::with_gradient;
 
 /// Returns raw colours, of any shape, clamped to `-limit..=limit`. Beyond the limit a gradient passes if a step against it
 /// leads back. Without that part, a colour beyond its limit would be stuck. With the rest, a colour would run off as long as
@@ -13,53 +14,11 @@ pub(super) fn limited(raw: &Tensor, limit: f64) -> Result<Tensor> {
     // NaN is on neither side, and stays.
     let clamped = free.gt(limit)?.where_cond(&bound(limit)?, &free)?;
     let clamped = free.lt(-limit)?.where_cond(&bound(-limit)?, &clamped)?;
-    raw.apply_op2(&clamped, Instead { limit })
-}
-
-/// The second argument, with the gradient of the first.
-struct Instead {
-    limit: f64,
-}
-
-fn second<S: BackendStorage>(clamped: &S, layout: &Layout) -> Result<(S, Shape)> {
-    Ok((clamped.try_clone(layout)?, layout.shape().clone()))
-}
-
-impl CustomOp2 for Instead {
-    fn name(&self) -> &'static str {
-        "limit-raw-colours"
-    }
-
-    fn cpu_fwd(&self, _: &CpuStorage, _: &Layout, clamped: &CpuStorage, at: &Layout) -> Result<(CpuStorage, Shape)> {
-        second(clamped, at)
-    }
-
-    fn cuda_fwd(
-        &self,
-        _: &CudaStorage,
-        _: &Layout,
-        clamped: &CudaStorage,
-        at: &Layout,
-    ) -> Result<(CudaStorage, Shape)> {
-        second(clamped, at)
-    }
-
-    fn metal_fwd(
-        &self,
-        _: &MetalStorage,
-        _: &Layout,
-        clamped: &MetalStorage,
-        at: &Layout,
-    ) -> Result<(MetalStorage, Shape)> {
-        second(clamped, at)
-    }
-
-    fn bwd(&self, raw: &Tensor, _: &Tensor, _: &Tensor, gradient: &Tensor) -> Result<(Option<Tensor>, Option<Tensor>)> {
-        let above = (raw.gt(self.limit)? * gradient.lt(0.0)?)?;
-        let below = (raw.lt(-self.limit)? * gradient.gt(0.0)?)?;
-        let kept = (above + below)?.eq(0u8)?.to_dtype(gradient.dtype())?;
-        Ok((Some((gradient * kept)?), None))
-    }
+    with_gradient(&raw, &clamped, move |raw, gradient| {
+        let above = (raw.gt(limit)? * gradient.lt(0.0)?)?;
+        let below = (raw.lt(-limit)? * gradient.gt(0.0)?)?;
+        gradient * (above + below)?.eq(0u8)?.to_dtype(gradient.dtype())?
+    })
 }
 
 #[cfg(test)]
