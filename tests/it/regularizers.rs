@@ -263,7 +263,7 @@ fn a_field_with_known_derivatives() {
     }
     // Integrals over [-1, 1]^3: sin x and z vanish, cos 2y gives sin 2 over its side.
     let lattice = Lattice { domain: BOX, side: 40 };
-    let found = measure(&known(DensityActivation::Relu), &lattice, || ()).unwrap();
+    let found = measure(&known(DensityActivation::Relu), &lattice, |_| ()).unwrap();
     let l1 = 8.0 * (0.5 * 2.0 + 0.25 * 3.0 + 0.1 * 5.0) + 4.0 * 0.25 * 2f64.sin();
     // The midpoint rule's error is of second order in the cell: 2e-4 here.
     assert!((found.l1 / l1 - 1.0).abs() < 1e-4, "{} {l1}", found.l1);
@@ -323,7 +323,7 @@ fn the_estimate_is_unbiased() {
     let smooth = shape(4, &[2], 1, DensityActivation::Softplus);
     for (shape, seed, side, jitter) in [(rough, 60, 16, false), (smooth, 61, 64, true)] {
         let field = field(&shape, seed, &points(seed, 40));
-        let full = measure(&field, &Lattice { domain: BOX, side }, || ()).unwrap();
+        let full = measure(&field, &Lattice { domain: BOX, side }, |_| ()).unwrap();
         let found = estimates(&field, &sampled(16, 128, jitter), 200);
         for ((mean, error), full) in found.into_iter().zip([full.l1, full.tv, full.laplacian.unwrap()]) {
             assert!((mean - full).abs() < 3.5 * error && error < 0.05 * full, "{mean} +- {error}, full {full}");

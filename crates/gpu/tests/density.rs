@@ -46,7 +46,7 @@ fn compare(settings: &[&str]) {
     near(&all(&*device), &all(&host), "densities of a grid");
     let mut measured = 0;
     let found = measure_density(&*device, &lattice, |cells| measured += cells).unwrap();
-    let expected = measure(field, &lattice, || ()).unwrap();
+    let expected = measure(field, &lattice, |_| ()).unwrap();
     assert_eq!(measured, lattice.cells());
     assert!((found.l1 / expected.l1 - 1.0).abs() < 1e-5 && (found.tv / expected.tv - 1.0).abs() < 1e-5);
     assert!((found.largest_density / expected.largest_density - 1.0).abs() < 1e-5);

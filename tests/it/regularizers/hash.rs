@@ -138,7 +138,7 @@ fn a_linear_grid_has_no_laplacian() {
     let lattice = Lattice { domain: BOX, side: 8 };
     for interpolation in [Interpolation::Linear, Interpolation::Smoothstep] {
         let config = on_grid(interpolation, Contraction::Axes, shape(1, &[], 0, DensityActivation::Exp));
-        let found = measure(&rough(&config, 5, &points(5, 64)), &lattice, || ()).unwrap();
+        let found = measure(&rough(&config, 5, &points(5, 64)), &lattice, |_| ()).unwrap();
         assert!(found.l1 > 0.0 && found.tv > 0.0);
         assert_eq!(
             found.laplacian.is_some_and(|laplacian| laplacian > 0.0),

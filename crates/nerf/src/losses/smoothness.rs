@@ -4,7 +4,7 @@ use candle_core::{DType, Tensor};
 use serde::Serialize;
 
 use crate::base::{Error, Result};
-use crate::field::{Density, Field};
+use crate::field::{Density, DensityAt, Field};
 use crate::space::{Lattice, Quadrature, over_cells, over_chunks};
 
 use super::spatial::term_sum;
@@ -26,69 +26,59 @@ pub struct Smoothness {
     pub occupied: f64,
 }
 
-/// Measures a field at every cell's midpoint. `advance` is called after each chunk of cells.
-pub fn measure(field: &Field, lattice: &Lattice, mut advance: impl FnMut()) -> Result<Smoothness> {
-    let points = Quadrature::full(*lattice);
-    let volume = points.volume_each();
+/// Measures a field at every cell's midpoint. `advance` is called with the number of cells of each part.
+pub fn measure(field: &Field, lattice: &Lattice, advance: impl FnMut(usize)) -> Result<Smoothness> {
     let field = &field.prepared()?;
-    let bent = field.config().has_laplacian();
-    let mut sum = Smoothness { laplacian: bent.then_some(0.0), ..Smoothness::default() };
-    over_chunks(
-        &points,
-        field.dtype(),
-        field.device(),
-        |points| {
-            let at = field.spatial(points)?.at;
-            let integral = |term: &dyn SpaceTerm| Ok::<f64, Error>(term_sum(term, &at)?.to_scalar()?);
-            let (l1, tv) = (integral(&L1)?, integral(&Tv)?);
-            let laplacian = bent.then(|| integral(&Laplacian)).transpose()?;
-            let positive = at.density.gt(0f64)?.to_dtype(DType::F64)?.sum_all()?.to_scalar::<f64>()?;
-            let largest_density = at.density.max(0)?.to_dtype(DType::F64)?.to_scalar()?;
-            Ok(Smoothness { l1, tv, laplacian, largest_density, occupied: positive })
-        },
-        |chunk: Smoothness| {
-            sum.add(&chunk, volume);
-            advance();
-            Ok(())
-        },
-    )?;
-    sum.occupied /= lattice.cells() as f64;
-    Ok(sum)
+    let has_laplacian = field.config().has_laplacian();
+    let query = |points: &Tensor| sums_at(&field.spatial(points)?.at, has_laplacian);
+    let mut sum = Smoothness::default();
+    let take = sum.adding(lattice, advance);
+    over_chunks(&Quadrature::full(*lattice), field.dtype(), field.device(), query, take)?;
+    Ok(Smoothness { occupied: sum.occupied / lattice.cells() as f64, ..sum })
 }
 
-/// Measures density and its gradient alone, wherever they are computed: without the Laplacian. `advance` is called with
-/// the number of cells of each part.
-pub fn measure_density(density: &dyn Density, lattice: &Lattice, mut advance: impl FnMut(usize)) -> Result<Smoothness> {
-    let (variance, volume) = (lattice.cell_variance(), Quadrature::full(*lattice).volume_each());
-    let query = |points: &Tensor| -> Result<(usize, Smoothness)> {
-        let values = density.density(points, variance)?.to_dtype(DType::F64)?.to_vec1::<f64>()?;
-        let slopes = density.gradient(points, variance)?.to_dtype(DType::F64)?;
-        let part = Smoothness {
-            l1: values.iter().map(|value| value.abs()).sum(),
-            tv: slopes.sqr()?.sum(1)?.sqrt()?.sum_all()?.to_scalar()?,
-            laplacian: None,
-            largest_density: values.iter().copied().fold(0.0, f64::max),
-            occupied: values.iter().filter(|value| **value > 0.0).count() as f64,
-        };
-        Ok((values.len(), part))
+/// Measures density and its gradient alone, wherever they are computed: without the Laplacian.
+pub fn measure_density(density: &dyn Density, lattice: &Lattice, advance: impl FnMut(usize)) -> Result<Smoothness> {
+    let variance = lattice.cell_variance();
+    let query = |points: &Tensor| {
+        let gradient = density.gradient(points, variance)?.to_dtype(DType::F64)?;
+        let density = density.density(points, variance)?.to_dtype(DType::F64)?;
+        sums_at(&DensityAt { laplacian: density.clone(), density, gradient }, false)
     };
     let mut sum = Smoothness::default();
-    over_cells(density, lattice, query, |(cells, part)| {
-        sum.add(&part, volume);
-        advance(cells);
-        Ok(())
-    })?;
-    sum.occupied /= lattice.cells() as f64;
-    Ok(sum)
+    over_cells(density, lattice, query, sum.adding(lattice, advance))?;
+    Ok(Smoothness { occupied: sum.occupied / lattice.cells() as f64, ..sum })
+}
+
+/// Returns the number of points, and sums over them.
+fn sums_at(at: &DensityAt, has_laplacian: bool) -> Result<(usize, Smoothness)> {
+    let sum = |term: &dyn SpaceTerm| Ok::<f64, Error>(term_sum(term, at)?.to_scalar()?);
+    let sums = Smoothness {
+        l1: sum(&L1)?,
+        tv: sum(&Tv)?,
+        laplacian: has_laplacian.then(|| sum(&Laplacian)).transpose()?,
+        largest_density: at.density.max(0)?.to_dtype(DType::F64)?.to_scalar()?,
+        occupied: at.density.gt(0f64)?.to_dtype(DType::F64)?.sum_all()?.to_scalar()?,
+    };
+    Ok((at.density.elem_count(), sums))
 }
 
 impl Smoothness {
-    /// Adds the sums over some points of this volume each.
-    fn add(&mut self, chunk: &Smoothness, volume: f64) {
-        self.l1 += volume * chunk.l1;
-        self.tv += volume * chunk.tv;
-        self.laplacian = self.laplacian.zip(chunk.laplacian).map(|(sum, chunk)| sum + volume * chunk);
-        self.largest_density = self.largest_density.max(chunk.largest_density);
-        self.occupied += chunk.occupied;
+    /// Returns a function that adds the sums over some cells.
+    fn adding(
+        &mut self,
+        lattice: &Lattice,
+        mut advance: impl FnMut(usize),
+    ) -> impl FnMut((usize, Smoothness)) -> Result<()> {
+        let volume = lattice.volume() / lattice.cells() as f64;
+        move |(cells, part)| {
+            self.l1 += volume * part.l1;
+            self.tv += volume * part.tv;
+            self.laplacian = part.laplacian.map(|more| self.laplacian.unwrap_or(0.0) + volume * more);
+            self.largest_density = self.largest_density.max(part.largest_density);
+            self.occupied += part.occupied;
+            advance(cells);
+            Ok(())
+        }
     }
 }

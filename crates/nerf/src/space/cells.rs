@@ -59,11 +59,6 @@ pub fn over_queries<T: Sync, R: Send>(
     }
 }
 
-/// Returns the number of chunks of [`over_chunks`] over `count` points.
-pub fn chunk_count(count: usize, device: &Device) -> usize {
-    count.div_ceil(chunk_size(device))
-}
-
 /// Returns the number of points in a chunk of [`over_chunks`].
 pub fn chunk_size(device: &Device) -> usize {
     if is_host(device) { CHUNK } else { DEVICE_CHUNK_OF_DERIVATIVES }

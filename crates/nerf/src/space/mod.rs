@@ -3,5 +3,5 @@
 mod cells;
 mod lattice;
 
-pub use cells::{CHUNKS_AT_ONCE, chunk_count, chunk_size, densities, over_cells, over_chunks, over_queries};
+pub use cells::{CHUNKS_AT_ONCE, chunk_size, densities, over_cells, over_chunks, over_queries};
 pub use lattice::{Lattice, Quadrature};

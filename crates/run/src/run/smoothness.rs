@@ -14,11 +14,11 @@ use crate::losses::{Smoothness, measure, measure_density};
 use crate::model::{Model, density};
 use crate::runtime::Runtime;
 use crate::settings::{Capability, Config};
-use crate::space::{Lattice, chunk_count};
+use crate::space::Lattice;
 
 use super::{Protocol, Trained, columns};
 
-/// Cells after which an accelerator's measurement advances.
+/// Cells after which a measurement advances.
 const CELLS: usize = 1024;
 /// The paper's box for its regularizers.
 const PAPER_BOX: [[f64; 3]; 2] = [[-1.0; 3], [1.0; 3]];
@@ -98,19 +98,18 @@ fn measure_fields(
     if runtime.accelerator().is_some() && has_laplacian {
         events.on(Event::Note("the field has a Laplacian, which the processor computes: this is measured there"));
     }
-    let parts =
-        if on_accelerator { lattice.cells().div_ceil(CELLS) } else { chunk_count(lattice.cells(), runtime.device()) };
-    events.on(Event::Started { what: "measuring", parts: (fields.len() * parts) as u64 });
+    let parts = fields.len() * lattice.cells().div_ceil(CELLS);
+    events.on(Event::Started { what: "measuring", parts: parts as u64 });
     let measured = fields.into_iter().map(|(role, field)| {
-        let smoothness = if on_accelerator {
-            let mut cells = 0;
-            measure_density(&*density(runtime, field)?, lattice, |more| {
-                let before = cells / CELLS;
-                cells += more;
-                (before..cells / CELLS).for_each(|_| events.on(Event::Advanced));
-            })?
-        } else {
-            measure(field, lattice, || events.on(Event::Advanced))?
+        let mut cells = 0usize;
+        let advance = |more| {
+            let before = cells.div_ceil(CELLS);
+            cells += more;
+            (before..cells.div_ceil(CELLS)).for_each(|_| events.on(Event::Advanced));
+        };
+        let smoothness = match on_accelerator {
+            true => measure_density(&*density(runtime, field)?, lattice, advance)?,
+            false => measure(field, lattice, advance)?,
         };
         if !smoothness.l1.is_finite() || !smoothness.laplacian.is_none_or(f64::is_finite) {
             return Err(Error::Diverged(format!(
