@@ -116,16 +116,14 @@ impl Steps {
             coarse: clean(true).map(|pass| mse(pass, false)),
             fine: clean(false).map(|pass| mse(pass, false)),
             perturbed: (!plan.second.is_empty()).then(|| of_second.sum()),
-            further: config
-                .regularizer
-                .terms()
-                .map(|(term, weight)| (term.name(), weight, self.value_of(term, &value)))
-                .collect(),
         };
+        let terms = config.regularizer.terms();
+        let further: Vec<(&str, f64, f64)> =
+            terms.map(|(term, weight)| (term.name(), weight, self.value_of(term, &value))).collect();
         let evaluated = plan.clean.iter().find(|pass| pass.is_evaluated).expect("a pass is evaluated");
         let extremes: Vec<f64> = (1..FIRST_TERM).map(|what| value(slot(evaluated, false), what)).collect();
         let sites = |clean| counts.as_ref().map_or_else(Vec::new, |counts| self.diagnose(&value, counts, clean));
-        losses.report(plan, 0, Extremes::read(&extremes), sites)
+        losses.report(plan, 0, &further, Extremes::read(&extremes), sites)
     }
 
     /// The value of a regularizer, summed over its fields.

@@ -20,21 +20,20 @@ pub fn log_columns<'a>(config: &Config, plan: &Plan, terms: impl Iterator<Item =
     LogColumns { photometric: photometric.map(String::from).collect(), further }
 }
 
-/// The losses of a step before their weights.
-pub struct StepLosses<'a> {
+/// The losses of a step, or of a part of its rays, before their weights.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct StepLosses {
     /// Mean squared error of the clean coarse pass.
     pub coarse: Option<f64>,
     /// That of the clean fine pass.
     pub fine: Option<f64>,
     /// Weighted sum of those of the perturbed passes.
     pub perturbed: Option<f64>,
-    /// Name, weight and value of each further term.
-    pub further: Vec<(&'a str, f64, f64)>,
 }
 
-impl StepLosses<'_> {
-    /// Returns the report of the step after `step` finished ones. `sites` makes the diagnostics, from the loss of the clean
-    /// passes.
+impl StepLosses {
+    /// Returns the report of the step after `step` finished ones. `further` has name, weight and value of each further term.
+    /// `sites` makes the diagnostics, from the loss of the clean passes.
     ///
     /// # Panics
     /// There is no clean pass.
@@ -42,6 +41,7 @@ impl StepLosses<'_> {
         &self,
         plan: &Plan,
         step: u64,
+        further: &[(&str, f64, f64)],
         extremes: Extremes,
         sites: impl FnOnce(f64) -> Vec<SiteDiagnostics>,
     ) -> StepReport {
@@ -57,8 +57,8 @@ impl StepLosses<'_> {
         let mut terms: Vec<Term> = passes.into_iter().filter_map(term_of_pass).collect();
         let clean = coarse_weight * self.coarse.unwrap_or(0.0) + self.fine.unwrap_or(0.0);
         let mut loss = clean_weight * clean + self.perturbed.map_or(0.0, |loss| perturbed_weight * loss);
-        loss += self.further.iter().map(|(_, weight, value)| weight * value).sum::<f64>();
-        terms.extend(self.further.iter().map(|&(name, weight, value)| Term {
+        loss += further.iter().map(|(_, weight, value)| weight * value).sum::<f64>();
+        terms.extend(further.iter().map(|&(name, weight, value)| Term {
             name: column_of(name),
             described: format!("regularizer {name}"),
             value,

@@ -39,10 +39,9 @@ use super::learner::FieldLearner;
 use super::networks::Fields;
 use super::plan::{DeltaPlan, PassPlan, Plan, SampleSource};
 use super::rays::StepRays;
-use super::report::StepLosses;
 use super::space::{space_terms, table_terms};
-use super::sums::{Losses, Sums, plus};
-use super::terms::{RayTerms, TermValues, in_space};
+use super::sums::{Sums, plus};
+use super::terms::{RayTerms, in_space};
 
 /// Number of parts of a step, which threads share. Each sums its gradients in place.
 const PARTS: usize = 16;
@@ -61,7 +60,13 @@ pub(super) fn step(learner: &mut FieldLearner, step: u64, log: bool, stop_check:
     let learner = &*learner;
     let (plan, config) = (&learner.plan, &learner.config);
     let terms: Vec<WeightedTerm> = learner.terms.iter().map(|term| term.at(step)).collect();
-    let mut values = TermValues::of(&terms);
+    let mut further: Vec<(&str, f64, f64)> =
+        terms.iter().map(|WeightedTerm { term, weight, .. }| (term.name(), *weight, f64::NAN)).collect();
+    // Fills in the values of all terms of a source, in their order.
+    let mut fill = |source: TermSource, found: &[f64]| {
+        let of_source = terms.iter().zip(&mut further).filter(|(term, _)| term.term.source() == source);
+        of_source.zip(found).for_each(|((_, (.., value)), found)| *value = *found);
+    };
 
     // Lines 4 to 22.
     let passes = StepPasses {
@@ -75,34 +80,32 @@ pub(super) fn step(learner: &mut FieldLearner, step: u64, log: bool, stop_check:
         log,
         stop_check,
     };
-    let Sums { mut gradients, losses, only_second, diagnostics, .. } = passes.over(&batch)?;
-    values.fill(TermSource::TrainingRays, &losses.on_rays);
+    let Sums { mut gradients, losses, on_rays, extremes, only_second, diagnostics, .. } = passes.over(&batch)?;
+    fill(TermSource::TrainingRays, &on_rays);
 
     // Terms that the paper's line 22 has not: on rays without photographs, in space, and on tables.
     for group in LossTerm::unseen_groups(terms.iter().map(|term| &term.term)) {
         let unseen = on_unseen(passes, group, step)?;
         gradients.merge(unseen.gradients)?;
-        values.fill(TermSource::UnseenRays(group), &unseen.losses.on_rays);
+        fill(TermSource::UnseenRays(group), &unseen.on_rays);
     }
     if let Some((space_values, space_gradients)) =
         space_terms(learner, &in_space(&terms), &config.regularizer, step, stop_check)?
     {
         gradients.merge(space_gradients)?;
-        values.fill(TermSource::Space, &space_values.to_vec1::<f64>()?);
+        fill(TermSource::Space, &space_values.to_vec1::<f64>()?);
     }
     for WeightedTerm { term, weight, .. } in &terms {
         if let LossTerm::OnTables(term) = term {
             let (value, decay_gradients) = table_terms(learner, *term, *weight, &config.regularizer, &gradients)?;
             gradients.merge(decay_gradients)?;
-            values.fill(TermSource::Tables, &[value]);
+            fill(TermSource::Tables, &[value]);
         }
     }
 
-    let Losses { coarse, fine, perturbed, extremes, .. } = losses;
     let extremes = extremes.expect("every chunk has a pass that is evaluated");
-    let losses = StepLosses { coarse, fine, perturbed, further: values.finish() };
     let sites = |clean| diagnostics.map_or_else(Vec::new, |sums| sums.finish(clean));
-    let mut report = losses.report(plan, step, extremes, sites);
+    let mut report = losses.report(plan, step, &further, extremes, sites);
     report.weight_columns.extend(only_second.map(|fraction| (ONLY_SECOND.to_string(), fraction)));
     Ok(StepResult { gradients, report })
 }
@@ -196,7 +199,8 @@ impl<'a> StepPasses<'a> {
         second_records.iter_mut().flatten().for_each(|record| record.is_of_second_pass = true);
         sums.add_tables(second_records);
         sums.gradients.merge(control.gradients)?;
-        sums.losses.perturbed = plus(sums.losses.perturbed, control.losses.clean(self.clean[0].weight));
+        let coarse = control.losses.coarse.map(|loss| loss * self.clean[0].weight);
+        sums.losses.perturbed = plus(sums.losses.perturbed, plus(coarse, control.losses.fine));
         Ok(sums)
     }
 
@@ -260,7 +264,7 @@ impl<'a> StepPasses<'a> {
         *(if plan.is_coarse { &mut sums.losses.coarse } else { &mut sums.losses.fine }) = Some(loss);
         if plan.is_evaluated {
             let acc = noiseless_acc(field, &out, pass)?;
-            sums.losses.extremes = Some(Extremes::of(&acc, &out.composite.rgb, target)?);
+            sums.extremes = Some(Extremes::of(&acc, &out.composite.rgb, target)?);
         }
         Ok(Rendered { weights: out.composite.weights.detach(), t_vals })
     }

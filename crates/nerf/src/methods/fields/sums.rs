@@ -6,10 +6,17 @@ use crate::methods::Extremes;
 use crate::methods::diagnostics::SiteSums;
 use crate::methods::gradients::Gradients;
 
+use super::report::StepLosses;
+
 /// The contribution of one chunk, or of several, to a step.
 pub(super) struct Sums {
     pub(super) gradients: Gradients,
-    pub(super) losses: Losses,
+    /// Weighted with the chunk's fraction.
+    pub(super) losses: StepLosses,
+    /// Values of the terms on rays, unweighted, in their order. Those of no rays yet are missing.
+    pub(super) on_rays: Vec<f64>,
+    /// Of the rays.
+    pub(super) extremes: Option<Extremes>,
     /// For each field, what its hash grid's gradient is made of.
     pub(super) tables: Vec<Vec<TableRecord>>,
     /// Of the hash grids' entries that a step changes, the share that only its second pass changes, if requested.
@@ -18,22 +25,18 @@ pub(super) struct Sums {
     pub(super) diagnostics: Option<SiteSums>,
 }
 
-/// Losses weighted with the chunk's fraction, and extremes of the rays.
-#[derive(Default)]
-pub(super) struct Losses {
-    pub(super) coarse: Option<f64>,
-    pub(super) fine: Option<f64>,
-    pub(super) perturbed: Option<f64>,
-    /// Values of the terms on rays, unweighted, in their order.
-    pub(super) on_rays: Vec<f64>,
-    pub(super) extremes: Option<Extremes>,
-}
-
 impl Sums {
     /// Returns those of nothing, for a model with so many parameters.
     pub(super) fn new(parameters: usize) -> Sums {
-        let gradients = Gradients::none(parameters);
-        Sums { gradients, losses: Losses::default(), tables: Vec::new(), only_second: None, diagnostics: None }
+        Sums {
+            gradients: Gradients::none(parameters),
+            losses: StepLosses::default(),
+            on_rays: Vec::new(),
+            extremes: None,
+            tables: Vec::new(),
+            only_second: None,
+            diagnostics: None,
+        }
     }
 
     pub(super) fn with_diagnostics(self, requested: bool) -> Sums {
@@ -52,7 +55,14 @@ impl Sums {
 
     pub(super) fn add(&mut self, other: Sums) -> Result<()> {
         self.gradients.merge(other.gradients)?;
-        self.losses.add(other.losses);
+        self.losses.coarse = plus(self.losses.coarse, other.losses.coarse);
+        self.losses.fine = plus(self.losses.fine, other.losses.fine);
+        self.losses.perturbed = plus(self.losses.perturbed, other.losses.perturbed);
+        self.add_on_rays(&other.on_rays);
+        self.extremes = match (self.extremes, other.extremes) {
+            (Some(a), Some(b)) => Some(a.join(b)),
+            (a, b) => a.or(b),
+        };
         self.add_tables(other.tables);
         if let Some(other) = other.diagnostics {
             self.diagnostics.get_or_insert_default().merge(other);
@@ -65,29 +75,11 @@ impl Sums {
         self.tables.resize_with(tables.len().max(self.tables.len()), Vec::new);
         self.tables.iter_mut().zip(tables).for_each(|(records, more)| records.extend(more));
     }
-}
 
-impl Losses {
-    fn add(&mut self, other: Losses) {
-        self.coarse = plus(self.coarse, other.coarse);
-        self.fine = plus(self.fine, other.fine);
-        self.perturbed = plus(self.perturbed, other.perturbed);
-        self.add_on_rays(&other.on_rays);
-        self.extremes = match (self.extremes, other.extremes) {
-            (Some(a), Some(b)) => Some(a.join(b)),
-            (a, b) => a.or(b),
-        };
-    }
-
-    /// Adds values of the terms on rays. Those of no rays yet are 0.
+    /// Adds values of the terms on rays.
     pub(super) fn add_on_rays(&mut self, values: &[f64]) {
         self.on_rays.resize(self.on_rays.len().max(values.len()), 0.0);
         self.on_rays.iter_mut().zip(values).for_each(|(sum, value)| *sum += value);
-    }
-
-    /// Returns the loss of the clean passes, with the coarse one weighted.
-    pub(super) fn clean(&self, coarse_weight: f64) -> Option<f64> {
-        plus(self.coarse.map(|loss| loss * coarse_weight), self.fine)
     }
 }
 

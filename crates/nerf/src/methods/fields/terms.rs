@@ -1,4 +1,4 @@
-//! The terms of a step's loss next to the photometric ones: those on the rays of a clean pass, and the values of all.
+//! The terms of a step's loss next to the photometric ones: those in space, and those on the rays of a clean pass.
 
 use candle_core::backprop::GradStore;
 use candle_core::{DType, Tensor, Var};
@@ -22,30 +22,6 @@ pub(super) fn in_space(terms: &[WeightedTerm]) -> Vec<(&dyn SpaceTerm, f64)> {
         LossTerm::OnRays(..) | LossTerm::OnTables(_) => None,
     });
     in_space.collect()
-}
-
-/// The values of a step's terms, in their order.
-pub(super) struct TermValues<'a> {
-    terms: &'a [WeightedTerm],
-    values: Vec<f64>,
-}
-
-impl<'a> TermValues<'a> {
-    pub(super) fn of(terms: &'a [WeightedTerm]) -> TermValues<'a> {
-        TermValues { terms, values: vec![f64::NAN; terms.len()] }
-    }
-
-    /// Fills in the values of all terms of a source, in their order.
-    pub(super) fn fill(&mut self, source: TermSource, found: &[f64]) {
-        let of_source = self.terms.iter().zip(&mut self.values).filter(|(term, _)| term.term.source() == source);
-        of_source.zip(found).for_each(|((_, value), found)| *value = *found);
-    }
-
-    /// Returns name, weight and value of each.
-    pub(super) fn finish(&self) -> Vec<(&'a str, f64, f64)> {
-        let named = self.terms.iter().zip(&self.values);
-        named.map(|(WeightedTerm { term, weight, .. }, value)| (term.name(), *weight, *value)).collect()
-    }
 }
 
 /// The terms on the rays of a pass with their weights, and whether each counts in it.
@@ -106,7 +82,7 @@ impl<'a> RayTerms<'a> {
         if let Some(slopes) = slopes {
             slopes.descend(field, &learner.variables, &store, &mut sums.gradients)?;
         }
-        sums.losses.add_on_rays(&values);
+        sums.add_on_rays(&values);
         Ok(())
     }
 }
