@@ -2,11 +2,12 @@
 
 use std::fmt;
 
-use serde::de::{Error, Visitor};
-use serde::{Deserialize, Deserializer, Serialize, Serializer};
+use serde::{Deserialize, Serialize};
+use toml::Value;
 
 /// Size of a delta's constraint set.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(try_from = "Value", into = "Value")]
 pub enum Epsilon {
     /// A number in the site's unit ([`super::settings::PerturbConfig`]); 0 is no perturbation.
     Units(f64),
@@ -32,43 +33,24 @@ impl fmt::Display for Epsilon {
     }
 }
 
-impl Serialize for Epsilon {
-    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
-        match self {
-            Epsilon::Units(units) => serializer.serialize_f64(*units),
-            Epsilon::Reach => serializer.serialize_str(REACH),
+impl From<Epsilon> for Value {
+    fn from(epsilon: Epsilon) -> Value {
+        match epsilon {
+            Epsilon::Units(units) => units.into(),
+            Epsilon::Reach => REACH.into(),
         }
     }
 }
 
-impl<'de> Deserialize<'de> for Epsilon {
-    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Epsilon, D::Error> {
-        deserializer.deserialize_any(NumberOrWord)
-    }
-}
+impl TryFrom<Value> for Epsilon {
+    type Error = String;
 
-struct NumberOrWord;
-
-impl Visitor<'_> for NumberOrWord {
-    type Value = Epsilon;
-
-    fn expecting(&self, f: &mut fmt::Formatter) -> fmt::Result {
-        write!(f, "a number, or \"{REACH}\" for steps x step size")
-    }
-
-    fn visit_f64<E: Error>(self, units: f64) -> Result<Epsilon, E> {
-        Ok(Epsilon::Units(units))
-    }
-
-    fn visit_i64<E: Error>(self, units: i64) -> Result<Epsilon, E> {
-        Ok(Epsilon::Units(units as f64))
-    }
-
-    fn visit_u64<E: Error>(self, units: u64) -> Result<Epsilon, E> {
-        Ok(Epsilon::Units(units as f64))
-    }
-
-    fn visit_str<E: Error>(self, word: &str) -> Result<Epsilon, E> {
-        if word == REACH { Ok(Epsilon::Reach) } else { Err(E::invalid_value(serde::de::Unexpected::Str(word), &self)) }
+    fn try_from(value: Value) -> Result<Epsilon, String> {
+        match value {
+            Value::Float(units) => Ok(Epsilon::Units(units)),
+            Value::Integer(units) => Ok(Epsilon::Units(units as f64)),
+            Value::String(word) if word == REACH => Ok(Epsilon::Reach),
+            other => Err(format!("{other} is neither a number nor \"{REACH}\", which is steps x step size")),
+        }
     }
 }
