@@ -15,11 +15,6 @@ pub fn is_host(device: &Device) -> bool {
     device.is_cpu() && !PLAINLY.get()
 }
 
-/// Returns whether this project's own operations in f32 and f64 compute with a tensor.
-pub fn is_ours(tensor: &Tensor) -> bool {
-    is_host(tensor.device()) && matches!(tensor.dtype(), DType::F32 | DType::F64)
-}
-
 /// Returns whether this project's own operations in f32 compute with a tensor.
 pub fn is_ours_in_f32(tensor: &Tensor) -> bool {
     is_host(tensor.device()) && tensor.dtype() == DType::F32
@@ -47,11 +42,10 @@ mod tests {
         let half = Tensor::zeros(1, DType::F16, &Device::Cpu).unwrap();
         let single = Tensor::zeros(1, DType::F32, &Device::Cpu).unwrap();
         let double = Tensor::zeros(1, DType::F64, &Device::Cpu).unwrap();
-        assert_eq!([&half, &single, &double].map(is_ours), [false, true, true]);
         assert_eq!([&half, &single, &double].map(is_ours_in_f32), [false, true, false]);
         plainly(|| {
             plainly(|| ());
-            assert!(!is_host(&Device::Cpu) && !is_ours(&single) && !is_ours_in_f32(&single));
+            assert!(!is_host(&Device::Cpu) && !is_ours_in_f32(&single));
         });
         assert!(is_host(&Device::Cpu));
     }

@@ -5,17 +5,14 @@
 //! `c_k (A_k - A_{k-1})`. Let `s` be the first sample at which the sum exceeds 1. The gradient of the colour in
 //! `o_j s_j` is `c_j - c_s` before `s`, and 0 from there on. For a ray whose sum stays below 1 it is `c_j`.
 
-use std::ops::Range;
 use std::sync::Arc;
 
 use candle_core::backend::BackendStorage;
 use candle_core::{CpuStorage, CustomOp2, Device, Layout, Result, Shape, Tensor, WithDType};
 use rayon::prelude::*;
 
-use crate::base::place::is_ours;
 use crate::base::rng::{Random, Stream};
 
-use super::trilinear::{Outside, trilinear};
 use super::values::{Values, each_kind, slice, summed};
 use lattice::{Corner, Lattice, Location};
 
@@ -27,8 +24,6 @@ const OUT: usize = 5;
 const RAYS: usize = 64;
 /// Parts of the gradients, each with grids of its own, which are summed in order.
 const PARTS: usize = 4;
-/// Largest number of samples in a graph of the plain path, which bounds its memory.
-const PLAIN_SAMPLES: usize = 1 << 20;
 
 /// A ray in the volume's coordinates.
 #[derive(Clone, Copy, Debug)]
@@ -138,12 +133,9 @@ fn is_inside(point: [f64; 3]) -> bool {
 impl March {
     /// Returns colour, accumulation and mean distance times accumulation of each ray, `[rays, 5]`, without a
     /// background. `template [z, y, x, 4]` has red, green, blue and opacity per length. It is looked up at the
-    /// positions that `warp [z, y, x, 3]` has at the ray's points, or at the points themselves without a warp.
+    /// positions that `warp [z, y, x, 3]` has at the ray's points, or at the points themselves without a warp. It marches on
+    /// the CPU, and returns a tensor on the template's device.
     pub fn forward(&self, template: &Tensor, warp: Option<&Tensor>) -> Result<Tensor> {
-        if !is_ours(template) {
-            let most = (2.0 * 3f64.sqrt() / self.step).ceil() as usize + 1;
-            return self.in_parts(template, warp, (PLAIN_SAMPLES / most).max(1));
-        }
         let sides = |tensor: &Tensor| Ok::<_, candle_core::Error>([tensor.dim(0)?, tensor.dim(1)?, tensor.dim(2)?]);
         let lattice = |sides| Lattice { sides };
         let operation = Marched {
@@ -151,44 +143,10 @@ impl March {
             template: lattice(sides(template)?),
             warp: warp.map(sides).transpose()?.map(lattice),
         };
-        let nothing = Tensor::zeros(0, template.dtype(), template.device())?;
-        template.contiguous()?.apply_op2(&warp.unwrap_or(&nothing).contiguous()?, operation)
-    }
-
-    /// Marches some of the rays in candle's own operations, with all their samples at once.
-    fn plain(&self, template: &Tensor, warp: Option<&Tensor>, of: Range<usize>) -> Result<Tensor> {
-        let lines = &self.lines[of.clone()];
-        let strides: Vec<Vec<(f64, f64)>> =
-            lines.iter().zip(of).map(|(line, index)| Strides::new(line, index, self).collect()).collect();
-        let (rays, samples) = (lines.len(), strides.iter().map(Vec::len).max().unwrap_or(0).max(1));
-        let (mut points, mut steps, mut distances) = (Vec::new(), Vec::new(), Vec::new());
-        for (line, strides) in lines.iter().zip(&strides) {
-            for sample in 0..samples {
-                let (t, step) = strides.get(sample).copied().unwrap_or((0.0, 0.0));
-                let point = line.at(t);
-                points.extend(point);
-                steps.push(if is_inside(point) { step } else { 0.0 });
-                distances.push(t);
-            }
-        }
-        let (dtype, device) = (template.dtype(), template.device());
-        let tensor = |values: Vec<f64>, shape: &[usize]| Tensor::from_vec(values, shape, device)?.to_dtype(dtype);
-        let points = tensor(points, &[rays * samples, 3])?;
-        let points = match warp {
-            Some(warp) => trilinear(warp, &points, Outside::Zeros)?,
-            None => points,
-        };
-        let values = trilinear(template, &points, Outside::Zeros)?.reshape((rays, samples, CHANNELS))?;
-        let opacity = values.narrow(2, 3, 1)?.squeeze(2)?;
-        let full = (opacity * tensor(steps, &[rays, samples])?)?.cumsum(1)?;
-        // Where the sum exceeds 1 there is no gradient; `minimum` would divide it at a tie.
-        let accumulated = full.gt(1.0)?.where_cond(&full.ones_like()?, &full)?;
-        let before =
-            Tensor::cat(&[&Tensor::zeros((rays, 1), dtype, device)?, &accumulated.narrow(1, 0, samples - 1)?], 1)?;
-        let weights = (&accumulated - before)?.unsqueeze(2)?;
-        let rgb = values.narrow(2, 0, 3)?.broadcast_mul(&weights)?.sum(1)?;
-        let depth = (weights.squeeze(2)? * tensor(distances, &[rays, samples])?)?.sum_keepdim(1)?;
-        Tensor::cat(&[rgb, accumulated.narrow(1, samples - 1, 1)?, depth], 1)
+        let on_host = |tensor: &Tensor| tensor.to_device(&Device::Cpu)?.contiguous();
+        let nothing = Tensor::zeros(0, template.dtype(), &Device::Cpu)?;
+        let warp = warp.map_or(Ok(nothing), on_host)?;
+        on_host(template)?.apply_op2(&warp, operation)?.to_device(template.device())
     }
 }
 
@@ -370,6 +328,5 @@ impl CustomOp2 for Marched {
 }
 
 mod lattice;
-mod parts;
 #[cfg(test)]
 pub(crate) mod tests;

@@ -2,8 +2,8 @@
 //!
 //! Grids are tensors with channels last, `[z, y, x, channels]`. Operations consist of candle's own, except where a
 //! training would become more than 1.5 times as long: convolutions, normalization and marching have a fast path on the
-//! CPU, with its own backward pass whose sums have a fixed order. Their plain path in candle's operations serves other
-//! devices, and is the reference for tests.
+//! CPU, with its own backward pass whose sums have a fixed order. The plain path of the first two in candle's operations
+//! serves other devices, and is the reference for tests.
 
 pub mod alpha_over;
 pub mod blend_views;

@@ -28,23 +28,23 @@ fn drawn(rays: usize, pace: Pace) -> March {
 
 const DRAWN: Pace = Pace::Drawn { jitter: 0.3, seed: 4, step: 7 };
 
+fn identity() -> Tensor {
+    let at = |i: usize| i as f64 - 1.0;
+    let values = (0..27).flat_map(|i| [at(i % 3), at(i / 3 % 3), at(i / 9)]).collect::<Vec<f64>>();
+    Tensor::from_vec(values, (3, 3, 3, 3), &Device::Cpu).unwrap()
+}
+
 /// A volume of which rays are filled or not, and a warp near the identity.
 fn grids() -> [Tensor; 2] {
     let template = ((ramp(&[5, 6, 4, 4], 0.5) + 1.02).unwrap() * 0.9).unwrap();
-    let at = |n: usize, i: usize| -1.0 + 2.0 * i as f64 / (n as f64 - 1.0);
-    let identity = (0..27).flat_map(|i| [at(3, i % 3), at(3, i / 3 % 3), at(3, i / 9)]).collect::<Vec<f64>>();
-    let warp = (Tensor::from_vec(identity, (3, 3, 3, 3), &Device::Cpu).unwrap() * 0.8).unwrap();
+    let warp = (identity() * 0.8).unwrap();
     [template, (warp + (ramp(&[3, 3, 3, 3], 0.1) * 0.05).unwrap()).unwrap()]
 }
 
 /// Result and gradients of `sum(out * cotangent)` in template and warp.
-fn all_of(
-    march: &March,
-    grids: &[Tensor; 2],
-    forward: impl Fn(&March, &Tensor, Option<&Tensor>) -> Result<Tensor>,
-) -> Vec<Tensor> {
+fn all_of(march: &March, grids: &[Tensor; 2]) -> Vec<Tensor> {
     let cotangent = ramp(&[march.lines.len(), 5], 0.6).to_dtype(grids[0].dtype()).unwrap();
-    with_gradients(grids, &cotangent, |[template, warp]| forward(march, template, Some(warp)))
+    with_gradients(grids, &cotangent, |[template, warp]| march.forward(template, Some(warp)))
 }
 
 /// Asserts that positions and values of all samples are the original's, to 1e-9 of their size.
@@ -109,34 +109,27 @@ fn rays_and_gradients_are_the_originals() {
     assert!(error_of(&warp, "nv.march.grad.warp") < 1e-11);
 }
 
+/// Where rays are filled or not, and steps drawn or not.
 #[test]
-fn fast_marches_are_the_plain_ones_on_any_number_of_threads() {
+fn marches_in_single_precision_are_those_in_double_on_any_number_of_threads() {
     for (march, name) in [(drawn(150, Pace::Even), "even"), (drawn(150, DRAWN), "drawn")] {
-        let plain = all_of(&march, &grids(), |march, template, warp| march.plain(template, warp, 0..150));
-        let full = values(&plain[0].narrow(1, 3, 1).unwrap()).iter().filter(|acc| **acc == 1.0).count();
+        let double = all_of(&march, &grids());
+        let full = values(&double[0].narrow(1, 3, 1).unwrap()).iter().filter(|acc| **acc == 1.0).count();
         assert!((20..130).contains(&full), "{full} rays are full");
-        let double = all_of(&march, &grids(), March::forward);
         let in_f32 = grids().each_ref().map(single);
-        let fast = on_any_threads(|| all_of(&march, &in_f32, March::forward));
+        let found = on_any_threads(|| all_of(&march, &in_f32));
         for index in 0..3 {
-            let of = |found: &[Tensor]| error(&found[index], &plain[index]);
-            assert!(of(&double) < 1e-11, "{name} {index}: {}", of(&double));
-            assert!(of(&fast) < 2e-4, "{name} {index}, in f32: {}", of(&fast));
+            let error = error(&found[index], &double[index]);
+            assert!(error < 2e-4, "{name} {index}: {error}");
         }
     }
 }
 
-/// Parts of any size, the last one smaller.
 #[test]
-fn marches_in_parts_are_whole_ones() {
-    let march = drawn(150, DRAWN);
-    let whole = all_of(&march, &grids(), |march, template, warp| march.plain(template, warp, 0..150));
-    for rays in [1, 64, 150, 1000] {
-        let parts = all_of(&march, &grids(), |march, template, warp| march.in_parts(template, warp, rays));
-        (0..3).for_each(|index| assert!(error(&parts[index], &whole[index]) < 1e-12, "{rays} rays, {index}"));
-    }
-    let [template, _] = grids().map(|grid| Var::from_tensor(&grid).unwrap());
+fn a_warp_that_moves_nothing_is_none() {
+    let (march, [template, _]) = (drawn(150, DRAWN), grids());
+    let template = Var::from_tensor(&template).unwrap();
     let slope = |out: Tensor| out.sqr().unwrap().sum_all().unwrap().backward().unwrap().get(&template).unwrap().clone();
-    let expected = slope(march.forward(&template, None).unwrap());
-    assert!(error(&slope(march.in_parts(&template, None, 40).unwrap()), &expected) < 1e-11);
+    let of = |warp: Option<&Tensor>| slope(march.forward(&template, warp).unwrap());
+    assert!(error(&of(None), &of(Some(&identity()))) < 1e-11);
 }
