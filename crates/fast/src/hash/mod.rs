@@ -7,8 +7,8 @@
 //!
 //! Points are `[n, 3]` in the unit cube ([`Domain`] maps scene points there). Encodings and their cotangents are
 //! `[n, levels * features]`, level after level. The kernels work in f32 on slices, each on one thread, with one order
-//! of operations and of additions. The bits are the same on every CPU. The functions named `_reference` compute the
-//! same in f64, as written in the paper.
+//! of operations and of additions. The bits are the same on every CPU. The tests compute the same in f64, as written in the
+//! paper.
 //!
 //! A point that is NaN has an encoding that is NaN. A point outside the cube is in the cell next to it, whose
 //! interpolation is extrapolated.

@@ -1,4 +1,4 @@
-//! Derivatives of the encoding against the reference, finite differences and each other.
+//! Derivatives of the encoding against the reference, and of that against finite differences.
 
 use super::super::operator::ORDERS;
 use super::*;
@@ -27,9 +27,10 @@ fn kernels_of_operators_follow_the_reference_with_the_same_bits_on_each_processo
             let [points32, tables32, d_out32] = [&points, &tables, &d_out].map(|values| narrow(values));
             let [tables, d_out] =
                 [&tables32, &d_out32].map(|values| values.iter().map(|x| f64::from(*x)).collect::<Vec<_>>());
-            let mut expected = [vec![0.0; d_out.len()], vec![0.0; tables.len()]];
-            grid.encode_reference(&tables, &points, Some(&operators), &mut expected[0]);
-            grid.table_gradient_reference(&points, Some(&operators), &d_out, &mut expected[1]);
+            let expected = [
+                reference::encode(&grid, &tables, &points, Some(&operators)),
+                reference::table_gradient(&grid, &points, Some(&operators), &d_out),
+            ];
             let all = on_each(|| {
                 let mut found = [vec![0f32; d_out.len()], vec![0.0; tables.len()]];
                 grid.encode(&tables32, &points32, Some(&operators32), &mut found[0]);
@@ -54,37 +55,6 @@ fn kernels_of_operators_follow_the_reference_with_the_same_bits_on_each_processo
 }
 
 #[test]
-fn operators_of_low_order_are_the_encoding_and_its_gradient() {
-    for grid in grids() {
-        let count = 37;
-        let points = narrow(&inner_points(&grid, count));
-        let (tables, d_out) = (signed(grid.entries() * grid.features(), 2), signed(count * grid.channels(), 3));
-        let [tables, d_out] = [&tables, &d_out].map(|values| narrow(values));
-        let apply = |number: usize| {
-            let mut operator = [0.0; 10];
-            operator[number] = 1.0;
-            let mut out = vec![0.0; d_out.len()];
-            grid.encode(&tables, &points, Some(&vec![operator; count]), &mut out);
-            out
-        };
-        let wide = |values: &[f32]| values.iter().map(|x| f64::from(*x)).collect::<Vec<_>>();
-        let mut encoded = vec![0.0; d_out.len()];
-        grid.encode(&tables, &points, None, &mut encoded);
-        assert!(off(&apply(0), &wide(&encoded)) < 1e-6);
-        let mut d_points = vec![0.0; points.len()];
-        grid.point_gradient(&tables, &points, &d_out, &mut d_points);
-        let slopes = [apply(1), apply(2), apply(3)];
-        let row = |values: &[f32], point: usize| wide(&values[point * grid.channels()..][..grid.channels()]);
-        let along = |point: usize, axis: usize| {
-            let pairs = row(&slopes[axis], point).into_iter().zip(row(&d_out, point));
-            pairs.map(|(slope, d)| slope * d).sum::<f64>() as f32
-        };
-        let found: Vec<f32> = (0..3 * count).map(|i| along(i / 3, i % 3)).collect();
-        assert!(off(&found, &wide(&d_points)) < 1e-5, "{grid:?}");
-    }
-}
-
-#[test]
 fn operators_are_finite_differences() {
     for interpolation in BOTH {
         let grid = HashGrid::new(4, 2, 7, (3, 30), interpolation);
@@ -93,13 +63,9 @@ fn operators_are_finite_differences() {
         let tables = signed(grid.entries() * 2, 5);
         let apply = |order: [usize; 3], points: &[f64]| {
             let operator = ORDERS.map(|here| if here == order { 1.0 } else { 0.0 });
-            let mut out = vec![0.0; count * grid.channels()];
-            grid.encode_reference(&tables, points, Some(&[operator; 6]), &mut out);
-            out
+            reference::encode(&grid, &tables, points, Some(&[operator; 6]))
         };
-        let mut encoded = vec![0.0; count * grid.channels()];
-        grid.encode_reference(&tables, &points, None, &mut encoded);
-        assert_eq!(apply([0; 3], &points), encoded);
+        assert_eq!(apply([0; 3], &points), reference::encode(&grid, &tables, &points, None));
         for order in &ORDERS[1..] {
             // One derivative less, moved along the axis that is left.
             let axis = (0..3).find(|axis| order[*axis] > 0).unwrap();
@@ -117,25 +83,6 @@ fn operators_are_finite_differences() {
             }
             let bent = interpolation == Interpolation::Smoothstep || order.iter().all(|times| *times < 2);
             assert_eq!(found.iter().any(|x| x.abs() > 1e-3), bent, "{interpolation:?} {order:?}");
-        }
-    }
-}
-
-/// The tables' gradient is the transpose, with and without operators: both pair tables and gradients to the same number.
-#[test]
-fn gradients_of_operators_are_their_transposes() {
-    for grid in grids() {
-        let count = 20;
-        let points = inner_points(&grid, count);
-        let (tables, d_out) = (signed(grid.entries() * grid.features(), 7), signed(count * grid.channels(), 8));
-        let operators = scaled(&grid, &operators(count, 9));
-        for operators in [None, Some(&operators[..])] {
-            let (mut out, mut d_tables) = (vec![0.0; d_out.len()], vec![0.0; tables.len()]);
-            grid.encode_reference(&tables, &points, operators, &mut out);
-            grid.table_gradient_reference(&points, operators, &d_out, &mut d_tables);
-            let pair = |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(a, b)| a * b).sum::<f64>();
-            let (a, b) = (pair(&out, &d_out), pair(&d_tables, &tables));
-            assert!((a - b).abs() < 1e-10 * (1.0 + a.abs()) && a != 0.0, "{a} {b}");
         }
     }
 }

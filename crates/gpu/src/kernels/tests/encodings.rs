@@ -68,17 +68,15 @@ fn hash_grids() {
         near("domain", &unit, &expected_unit, 1e-6);
         // From where the device put them: a rounding may put a point into the next cell.
         let unit = doubles(&unit);
-        let mut expected = vec![0.0; n * grid.channels()];
-        grid.encode_reference(&tables, &unit, None, &mut expected);
+        let expected = hash_reference::encode(&grid, &tables, &unit, None);
         let found = gpu.read_f32(&encoded, n * channels).unwrap();
         let found: Vec<f32> = found.chunks(channels).flat_map(|row| row[..grid.channels()].to_vec()).collect();
         near("encode", &found, &expected, 1e-5);
-        let (mut d_unit, mut d_space) = (vec![0.0; 3 * n], vec![0.0; 3 * n]);
-        grid.point_gradient_reference(&tables, &unit, &d_encoded, &mut d_unit);
+        let d_unit = hash_reference::point_gradient(&grid, &tables, &unit, &d_encoded);
+        let mut d_space = vec![0.0; 3 * n];
         domain.backward(&points, &d_unit, &mut d_space);
         near("slope, domain_back", &gpu.read_f32(&d_points, 3 * n).unwrap(), &d_space, 1e-5);
-        let mut of_tables = vec![0.0; tables.len()];
-        grid.table_gradient_reference(&unit, None, &d_encoded, &mut of_tables);
+        let of_tables = hash_reference::table_gradient(&grid, &unit, None, &d_encoded);
         near("scatter", &fixed_sums(&gpu, &sums, tables.len()), &of_tables, 1e-5);
     }
 }
@@ -161,11 +159,7 @@ fn jets_of_hash_grids() {
             domain.map(&moved, &mut unit, &mut vec![false; n]);
             unit
         };
-        let features_at = |shift: [f64; 3]| {
-            let mut encoded = vec![0.0; n * own];
-            grid.encode_reference(&tables, &unit_at(shift), None, &mut encoded);
-            encoded
-        };
+        let features_at = |shift: [f64; 3]| hash_reference::encode(&grid, &tables, &unit_at(shift), None);
         let narrow =
             |values: Vec<f32>| values.chunks(channels).flat_map(|row| row[..own].to_vec()).collect::<Vec<f32>>();
         let found = narrow(gpu.read_f32(&encoded, 4 * n * channels).unwrap());
@@ -175,11 +169,7 @@ fn jets_of_hash_grids() {
         let d = doubles(&narrow(d));
         let row =
             |row: usize| (0..n).flat_map(|point| d[own * (4 * point + row)..][..own].to_vec()).collect::<Vec<f64>>();
-        let gradient_at = |shift: [f64; 3], d: &[f64]| {
-            let mut gradient = vec![0.0; tables.len()];
-            grid.table_gradient_reference(&unit_at(shift), None, d, &mut gradient);
-            gradient
-        };
+        let gradient_at = |shift: [f64; 3], d: &[f64]| hash_reference::table_gradient(&grid, &unit_at(shift), None, d);
         let mut expected = gradient_at([0.0; 3], &row(0));
         for axis in 0..3 {
             let [above, below] =

@@ -2,7 +2,7 @@
 
 use augnerf_base::rng::{Random, Stream};
 use augnerf_nerf::field::encode;
-use augnerf_nerf::field::hash::{Domain, HashGrid};
+use augnerf_nerf::field::hash::{Domain, HashGrid, Vertex};
 use augnerf_nerf::optimizer::{Adam, AdamSettings};
 use augnerf_nerf::render::sampling::importance;
 use augnerf_nerf::render::volume::composite_reference;
@@ -16,6 +16,8 @@ use crate::rays::RAY;
 use crate::record::{FIRST_TERM, FIXED_SCALE, ON_RAYS, OUT, SLOT, Words, domain_words, grid_words};
 
 mod encodings;
+#[path = "../../../../fast/src/hash/tests/reference.rs"]
+mod hash_reference;
 mod outputs;
 mod products;
 mod rays;
