@@ -80,20 +80,6 @@ mod tests {
         }
     }
 
-    /// What is linear in x, y and z is met exactly.
-    #[test]
-    fn linear_functions_are_met_everywhere() {
-        let side = |n: usize, i: usize| -1.0 + 2.0 * i as f64 / (n as f64 - 1.0);
-        let value = |x: f64, y: f64, z: f64| 0.3 + 0.5 * x - 0.7 * y + 0.2 * z;
-        let cells = (0..60).map(|i| value(side(5, i % 5), side(4, i / 5 % 4), side(3, i / 20)));
-        let grid = Tensor::from_vec(cells.collect::<Vec<f64>>(), (3, 4, 5, 1), &Device::Cpu).unwrap();
-        let points = ramp(&[500, 3], 0.4);
-        let found = trilinear(&grid, &points, Outside::Zeros).unwrap();
-        let rows = points.to_vec2::<f64>().unwrap();
-        let expected: Vec<f64> = rows.iter().map(|row| value(row[0], row[1], row[2])).collect();
-        assert!(error(&found, &Tensor::from_vec(expected, (500, 1), &Device::Cpu).unwrap()) < 1e-14);
-    }
-
     #[test]
     fn points_that_are_no_numbers_show() {
         let grid = ramp(&[2, 2, 2, 1], 0.0);

@@ -32,8 +32,8 @@ pub struct Conv3d {
 
 impl Conv3d {
     /// Creates a convolution of 3 x 3 x 3 taps, `dilation` cells apart, at every `stride`-th cell of a grid. Padding is
-    /// zero, as with TensorFlow's `SAME`: half on either side, and an odd one at the far side. A grid of even sides and
-    /// stride 2 is only padded after its last cell.
+    /// zero, as with TensorFlow's `SAME`: on either side, and with stride 2, which is of grids of even sides, after the last
+    /// cell alone.
     pub fn convolution(sides: [usize; 3], stride: usize, dilation: usize) -> Conv3d {
         let kernel = plan::cube(3).collect();
         Conv3d::new(Plan::convolution(sides, stride, dilation), kernel)

@@ -56,11 +56,8 @@ pub(super) fn blocks(lengths: impl Iterator<Item = usize>) -> Vec<Range<usize>> 
 impl Plan {
     pub(super) fn convolution(sides: [usize; 3], stride: usize, dilation: usize) -> Plan {
         let out = sides.map(|side| side.div_ceil(stride));
-        let before = AXES.map(|axis| {
-            let reach = (out[axis].max(1) - 1) * stride + 2 * dilation + 1;
-            (reach.saturating_sub(sides[axis]) / 2) as isize
-        });
-        let offset = |at: [usize; 3]| AXES.map(|axis| (at[axis] * dilation) as isize - before[axis]);
+        let before = if stride == 1 { dilation as isize } else { 0 };
+        let offset = |at: [usize; 3]| AXES.map(|axis| (at[axis] * dilation) as isize - before);
         let taps = cube(3).enumerate().map(|(weight, at)| Tap { weight, source: 0, offset: offset(at) }).collect();
         Plan { sources: vec![sides], stride, groups: vec![Group { cells: out, taps }], sides: out, spread: 1 }
     }

@@ -1,7 +1,7 @@
 use candle_core::{DType, Device};
 
 use super::*;
-use crate::grids::reference::{error, fixture, ramp, values};
+use crate::grids::reference::{error, ramp, values};
 
 /// Locations of some rays: between pixels, on them, in the pixel beyond an edge, outside, nowhere.
 fn places(planes: usize) -> Locations {
@@ -35,14 +35,4 @@ fn values_are_tents_around_pixels_and_fade_beyond_the_edge() {
     assert!(error(&plane_sample(&planes, &places).unwrap(), &expected) < 1e-14);
     let fast = plane_sample(&planes.to_dtype(DType::F32).unwrap(), &places).unwrap();
     assert!(error(&fast, &expected) < 1e-6);
-}
-
-/// A location on a pixel reads this pixel alone.
-#[test]
-fn a_place_on_a_pixel_is_the_pixel() {
-    let mpi = fixture("llff.mpis").narrow(0, 2, 1).unwrap().squeeze(0).unwrap();
-    let planes = mpi.permute((2, 0, 1, 3)).unwrap().contiguous().unwrap();
-    let of_rays = (0..48).flat_map(|i| [[(i % 8) as f64, (i / 8) as f64]; 4]).collect();
-    let read = plane_sample(&planes, &Locations { planes: 4, of_rays }).unwrap();
-    assert_eq!(values(&read), values(&mpi.reshape((48, 4, 4)).unwrap()));
 }

@@ -7,12 +7,12 @@ use crate::data::{RayBuffer, RayParts};
 use crate::grids::reference::values;
 use crate::methods::{RenderedRays, Renderer};
 use crate::planes::PlanesRenderer;
-use crate::planes::geometry::{Viewpoint, depths, nearest};
+use crate::planes::geometry::{Viewpoint, depths};
 use crate::planes::mpi::Mpi;
 use crate::planes::sweep::{Window, padded};
 use crate::settings::PixelOrigin;
 
-use super::{eye, f64s, made, picture, texture};
+use super::{eye, f64s, made, picture};
 
 /// Planes that are empty but for one, which has a picture.
 fn wall(image: &Image, planes: usize, opaque: usize) -> Tensor {
@@ -62,24 +62,6 @@ fn at_its_own_camera_a_view_is_its_picture() {
         }
         assert!(values(&rendered.acc).iter().all(|acc| (acc - 1.0).abs() < 1e-4));
         assert!(values(&rendered.depth).iter().all(|depth| (depth - 2.0).abs() < 1e-3));
-    }
-}
-
-/// Nearest first, and equally far ones in their order; the weights of those that are blended fall with distance.
-#[test]
-fn the_nearest_views_are_blended() {
-    let renderer = PlanesRenderer { blend: 2, ..renderer(None) };
-    let between = eye([0.15, 0.0], 16, 8, 20.0);
-    let order: Vec<usize> = nearest(&renderer.eyes, between.position()).into_iter().map(|(view, _)| view).collect();
-    assert_eq!(order, [1, 0, 2]);
-    let rendered = render(&renderer, &between);
-    // Both show the same wall, seen between their pixels.
-    let expected = |i: usize, c: usize| {
-        let (origin, direction) = between.ray([(i % 16) as f64, (i / 16) as f64]);
-        texture(origin[0] + 2.0 * direction[0], origin[1] + 2.0 * direction[1], c)
-    };
-    for (i, pixel) in values(&rendered.rgb).chunks(3).enumerate().filter(|(i, _)| (1..14).contains(&(i % 16))) {
-        assert!((0..3).all(|c| (pixel[c] - expected(i, c)).abs() < 0.02), "{i}: {pixel:?}");
     }
 }
 
