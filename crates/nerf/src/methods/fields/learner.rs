@@ -211,7 +211,8 @@ pub(super) fn unseen_cameras(
 ) -> Result<Option<UnseenCameras>> {
     let needs_cameras = |group: &RayGroup| *group != RayGroup::Point;
     let groups = LossTerm::unseen_groups(terms.iter().map(|term| &term.term));
-    let unseen = groups.iter().any(needs_cameras).then(|| UnseenCameras::of(cameras, config.unseen_poses)).transpose()?;
+    let unseen =
+        groups.iter().any(needs_cameras).then(|| UnseenCameras::of(cameras, config.unseen_poses)).transpose()?;
     groups.into_iter().try_for_each(|group| {
         if config.unseen_rays < group.rays() {
             return Err(Error::Config(format!(
