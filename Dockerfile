@@ -3,7 +3,7 @@
 FROM rust:1-bookworm AS build
 WORKDIR /source
 COPY . .
-RUN cargo build --release --locked && strip target/release/augnerf
+RUN CARGO_INCREMENTAL=0 cargo build --release --locked && strip target/release/augnerf
 
 FROM debian:bookworm-slim
 COPY --from=build /source/target/release/augnerf /usr/local/bin/augnerf

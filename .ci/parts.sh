@@ -13,6 +13,9 @@ if ! command -v cargo > /dev/null; then
   exit 1
 fi
 
+# A fresh checkout is built once: what incremental builds keep would not be used.
+[[ -d target ]] || export CARGO_INCREMENTAL=0
+
 gate=.ci/$(basename "$0")
 scratch=$(mktemp -d)
 table=$scratch/table

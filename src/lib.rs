@@ -37,19 +37,21 @@
 //! | `nerf/src/methods/fields/plan.rs` | the passes of a step with their weights, such as lambda |
 //! | `nerf/src/methods/fields/step.rs` | a training step, as the Aug-NeRF paper's Algorithm 1 |
 //!
-//! Then `sweep/src/layout.rs` makes a sweep's points of rows, axes and seeds. A hash grid, which preset `fast` trains, is
-//! `nerf/src/field/grid.rs`. `docs/adding.md` says where a new encoding, term, site or format goes.
+//! Then `sweep/src/layout.rs` combines a sweep's rows, axes and seeds into planned trainings, and `sweep/src/points.rs` makes points
+//! of them. A hash grid, which preset `fast` trains, is `nerf/src/field/grid.rs`. `docs/adding.md` says where a new encoding, term,
+//! site or format goes.
 //!
 //! These files are the reference: candle's operations, for f64 and for any device. In f32 on a CPU the crate `augnerf-fast`
-//! computes in their place, and tests compare the two. Three functions choose:
+//! computes in their place, and tests compare the two. The choices are made here:
 //!
 //! | what | chosen in |
 //! |---|---|
-//! | network, hash grid with its gradient, derivatives of density | `Field::prepared`, for `nerf/src/field/fast` |
-//! | compositing | `volume::composite` |
-//! | Adam | `nerf/src/optimizer.rs` |
+//! | network, hash grid with its gradient, derivatives of density | `Field::prepared` copies the weights for `nerf/src/field/fast`; a field that has the copy uses it |
+//! | compositing | `volume::composite`; `composite_reference` beside it is the equation |
+//! | Adam | `Adam::update` of `nerf/src/optimizer.rs` |
+//! | a whole step on a GPU (`--device gpu`) | `train::Inputs::steps`; `crates/gpu/src/step.rs` executes the same plan |
 //!
-//! `field.core = "plain"` takes candle's operations for the first; f64 has no kernels at all.
+//! `field.core = "plain"` takes candle's operations for the first. In f64, fields, compositing and Adam have no kernels.
 //!
 //! # The pipeline
 //!

@@ -22,7 +22,7 @@ if [[ -z ${PROGRAM:-} ]]; then
   archive=$(cc -print-file-name=libgcc_eh.a 2> /dev/null || true)
   [[ -e $archive ]] && ln -sf "$archive" "$archives/libgcc_s.a"
   export RUSTFLAGS="${RUSTFLAGS:-} -L native=$archives"
-  cargo build --release --locked --target-dir target/release-build "$@"
+  CARGO_INCREMENTAL=0 cargo build --release --locked --target-dir target/release-build "$@"
   PROGRAM=target/release-build/release/augnerf
 fi
 cp "$PROGRAM" "$out/$name/augnerf"

@@ -56,7 +56,7 @@ pub fn lay_out(definition: &Definition, data_root: Option<&Path>) -> Result<Vec<
     refused.check().map(|()| planned)
 }
 
-/// Does the same for the other rows, and adds those of wrong settings to `refused`.
+/// Lays out the rows whose settings are right, and adds the others to `refused`.
 pub(super) fn lay_out_others(
     definition: &Definition,
     data_root: Option<&Path>,

@@ -64,9 +64,10 @@ impl DeltaSet {
         DeltaSet { norm, radius, bounds: None, mask: None, shape: shape.to_vec(), spread: None }
     }
 
-    /// Returns the same set of deltas, of which `spread` is added: `t_vals`' shape at `t`, `[rays, samples, 3]` at `xyz` and
-    /// `rgb`, `[rays, 2]` at `view`, `[rays, samples, width]` at `feature`, `[rays, samples]` at `density`. At the output level
-    /// the sum is then clipped to its range, where a delta that is added as it is would be projected onto it.
+    /// Returns the same set. The pass then adds `spread(delta)` in place of a delta. Its shape is that of the site:
+    /// `t_vals`' at `t`, `[rays, samples, 3]` at `xyz` and `rgb`, `[rays, 2]` at `view`, `[rays, samples, width]` at
+    /// `feature`, `[rays, samples]` at `density`. At the output level the sum is clipped to its range; a delta without
+    /// `spread` is projected so that the sum stays in it.
     pub fn spread_by(self, spread: impl Fn(&Tensor) -> Result<Tensor> + Send + Sync + 'static) -> DeltaSet {
         DeltaSet { spread: Some(Arc::new(spread)), ..self }
     }
@@ -84,8 +85,8 @@ impl DeltaSet {
         self.spread.as_ref().map_or_else(|| Ok(delta.clone()), |spread| spread(delta))
     }
 
-    /// Returns the nearest point of the set. For a ball with bounds it is the nearest point of the ball, then of the
-    /// bounds.
+    /// Projects a delta: onto the ball or the box, then onto the bounds, then times the mask. The result is in the
+    /// set. With bounds it need not be the set's nearest point.
     pub fn project(&self, delta: &Tensor) -> TensorResult<Tensor> {
         let mut delta = match self.norm {
             Norm::Linf => delta.broadcast_minimum(&self.radius)?.broadcast_maximum(&self.radius.neg()?)?,

@@ -16,7 +16,7 @@ use crate::perturb::{feature, input, output};
 /// A site of your own is a type that implements this. Its delta can have any shape: one number a ray, or six numbers of a
 /// camera. [`DeltaSet::spread_by`] says what such a delta adds. The search moves it with all other sites.
 pub trait Site: Send + Sync {
-    /// Returns the site of the paper at which its delta is added. It decides whether samples move: those of `t` and `xyz` do.
+    /// Returns the site of the paper to whose quantity its delta is added. At `t` and `xyz` it moves samples.
     fn at(&self) -> PaperSite;
 
     /// Returns its name, which no other site has. One of your own must give it. Its diagnostics are logged as `gain.NAME`,

@@ -21,8 +21,8 @@ pub(super) fn are_separate(learner: &FieldLearner) -> bool {
     on_grid && is_host(device) && *dtype == DType::F32 && config.perturb.field == PerturbField::Shared
 }
 
-/// Returns the gradients of hash grids from a step's records. With `log` it also returns, of the entries that both passes
-/// change, the fraction that only the second one changes, if there are two passes.
+/// Returns the gradients of hash grids from a step's records. With `log`, if there are two passes, it also returns
+/// what fraction only the second one changes of the entries that either changes.
 pub(super) fn table_gradients(
     learner: &FieldLearner,
     tables: &[Vec<TableRecord>],
