@@ -134,8 +134,8 @@ impl<'a> ChunkRecorder<'a> {
         let is_first = which == RandomsOf::First && plan.deltas.is_none();
         let t_fine = if is_first { &buffers.t_fine } else { &buffers.t_second };
         match plan.samples {
-            SampleSource::OfRandomsOf if plan.is_coarse => &buffers.t_coarse,
-            SampleSource::OfRandomsOf => &buffers.t_fine,
+            SampleSource::OfCleanPass if plan.is_coarse => &buffers.t_coarse,
+            SampleSource::OfCleanPass => &buffers.t_fine,
             SampleSource::Stratified => self.stratified(recorder, which),
             SampleSource::PlacedByDensity => {
                 let t_vals = self.stratified(recorder, which);
