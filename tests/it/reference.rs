@@ -230,8 +230,8 @@ fn two_search_steps_and_the_final_pass() {
     // 1e-12 lower is projected onto the same floor exactly.
     let mut start = a.deltas("start");
     start.set(PaperSite::Density, (start.get(PaperSite::Density).unwrap() - 1e-12).unwrap());
-    let found = worst_case(&a.sets, start, |at| {
-        let out = a.perturbed(&frozen, at.deltas);
+    let found = worst_case(&a.sets, start, |deltas, _| {
+        let out = a.perturbed(&frozen, deltas);
         iterates.push(out.used.deltas.clone());
         Ok((photometric_loss(&out.composite.rgb, &a.target)?, out.used.deltas))
     })

@@ -97,8 +97,8 @@ impl Setting {
 
     pub fn search(&self, start: Deltas) -> Deltas {
         let frozen = self.field.frozen().unwrap();
-        worst_case(&self.sets, start, |at| {
-            let out = perturbed_pass(&frozen, self.pass(), self.perturbation(at.deltas))?;
+        worst_case(&self.sets, start, |deltas, _| {
+            let out = perturbed_pass(&frozen, self.pass(), self.perturbation(deltas))?;
             Ok((photometric_loss(&out.composite.rgb, &self.target)?, out.used.deltas))
         })
         .unwrap()

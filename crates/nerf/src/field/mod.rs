@@ -110,7 +110,10 @@ struct Inputs {
 impl Inputs {
     /// Removes raw density `[n]` where there can be none.
     fn only_inside(&self, raw: Tensor) -> Result<Tensor> {
-        Ok(self.inside.as_ref().map_or(Ok(raw.clone()), |inside| inside.only(&raw))?)
+        Ok(match &self.inside {
+            Some(inside) => inside.only(&raw)?,
+            None => raw,
+        })
     }
 }
 

@@ -20,7 +20,7 @@ pub use feature::Feature;
 pub use geometry::{Geometry, PaperPass, PassGeometry, PixelScale, SampleDensity};
 pub use input::{Radius, T, View, Xyz, tilt};
 pub use output::{Density, Rgb, UsedDeltas, output_range};
-pub use pgd::{Iterate, worst_case};
+pub use pgd::worst_case;
 pub use set::{DeltaSet, Distribution, Norm};
 pub use sets::{Deltas, Sets, SiteSet};
 pub use site::{DefaultSizes, Level, PaperSite, Passes, PerSite, Pgd, Site, SiteNumbers, SiteSpec, StepUnit};

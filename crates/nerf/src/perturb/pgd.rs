@@ -5,46 +5,33 @@ use candle_core::{Tensor, Var};
 use crate::base::Result;
 use crate::perturb::sets::{Deltas, Sets, SiteSet};
 
-/// One evaluation of the loss in a search.
-pub struct Iterate<'a> {
-    /// The deltas. Those of sites that still move are tracked.
-    pub deltas: &'a Deltas,
-    moving: &'a [&'a SiteSet],
-}
-
-impl Iterate<'_> {
-    /// Returns whether no site that moves samples moves in this step, and so in no later one. What depends only on the
-    /// samples need not be computed again.
-    pub fn fixes_samples(&self) -> bool {
-        !self.moving.iter().any(|entry| entry.site.at().spec().moves_samples)
-    }
-}
-
-/// Ascends `loss` from `start` and returns the last iterate, without a final evaluation:
+/// Ascends `loss` from `start` and returns the last deltas, without a final evaluation:
 ///
 /// delta <- project(delta + step size * direction(d loss / d delta))
 ///
-/// All sites move together. A site stops after its own number of steps. `loss` returns the loss, and the deltas as they
-/// were really used: the output level is projected again onto what the forward pass allows. PGD continues from there.
-/// Weights must be frozen in `loss`.
+/// All sites move together. A site stops after its own number of steps. `loss` is called with the deltas, of which those that
+/// still move are tracked, and with whether the samples stay where they are, in this step and all later ones. It returns the
+/// loss, and the deltas as they were really used: the output level is projected again onto what the forward pass allows. PGD
+/// continues from there. Weights must be frozen in `loss`.
 ///
 /// # Errors
 /// Those of `loss` and of candle.
 pub fn worst_case(
     sets: &Sets,
     start: Deltas,
-    mut loss: impl FnMut(Iterate) -> Result<(Tensor, Deltas)>,
+    mut loss: impl FnMut(&Deltas, bool) -> Result<(Tensor, Deltas)>,
 ) -> Result<Deltas> {
     let mut deltas = start;
     let most_steps = sets.iter().map(|entry| entry.site.pgd().steps).max().unwrap_or(0);
     for step in 0..most_steps {
         let moving: Vec<&SiteSet> = sets.iter().filter(|entry| step < entry.site.pgd().steps).collect();
+        let samples_stay = !moving.iter().any(|entry| entry.site.at().spec().moves_samples);
         let mut tracked = deltas.clone();
         for SiteSet { site, .. } in &moving {
             let delta = deltas.get(site.name()).expect("is on").detach();
             tracked.set(site.name(), Var::from_tensor(&delta)?.into_inner());
         }
-        let (loss, used) = loss(Iterate { deltas: &tracked, moving: &moving })?;
+        let (loss, used) = loss(&tracked, samples_stay)?;
         let gradients = loss.backward()?;
         for SiteSet { site, set } in &moving {
             // Without a gradient the loss does not depend on this delta (sign(0) = 0).
@@ -91,7 +78,7 @@ mod tests {
     /// Searches from zeros.
     fn search(
         sites: impl IntoIterator<Item = Vector>,
-        loss: impl FnMut(Iterate) -> Result<(Tensor, Deltas)>,
+        loss: impl FnMut(&Deltas, bool) -> Result<(Tensor, Deltas)>,
     ) -> Deltas {
         let one = Tensor::ones((1, 1), DType::F64, &Device::Cpu).unwrap();
         let pass = PassGeometry {
@@ -124,9 +111,9 @@ mod tests {
             (Norm::L2, [3.0, 0.0, -4.0], 0, [0.0, 0.0, 0.0]),
         ] {
             let peak = Tensor::new(&[[peak]], &Device::Cpu).unwrap();
-            let deltas = search([Vector { at: PaperSite::Xyz, steps, norm, radius: 0.5 }], |at| {
-                let offset = (at.deltas.get(PaperSite::Xyz).unwrap() - &peak)?;
-                Ok((offset.sqr()?.sum_all()?.neg()?, at.deltas.clone()))
+            let deltas = search([Vector { at: PaperSite::Xyz, steps, norm, radius: 0.5 }], |deltas, _| {
+                let offset = (deltas.get(PaperSite::Xyz).unwrap() - &peak)?;
+                Ok((offset.sqr()?.sum_all()?.neg()?, deltas.clone()))
             });
             let maximum: Vec<f64> = deltas.get(PaperSite::Xyz).unwrap().flatten_all().unwrap().to_vec1().unwrap();
             assert!(maximum.iter().zip(expected).all(|(a, b)| (a - b).abs() < 1e-9), "{maximum:?}");
@@ -137,10 +124,10 @@ mod tests {
     fn samples_are_fixed_after_the_steps_of_the_sites_that_move_them() {
         let site = |at, steps| Vector { at, steps, norm: Norm::Linf, radius: 9.0 };
         let mut fixed = Vec::new();
-        let deltas = search([site(PaperSite::Xyz, 2), site(PaperSite::Rgb, 4)], |at| {
-            fixed.push(at.fixes_samples());
-            let sum = (at.deltas.get(PaperSite::Xyz).unwrap() + at.deltas.get(PaperSite::Rgb).unwrap())?;
-            Ok((sum.sum_all()?, at.deltas.clone()))
+        let deltas = search([site(PaperSite::Xyz, 2), site(PaperSite::Rgb, 4)], |deltas, samples_stay| {
+            fixed.push(samples_stay);
+            let sum = (deltas.get(PaperSite::Xyz).unwrap() + deltas.get(PaperSite::Rgb).unwrap())?;
+            Ok((sum.sum_all()?, deltas.clone()))
         });
         assert_eq!(fixed, [false, false, true, true]);
         let travelled = |site| deltas.get(site).unwrap().max_all().unwrap().to_scalar::<f64>().unwrap();

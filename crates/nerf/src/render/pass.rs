@@ -91,11 +91,11 @@ pub fn perturbed_pass(field: &Field, pass: Pass, perturbation: Perturbation) -> 
 /// # Errors
 /// Those of candle, if shapes do not fit.
 pub fn search(field: &Field, pass: Pass, start: Perturbation, target: &Tensor, sign: f64) -> Result<Deltas> {
-    // Once no delta moves the samples any more, what depends on them alone is computed once for all further steps.
+    // Once samples stay where they are, what depends on them alone is computed once for all further steps.
     let mut fixed_samples = None;
-    worst_case(start.sets, start.deltas.clone(), |iterate| {
-        let perturbation = Perturbation { deltas: iterate.deltas, ..start };
-        if fixed_samples.is_none() && iterate.fixes_samples() {
+    worst_case(start.sets, start.deltas.clone(), |deltas, samples_stay| {
+        let perturbation = Perturbation { deltas, ..start };
+        if samples_stay && fixed_samples.is_none() {
             let (t_vals, positions) = moved_samples(field, pass, perturbation)?;
             fixed_samples = Some((t_vals, field.fixed_points(&positions)?));
         }

@@ -22,18 +22,6 @@ pub struct Composite {
     pub weights: Tensor,
 }
 
-impl Composite {
-    /// Splits the output of [`scan::composite`].
-    pub(super) fn of_flat(out: &Tensor, rays: usize, samples: usize) -> Result<Composite> {
-        Ok(Composite {
-            rgb: out.narrow(0, 0, 3 * rays)?.reshape((rays, 3))?,
-            depth: out.narrow(0, 3 * rays, rays)?,
-            acc: out.narrow(0, 4 * rays, rays)?,
-            weights: out.narrow(0, 5 * rays, rays * samples)?.reshape((rays, samples))?,
-        })
-    }
-}
-
 /// Returns the lengths of `samples` intervals in scene units, `[rays, samples]`. They are the differences of `t_vals`
 /// times the length of the direction, `direction_norm` `[rays, 1]`. With points `[rays, samples]` the last interval is
 /// [`LAST_INTERVAL`] long in units of `t_vals`. Edges `[rays, samples + 1]` (MipNeRF) bound every interval.
@@ -105,7 +93,12 @@ pub fn composite(
     }
     let (rays, samples) = density.dims2()?;
     let out = scan::composite([rgb, density, t_vals], direction_norm, LAST_INTERVAL, background)?;
-    Composite::of_flat(&out, rays, samples)
+    Ok(Composite {
+        rgb: out.narrow(0, 0, 3 * rays)?.reshape((rays, 3))?,
+        depth: out.narrow(0, 3 * rays, rays)?,
+        acc: out.narrow(0, 4 * rays, rays)?,
+        weights: out.narrow(0, 5 * rays, rays * samples)?.reshape((rays, samples))?,
+    })
 }
 
 /// The same in plain candle operations.
