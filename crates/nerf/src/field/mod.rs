@@ -275,20 +275,17 @@ impl Field {
 
     /// Returns the records for the table of the hash grid that backward passes have left since the last call, in their order.
     pub fn table_records(&self) -> Vec<TableRecord> {
-        self.with_table_records(std::mem::take)
+        let records = self.fast.as_ref().and_then(FastField::table_records);
+        records.map(|mut records| std::mem::take(&mut *records)).unwrap_or_default()
     }
 
     /// Adds a record to those of a field that records.
     pub(crate) fn add_table_record(&self, record: Option<TableRecord>) {
-        debug_assert!(
-            record.is_none() || self.fast.as_ref().is_some_and(FastField::records),
-            "the field does not record"
-        );
-        self.with_table_records(|records| records.extend(record));
-    }
-
-    fn with_table_records<T: Default>(&self, work: impl FnOnce(&mut Vec<TableRecord>) -> T) -> T {
-        self.fast.as_ref().and_then(|fast| fast.with_table_records(work)).unwrap_or_default()
+        let records = self.fast.as_ref().and_then(FastField::table_records);
+        debug_assert!(record.is_none() || records.is_some(), "the field does not record");
+        if let Some(mut records) = records {
+            records.extend(record);
+        }
     }
 
     /// Returns the gradient of the hash grid's table, `[entries, features]`, from records in their order. `None`
@@ -311,15 +308,10 @@ impl Field {
 
     /// Returns a field with the same weights (shared, not copied) that never computes their gradients.
     pub fn frozen(&self) -> Result<Field> {
-        self.detached().prepared()
-    }
-
-    fn detached(&self) -> Field {
         let detached = |layer: &Linear| Ok(Linear::new(layer.weight().detach(), Some(nerf::bias(layer).detach())));
-        let nerf = self.nerf.map(detached).expect("nothing is computed");
         let grid = self.grid.as_ref().map(Grid::detached);
         let fast = self.fast.as_ref().map(FastField::detached);
-        Field { nerf, grid, variables: Vec::new(), fast, ..self.clone() }
+        Field { nerf: self.nerf.map(detached)?, grid, variables: Vec::new(), fast, ..self.clone() }.prepared()
     }
 
     /// Returns the parameters in their fixed order. Empty for a frozen field.

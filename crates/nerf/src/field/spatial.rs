@@ -69,11 +69,11 @@ impl Field {
     /// Returns the gradient of density in space, `[n, 3]`, of a field queried at `positions`: points `[n, 3]`, or
     /// Gaussians `[n, 6]` whose means move.
     pub fn density_gradient(&self, positions: &Tensor) -> Result<Tensor> {
-        let positions_var = Var::from_tensor(positions)?;
-        let density = self.activate_density(&self.detached().raw_density(&positions_var)?)?;
+        let tracked = Var::from_tensor(positions)?;
+        let density = self.activate_density(&self.raw_density(&tracked)?)?;
         let gradients = density.sum_all()?.backward()?;
         let gradient =
-            gradients.get(&positions_var).map_or_else(|| positions.zeros_like(), |gradient| Ok(gradient.clone()))?;
+            gradients.get(&tracked).map_or_else(|| positions.zeros_like(), |gradient| Ok(gradient.clone()))?;
         Ok(gradient.narrow(1, 0, 3)?)
     }
 

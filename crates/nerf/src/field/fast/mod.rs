@@ -2,7 +2,7 @@
 //! serve fields that are frozen or that record, and density's derivatives in space. Their results equal those of candle's
 //! operations to rounding.
 
-use std::sync::{Arc, PoisonError};
+use std::sync::{Arc, MutexGuard, PoisonError};
 
 use candle_core::Tensor;
 
@@ -129,10 +129,9 @@ impl FastField {
         Ok(self.record.as_ref().map(|record| record.layers.gradients(shapes)).transpose()?)
     }
 
-    /// Does `work` with the records of a hash grid's table. `None` without.
-    pub(super) fn with_table_records<T>(&self, work: impl FnOnce(&mut Vec<TableRecord>) -> T) -> Option<T> {
-        let record = self.record.as_ref()?;
-        Some(work(&mut record.table.lock().unwrap_or_else(PoisonError::into_inner)))
+    /// Returns the records for a hash grid's table. `None` if it does not record.
+    pub(super) fn table_records(&self) -> Option<MutexGuard<'_, Vec<TableRecord>>> {
+        self.record.as_ref().map(|record| record.table.lock().unwrap_or_else(PoisonError::into_inner))
     }
 }
 
