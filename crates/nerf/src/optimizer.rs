@@ -107,11 +107,8 @@ impl Adam {
     pub fn update(&mut self, gradients: &[Option<Tensor>], learning_rate: f64, updates: u64) -> Result<()> {
         let correction1 = 1.0 - BETA1.powf(updates as f64);
         let AdamSettings { beta2, epsilon, weight_decay } = self.settings;
-        if weight_decay > 0.0 {
-            let weights = self.variables.iter().filter(|(name, _)| decays(name));
-            weights
-                .map(|(_, var)| var)
-                .try_for_each(|var| var.set(&(var.as_tensor() * (1.0 - learning_rate * weight_decay))?))?;
+        for (_, var) in self.variables.iter().filter(|(name, _)| weight_decay > 0.0 && decays(name)) {
+            var.set(&(var.as_tensor() * (1.0 - learning_rate * weight_decay))?)?;
         }
         let correction2 = 1.0 - beta2.powf(updates as f64);
         if self.variables.iter().all(|(_, var)| is_ours_in_f32(var)) {
@@ -123,16 +120,12 @@ impl Adam {
             });
         }
         for (((name, var), moments), gradient) in self.variables.iter().zip(&mut self.moments).zip(gradients) {
-            let zero;
             let gradient = match gradient {
-                Some(gradient) => gradient,
+                Some(gradient) => gradient.clone(),
                 None if is_table(name) => continue,
-                None => {
-                    zero = var.zeros_like()?;
-                    &zero
-                }
+                None => var.zeros_like()?,
             };
-            let mut first = ((&moments.first * BETA1)? + (gradient * (1.0 - BETA1))?)?;
+            let mut first = ((&moments.first * BETA1)? + (&gradient * (1.0 - BETA1))?)?;
             let mut second = ((&moments.second * beta2)? + (gradient.sqr()? * (1.0 - beta2))?)?;
             let scale = ((&second / correction2)?.sqrt()? + epsilon)?;
             let mut updated = (var.as_tensor() - ((&first * (learning_rate / correction1))? / scale)?)?;

@@ -202,18 +202,18 @@ impl Field {
     /// # Panics
     /// The field is frozen.
     pub fn opened(&self, fraction: f64) -> Result<Field> {
-        let mut variables = self.variables[usize::from(self.grid.is_some())..].iter().map(|(_, var)| var.as_tensor());
         let factors = if fraction < 1.0 {
             Some(opening_factors(&self.config, fraction, self.dtype(), self.device())?)
         } else {
             None
         };
-        let mut factor = factors.iter().flatten();
+        let mut layers = self.variables[usize::from(self.grid.is_some())..].chunks_exact(2).enumerate();
         let nerf = self.nerf.map(|_| {
-            let [weight, bias] = [(); 2].map(|()| variables.next().expect("weight and bias of each layer"));
-            let weight = match factor.next() {
-                Some(Some(factor)) => weight.broadcast_mul(factor)?,
-                _ => weight.clone(),
+            let (i, variables) = layers.next().expect("weight and bias of each layer");
+            let [weight, bias] = [0, 1].map(|part| variables[part].1.as_tensor());
+            let weight = match factors.as_ref().and_then(|factors| factors[i].as_ref()) {
+                Some(factor) => weight.broadcast_mul(factor)?,
+                None => weight.clone(),
             };
             Ok(Linear::new(weight, Some(bias.clone())))
         })?;

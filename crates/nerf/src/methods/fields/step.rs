@@ -236,7 +236,7 @@ impl<'a> StepPasses<'a> {
     }
 
     /// Runs a clean pass (lines 10, 11, 17 and 19), and adds the gradients of `weight` times its loss and of the terms on its
-    /// rays, in one way back. Losses are added times the chunk's fraction, and those of terms unweighted.
+    /// rays, in one backward pass. Losses are added times the chunk's fraction, and those of terms unweighted.
     fn clean_pass(
         &self,
         plan: &PassPlan,
