@@ -9,7 +9,8 @@ use crate::methods::{AttackGeometry, Fields};
 use crate::perturb::{Deltas, Distribution, Sets, SiteSet};
 use crate::render::sampling::stratified;
 use crate::render::{
-    Pass, PassOutput, Perturbation, clean_pass, columns, fine_t_vals, perturbed_pass, ray_parts, samples_of, search,
+    Pass, PassOutput, Perturbation, clean_pass, fine_t_vals, perturbed_pass, ray_parts, sample_count, search,
+    t_vals_per_ray,
 };
 use crate::settings::Resolved;
 
@@ -64,13 +65,13 @@ impl PerturbedRenderer {
     pub fn pass(&self, rays: &Rays, target: Option<&Tensor>, attack: &Attack, part: u64) -> Result<PassOutput> {
         let (coarse, field) = (self.fields.coarse(), self.fields.evaluated());
         let sampling = &self.config.sampling;
-        let own =
-            stratified(self.bounds, sampling.spacing, rays.len(), columns(coarse, sampling).0, None, &rays.origins)?;
+        let (columns, _) = t_vals_per_ray(coarse, sampling);
+        let t_coarse = stratified(self.bounds, sampling.spacing, rays.len(), columns, None, &rays.origins)?;
         let is_coarse = self.fields.fine().is_none();
-        let t_vals = if is_coarse { own } else { fine_t_vals(coarse, rays, &own, sampling)? };
+        let t_vals = if is_coarse { t_coarse } else { fine_t_vals(coarse, rays, &t_coarse, sampling)? };
         let pass =
             Pass { rays, t_vals: &t_vals, density_noise: None, background: self.background, scales_gradients: false };
-        let geometry = self.geometry.pass(&t_vals, samples_of(field, &t_vals)?, &rays.direction_norm, is_coarse)?;
+        let geometry = self.geometry.pass(&t_vals, sample_count(field, &t_vals)?, &rays.direction_norm, is_coarse)?;
         let mut sites = self.config.perturb.sites_of_pass(is_coarse);
         sites.retain(|site| attack.sites.iter().any(|name| name == site.name()));
         let mut sets = Sets::new(sites, &geometry)?;

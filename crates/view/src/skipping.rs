@@ -8,7 +8,7 @@ use crate::field::Field;
 use crate::methods::{Fields, RenderedRays, Renderer};
 use crate::render::sampling::{even_u, stratified};
 use crate::render::volume::{composite, intervals, weights_from_density};
-use crate::render::{columns, positions_at, ray_parts, resample, samples_of};
+use crate::render::{positions_at, ray_parts, resample, sample_count, t_vals_per_ray};
 use crate::runtime::Runtime;
 use crate::settings::{Config, SamplingConfig};
 
@@ -59,7 +59,7 @@ impl SkippingRenderer {
 
     /// Composites a pass at `t_vals` of the samples that are not in empty space.
     fn pass(&self, field: &Field, space: &EmptySpace, rays: &Rays, t_vals: &Tensor) -> Result<RenderedRays> {
-        let samples = samples_of(field, t_vals)?;
+        let samples = sample_count(field, t_vals)?;
         let (points, asked) = points_of_interest(field, space, rays, t_vals)?;
         let total = rays.len() * samples;
         let (mut rgb, mut density) = (vec![0f32; 3 * total], vec![0f32; total]);
@@ -84,7 +84,7 @@ impl SkippingRenderer {
     /// Returns the weights of the coarse pass, `[rays, samples]`, from densities alone.
     fn coarse_weights(&self, rays: &Rays, t_vals: &Tensor) -> Result<Tensor> {
         let field = self.fields.coarse();
-        let samples = samples_of(field, t_vals)?;
+        let samples = sample_count(field, t_vals)?;
         let (points, asked) = points_of_interest(field, &self.spaces.0, rays, t_vals)?;
         let mut density = vec![0f32; rays.len() * samples];
         if !asked.is_empty() {
@@ -103,7 +103,7 @@ impl Renderer for SkippingRenderer {
 
     fn render(&self, rays: &Rays) -> Result<RenderedRays> {
         let coarse = self.fields.coarse();
-        let (columns, fine_columns) = columns(coarse, &self.sampling);
+        let (columns, fine_columns) = t_vals_per_ray(coarse, &self.sampling);
         let t_vals = stratified(self.bounds, self.sampling.spacing, rays.len(), columns, None, &rays.origins)?;
         let Some(fine) = self.fields.fine() else { return self.pass(coarse, &self.spaces.0, rays, &t_vals) };
         let weights = self.coarse_weights(rays, &t_vals)?;

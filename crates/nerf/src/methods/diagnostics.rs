@@ -59,7 +59,7 @@ impl SiteDiagnostics {
         let inactive = f64::from(u8::from(self.inactive));
         let numbers =
             [Some(self.gain), Some(self.gain_over_random), self.share_at_bound, Some(inactive), Some(self.shift)];
-        let named = columns(&self.site).into_iter().zip(numbers);
+        let named = site_columns(&self.site).into_iter().zip(numbers);
         named.filter_map(|(name, number)| number.map(|number| (name, number))).collect()
     }
 }
@@ -88,7 +88,7 @@ pub struct SiteSummary {
 }
 
 /// Returns the columns of `scalars.csv` with one site's diagnostics.
-pub fn columns(site: &str) -> [String; 5] {
+pub fn site_columns(site: &str) -> [String; 5] {
     ["gain", "gain_over_random", "share_at_bound", "inactive", "shift"].map(|what| format!("{what}.{site}"))
 }
 
@@ -118,7 +118,7 @@ impl SiteSummary {
         let header = reader.headers().map_err(broken)?.clone();
         // Only these columns, since a log may be long.
         let sites = logged_sites(header.iter());
-        let names = sites.iter().flat_map(|site| columns(site));
+        let names = sites.iter().flat_map(|site| site_columns(site));
         let indices = names.filter_map(|name| Some((header.iter().position(|column| column == name)?, name)));
         let mut logged: Vec<(usize, String, Vec<f64>)> =
             indices.map(|(index, name)| (index, name, Vec::new())).collect();
@@ -139,7 +139,7 @@ impl SiteSummary {
     /// Summarizes the numbers that a run logged of `sites` in each column, in the order of steps.
     pub fn of_columns(sites: &[String], column: impl Fn(&str) -> Vec<f64>) -> Vec<SiteSummary> {
         let summarize = |site: &String| {
-            let values = columns(site).map(|name| column(&name));
+            let values = site_columns(site).map(|name| column(&name));
             let steps = values[0].len();
             if steps == 0 {
                 return None;

@@ -17,7 +17,7 @@ mod renderer;
 
 pub use batches::{Batch, Batches};
 pub use device_steps::{DeviceSteps, StepAt};
-pub use diagnostics::{SiteDiagnostics, SiteSummary, colour_shift, columns as site_columns, logged_sites};
+pub use diagnostics::{SiteDiagnostics, SiteSummary, colour_shift, logged_sites, site_columns};
 pub use extremes::Extremes;
 pub use fields::{
     AttackGeometry, Balance, CountedTerms, DeltaPlan, FieldLearner, FieldRenderer, Fields, PassPlan, Plan,

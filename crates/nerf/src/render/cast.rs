@@ -18,7 +18,7 @@ use super::volume::middles;
 pub fn positions_at(field: &Field, rays: &Rays, t_vals: &Tensor) -> Result<Tensor> {
     match field.config().encoding {
         Encoding::Positional => points_at(rays, t_vals),
-        Encoding::Hash => points_at(rays, &middles(t_vals, samples_of(field, t_vals)?)?),
+        Encoding::Hash => points_at(rays, &middles(t_vals, sample_count(field, t_vals)?)?),
         Encoding::Integrated => gaussians_at(rays, t_vals),
     }
 }
@@ -29,7 +29,7 @@ pub fn ray_parts(field: &Field) -> RayParts {
 }
 
 /// Returns the number of samples of a pass of `field` with this many columns of `t_vals`.
-pub fn samples_of(field: &Field, t_vals: &Tensor) -> Result<usize> {
+pub fn sample_count(field: &Field, t_vals: &Tensor) -> Result<usize> {
     Ok(field.config().encoding.samples(t_vals.dim(1)?))
 }
 

@@ -14,7 +14,7 @@ use super::sampling;
 use super::volume::{self, Composite};
 
 /// Returns the number of `t_vals` of a field's coarse pass, and of `u` of its fine pass, in a configuration.
-pub fn columns(field: &Field, sampling: &SamplingConfig) -> (usize, usize) {
+pub fn t_vals_per_ray(field: &Field, sampling: &SamplingConfig) -> (usize, usize) {
     let encoding = field.config().encoding;
     (encoding.t_vals(sampling.coarse), encoding.t_vals(sampling.fine))
 }
@@ -45,7 +45,7 @@ pub fn render_rays(
     sampling: &SamplingConfig,
     background: Option<[f32; 3]>,
 ) -> Result<Composite> {
-    let columns = columns(coarse, sampling).0;
+    let (columns, _) = t_vals_per_ray(coarse, sampling);
     let t_vals = sampling::stratified(bounds, sampling.spacing, rays.len(), columns, None, &rays.origins)?;
     let pass = Pass { rays, t_vals: &t_vals, density_noise: None, background, scales_gradients: false };
     let Some(fine) = fine else { return Ok(clean_pass(coarse, pass)?.composite) };
@@ -55,7 +55,7 @@ pub fn render_rays(
 
 /// Returns the `t_vals` of an evaluation's fine pass, from the coarse field at `t_vals`.
 pub fn fine_t_vals(coarse: &Field, rays: &Rays, t_vals: &Tensor, sampling: &SamplingConfig) -> Result<Tensor> {
-    let u = sampling::even_u(rays.len(), columns(coarse, sampling).1, t_vals)?;
+    let u = sampling::even_u(rays.len(), t_vals_per_ray(coarse, sampling).1, t_vals)?;
     t_vals_by_density(coarse, rays, t_vals, sampling, &u)
 }
 

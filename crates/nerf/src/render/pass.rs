@@ -9,7 +9,7 @@ use crate::field::{FeatureDelta, Field, QueryPoints, RawOutput};
 use crate::perturb::settings::OutputPlace;
 use crate::perturb::{Deltas, PaperSite, Sets, UsedDeltas, output_range, tilt, worst_case};
 
-use super::cast::{positions_at, samples_of};
+use super::cast::{positions_at, sample_count};
 use super::photometric_loss;
 use super::volume::{self, Composite};
 
@@ -135,7 +135,7 @@ fn render_samples(pass: Pass, perturbation: Perturbation, t_vals: &Tensor, point
     let feature = perturbation.at(PaperSite::Feature)?.map(|delta| delta.flatten(0, 1)).transpose()?;
     let feature = feature.as_ref().map(|delta| FeatureDelta { layer: perturbation.injection_layer, delta });
     let raw = points.forward(&viewdirs, feature)?;
-    let raw = near_scaled(by_ray(raw, rays.len(), samples_of(field, t_vals)?)?, pass, t_vals)?;
+    let raw = near_scaled(by_ray(raw, rays.len(), sample_count(field, t_vals)?)?, pass, t_vals)?;
     let mut used = UsedDeltas { deltas: perturbation.deltas.clone(), sets: perturbation.sets.clone() };
     let (rgb, density) = match perturbation.output {
         OutputPlace::After => {

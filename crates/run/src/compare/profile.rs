@@ -13,7 +13,7 @@ use crate::base::{Error, Result};
 use crate::data::{Camera, RayBuffer, Rays};
 use crate::render::sampling::stratified;
 use crate::render::volume::{middles, transmittance};
-use crate::render::{Pass, PassOutput, clean_pass, columns, fine_t_vals, points_at, ray_parts};
+use crate::render::{Pass, PassOutput, clean_pass, fine_t_vals, points_at, ray_parts, t_vals_per_ray};
 use crate::run::Viewer;
 use crate::settings::{Capability, Config, Spacing};
 
@@ -94,7 +94,7 @@ impl Profile {
             )
         };
         let sampling = &config.sampling;
-        let (coarse_columns, _) = columns(coarse, sampling);
+        let (coarse_columns, _) = t_vals_per_ray(coarse, sampling);
         let t_vals = stratified(bounds, sampling.spacing, 1, coarse_columns, None, &ray.origins)?;
         let coarse_pass = pass(coarse, &t_vals)?;
         let fine_pass = fine.map(|fine| pass(fine, &fine_t_vals(coarse, &ray, &t_vals, sampling)?)).transpose()?;

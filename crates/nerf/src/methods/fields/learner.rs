@@ -12,7 +12,7 @@ use crate::field::Order;
 use crate::field::settings::Encoding;
 use crate::losses::{LossTerm, WeightedTerm};
 use crate::methods::batches::Batches;
-use crate::methods::diagnostics::columns as site_columns;
+use crate::methods::diagnostics::site_columns;
 use crate::methods::learner::{Learner, LogColumns, StepResult, StopCheck};
 use crate::perturb::settings::{ChangedEntries, SecondPass};
 use crate::perturb::{PaperSite, Site};

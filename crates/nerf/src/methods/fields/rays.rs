@@ -5,7 +5,7 @@ use candle_core::Tensor;
 use crate::base::Result;
 use crate::base::rng::{Random, Stream};
 use crate::data::{RayBuffer, RayGroup, Rays};
-use crate::render::{Pass, columns, sampling};
+use crate::render::{Pass, sampling, t_vals_per_ray};
 
 use super::learner::FieldLearner;
 use super::plan::PassPlan;
@@ -80,7 +80,7 @@ impl StepRays {
         let FieldLearner { config, dtype, device, .. } = learner;
         let sampling = &config.sampling;
         let (n, coarse, fine) = (rays.len(), sampling.coarse, sampling.fine);
-        let (columns, fine_columns) = columns(learner.fields.coarse(), sampling);
+        let (columns, fine_columns) = t_vals_per_ray(learner.fields.coarse(), sampling);
         let (intervals, (_, fine_samples)) = (config.field.encoding.at_intervals(), config.samples());
         let jitter = sampling.jitter.then(|| random.uniform_tensor(&[n, columns], *dtype, device)).transpose()?;
         let bounds = sampling.annealed(learner.bounds, step);

@@ -14,7 +14,7 @@ pub fn log_columns<'a>(config: &Config, plan: &Plan, terms: impl Iterator<Item =
     if let Some(second) = plan.second.first() {
         further.push("loss_perturbed".into());
         if second.deltas.is_some() {
-            further.extend(config.perturb.sites_on().flat_map(|(site, _)| diagnostics::columns(site.name())));
+            further.extend(config.perturb.sites_on().flat_map(|(site, _)| diagnostics::site_columns(site.name())));
         }
     }
     LogColumns { photometric: photometric.map(String::from).collect(), further }

@@ -29,7 +29,7 @@ use crate::methods::learner::{StepResult, StopCheck};
 use crate::perturb::settings::SecondPass;
 use crate::perturb::{Deltas, Distribution, Sets};
 use crate::render::{
-    self, Pass, Perturbation, clean_pass, noiseless_acc, perturbed_pass, photometric_loss, resample, samples_of,
+    self, Pass, Perturbation, clean_pass, noiseless_acc, perturbed_pass, photometric_loss, resample, sample_count,
     t_vals_by_density,
 };
 
@@ -136,7 +136,7 @@ pub(super) struct StepPasses<'a> {
 }
 
 /// The samples of a pass, and their weights along the ray, both without graph.
-struct Rendered {
+struct SampleWeights {
     t_vals: Tensor,
     weights: Tensor,
 }
@@ -174,7 +174,7 @@ impl<'a> StepPasses<'a> {
     fn over_chunk(&self, fields: &Fields, chunk: &StepRays) -> Result<Sums> {
         let (clean_weight, second_weight) = self.weights;
         let mut sums = Sums::new(self.learner.variables.len()).with_diagnostics(self.log);
-        let mut clean: Vec<Rendered> = Vec::new();
+        let mut clean: Vec<SampleWeights> = Vec::new();
         for plan in self.clean {
             let t_vals = self.samples(plan, fields, chunk, clean.last(), None)?;
             clean.push(self.clean_pass(plan, fields, chunk, t_vals, clean_weight, &mut sums)?);
@@ -187,7 +187,7 @@ impl<'a> StepPasses<'a> {
         };
         let chunk = redrawn.as_ref().unwrap_or(chunk);
         let mut control = Sums::new(self.learner.variables.len());
-        let mut second: Vec<Rendered> = Vec::new();
+        let mut second: Vec<SampleWeights> = Vec::new();
         for (plan, clean_pass) in self.second.iter().zip(&clean) {
             let t_vals = self.samples(plan, fields, chunk, second.last(), Some(clean_pass))?;
             second.push(match &plan.deltas {
@@ -210,14 +210,14 @@ impl<'a> StepPasses<'a> {
         plan: &PassPlan,
         fields: &Fields,
         chunk: &StepRays,
-        coarse: Option<&Rendered>,
-        clean: Option<&Rendered>,
+        coarse: Option<&SampleWeights>,
+        clean: Option<&SampleWeights>,
     ) -> Result<Tensor> {
         let sampling = &self.learner.config.sampling;
         match plan.samples {
             SampleSource::Stratified => Ok(chunk.t_coarse.clone()),
             SampleSource::Resampled => {
-                let Rendered { t_vals, weights } = coarse.expect("the coarse pass comes first");
+                let SampleWeights { t_vals, weights } = coarse.expect("the coarse pass comes first");
                 resample(fields.coarse(), sampling, t_vals, weights, chunk.u())
             }
             SampleSource::PlacedByDensity => {
@@ -245,14 +245,14 @@ impl<'a> StepPasses<'a> {
         t_vals: Tensor,
         weight: f64,
         sums: &mut Sums,
-    ) -> Result<Rendered> {
+    ) -> Result<SampleWeights> {
         let (learner, field, terms) = (self.learner, self.field(fields, plan), self.terms_of(plan));
         let pass = chunk.pass(learner, plan, &t_vals);
         let weight = weight * chunk.fraction * plan.weight;
         let out = clean_pass(field, pass)?;
         let Some(target) = &chunk.target else {
             terms.descend(learner, (field, pass), &out, None, chunk, sums)?;
-            return Ok(Rendered { weights: out.composite.weights.detach(), t_vals });
+            return Ok(SampleWeights { weights: out.composite.weights.detach(), t_vals });
         };
         let loss = photometric_loss(&out.composite.rgb, target)?;
         if terms.count() {
@@ -266,7 +266,7 @@ impl<'a> StepPasses<'a> {
             let acc = noiseless_acc(field, &out, pass)?;
             sums.extremes = Some(Extremes::of(&acc, &out.composite.rgb, target)?);
         }
-        Ok(Rendered { weights: out.composite.weights.detach(), t_vals })
+        Ok(SampleWeights { weights: out.composite.weights.detach(), t_vals })
     }
 
     /// Finds the deltas of a perturbed pass (line 4), runs it (lines 9 to 13, 18 and 20), and adds the gradients of its loss,
@@ -279,11 +279,11 @@ impl<'a> StepPasses<'a> {
         chunk: &StepRays,
         t_vals: &Tensor,
         sums: &mut Sums,
-    ) -> Result<Rendered> {
+    ) -> Result<SampleWeights> {
         let (learner, field) = (self.learner, self.field(fields, plan));
         let pass = chunk.pass(learner, plan, t_vals);
         let norm = &pass.rays.direction_norm;
-        let geometry = learner.geometry.pass(t_vals, samples_of(field, t_vals)?, norm, plan.is_coarse)?;
+        let geometry = learner.geometry.pass(t_vals, sample_count(field, t_vals)?, norm, plan.is_coarse)?;
         let sets = Sets::new(delta_plan.sites.iter().cloned(), &geometry)?;
         let target = chunk.target.as_ref().expect("training rays have colours");
         let perturbed = PerturbedPass { learner, plan, delta_plan, chunk, field, pass, target, sets };
@@ -297,7 +297,7 @@ impl<'a> StepPasses<'a> {
         sums.gradients.add(&learner.variables, &(&loss * (self.weights.1 * weight))?.backward()?)?;
         let loss = loss.to_dtype(DType::F64)?.to_scalar::<f64>()? * weight;
         sums.losses.perturbed = plus(sums.losses.perturbed, Some(loss));
-        Ok(Rendered { t_vals: out.t_vals, weights: out.composite.weights.detach() })
+        Ok(SampleWeights { t_vals: out.t_vals, weights: out.composite.weights.detach() })
     }
 }
 
