@@ -134,8 +134,12 @@ fn render_samples(pass: Pass, perturbation: Perturbation, t_vals: &Tensor, point
     };
     let feature = perturbation.at(PaperSite::Feature)?.map(|delta| delta.flatten(0, 1)).transpose()?;
     let feature = feature.as_ref().map(|delta| FeatureDelta { layer: perturbation.injection_layer, delta });
-    let raw = points.forward(&viewdirs, feature)?;
-    let raw = near_scaled(by_ray(raw, rays.len(), sample_count(field, t_vals)?)?, pass, t_vals)?;
+    let RawOutput { rgb, density } = points.forward(&viewdirs, feature)?;
+    let (n, samples) = (rays.len(), sample_count(field, t_vals)?);
+    let mut raw = RawOutput { rgb: rgb.reshape((n, samples, 3))?, density: density.reshape((n, samples))? };
+    if pass.scales_gradients {
+        raw = near_scaled(raw, t_vals, &rays.direction_norm)?;
+    }
     let mut used = UsedDeltas { deltas: perturbation.deltas.clone(), sets: perturbation.sets.clone() };
     let (rgb, density) = match perturbation.output {
         OutputPlace::After => {
@@ -160,20 +164,11 @@ fn tangents(rays: &Rays) -> Result<&[Tensor; 2]> {
     Ok(rays.tangents.as_ref().ok_or_else(missing)?)
 }
 
-/// Returns a field's raw output as rgb `[rays, samples, 3]` and density `[rays, samples]`.
-fn by_ray(raw: RawOutput, rays: usize, samples: usize) -> Result<RawOutput> {
-    let (rgb, density) = (raw.rgb.reshape((rays, samples, 3))?, raw.density.reshape((rays, samples))?);
-    Ok(RawOutput { rgb, density })
-}
-
 /// Returns a pass's raw output with the gradients that [`Pass::scales_gradients`] asks for.
-fn near_scaled(raw: RawOutput, pass: Pass, t_vals: &Tensor) -> Result<RawOutput> {
-    if !pass.scales_gradients {
-        return Ok(raw);
-    }
+fn near_scaled(raw: RawOutput, t_vals: &Tensor, direction_norm: &Tensor) -> Result<RawOutput> {
     let (_, samples) = raw.density.dims2()?;
     let t_of_samples = volume::middles(t_vals, samples)?.detach();
-    let scale = t_of_samples.broadcast_mul(&pass.rays.direction_norm)?.sqr()?.minimum(1.0)?;
+    let scale = t_of_samples.broadcast_mul(direction_norm)?.sqr()?.minimum(1.0)?;
     // The value stays, to the bit.
     let scaled = |values: &Tensor, scale: &Tensor| -> Result<Tensor> {
         let product = values.broadcast_mul(scale)?;
@@ -218,11 +213,10 @@ mod tests {
         let directions = Tensor::new(&[[0.0f64, 0.0, -2.0]], &device).unwrap();
         let rays = Rays::new(directions.zeros_like().unwrap(), directions.clone(), directions).unwrap();
         let t_vals = one_ray(&[0.25, 0.5, 2.0]);
-        let pass = Pass { rays: &rays, t_vals: &t_vals, density_noise: None, background: None, scales_gradients: true };
         let density = Var::from_tensor(&one_ray(&[0.1, 0.7, 0.3])).unwrap();
         let rgb = Var::from_tensor(&Tensor::ones((1, 3, 3), DType::F64, &device).unwrap()).unwrap();
         let raw = RawOutput { rgb: rgb.as_tensor().clone(), density: density.as_tensor().clone() };
-        let scaled = near_scaled(raw, pass, &t_vals).unwrap();
+        let scaled = near_scaled(raw, &t_vals, &rays.direction_norm).unwrap();
         assert_eq!(scaled.density.to_vec2::<f64>().unwrap(), density.to_vec2::<f64>().unwrap());
         let sum = (scaled.density.sum_all().unwrap() + scaled.rgb.sum_all().unwrap()).unwrap();
         let gradients = sum.backward().unwrap();

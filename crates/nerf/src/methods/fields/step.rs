@@ -188,8 +188,8 @@ impl<'a> StepPasses<'a> {
         let chunk = redrawn.as_ref().unwrap_or(chunk);
         let mut control = Sums::new(self.learner.variables.len());
         let mut second: Vec<SampleWeights> = Vec::new();
-        for (plan, clean_pass) in self.second.iter().zip(&clean) {
-            let t_vals = self.samples(plan, fields, chunk, second.last(), Some(clean_pass))?;
+        for (plan, clean_samples) in self.second.iter().zip(&clean) {
+            let t_vals = self.samples(plan, fields, chunk, second.last(), Some(clean_samples))?;
             second.push(match &plan.deltas {
                 Some(delta_plan) => self.perturbed_pass(plan, delta_plan, fields, chunk, &t_vals, &mut sums)?,
                 None => self.clean_pass(plan, fields, chunk, t_vals, second_weight, &mut control)?,
