@@ -3,10 +3,10 @@
 use augnerf::base::rng::{Random, Stream};
 use augnerf::methods::step_over_radius;
 use augnerf::perturb::{
-    DeltaSet, Epsilon, Geometry, Norm, PaperPass, PaperSite, PassGeometry, PixelScale, SampleDensity, Sets, SiteNumbers,
+    DeltaSet, Epsilon, Geometry, Norm, PaperPass, PaperSite, PassGeometry, PerSite, PixelScale, SampleDensity, Sets, SiteNumbers,
 };
 use augnerf::run::load_scene;
-use augnerf::settings::{Config, PerturbConfig, Preset, ResolvedPerturb, Sizes};
+use augnerf::settings::{Config, PerturbConfig, Preset, Sizes};
 use candle_core::{DType, Device, Tensor};
 
 use crate::common::built;
@@ -38,12 +38,12 @@ fn coarse(samples: usize) -> Of {
 }
 
 /// All sites' sets of a pass, in the run's geometry and in the paper's.
-fn sets(numbers: &ResolvedPerturb, t_vals: &Tensor, of: Of, width: usize, pixel: PixelScale) -> [Sets; 2] {
+fn sets((perturb, numbers): &Attack, t_vals: &Tensor, of: Of, width: usize, pixel: PixelScale) -> [Sets; 2] {
     let direction_norm = Tensor::full(2.1, (t_vals.dims()[0], 1), &CPU).unwrap().to_dtype(t_vals.dtype()).unwrap();
     let Of { is_coarse, coarse, .. } = of;
     let pass = geometry(t_vals, &direction_norm);
     let own = PassGeometry { is_coarse, coarse_samples: coarse, cap_samples: coarse, width, pixel, ..pass };
-    let of_pass = |pass: &PassGeometry| Sets::new(numbers.sites_of_pass(pass.is_coarse), pass).unwrap();
+    let of_pass = |pass: &PassGeometry| Sets::new(perturb.sites_of_pass(numbers, pass.is_coarse), pass).unwrap();
     [of_pass(&own), of_pass(&own.of_paper(&PaperPass::of_scenes(of.forward)).unwrap())]
 }
 
@@ -52,11 +52,15 @@ fn even(samples: usize) -> Tensor {
     Tensor::from_vec((0..samples).map(at).collect(), (1, samples), &CPU).unwrap()
 }
 
-/// Section `perturb` of a field so wide, with its numbers filled in.
-fn numbers(change: impl FnOnce(&mut PerturbConfig), coarse: usize, width: usize) -> ResolvedPerturb {
+/// Section `perturb` with its numbers filled in, and the sites' numbers.
+type Attack = (PerturbConfig, PerSite<SiteNumbers>);
+
+/// Those of a field so wide.
+fn numbers(change: impl FnOnce(&mut PerturbConfig), coarse: usize, width: usize) -> Attack {
     let mut config = PerturbConfig::default();
     change(&mut config);
-    config.resolve(1.0, coarse, width)
+    let numbers = config.fill(1.0, coarse, width);
+    (config, numbers)
 }
 
 fn paper(config: &mut PerturbConfig) {
@@ -145,7 +149,7 @@ fn boxes_over_features_keep_the_norm_of_their_corners_and_balls_theirs() {
             paper(config);
             change(config);
         };
-        numbers(change, 32, width).numbers[PaperSite::Feature]
+        numbers(change, 32, width).1[PaperSite::Feature]
     };
     let size = |numbers: SiteNumbers| numbers.radius(|epsilon| epsilon);
     for width in [64, 128, 256, 512] {
@@ -173,7 +177,7 @@ fn the_calibrated_density_follows_the_samples_but_in_the_paper_s_geometry() {
             config.sizes = Sizes::Calibrated;
             change(config);
         };
-        numbers(change, coarse, 256).numbers[PaperSite::Density].radius(|epsilon| epsilon)
+        numbers(change, coarse, 256).1[PaperSite::Density].radius(|epsilon| epsilon)
     };
     assert_eq!(density(|_| (), 32) * 2.0, density(|_| (), 64));
     assert_eq!((density(paper, 32), density(paper, 24)), (density(|_| (), 64), density(|_| (), 64)));

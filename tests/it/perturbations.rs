@@ -200,9 +200,9 @@ proptest! {
         let norm = Tensor::ones((1, 1), DType::F32, &CPU).unwrap();
         let mut config = PerturbConfig::default();
         config[PaperSite::T].epsilon = Some(0.5.into());
-        let config = config.resolve(1.0, 1, 16);
+        let sites = config.fill(1.0, 1, 16);
         let pixel = PixelScale { width: 16.0, height: 16.0, focal: 20.0, ndc: true };
-        let sets = Sets::new(config.sites_of_pass(true), &PassGeometry { pixel, ..geometry(&t_vals, &norm) }).unwrap();
+        let sets = Sets::new(config.sites_of_pass(&sites, true), &PassGeometry { pixel, ..geometry(&t_vals, &norm) }).unwrap();
         let set = sets.get(PaperSite::T).unwrap();
         for signs in 0..(1usize << samples.min(6)) {
             let far: Vec<f32> = (0..samples).map(|i| if signs >> (i % 6) & 1 == 1 { 9.0 } else { -9.0 }).collect();

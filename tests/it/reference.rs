@@ -145,12 +145,12 @@ impl Attack {
             let delta = &mut config[site];
             (delta.steps, delta.step_size, delta.epsilon) = (Some(2), Some(step_size), Some(epsilon.into()));
         }
-        let config = config.resolve(1.0, 1, 16);
+        let numbers = config.fill(1.0, 1, 16);
         // A focal length of 50 pixels makes the view's half pixel 0.01; the position's radius
         // (0.02 for every ray) is given outright.
         let pixel = PixelScale { width: 100.0, height: 100.0, focal: 50.0, ndc: false };
         let mut sets = Sets::new(
-            config.sites_of_pass(true),
+            config.sites_of_pass(&numbers, true),
             &PassGeometry {
                 is_coarse: true,
                 t_vals: &t_vals,

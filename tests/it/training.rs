@@ -154,7 +154,7 @@ fn mip_nerf_trains_on_a_forward_facing_scene() {
     let config = config.into_draft().locate(DataKind::BuiltinForward).unwrap();
     let scene = augnerf::data::load(&config.data, 0, &()).unwrap();
     assert!(scene.ndc.is_some());
-    let config = config.resolve(scene.extent());
+    let config = config.resolve(DataKind::BuiltinForward, scene.extent()).unwrap();
     let mut trainer = Trainer::new(&config, &scene, DType::F32, runtime()).unwrap();
     let mut loss = || trainer.step(false).unwrap().term("loss_fine").unwrap();
     let early: f64 = (0..20).map(|_| loss()).sum();

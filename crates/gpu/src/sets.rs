@@ -64,7 +64,7 @@ impl PassSets {
         let sets = Sets::new(delta_plan.sites.iter().cloned(), &pass)?;
         let sites = sets.iter().map(|entry| {
             let (site, set) = (entry.site.at(), &entry.set);
-            let numbers = perturb.numbers[site];
+            let numbers = config.numbers[site];
             let one = || -> Result<f64> { Ok(set.radius.flatten_all()?.to_vec1::<f64>()?[0]) };
             let radius = match site {
                 PaperSite::T => of_gaps(&numbers, &pass),

@@ -6,7 +6,7 @@ use rayon::prelude::*;
 
 use crate::base::Result;
 use crate::base::place::is_ours_in_f32;
-use crate::settings::{Located, Schedule, TrainConfig};
+use crate::settings::{Resolved, Schedule, TrainConfig};
 
 const BETA1: f64 = 0.9;
 
@@ -34,7 +34,7 @@ impl AdamSettings {
 /// - Exponential: learning_rate * decay_rate^(step / decay_steps).
 /// - Log-linear (Barron et al. 2021): learning_rate^(1 - s) * final_learning_rate^s at the fraction s of the steps,
 ///   times warmup_from + (1 - warmup_from) sin(pi/2 min(s / warmup_share, 1)).
-pub fn learning_rate(config: &Located, step: u64) -> f64 {
+pub fn learning_rate(config: &Resolved, step: u64) -> f64 {
     let train = &config.train;
     match train.schedule {
         Schedule::Exponential => {

@@ -86,8 +86,8 @@ fn evaluations(config: &Config, placing: usize, trained: usize) -> f64 {
 /// Returns the PGD steps of the search: the largest number of any site.
 fn search_steps(perturb: &PerturbConfig) -> u32 {
     // The number of steps does not depend on the scene.
-    let resolved = perturb.clone().resolve(1.0, 1, 1);
-    resolved.numbers.iter().filter(|(_, site)| site.on()).map(|(_, site)| site.pgd.steps).max().unwrap_or(0) as u32
+    let numbers = perturb.clone().fill(1.0, 1, 1);
+    numbers.iter().filter(|(_, site)| site.on()).map(|(_, site)| site.pgd.steps).max().unwrap_or(0) as u32
 }
 
 /// Counts the clean passes of unseen rays. A coarse pass in which no term counts only places samples.

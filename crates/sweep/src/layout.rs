@@ -233,7 +233,7 @@ impl Builder<'_> {
             scene: scene_name(self.scene).to_string(),
             source: self.scene.to_string(),
             no_data: reason_of(&config, &located),
-            decay_steps: located.ok().map(|located| located.decay_steps),
+            decay_steps: located.ok().and_then(|config| config.train.decay_steps),
             budget: budget.transpose()?,
             config,
             place: TablePosition { row: row.name.clone(), axes: named(axes) },

@@ -125,7 +125,8 @@ impl<'a> Trainings<'a> {
         };
         drop(scenes);
         check_spacing(&config, &scene)?;
-        Ok((config.resolve(scene.extent()), scene))
+        let kind = config.data.kind;
+        Ok((config.resolve(kind, scene.extent())?, scene))
     }
 
     /// Checks that points with data can start: settings that depend on each other or on the scene, such as the rays of a

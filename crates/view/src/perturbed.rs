@@ -52,7 +52,7 @@ impl PerturbedRenderer {
     /// Returns the names of the sites that can be on: those whose sets are larger than a point. If the run's own method has
     /// none on, as NeRF, they are those that Aug-NeRF has with the run's settings.
     pub fn sites(&self) -> Vec<&'static str> {
-        let numbers = self.config.perturb.numbers.iter();
+        let numbers = self.config.numbers.iter();
         numbers.filter(|(_, numbers)| numbers.on() && numbers.perturbs()).map(|(site, _)| site.spec().name).collect()
     }
 
@@ -72,7 +72,7 @@ impl PerturbedRenderer {
         let pass =
             Pass { rays, t_vals: &t_vals, density_noise: None, background: self.background, scales_gradients: false };
         let geometry = self.geometry.pass(&t_vals, sample_count(field, &t_vals)?, &rays.direction_norm, is_coarse)?;
-        let mut sites = self.config.perturb.sites_of_pass(is_coarse);
+        let mut sites = self.config.perturb.sites_of_pass(&self.config.numbers, is_coarse);
         sites.retain(|site| attack.sites.iter().any(|name| name == site.name()));
         let mut sets = Sets::new(sites, &geometry)?;
         let clean;

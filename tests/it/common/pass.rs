@@ -66,7 +66,7 @@ impl Setting {
         let t_vals = sampling::stratified(bounds, depth, rays.len(), columns, Some(&jitter), &rays.origins).unwrap();
         let (noise, target) = (draw(&[rays.len(), samples]), draw(&[rays.len(), 3]));
         let geometry = PassGeometry { samples, bounds, ..geometry(&t_vals, &rays.direction_norm) };
-        let sets = Sets::new(config.perturb.sites_of_pass(geometry.is_coarse), &geometry).unwrap();
+        let sets = Sets::new(config.perturb.sites_of_pass(&config.numbers, geometry.is_coarse), &geometry).unwrap();
         let field = Field::init(&config.field, seed, 0, dtype, &Device::Cpu).unwrap();
         Setting { config, field, rays, t_vals, noise: Some(noise), background: Some([1.0; 3]), target, sets }
     }

@@ -143,7 +143,7 @@ impl Steps {
     /// Makes the diagnostics of each site from the losses of its passes.
     fn diagnose(&self, value: &impl Fn(usize, usize) -> f64, counts: &[u32], clean: f64) -> Vec<SiteDiagnostics> {
         let mut found = Vec::new();
-        for (site, numbers) in self.config.perturb.numbers.iter() {
+        for (site, numbers) in self.config.numbers.iter() {
             if !numbers.on() {
                 continue;
             }

@@ -6,7 +6,7 @@ use crate::base::rng::{Random, Stream};
 use crate::base::{Error, Image, Result};
 use crate::data::settings::PixelOrigin;
 use crate::data::{Camera, Ndc, RayBuffer, RayParts, Scene, UnseenRay, View};
-use crate::settings::{Batching, Located};
+use crate::settings::{Batching, Resolved};
 
 /// The training views' pixels, and the order in which they are drawn. A batch is a function of the seed and the step.
 pub struct Batches {
@@ -41,7 +41,7 @@ pub struct Batch {
 impl Batches {
     /// Creates batches over the training views of `scene`. It is an error if a batch is larger than the pixels it is
     /// drawn from.
-    pub fn new(config: &Located, scene: &Scene, parts: RayParts) -> Result<Batches> {
+    pub fn new(config: &Resolved, scene: &Scene, parts: RayParts) -> Result<Batches> {
         let unmasked: Vec<Option<Vec<u32>>> = scene.train.iter().map(unmasked).collect();
         let pixels = |(view, unmasked): (&View, &Option<Vec<u32>>)| {
             unmasked.as_ref().map_or(view.camera.width * view.camera.height, Vec::len)
@@ -244,7 +244,8 @@ mod tests {
         config.train.rays = rays;
         config.train.batching = Some(batching);
         config.train.precrop_steps = Some(5);
-        Batches::new(&config.locate(DataKind::Blender).unwrap(), &scene(), RayParts::default()).unwrap()
+        let (config, scene) = (config.resolve(DataKind::Blender, scene().extent()).unwrap(), scene());
+        Batches::new(&config, &scene, RayParts::default()).unwrap()
     }
 
     #[test]
@@ -288,7 +289,7 @@ mod tests {
         let mut scene = scene();
         let left: Arc<[bool]> = (0..48).map(|pixel| pixel % 8 < 4).collect();
         scene.train.iter_mut().for_each(|view| view.mask = Some(left.clone()));
-        Batches::new(&config.locate(DataKind::Blender).unwrap(), &scene, RayParts::default())
+        Batches::new(&config.resolve(DataKind::Blender, scene.extent()).unwrap(), &scene, RayParts::default())
     }
 
     #[test]

@@ -45,7 +45,7 @@ impl Config {
     /// step.
     pub fn step_shape(&self) -> String {
         let mut named = self.named();
-        named.perturb = named.perturb.resolve(1.0, 1, named.field.width).into_draft();
+        named.perturb.fill(1.0, 1, named.field.width);
         let idle = named.idle();
         let mut shape = named.at_defaults(|Setting { path, rule, .. }| {
             let is_of_steps = !rule.same_time && rule.effect != Effect::Path && !path.starts_with("eval.");

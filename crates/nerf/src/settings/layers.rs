@@ -488,12 +488,13 @@ mod tests {
     #[test]
     fn the_released_presets_are_the_released_code() {
         for preset in [Preset::ReleasedLlff, Preset::ReleasedBlender] {
-            let config = build(Some(preset), None, &[]).unwrap();
-            let p = config.perturb.clone().resolve(0.1, 1, 512);
+            let mut config = build(Some(preset), None, &[]).unwrap();
+            let numbers = config.perturb.fill(0.1, 1, 512);
+            let p = &config.perturb;
             assert_eq!((p.lambda, p.injection_layer, p.perturb_last), (0.5, 8, true));
             assert_eq!(p.output, crate::settings::OutputPlace::Before);
             for site in [PaperSite::Feature, PaperSite::Density] {
-                let numbers = p.numbers[site];
+                let numbers = numbers[site];
                 assert_eq!((numbers.pgd.steps, numbers.pgd.step_size, numbers.epsilon), (1, 1e-5, 1e-5.into()));
             }
             let on: Vec<PaperSite> = p.sites_on().map(|(site, _)| site).collect();

@@ -27,7 +27,7 @@ pub use identity::value_at;
 pub use layers::{Preset, build, check_assignment, data_section, parse_assignment, regularizer_hint};
 pub use method::{Capability, Method, Representation};
 pub use planes::{PlanesConfig, PlanesLoss};
-pub use resolved::{Located, Resolved};
+pub use resolved::Resolved;
 pub use srn::SrnConfig;
 pub use train::{Batching, SamDirection, Schedule, TrainConfig};
 pub use volume::{VolumeCode, VolumeConfig};
@@ -46,7 +46,7 @@ pub use crate::losses::{
     LatticePoints, REGULARIZERS, RegularizedFields, Regularizer, RegularizerConfig, TermNeeds, TermRays, WeightSchedule,
 };
 pub use crate::perturb::settings::{
-    ChangedEntries, Objective, OutputPlace, PerturbConfig, PerturbField, Resample, ResolvedPerturb, SecondPass,
+    ChangedEntries, Objective, OutputPlace, PerturbConfig, PerturbField, Resample, SecondPass,
     SiteConfig, Sizes,
 };
 pub use crate::render::settings::{SamplingConfig, Spacing};

@@ -3,16 +3,19 @@
 
 use std::ops::Deref;
 
-use super::{Batching, Config, DataKind, Representation, ResolvedPerturb, UnseenPoses};
+use super::{Batching, Config, DataKind, Representation, UnseenPoses};
 use crate::base::Result;
 use crate::base::settings::IdleKind;
 use crate::data::Extent;
+use crate::perturb::{PerSite, SiteNumbers};
 
-/// A configuration whose scene is known. It derefs to the draft that it fills in. Settings that depend on the scene's
-/// kind are here as plain values.
+/// A configuration without open numbers: what is trained. It derefs to the draft with every number written out, which a
+/// run's `config.toml` holds.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Located {
+pub struct Resolved {
     config: Config,
+    /// The numbers of the sites of section `perturb`, in the run's own units for every geometry.
+    pub numbers: PerSite<SiteNumbers>,
     /// Standard deviation of the noise on raw density in training.
     pub density_noise: f64,
     /// Source of a step's rays.
@@ -27,27 +30,11 @@ pub struct Located {
     pub unseen_poses: UnseenPoses,
 }
 
-/// A configuration without open numbers: what is trained, and what a run's `config.toml` holds.
-#[derive(Clone, Debug, PartialEq)]
-pub struct Resolved {
-    located: Located,
-    /// Section `perturb` with every number filled in.
-    pub perturb: ResolvedPerturb,
-}
-
-impl Deref for Located {
+impl Deref for Resolved {
     type Target = Config;
 
     fn deref(&self) -> &Config {
         &self.config
-    }
-}
-
-impl Deref for Resolved {
-    type Target = Located;
-
-    fn deref(&self) -> &Located {
-        &self.located
     }
 }
 
@@ -57,7 +44,7 @@ impl Config {
     ///
     /// # Errors
     /// If a setting is out of range, or contradicts another setting or the kind of scene.
-    pub fn locate(mut self, kind: DataKind) -> Result<Located> {
+    pub fn locate(mut self, kind: DataKind) -> Result<Config> {
         self.data.kind = kind;
         self.regularizer.settle();
         self.checked_table()?;
@@ -70,57 +57,57 @@ impl Config {
         self.sampling.density_noise = self.method.has_fields().then_some(density_noise);
         let batching =
             *self.train.batching.get_or_insert(if forward { Batching::AllImages } else { Batching::OneImage });
-        let decay_steps = *self.train.decay_steps.get_or_insert(if forward { 250_000 } else { 500_000 });
-        let precrop = if batching == Batching::OneImage { 500 } else { 0 };
-        let precrop_steps = *self.train.precrop_steps.get_or_insert(precrop);
-        let around = match kind.object_half() {
-            _ if forward && !self.data.spherify => UnseenPoses::Box,
+        self.train.decay_steps.get_or_insert(if forward { 250_000 } else { 500_000 });
+        self.train.precrop_steps.get_or_insert(if batching == Batching::OneImage { 500 } else { 0 });
+        let (unseen_rays, unseen_poses) = self.unseen();
+        let regularizer = &mut self.regularizer;
+        regularizer.unseen_rays = (!regularizer.unseen_groups().is_empty()).then_some(unseen_rays);
+        regularizer.unseen_poses = regularizer.reads_unseen_cameras().then_some(unseen_poses);
+        self.validate()?;
+        Ok(self)
+    }
+
+    /// Returns the number of unseen rays, and where their cameras are, also if no term reads them.
+    fn unseen(&self) -> (usize, UnseenPoses) {
+        let around = match self.data.kind.object_half() {
+            _ if self.data.kind.forward_facing() && !self.data.spherify => UnseenPoses::Box,
             Some(_) => UnseenPoses::Sphere,
             None => UnseenPoses::Between,
         };
-        let unseen_poses = self.regularizer.unseen_poses.unwrap_or(around);
         // Whole patches and pairs, of as many rays as a step's.
-        let groups = self.regularizer.unseen_groups();
-        let together = groups.last().map_or(1, |group| group.rays());
-        let unseen_rays = self.regularizer.unseen_rays.unwrap_or((self.train.rays / together).max(1) * together);
-        self.regularizer.unseen_rays = (!groups.is_empty()).then_some(unseen_rays);
-        self.regularizer.unseen_poses = self.regularizer.reads_unseen_cameras().then_some(unseen_poses);
-        self.validate()?;
-        Ok(Located { config: self, density_noise, batching, decay_steps, precrop_steps, unseen_rays, unseen_poses })
+        let together = self.regularizer.unseen_groups().last().map_or(1, |group| group.rays());
+        let rays = self.regularizer.unseen_rays.unwrap_or((self.train.rays / together).max(1) * together);
+        (rays, self.regularizer.unseen_poses.unwrap_or(around))
     }
 
-    /// Calls [`Config::locate`] and [`Located::resolve`] for a scene whose kind and extent are known.
+    /// Calls [`Config::locate`], and fills the settings whose default depends on the scene's extent.
     ///
     /// # Errors
     /// Those of [`Config::locate`].
     pub fn resolve(self, kind: DataKind, extent: Extent) -> Result<Resolved> {
-        Ok(self.locate(kind)?.resolve(extent))
-    }
-}
-
-impl Located {
-    /// Fills the settings whose default depends on the scene's extent.
-    pub fn resolve(mut self, extent: Extent) -> Resolved {
+        const FILLED: &str = "a located configuration has it";
         let Extent { near, far, domain, pixels } = extent;
-        let perturb = self.config.perturb.clone();
-        let perturb = perturb.resolve(far - near, self.config.sampling.coarse, self.config.field.width);
-        self.config.perturb = perturb.clone().into_draft();
-        let (kind, ndc) = (self.config.data.kind, self.config.data.in_ndc());
-        match self.config.representation() {
-            Representation::Nerf | Representation::MipNerf => {}
-            Representation::HashNerf => {
-                self.config.field.hash.resolve(ndc, kind.object_half().is_some(), (near, far), domain, pixels);
-            }
-            Representation::Srn => {}
-            Representation::Volume => self.config.nv.resolve(kind, domain),
-            Representation::Planes => self.config.llff.resolve(kind.object_half().is_some(), (near, far)),
+        let mut config = self.locate(kind)?;
+        let numbers = config.perturb.fill(far - near, config.sampling.coarse, config.field.width);
+        let (ndc, is_bounded) = (config.data.in_ndc(), kind.object_half().is_some());
+        match config.representation() {
+            Representation::Nerf | Representation::MipNerf | Representation::Srn => {}
+            Representation::HashNerf => config.field.hash.resolve(ndc, is_bounded, (near, far), domain, pixels),
+            Representation::Volume => config.nv.resolve(kind, domain),
+            Representation::Planes => config.llff.resolve(is_bounded, (near, far)),
         }
-        Resolved { located: self, perturb }
-    }
-
-    /// Returns the draft, filled in as far as is known.
-    pub fn into_draft(self) -> Config {
-        self.config
+        let (unseen_rays, unseen_poses) = config.unseen();
+        Ok(Resolved {
+            numbers,
+            // A method without fields has none.
+            density_noise: config.sampling.density_noise.unwrap_or(0.0),
+            batching: config.train.batching.expect(FILLED),
+            decay_steps: config.train.decay_steps.expect(FILLED),
+            precrop_steps: config.train.precrop_steps.expect(FILLED),
+            unseen_rays,
+            unseen_poses,
+            config,
+        })
     }
 }
 
@@ -131,17 +118,17 @@ impl Resolved {
     /// # Errors
     /// If a value is out of range, or contradicts another setting.
     pub fn with_unseen(mut self, rays: Option<usize>, poses: Option<UnseenPoses>) -> Result<Resolved> {
-        let mut draft = self.clone().into_draft();
+        let mut draft = self.config.clone();
         (draft.regularizer.unseen_rays, draft.regularizer.unseen_poses) = (rays, poses);
         draft.validate()?;
-        let Located { unseen_rays, unseen_poses, .. } = &mut self.located;
-        (*unseen_rays, *unseen_poses) = (rays.unwrap_or(*unseen_rays), poses.unwrap_or(*unseen_poses));
+        self.unseen_rays = rays.unwrap_or(self.unseen_rays);
+        self.unseen_poses = poses.unwrap_or(self.unseen_poses);
         Ok(self)
     }
 
     /// Returns the draft with every number filled in. It resolves to itself.
     pub fn into_draft(self) -> Config {
-        self.located.config
+        self.config
     }
 }
 

@@ -9,7 +9,7 @@ use crate::data::formats::llff::settle_orbit;
 use crate::data::formats::transforms;
 use crate::data::{self, Photos, Scene};
 use crate::metrics::{Backbone, Lpips};
-use crate::settings::{Config, DataKind, Located, NO_REFERENCE, Resolved, Spacing, Split, scene_name};
+use crate::settings::{Config, DataKind, NO_REFERENCE, Resolved, Spacing, Split, scene_name};
 
 use super::scene_file::RecordedScene;
 use super::{RunDir, builtin_surface};
@@ -18,12 +18,12 @@ use super::{RunDir, builtin_surface};
 ///
 /// # Errors
 /// A folder or reference mesh is missing; no format matches the folder; settings contradict the scene.
-pub fn locate_scene(config: Config) -> Result<Located> {
-    locate(config).map(|(located, _)| located)
+pub fn locate_scene(config: Config) -> Result<Config> {
+    locate(config).map(|(config, _)| config)
 }
 
 /// Does the same, and returns a note for a capture that surrounds something.
-fn locate(config: Config) -> Result<(Located, Option<String>)> {
+fn locate(config: Config) -> Result<(Config, Option<String>)> {
     let mut config = find(config)?;
     let orbit = settle_orbit(&mut config.data);
     if config.data.kind == DataKind::Transforms && config.data.split.is_none() {
@@ -84,11 +84,12 @@ pub fn load_scene(config: Config, events: &dyn Listener) -> Result<(Resolved, Sc
 /// # Errors
 /// Those of [`load_scene`].
 pub fn load_scene_with(config: Config, photos: Photos, events: &dyn Listener) -> Result<(Resolved, Scene)> {
-    let (located, orbit) = locate(config)?;
+    let (config, orbit) = locate(config)?;
     orbit.iter().for_each(|words| events.on(Event::Note(words)));
-    let mut scene = load(&located, photos, events)?;
+    let mut scene = load(&config, photos, events)?;
     scene.space.notes.extend(orbit.map(|words| ("orbit", words)));
-    Ok((located.resolve(scene.extent()), scene))
+    let kind = config.data.kind;
+    Ok((config.resolve(kind, scene.extent())?, scene))
 }
 
 /// Loads the scene of a run's own settings as it was at the run's start. What was settled then is not settled again. `config` may name another folder or other views to evaluate.
@@ -99,17 +100,17 @@ pub fn load_scene_of(run: &RunDir, config: Config, photos: Photos, events: &dyn 
     let (begun, seen) = (run.read_config()?.data, RecordedScene::of(run)?);
     let config = find(config)?;
     let kind = config.data.kind;
-    let located = config.locate(kind)?;
-    let scene = load(&located, photos, events)?;
-    seen.check(&scene, &located.data, begun.eval_split == located.data.eval_split)?;
-    Ok((located.resolve(scene.extent()), scene))
+    let config = config.locate(kind)?;
+    let scene = load(&config, photos, events)?;
+    seen.check(&scene, &config.data, begun.eval_split == config.data.eval_split)?;
+    Ok((config.resolve(kind, scene.extent())?, scene))
 }
 
 /// Loads a located scene.
-fn load(located: &Located, photos: Photos, events: &dyn Listener) -> Result<Scene> {
-    let mut scene = data::load_with(&located.data, located.seed, photos, events)?;
-    scene.name.clone_from(&located.data.name);
-    check_spacing(located, &scene)?;
+fn load(config: &Config, photos: Photos, events: &dyn Listener) -> Result<Scene> {
+    let mut scene = data::load_with(&config.data, config.seed, photos, events)?;
+    scene.name.clone_from(&config.data.name);
+    check_spacing(config, &scene)?;
     Ok(scene)
 }
 

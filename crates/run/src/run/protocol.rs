@@ -8,13 +8,13 @@ use crate::data::{Camera, RayGroup, Scene, View, epochs};
 use crate::methods::step_over_radius;
 use crate::metrics::{Lpips, share};
 use crate::model::Model;
-use crate::perturb::{PaperSite, Passes};
+use crate::perturb::{PaperSite, Passes, PerSite, SiteNumbers};
 use crate::revision::version;
 use crate::settings::columns::{COLUMNS, applies, find, perturbed, regularized};
 use crate::settings::registry::REGISTRY;
 use crate::settings::{
     Config, Core, Encoding, EvalSplit, HashConfig, LatticePoints, Precision, Regularizer, RegularizerConfig,
-    Representation, Resolved, ResolvedPerturb, SamDirection, SamplingConfig, Schedule, TermRays, TrainConfig,
+    Representation, Resolved, PerturbConfig, SamDirection, SamplingConfig, Schedule, TermRays, TrainConfig,
     TrainViews, WeightSchedule, value_at, word,
 };
 use crate::train::checkpoint::State;
@@ -115,8 +115,8 @@ fn of_settings(config: &Resolved) -> Found {
         ("training_views", training_views(config).into()),
         ("validation", (config.data.validation > 0).then(|| format!("every-{}", config.data.validation)).into()),
         ("levels", perturb.map(|perturb| levels(perturb, config.representation())).into()),
-        ("attack_numbers", perturb.map(attack_numbers).into()),
-        ("norms", perturb.map(norms).into()),
+        ("attack_numbers", perturb.map(|_| attack_numbers(&config.numbers)).into()),
+        ("norms", perturb.map(|_| norms(&config.numbers)).into()),
         ("regularizers", regularizer.map(regularizers).into()),
         ("unseen", regularizer.and_then(|_| unseen(config)).into()),
         ("regularizer_points", in_space.map(regularizer_points).into()),
@@ -270,7 +270,7 @@ fn training_views(config: &Config) -> Option<String> {
 }
 
 /// Returns the active sites, each with its pass if it takes part in only one.
-fn levels(perturb: &ResolvedPerturb, representation: Representation) -> String {
+fn levels(perturb: &PerturbConfig, representation: Representation) -> String {
     let named = perturb.sites_on().map(|(site, config)| match config.passes {
         Passes::Coarse => format!("{}:coarse", site.name()),
         Passes::Fine => format!("{}:fine", site.name()),
@@ -281,8 +281,8 @@ fn levels(perturb: &ResolvedPerturb, representation: Representation) -> String {
     named.collect::<Vec<String>>().join(" ")
 }
 
-fn attack_numbers(perturb: &ResolvedPerturb) -> String {
-    let on = perturb.numbers.iter().filter(|(_, numbers)| numbers.on());
+fn attack_numbers(numbers: &PerSite<SiteNumbers>) -> String {
+    let on = numbers.iter().filter(|(_, numbers)| numbers.on());
     let numbers = on.map(|(site, numbers)| {
         format!("{} {}/{}/{}", site.name(), numbers.pgd.steps, numbers.pgd.step_size, numbers.epsilon)
     });
@@ -297,8 +297,8 @@ fn ratios(config: &Resolved, scene: &Scene) -> String {
 }
 
 /// Returns the norms of the constraint sets. A site of one number a sample has no norm to choose.
-fn norms(perturb: &ResolvedPerturb) -> String {
-    let on = perturb.numbers.iter().filter(|(site, numbers): &(PaperSite, _)| numbers.on() && !site.spec().scalar);
+fn norms(numbers: &PerSite<SiteNumbers>) -> String {
+    let on = numbers.iter().filter(|(site, numbers): &(PaperSite, _)| numbers.on() && !site.spec().scalar);
     let named = on.map(|(site, numbers)| format!("{} {}", site.name(), numbers.norm.name()));
     named.collect::<Vec<String>>().join(", ")
 }

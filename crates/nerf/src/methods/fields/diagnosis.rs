@@ -13,7 +13,7 @@ use super::step::PerturbedPass;
 /// Measures each site of a perturbed pass separately: with the deltas that it used, and with random ones.
 pub(super) fn diagnose(perturbed: &PerturbedPass, used: &UsedDeltas, sums: &mut SiteSums) -> Result<()> {
     let random_deltas = perturbed.draw(Distribution::Uniform, Stream::Diagnostics)?;
-    let (fraction, perturb) = (perturbed.chunk.fraction, &perturbed.learner.config.perturb);
+    let (fraction, numbers) = (perturbed.chunk.fraction, &perturbed.learner.config.numbers);
     let frozen = perturbed.field.frozen()?;
     // The loss, with its weight in the pass, and the rays' colours.
     let render = |deltas: &Deltas| -> Result<(f64, Tensor)> {
@@ -22,11 +22,11 @@ pub(super) fn diagnose(perturbed: &PerturbedPass, used: &UsedDeltas, sums: &mut 
         Ok((perturbed.plan.weight * loss, rgb))
     };
     let (clean_loss, clean_rgb) = render(&Deltas::default())?;
-    let sites_on = perturb.numbers.iter().filter(|(_, numbers)| numbers.on()).map(|(site, _)| site.name());
+    let sites_on = numbers.iter().filter(|(_, numbers)| numbers.on()).map(|(site, _)| site.name());
     for name in sites_on.chain(perturbed.delta_plan.user_sites().map(|site| site.name())) {
         let (Some(set), Some(delta)) = (used.sets.get(name), used.deltas.get(name)) else {
             // Switched on with a set of size 0: there is no perturbation, and no gain.
-            if PaperSite::of_name(name).is_some_and(|site| !perturb.numbers[site].perturbs()) {
+            if PaperSite::of_name(name).is_some_and(|site| !numbers[site].perturbs()) {
                 sums.add(name, SiteEffect { fraction, ..SiteEffect::default() });
             }
             continue;

@@ -186,7 +186,7 @@ fn perturbed(config: &Resolved, source: SecondPass, pass: PassPlan) -> PassPlan 
             PerturbField::Separate => "adversarial",
         },
         samples: if resamples { SampleSource::Resampled } else { SampleSource::OfCleanPass },
-        deltas: Some(DeltaPlan { source, sites: config.perturb.sites_of_pass(pass.is_coarse) }),
+        deltas: Some(DeltaPlan { source, sites: config.perturb.sites_of_pass(&config.numbers, pass.is_coarse) }),
         ..pass
     }
 }

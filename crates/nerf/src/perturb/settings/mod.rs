@@ -3,7 +3,7 @@
 //! The section has one table for each of the paper's sites. `perturb.levels` is a short way to switch sites off. It
 //! is read but never written: files and hashes hold only the sites' `passes`.
 
-use std::ops::{Deref, Index, IndexMut};
+use std::ops::{Index, IndexMut};
 use std::sync::Arc;
 
 use serde::{Deserialize, Deserializer, Serialize, Serializer};
@@ -199,9 +199,10 @@ impl PerturbConfig {
         self.step_unit.is_some() && self.sites().all(|(_, site)| is_filled(site))
     }
 
-    /// Fills every empty number from `attack`. `span` is far - near in the units of `t_vals`, `coarse` the samples of
-    /// the coarse pass, and `width` the network's width.
-    pub fn resolve(mut self, span: f64, coarse: usize, width: usize) -> ResolvedPerturb {
+    /// Fills every empty number from `attack`, and returns the sites' numbers in the run's own units for every geometry.
+    /// `span` is far - near in the units of `t_vals`, `coarse` the samples of the coarse pass, and `width` the network's
+    /// width.
+    pub fn fill(&mut self, span: f64, coarse: usize, width: usize) -> PerSite<SiteNumbers> {
         let (sizes, geometry) = (self.sizes, self.geometry);
         let coarse = if geometry == Geometry::Paper { PaperPass::COARSE } else { coarse };
         let interval = span / coarse as f64;
@@ -209,12 +210,29 @@ impl PerturbConfig {
             Sizes::Paper => StepUnit::Absolute,
             Sizes::Calibrated => StepUnit::Relative,
         });
-        let numbers = PerSite::from_fn(|site| {
-            let numbers = self[site].resolve(site, sizes, step_unit, interval);
+        PerSite::from_fn(|site| {
+            let numbers = self[site].fill(site, sizes, step_unit, interval);
             let scales = geometry == Geometry::Paper && site.spec().over_units && numbers.norm == Norm::Linf;
             if scales { scaled(numbers, PaperPass::box_scale(width)) } else { numbers }
-        });
-        ResolvedPerturb { config: self, numbers }
+        })
+    }
+
+    /// Returns the paper's sites in the coarse pass or in the fine one: those that are on, with sets larger than a point.
+    pub fn sites_of_pass(&self, numbers: &PerSite<SiteNumbers>, is_coarse: bool) -> Vec<Arc<dyn Site>> {
+        let on = |numbers: &SiteNumbers| numbers.passes.include(is_coarse) && numbers.perturbs();
+        let on = numbers.iter().filter(|(_, numbers)| on(numbers));
+        on.map(|(site, numbers)| self.site(site, *numbers)).collect()
+    }
+
+    fn site(&self, site: PaperSite, numbers: SiteNumbers) -> Arc<dyn Site> {
+        match site {
+            PaperSite::T => Arc::new(T { numbers }),
+            PaperSite::Xyz => Arc::new(Xyz { numbers, radius: self.xyz_radius }),
+            PaperSite::View => Arc::new(View { numbers }),
+            PaperSite::Feature => Arc::new(Feature { numbers }),
+            PaperSite::Rgb => Arc::new(Rgb { numbers }),
+            PaperSite::Density => Arc::new(Density { numbers, perturb_last: self.perturb_last }),
+        }
     }
 
     /// Checks the sites' numbers.
@@ -313,51 +331,6 @@ fn scaled(numbers: SiteNumbers, scale: f64) -> SiteNumbers {
         StepUnit::Relative => numbers.pgd.step_size,
     };
     SiteNumbers { epsilon, pgd: Pgd { step_size, ..numbers.pgd }, ..numbers }
-}
-
-/// Section `perturb` with every number filled in. It derefs to the section, except for the numbers that were open
-/// there.
-#[derive(Clone, Debug, PartialEq)]
-pub struct ResolvedPerturb {
-    config: PerturbConfig,
-    /// The sites' numbers, in the run's own units for every geometry.
-    pub numbers: PerSite<SiteNumbers>,
-}
-
-impl ResolvedPerturb {
-    /// Returns the section with every number written out. It resolves to itself.
-    pub fn into_draft(self) -> PerturbConfig {
-        self.config
-    }
-
-    /// Returns the paper's sites in the coarse pass or in the fine one: those that are on, with sets larger than a point.
-    pub fn sites_of_pass(&self, is_coarse: bool) -> Vec<Arc<dyn Site>> {
-        let on = |numbers: &SiteNumbers| numbers.passes.include(is_coarse) && numbers.perturbs();
-        self.numbers
-            .iter()
-            .filter(|(_, numbers)| on(numbers))
-            .map(|(site, numbers)| self.site(site, *numbers))
-            .collect()
-    }
-
-    fn site(&self, site: PaperSite, numbers: SiteNumbers) -> Arc<dyn Site> {
-        match site {
-            PaperSite::T => Arc::new(T { numbers }),
-            PaperSite::Xyz => Arc::new(Xyz { numbers, radius: self.xyz_radius }),
-            PaperSite::View => Arc::new(View { numbers }),
-            PaperSite::Feature => Arc::new(Feature { numbers }),
-            PaperSite::Rgb => Arc::new(Rgb { numbers }),
-            PaperSite::Density => Arc::new(Density { numbers, perturb_last: self.perturb_last }),
-        }
-    }
-}
-
-impl Deref for ResolvedPerturb {
-    type Target = PerturbConfig;
-
-    fn deref(&self) -> &PerturbConfig {
-        &self.config
-    }
 }
 
 impl Serialize for PerturbConfig {

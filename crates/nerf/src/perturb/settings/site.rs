@@ -47,7 +47,7 @@ impl SiteConfig {
     }
 
     /// Fills what is empty. `interval` is (far - near) / coarse samples in the units of `t_vals`.
-    pub(super) fn resolve(&mut self, site: PaperSite, sizes: Sizes, unit: StepUnit, interval: f64) -> SiteNumbers {
+    pub(super) fn fill(&mut self, site: PaperSite, sizes: Sizes, unit: StepUnit, interval: f64) -> SiteNumbers {
         let default = site.spec().sizes;
         let steps = *self.steps.get_or_insert(default.steps);
         let epsilon = *self.epsilon.get_or_insert_with(|| match sizes {
