@@ -8,7 +8,7 @@
 use augnerf::base::Result;
 use augnerf::candle_core::DType;
 use augnerf::metrics::{PSNR, measure};
-use augnerf::perturb::{DeltaSet, Norm, PaperSite, PassGeometry, Site};
+use augnerf::perturb::{AttackGeometry, DeltaSet, Norm, PaperSite, PassGeometry, Site};
 use augnerf::run::{Viewer, load_scene};
 use augnerf::runtime::Runtime;
 use augnerf::settings::{Preset, build, parse_assignment};
@@ -33,8 +33,8 @@ impl Site for RayShift {
     }
 
     fn set(&self, pass: &PassGeometry) -> Result<DeltaSet> {
-        let (near, far) = pass.bounds;
-        let pixel = if pass.pixel.ndc { 2.0 / pass.pixel.width } else { 0.5 * (near + far) / pass.pixel.focal };
+        let AttackGeometry { bounds: (near, far), pixel, .. } = pass.run;
+        let pixel = if pixel.ndc { 2.0 / pixel.width } else { 0.5 * (near + far) / pixel.focal };
         let (rays, samples) = (pass.rays()?, pass.samples);
         let set = DeltaSet::new(Norm::L2, pass.scalar(self.pixels * pixel)?.reshape((1, 1, 1))?, &[rays, 1, 3]);
         Ok(set.spread_by(move |shift| Ok(shift.broadcast_as((rays, samples, 3))?.contiguous()?)))

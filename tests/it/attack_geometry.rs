@@ -3,7 +3,7 @@
 use augnerf::base::rng::{Random, Stream};
 use augnerf::methods::step_over_radius;
 use augnerf::perturb::{
-    DeltaSet, Epsilon, Geometry, Norm, PaperPass, PaperSite, PassGeometry, PerSite, PixelScale, SampleDensity, Sets, SiteNumbers,
+    AttackGeometry, DeltaSet, Epsilon, Geometry, Norm, PaperPass, PaperSite, PassGeometry, PerSite, PixelScale, SampleDensity, Sets, SiteNumbers,
 };
 use augnerf::run::load_scene;
 use augnerf::settings::{Config, PerturbConfig, Preset, Sizes};
@@ -42,9 +42,10 @@ fn sets((perturb, numbers): &Attack, t_vals: &Tensor, of: Of, width: usize, pixe
     let direction_norm = Tensor::full(2.1, (t_vals.dims()[0], 1), &CPU).unwrap().to_dtype(t_vals.dtype()).unwrap();
     let Of { is_coarse, coarse, .. } = of;
     let pass = geometry(t_vals, &direction_norm);
-    let own = PassGeometry { is_coarse, coarse_samples: coarse, cap_samples: coarse, width, pixel, ..pass };
-    let of_pass = |pass: &PassGeometry| Sets::new(perturb.sites_of_pass(numbers, pass.is_coarse), pass).unwrap();
-    [of_pass(&own), of_pass(&own.of_paper(&PaperPass::of_scenes(of.forward)).unwrap())]
+    let own = AttackGeometry { coarse_samples: coarse, width, pixel, ..pass.run };
+    [own, own.of_paper(PaperPass::of_scenes(of.forward))].map(|run| {
+        Sets::new(perturb.sites_of_pass(numbers, is_coarse), &PassGeometry { run, is_coarse, ..pass }).unwrap()
+    })
 }
 
 fn even(samples: usize) -> Tensor {

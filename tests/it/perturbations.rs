@@ -4,7 +4,9 @@ use crate::common::pass::{Setting, geometry};
 use crate::common::{flat, parameters, put_on_grid, tiny_config, tiny_scene, trained};
 use augnerf::base::rng::{Random, Stream};
 use augnerf::field::Field;
-use augnerf::perturb::{Deltas, Distribution, Norm, PaperSite, PassGeometry, Passes, PixelScale, Sets, SiteSet};
+use augnerf::perturb::{
+    AttackGeometry, Deltas, Distribution, Norm, PaperSite, PassGeometry, Passes, PixelScale, Sets, SiteSet,
+};
 use augnerf::render::{clean_pass, perturbed_pass};
 use augnerf::runtime::Runtime;
 use augnerf::settings::{Method, OutputPlace, PerturbConfig, PerturbField, SecondPass, Sizes};
@@ -202,7 +204,9 @@ proptest! {
         config[PaperSite::T].epsilon = Some(0.5.into());
         let sites = config.fill(1.0, 1, 16);
         let pixel = PixelScale { width: 16.0, height: 16.0, focal: 20.0, ndc: true };
-        let sets = Sets::new(config.sites_of_pass(&sites, true), &PassGeometry { pixel, ..geometry(&t_vals, &norm) }).unwrap();
+        let pass = geometry(&t_vals, &norm);
+        let pass = PassGeometry { run: AttackGeometry { pixel, ..pass.run }, ..pass };
+        let sets = Sets::new(config.sites_of_pass(&sites, true), &pass).unwrap();
         let set = sets.get(PaperSite::T).unwrap();
         for signs in 0..(1usize << samples.min(6)) {
             let far: Vec<f32> = (0..samples).map(|i| if signs >> (i % 6) & 1 == 1 { 9.0 } else { -9.0 }).collect();

@@ -6,7 +6,7 @@ use crate::common::flat;
 use crate::common::reference::Reference;
 use augnerf::data::Rays;
 use augnerf::field::{Field, encode};
-use augnerf::perturb::{DeltaSet, Deltas, Norm, PaperSite, PassGeometry, PixelScale, SampleDensity, Sets, worst_case};
+use augnerf::perturb::{AttackGeometry, DeltaSet, Deltas, Norm, PaperSite, PassGeometry, PixelScale, Sets, worst_case};
 use augnerf::render::sampling::inverse_cdf;
 use augnerf::render::{Pass, PassOutput, Perturbation, perturbed_pass, photometric_loss, volume};
 use augnerf::settings::{FieldConfig, OutputPlace, PerturbConfig};
@@ -152,16 +152,11 @@ impl Attack {
         let mut sets = Sets::new(
             config.sites_of_pass(&numbers, true),
             &PassGeometry {
+                run: AttackGeometry { bounds: (0.2, 1.8), pixel, coarse_samples: 7, width: 16, paper: None },
                 is_coarse: true,
                 t_vals: &t_vals,
                 samples: 7,
                 direction_norm: &rays.direction_norm,
-                bounds: (0.2, 1.8),
-                coarse_samples: 7,
-                cap_samples: 7,
-                width: 16,
-                pixel,
-                sample_density: SampleDensity::OWN,
             },
         )
         .unwrap();

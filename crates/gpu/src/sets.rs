@@ -2,10 +2,10 @@
 
 use augnerf_base::Result;
 use augnerf_base::rng::Stream;
-use augnerf_nerf::methods::{AttackGeometry, DeltaPlan, PassPlan};
+use augnerf_nerf::methods::{DeltaPlan, PassPlan};
 use augnerf_nerf::perturb::{
-    Distribution, Epsilon, Level, Norm, PaperSite, PassGeometry, PerSite, Radius, SampleDensity, Sets, SiteNumbers,
-    StepUnit, output_range,
+    AttackGeometry, Distribution, Epsilon, Level, Norm, PaperSite, PassGeometry, PerSite, Radius, SampleDensity, Sets,
+    SiteNumbers, StepUnit, output_range,
 };
 use augnerf_nerf::settings::{OutputPlace, Resolved};
 use augnerf_scenes::Scene;
@@ -56,22 +56,23 @@ impl PassSets {
     /// Returns the sets of a perturbed pass.
     pub(crate) fn new(config: &Resolved, scene: &Scene, plan: &PassPlan, delta_plan: &DeltaPlan) -> Result<PassSets> {
         let columns = config.field.encoding.t_vals(plan.count);
-        let geometry = AttackGeometry::new(config, scene);
+        let run = AttackGeometry::new(config, scene);
         let perturb = &config.perturb;
         let t_vals = Tensor::zeros((1, columns), DType::F64, &Device::Cpu)?;
-        let direction_norm = Tensor::full(FAR, (1, 1), &Device::Cpu)?;
-        let pass = geometry.pass(&t_vals, plan.count, &direction_norm, plan.is_coarse)?;
+        let direction_norm = &Tensor::full(FAR, (1, 1), &Device::Cpu)?;
+        let (samples, is_coarse) = (plan.count, plan.is_coarse);
+        let pass = PassGeometry { run, is_coarse, t_vals: &t_vals, samples, direction_norm };
         let sets = Sets::new(delta_plan.sites.iter().cloned(), &pass)?;
         let sites = sets.iter().map(|entry| {
             let (site, set) = (entry.site.at(), &entry.set);
             let numbers = config.numbers[site];
             let one = || -> Result<f64> { Ok(set.radius.flatten_all()?.to_vec1::<f64>()?[0]) };
             let radius = match site {
-                PaperSite::T => of_gaps(&numbers, &pass),
+                PaperSite::T => of_gaps(&numbers, &pass)?,
                 PaperSite::Xyz if is_capped(&numbers, perturb.xyz_radius) => {
                     let epsilon = numbers.radius(|epsilon| epsilon);
-                    let (near, far) = pass.bounds;
-                    let cap = (far - near) / (2.0 * (pass.cap_samples as f64 - 1.0)) * epsilon;
+                    let (near, far) = run.bounds;
+                    let cap = (far - near) / (2.0 * (run.cap_samples() as f64 - 1.0)) * epsilon;
                     SiteRadius::Pixel { pixel: one()?, cap }
                 }
                 PaperSite::Xyz | PaperSite::View | PaperSite::Feature | PaperSite::Rgb | PaperSite::Density => {
@@ -114,12 +115,13 @@ fn is_capped(numbers: &SiteNumbers, radius: Radius) -> bool {
     radius == Radius::Pixel && matches!(numbers.epsilon, Epsilon::Units(_))
 }
 
-fn of_gaps(numbers: &SiteNumbers, pass: &PassGeometry) -> SiteRadius {
+fn of_gaps(numbers: &SiteNumbers, pass: &PassGeometry) -> Result<SiteRadius> {
     const LARGEST: f64 = 0.5;
-    let SampleDensity { coarse, drawn } = pass.sample_density;
-    let (near, far) = pass.bounds;
-    let coarse_gap = (far - near) / (pass.coarse_samples as f64 - 1.0);
-    match (numbers.epsilon, pass.sample_density.uniform()) {
+    let density = pass.sample_density()?;
+    let SampleDensity { coarse, drawn } = density;
+    let (near, far) = pass.run.bounds;
+    let coarse_gap = (far - near) / (pass.run.coarse_samples as f64 - 1.0);
+    Ok(match (numbers.epsilon, density.uniform()) {
         (Epsilon::Units(epsilon), Some(density)) => {
             SiteRadius::OfGaps(0, [(epsilon / density).min(LARGEST), coarse, drawn, coarse_gap, 0.0])
         }
@@ -127,7 +129,7 @@ fn of_gaps(numbers: &SiteNumbers, pass: &PassGeometry) -> SiteRadius {
         (Epsilon::Reach, _) => {
             SiteRadius::OfGaps(2, [LARGEST, coarse, drawn, coarse_gap, numbers.radius(|epsilon| epsilon)])
         }
-    }
+    })
 }
 
 /// The buffers of a pass's sets for a chunk of rays.

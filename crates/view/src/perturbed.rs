@@ -5,8 +5,8 @@ use candle_core::Tensor;
 use crate::base::Result;
 use crate::base::rng::{Random, Stream};
 use crate::data::{RayParts, Rays, Scene};
-use crate::methods::{AttackGeometry, Fields};
-use crate::perturb::{Deltas, Distribution, Sets, SiteSet};
+use crate::methods::Fields;
+use crate::perturb::{AttackGeometry, Deltas, Distribution, PassGeometry, Sets, SiteSet};
 use crate::render::sampling::stratified;
 use crate::render::{
     Pass, PassOutput, Perturbation, clean_pass, fine_t_vals, perturbed_pass, ray_parts, sample_count, search,
@@ -71,7 +71,8 @@ impl PerturbedRenderer {
         let t_vals = if is_coarse { t_coarse } else { fine_t_vals(coarse, rays, &t_coarse, sampling)? };
         let pass =
             Pass { rays, t_vals: &t_vals, density_noise: None, background: self.background, scales_gradients: false };
-        let geometry = self.geometry.pass(&t_vals, sample_count(field, &t_vals)?, &rays.direction_norm, is_coarse)?;
+        let (samples, direction_norm) = (sample_count(field, &t_vals)?, &rays.direction_norm);
+        let geometry = PassGeometry { run: self.geometry, is_coarse, t_vals: &t_vals, samples, direction_norm };
         let mut sites = self.config.perturb.sites_of_pass(&self.config.numbers, is_coarse);
         sites.retain(|site| attack.sites.iter().any(|name| name == site.name()));
         let mut sets = Sets::new(sites, &geometry)?;

@@ -4,7 +4,7 @@ use augnerf::base::rng::{Random, Stream};
 use augnerf::data::{RayBuffer, RayParts, Rays};
 use augnerf::field::Field;
 use augnerf::perturb::{
-    Deltas, Distribution, PaperSite, PassGeometry, Passes, PixelScale, SampleDensity, Sets, worst_case,
+    AttackGeometry, Deltas, Distribution, PaperSite, PassGeometry, Passes, PixelScale, Sets, worst_case,
 };
 use augnerf::render::{Pass, Perturbation, perturbed_pass, photometric_loss, sampling};
 use augnerf::settings::{Method, PerturbConfig, Resolved, Spacing};
@@ -15,18 +15,9 @@ use super::{tiny_config, tiny_scene};
 /// A coarse pass on `t_vals` between 0 and 1, of a field 16 wide.
 pub fn geometry<'a>(t_vals: &'a Tensor, direction_norm: &'a Tensor) -> PassGeometry<'a> {
     let samples = t_vals.dims()[1];
-    PassGeometry {
-        is_coarse: true,
-        t_vals,
-        samples,
-        direction_norm,
-        bounds: (0.0, 1.0),
-        coarse_samples: samples,
-        cap_samples: samples,
-        width: 16,
-        pixel: PixelScale { width: 16.0, height: 16.0, focal: 20.0, ndc: false },
-        sample_density: SampleDensity::OWN,
-    }
+    let pixel = PixelScale { width: 16.0, height: 16.0, focal: 20.0, ndc: false };
+    let run = AttackGeometry { bounds: (0.0, 1.0), pixel, coarse_samples: samples, width: 16, paper: None };
+    PassGeometry { run, is_coarse: true, t_vals, samples, direction_norm }
 }
 
 /// Rays of the tiny scene through a new field, with density noise, on white.
@@ -65,7 +56,8 @@ impl Setting {
         let (bounds, depth) = ((2.0, 6.0), Spacing::Depth);
         let t_vals = sampling::stratified(bounds, depth, rays.len(), columns, Some(&jitter), &rays.origins).unwrap();
         let (noise, target) = (draw(&[rays.len(), samples]), draw(&[rays.len(), 3]));
-        let geometry = PassGeometry { samples, bounds, ..geometry(&t_vals, &rays.direction_norm) };
+        let geometry = geometry(&t_vals, &rays.direction_norm);
+        let geometry = PassGeometry { samples, run: AttackGeometry { bounds, ..geometry.run }, ..geometry };
         let sets = Sets::new(config.perturb.sites_of_pass(&config.numbers, geometry.is_coarse), &geometry).unwrap();
         let field = Field::init(&config.field, seed, 0, dtype, &Device::Cpu).unwrap();
         Setting { config, field, rays, t_vals, noise: Some(noise), background: Some([1.0; 3]), target, sets }

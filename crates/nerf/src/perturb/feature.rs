@@ -40,6 +40,6 @@ impl Site for Feature {
 
     fn set(&self, pass: &PassGeometry) -> Result<DeltaSet> {
         let radius = pass.scalar(self.numbers.radius(|epsilon| epsilon))?.reshape((1, 1, 1))?;
-        Ok(DeltaSet::new(self.numbers.norm, radius, &[pass.rays()?, pass.samples, pass.width]))
+        Ok(DeltaSet::new(self.numbers.norm, radius, &[pass.rays()?, pass.samples, pass.run.width]))
     }
 }

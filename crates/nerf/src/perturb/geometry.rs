@@ -37,9 +37,38 @@ impl PixelScale {
     }
 }
 
+/// Everything that the sets of a run's passes depend on, except the experiment's numbers and the samples.
+#[derive(Clone, Copy, Debug)]
+pub struct AttackGeometry {
+    /// Near and far, in the units of `t_vals`.
+    pub bounds: (f64, f64),
+    /// The size of a pixel: the run's, or the paper's.
+    pub pixel: PixelScale,
+    /// Columns of the coarse pass's `t_vals`.
+    pub coarse_samples: usize,
+    /// The width of the network.
+    pub width: usize,
+    /// The paper's pass, if sets are measured in its samples and pixels.
+    pub paper: Option<PaperPass>,
+}
+
+impl AttackGeometry {
+    /// Returns the same with sets measured in the paper's samples and pixels.
+    pub fn of_paper(self, paper: PaperPass) -> AttackGeometry {
+        AttackGeometry { pixel: self.pixel.at_width(paper.image_width), paper: Some(paper), ..self }
+    }
+
+    /// Returns N of the cap (far - near) |d| / (2 (N - 1)) on the radius of `xyz`: `coarse_samples`, or the paper's.
+    pub fn cap_samples(&self) -> usize {
+        self.paper.map_or(self.coarse_samples, |paper| paper.coarse)
+    }
+}
+
 /// Everything that the sets of a pass depend on, except the experiment's numbers.
 #[derive(Clone, Copy)]
 pub struct PassGeometry<'a> {
+    /// What all passes of the run have.
+    pub run: AttackGeometry,
     /// Whether it is the coarse pass, not the fine one.
     pub is_coarse: bool,
     /// Unperturbed sample positions, `[rays, samples]`, or edges of intervals, `[rays, samples + 1]`.
@@ -48,18 +77,6 @@ pub struct PassGeometry<'a> {
     pub samples: usize,
     /// Lengths of the ray directions, `[rays, 1]`.
     pub direction_norm: &'a Tensor,
-    /// Near and far, in the units of `t_vals`.
-    pub bounds: (f64, f64),
-    /// Columns of the coarse pass's `t_vals`.
-    pub coarse_samples: usize,
-    /// N of the cap (far - near) |d| / (2 (N - 1)) on the radius of `xyz`: `coarse_samples`, or the paper's.
-    pub cap_samples: usize,
-    /// The width of the network.
-    pub width: usize,
-    /// The size of a pixel.
-    pub pixel: PixelScale,
-    /// Sample density relative to the pass, for the set of `t`.
-    pub sample_density: SampleDensity,
 }
 
 /// Samples of the paper's pass along a part of a ray, over the pass's own.
@@ -96,7 +113,7 @@ impl SampleDensity {
     }
 }
 
-impl<'a> PassGeometry<'a> {
+impl PassGeometry<'_> {
     /// Returns the number of rays of the pass.
     pub fn rays(&self) -> Result<usize> {
         Ok(self.t_vals.dim(0)?)
@@ -112,27 +129,23 @@ impl<'a> PassGeometry<'a> {
         Ok(Tensor::new(value, self.t_vals.device())?.to_dtype(self.t_vals.dtype())?)
     }
 
-    /// Returns the same pass with its sets measured in the paper's samples and pixels.
+    /// Returns the density of the samples in which the set of `t` is measured, relative to the pass's own.
     ///
     /// The samples of a coarse pass are evenly spread, and the edges of MipNeRF's fine intervals are all drawn. The
     /// paper's pass is denser everywhere by the ratio of their numbers. For other fine passes see [`SampleDensity`].
     ///
     /// # Errors
     /// Those of candle.
-    pub fn of_paper(self, paper: &PaperPass) -> Result<PassGeometry<'a>> {
-        let columns = self.t_vals.dim(1)?;
+    pub fn sample_density(&self) -> Result<SampleDensity> {
+        let Some(paper) = self.run.paper else { return Ok(SampleDensity::OWN) };
+        let (columns, coarse) = (self.t_vals.dim(1)?, self.run.coarse_samples);
         let ratio = |paper: usize, own: usize| paper as f64 / own as f64;
-        let sample_density = if self.is_coarse || self.has_edges()? {
+        if self.is_coarse || self.has_edges()? {
             let all = ratio(paper.gaps(self.is_coarse), columns - 1);
-            SampleDensity { coarse: all, drawn: all }
-        } else {
-            SampleDensity {
-                coarse: ratio(paper.gaps(true), self.coarse_samples - 1),
-                drawn: ratio(paper.fine, columns - self.coarse_samples),
-            }
-        };
-        let pixel = self.pixel.at_width(paper.image_width);
-        Ok(PassGeometry { sample_density, cap_samples: paper.coarse, pixel, ..self })
+            return Ok(SampleDensity { coarse: all, drawn: all });
+        }
+        let drawn = ratio(paper.fine, columns - coarse);
+        Ok(SampleDensity { coarse: ratio(paper.gaps(true), coarse - 1), drawn })
     }
 }
 

@@ -52,7 +52,7 @@ impl Site for T {
     /// The radius is two roundings below its nominal value. With epsilon 1/2 two neighbours may meet, and a gap that was
     /// rounded up would let them pass each other.
     fn set(&self, pass: &PassGeometry) -> Result<DeltaSet> {
-        let (t_vals, (near, far)) = (pass.t_vals, pass.bounds);
+        let (t_vals, (near, far)) = (pass.t_vals, pass.run.bounds);
         let (rays, samples) = t_vals.dims2()?;
         let gaps = (t_vals.narrow(1, 1, samples - 1)? - t_vals.narrow(1, 0, samples - 1)?)?;
         let before = Tensor::cat(&[&gaps.narrow(1, 0, 1)?, &gaps], 1)?;
@@ -61,14 +61,14 @@ impl Site for T {
             DType::F64 => 1.0 - 2.0 * f64::EPSILON,
             _ => 1.0 - 2.0 * f64::from(f32::EPSILON),
         };
-        let nearer_gap = before.minimum(&after)?;
+        let (nearer_gap, density) = (before.minimum(&after)?, pass.sample_density()?);
         let radius = match self.numbers.epsilon {
             // The paper's gaps may be wider than these. More than half of these would lose the order.
-            Epsilon::Units(epsilon) => match pass.sample_density.uniform() {
+            Epsilon::Units(epsilon) => match density.uniform() {
                 Some(density) => (nearer_gap * ((epsilon / density).min(LARGEST_SHIFT) * two_roundings))?,
                 None => {
-                    let coarse_gap = (far - near) / (pass.coarse_samples as f64 - 1.0);
-                    let density = pass.sample_density.around(&((before + after)? * 0.5)?, coarse_gap)?;
+                    let coarse_gap = (far - near) / (pass.run.coarse_samples as f64 - 1.0);
+                    let density = density.around(&((before + after)? * 0.5)?, coarse_gap)?;
                     let fraction = (density.recip()? * epsilon)?
                         .minimum(&pass.scalar(LARGEST_SHIFT)?.broadcast_as((rays, samples))?)?;
                     ((nearer_gap * fraction)? * two_roundings)?
@@ -135,9 +135,9 @@ impl Site for Xyz {
     /// Returns the set: per sample a ball or box of epsilon pixels, where a pixel is at most (far - near) |d| / (2 (N -
     /// 1)).
     fn set(&self, pass: &PassGeometry) -> Result<DeltaSet> {
-        let (near, far) = pass.bounds;
-        let cap = (pass.direction_norm * ((far - near) / (2.0 * (pass.cap_samples as f64 - 1.0))))?;
-        let pixel = pass.scalar(pixel(&pass.pixel, self.radius))?;
+        let (near, far) = pass.run.bounds;
+        let cap = (pass.direction_norm * ((far - near) / (2.0 * (pass.run.cap_samples() as f64 - 1.0))))?;
+        let pixel = pass.scalar(pixel(&pass.run.pixel, self.radius))?;
         let radius = match self.radius {
             Radius::Pixel => cap.broadcast_minimum(&pixel)?,
             // The released code's cap does not depend on the length of the direction.
@@ -197,7 +197,7 @@ impl Site for View {
 
     /// Returns the set: each angle within epsilon / (2 f), radians.
     fn set(&self, pass: &PassGeometry) -> Result<DeltaSet> {
-        let radius = self.numbers.radius(|epsilon| epsilon / (2.0 * pass.pixel.focal));
+        let radius = self.numbers.radius(|epsilon| epsilon / (2.0 * pass.run.pixel.focal));
         Ok(DeltaSet::new(self.numbers.norm, pass.scalar(radius)?.reshape((1, 1))?, &[pass.rays()?, 2]))
     }
 }

@@ -17,7 +17,7 @@ mod site;
 
 pub use epsilon::{Epsilon, REACH};
 pub use feature::Feature;
-pub use geometry::{Geometry, PaperPass, PassGeometry, PixelScale, SampleDensity};
+pub use geometry::{AttackGeometry, Geometry, PaperPass, PassGeometry, PixelScale, SampleDensity};
 pub use input::{Radius, T, View, Xyz, tilt};
 pub use output::{Density, Rgb, UsedDeltas, output_range};
 pub use pgd::worst_case;

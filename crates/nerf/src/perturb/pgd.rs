@@ -48,9 +48,9 @@ mod tests {
     use std::sync::Arc;
 
     use super::*;
-    use crate::perturb::geometry::PassGeometry;
+    use crate::perturb::geometry::{AttackGeometry, PassGeometry};
     use crate::perturb::set::{DeltaSet, Norm};
-    use crate::perturb::{PaperSite, Pgd, PixelScale, SampleDensity, Site, StepUnit};
+    use crate::perturb::{PaperSite, Pgd, PixelScale, Site, StepUnit};
     use candle_core::{DType, Device};
 
     /// A site with one vector as its delta.
@@ -81,18 +81,9 @@ mod tests {
         loss: impl FnMut(&Deltas, bool) -> Result<(Tensor, Deltas)>,
     ) -> Deltas {
         let one = Tensor::ones((1, 1), DType::F64, &Device::Cpu).unwrap();
-        let pass = PassGeometry {
-            is_coarse: false,
-            t_vals: &one,
-            samples: 1,
-            direction_norm: &one,
-            bounds: (0.0, 1.0),
-            coarse_samples: 1,
-            cap_samples: 1,
-            width: 1,
-            pixel: PixelScale { width: 1.0, height: 1.0, focal: 1.0, ndc: false },
-            sample_density: SampleDensity::OWN,
-        };
+        let pixel = PixelScale { width: 1.0, height: 1.0, focal: 1.0, ndc: false };
+        let run = AttackGeometry { bounds: (0.0, 1.0), pixel, coarse_samples: 1, width: 1, paper: None };
+        let pass = PassGeometry { run, is_coarse: false, t_vals: &one, samples: 1, direction_norm: &one };
         let sites = sites.into_iter().map(|site| Arc::new(site) as Arc<dyn Site>);
         let sets = Sets::new(sites, &pass).unwrap();
         let mut start = Deltas::default();

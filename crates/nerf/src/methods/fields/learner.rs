@@ -15,11 +15,10 @@ use crate::methods::batches::Batches;
 use crate::methods::diagnostics::site_columns;
 use crate::methods::learner::{Learner, LogColumns, StepResult, StopCheck};
 use crate::perturb::settings::{ChangedEntries, SecondPass};
-use crate::perturb::{PaperSite, Site};
+use crate::perturb::{AttackGeometry, PaperSite, Site};
 use crate::render::{ray_parts, render_rays};
 use crate::settings::Resolved;
 
-use super::geometry::AttackGeometry;
 use super::networks::Fields;
 use super::plan::Plan;
 use super::report::log_columns;

@@ -19,7 +19,7 @@ mod sums;
 mod terms;
 
 pub use balance::Balance;
-pub use geometry::{AttackGeometry, step_over_radius};
+pub use geometry::step_over_radius;
 pub use learner::FieldLearner;
 pub use networks::Fields;
 pub use plan::{CountedTerms, DeltaPlan, PassPlan, Plan, SampleSource};

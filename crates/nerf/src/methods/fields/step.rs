@@ -27,7 +27,7 @@ use crate::methods::Extremes;
 use crate::methods::gradients::Gradients;
 use crate::methods::learner::{StepResult, StopCheck};
 use crate::perturb::settings::SecondPass;
-use crate::perturb::{Deltas, Distribution, Sets};
+use crate::perturb::{Deltas, Distribution, PassGeometry, Sets};
 use crate::render::{
     self, Pass, Perturbation, clean_pass, noiseless_acc, perturbed_pass, photometric_loss, resample, sample_count,
     t_vals_by_density,
@@ -282,8 +282,9 @@ impl<'a> StepPasses<'a> {
     ) -> Result<SampleWeights> {
         let (learner, field) = (self.learner, self.field(fields, plan));
         let pass = chunk.pass(learner, plan, t_vals);
-        let norm = &pass.rays.direction_norm;
-        let geometry = learner.geometry.pass(t_vals, sample_count(field, t_vals)?, norm, plan.is_coarse)?;
+        let (samples, is_coarse) = (sample_count(field, t_vals)?, plan.is_coarse);
+        let direction_norm = &pass.rays.direction_norm;
+        let geometry = PassGeometry { run: learner.geometry, is_coarse, t_vals, samples, direction_norm };
         let sets = Sets::new(delta_plan.sites.iter().cloned(), &geometry)?;
         let target = chunk.target.as_ref().expect("training rays have colours");
         let perturbed = PerturbedPass { learner, plan, delta_plan, chunk, field, pass, target, sets };
