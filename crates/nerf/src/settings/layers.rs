@@ -10,7 +10,6 @@ use super::{Config, DataConfig, Encoding, Method, REGULARIZERS, over_run};
 use crate::base::input::{TEXT_BYTES, read_named};
 use crate::base::settings::word;
 use crate::base::{Error, Result, number_text};
-use crate::perturb::settings::{check_levels, forget_passes};
 
 /// A named set of settings.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -194,7 +193,7 @@ fn typed(text: &str, setting: Option<&Setting>) -> Value {
 pub fn build(preset: Option<Preset>, file: Option<&Path>, assignments: &[(Vec<String>, Value)]) -> Result<Config> {
     let mut base = Table::new();
     if let Some(preset) = preset {
-        lay_over(&mut base, preset.table());
+        merge(&mut base, preset.table());
     }
     let mut table = Table::new();
     if let Some(path) = file {
@@ -204,8 +203,7 @@ pub fn build(preset: Option<Preset>, file: Option<&Path>, assignments: &[(Vec<St
         check_keys(&layer, &path.display().to_string())?;
         // Also checks types and choices, while the file and its lines can still be named.
         toml::from_str::<Config>(&text).map_err(|e| Error::Config(format!("{}: {e}", path.display())))?;
-        check_levels(&layer).map_err(|why| Error::Config(format!("{}: {why}", path.display())))?;
-        lay_over(&mut table, layer);
+        merge(&mut table, layer);
         let mut given = Table::new();
         assignments.iter().try_for_each(|(path, value)| assign(&mut given, path, value.clone()))?;
         over_run::reopen(&mut table, &given);
@@ -214,13 +212,13 @@ pub fn build(preset: Option<Preset>, file: Option<&Path>, assignments: &[(Vec<St
         assign(&mut table, path, value.clone())?;
     }
     if let Some(layer) = representation_layer([&table, &base], preset) {
-        lay_over(&mut base, layer);
+        merge(&mut base, layer);
     }
     over_run::forget_term(&mut base, &table);
     if let Some(preset) = preset.filter(|_| value_at(&table, "field.encoding").is_none()) {
         preset.check_method(value_at(&table, "method"))?;
     }
-    lay_over(&mut base, table);
+    merge(&mut base, table);
     let text = toml::to_string(&base).expect("a table of settings is plain data");
     Config::from_toml(&text, "settings")
 }
@@ -237,12 +235,6 @@ pub fn data_section(assignments: &[(Vec<String>, Value)]) -> Result<DataConfig> 
     Ok(config.data)
 }
 
-/// Layers `over` on the earlier layers.
-fn lay_over(base: &mut Table, over: Table) {
-    forget_passes(base, &over);
-    merge(base, over);
-}
-
 /// Merges `over` into `base`, table by table.
 fn merge(base: &mut Table, over: Table) {
     for (key, value) in over {
@@ -256,7 +248,7 @@ fn merge(base: &mut Table, over: Table) {
 }
 
 fn assign(table: &mut Table, path: &[String], value: Value) -> Result<()> {
-    lay_over(table, layer_of("--set", path, value)?);
+    merge(table, layer_of("--set", path, value)?);
     Ok(())
 }
 

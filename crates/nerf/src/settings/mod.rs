@@ -53,7 +53,6 @@ pub use crate::render::settings::{SamplingConfig, Spacing};
 
 use crate::base::settings::{Setting, numbers, section};
 use crate::base::{Error, Result};
-use crate::perturb::settings::check_levels;
 use registry::REGISTRY;
 
 section! {
@@ -94,11 +93,10 @@ section! {
 impl Config {
     /// Parses TOML text over the defaults. Errors name `origin` as the file.
     pub fn from_toml(text: &str, origin: &str) -> Result<Config> {
-        let config: Config = toml::from_str(text).map_err(|e| Error::Config(format!("{origin}: {e}")))?;
+        let mut config: Config = toml::from_str(text).map_err(|e| Error::Config(format!("{origin}: {e}")))?;
         // What it refuses besides is a whole number that is too large.
         config.check_ranges()?;
-        let table = toml::from_str(text).map_err(|e| Error::Config(format!("{origin}: {e}")))?;
-        check_levels(&table).map_err(|why| Error::Config(format!("{origin}: {why}")))?;
+        config.perturb.take_levels();
         config.validate()?;
         Ok(config)
     }

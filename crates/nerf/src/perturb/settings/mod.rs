@@ -6,7 +6,7 @@
 use std::ops::{Index, IndexMut};
 use std::sync::Arc;
 
-use serde::{Deserialize, Deserializer, Serialize, Serializer};
+use serde::{Deserialize, Serialize};
 
 use crate::base;
 use crate::base::settings::IdleKind::Noted;
@@ -22,9 +22,7 @@ mod second_pass;
 mod site;
 
 pub use second_pass::SecondPass;
-use site::switched_off;
 pub use site::{SiteConfig, Sizes};
-pub(crate) use site::{check_levels, forget_passes};
 
 /// How `lambda` combines clean and perturbed loss.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
@@ -83,7 +81,6 @@ pub enum ChangedEntries {
 
 section! {
     /// The second pass of a step.
-    #[serde(remote = "Self")]
     pub struct PerturbConfig {
         /// Second pass of a step: `worst-case`, `gaussian` or `uniform` (the clean pass with deltas from that source),
         /// `best-case` (PGD down the loss), `permuted` (the worst case of other rays), or `fresh-jitter` (a second clean
@@ -131,10 +128,10 @@ section! {
         /// of the paper's runs, so that any run searches sets of the paper's absolute size).
         pub geometry: Geometry = Geometry::Sampling,
             numbers().column("attack_geometry").columns(&["step_over_radius"]).same_time();
-        /// A short way to switch sites off: those of the levels that are not named. It is read but never written;
+        /// Levels to perturb. Sites of the others are off, whatever their `passes` say. It is read but never written;
         /// a program sets the passes of sites.
-        #[serde(skip_serializing, deserialize_with = "some_levels")]
-        pub levels: Option<Vec<Level>> = None, numbers().columns(&["levels"]);
+        #[serde(skip_serializing, deserialize_with = "one_or_many")]
+        pub levels: Vec<Level> = Level::ALL.to_vec(), numbers().columns(&["levels"]);
     }
     sections {
         /// Site: shift along the ray; epsilon in gap to the nearer sample.
@@ -189,6 +186,13 @@ impl PerturbConfig {
     /// Iterates over the sites that are on, in order.
     pub fn sites_on(&self) -> impl Iterator<Item = (PaperSite, &SiteConfig)> {
         self.sites().filter(|(_, site)| site.on())
+    }
+
+    /// Switches off the sites of the levels that `levels` does not name, and forgets `levels`.
+    pub(crate) fn take_levels(&mut self) {
+        let levels = std::mem::replace(&mut self.levels, PerturbConfig::default().levels);
+        let unnamed = |site: &PaperSite| !levels.contains(&site.spec().level);
+        PaperSite::ALL.into_iter().filter(unnamed).for_each(|site| self[site].passes = Passes::Off);
     }
 
     /// Returns whether no number is empty, as in a run's file.
@@ -333,25 +337,6 @@ fn scaled(numbers: SiteNumbers, scale: f64) -> SiteNumbers {
     SiteNumbers { epsilon, pgd: Pgd { step_size, ..numbers.pgd }, ..numbers }
 }
 
-impl Serialize for PerturbConfig {
-    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
-        PerturbConfig::serialize(self, serializer)
-    }
-}
-
-impl<'de> Deserialize<'de> for PerturbConfig {
-    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<PerturbConfig, D::Error> {
-        let mut config = PerturbConfig::deserialize(deserializer)?;
-        let levels = config.levels.take();
-        switched_off(levels.as_deref()).for_each(|site| config[site].passes = Passes::Off);
-        Ok(config)
-    }
-}
-
-fn some_levels<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Option<Vec<Level>>, D::Error> {
-    one_or_many(deserializer).map(Some)
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -393,21 +378,18 @@ mod tests {
         assert!(none.contains("perturbs nothing"), "{none}");
     }
 
+    /// A run's own file names the passes of all sites.
     #[test]
-    fn passes_of_a_site_whose_level_is_off_are_refused_not_ignored() {
-        for passes in ["both", "coarse", "fine"] {
-            let passes = format!("perturb.rgb.passes={passes}");
-            let refused = set(&["perturb.levels=[\"input\"]", &passes]).unwrap_err().to_string();
-            assert!(refused.contains("perturb.rgb.passes") && refused.contains("\"output\""), "{passes}: {refused}");
-        }
-        let off = set(&["perturb.levels=[\"input\"]", "perturb.rgb.passes=off"]).unwrap();
-        assert_eq!(off.perturb[PaperSite::Rgb].passes, Passes::Off);
-        // A run's own file names the passes of all sites: what is asked for later goes over it.
+    fn levels_win_over_passes() {
         let file = tempfile::NamedTempFile::new().unwrap();
         std::fs::write(file.path(), Config::default().to_toml()).unwrap();
         let levels = parse_assignment("perturb.levels=[\"feature\"]").unwrap();
         let narrowed = build(None, Some(file.path()), &[levels]).unwrap();
         assert_eq!(narrowed.perturb.sites_on().map(|(site, _)| site).collect::<Vec<_>>(), [PaperSite::Feature]);
+    }
+
+    #[test]
+    fn a_value_in_the_place_of_a_site_is_refused() {
         let wrong = set(&["perturb.rgb=3"]).unwrap_err().to_string();
         assert!(wrong.contains("perturb.rgb is a section"), "{wrong}");
         let file = toml::from_str::<Config>("[perturb]\nrgb = 3\n").unwrap_err().to_string();

@@ -1,11 +1,9 @@
-//! The table of a site in section `perturb`, and `perturb.levels`, the short way to switch sites off.
+//! The table of a site in section `perturb`.
 
 use serde::{Deserialize, Serialize};
-use toml::{Table, Value};
 
 use crate::base::settings::{numbers, section};
-use crate::base::settings::{one_or_many, word};
-use crate::perturb::{Epsilon, Level, Norm, PaperSite, Passes, Pgd, SiteNumbers, StepUnit};
+use crate::perturb::{Epsilon, Norm, PaperSite, Passes, Pgd, SiteNumbers, StepUnit};
 
 const NUMBERS: &[&str] = &["attack_numbers", "step_over_radius"];
 
@@ -64,38 +62,4 @@ impl SiteConfig {
         let norm = *self.norm.get_or_insert(default.norm);
         SiteNumbers { passes: self.passes, pgd: Pgd { steps, step_size, unit }, epsilon, norm }
     }
-}
-
-/// Iterates over the sites whose levels are not named. Without `levels` there are none.
-pub(super) fn switched_off(levels: Option<&[Level]>) -> impl Iterator<Item = PaperSite> {
-    PaperSite::ALL.into_iter().filter(move |site| levels.is_some_and(|levels| !levels.contains(&site.spec().level)))
-}
-
-/// Removes from `base` the passes of the sites that levels in `over` switch off: the later layer wins.
-pub(crate) fn forget_passes(base: &mut Table, over: &Table) {
-    let levels = levels_of(over);
-    let Some(perturb) = base.get_mut("perturb").and_then(Value::as_table_mut) else { return };
-    for site in switched_off(levels.as_deref()) {
-        if let Some(site) = perturb.get_mut(site.name()).and_then(Value::as_table_mut) {
-            site.remove("passes");
-        }
-    }
-}
-
-/// Returns an error for passes of a site that `perturb.levels` of the same text switches off.
-pub(crate) fn check_levels(text: &Table) -> Result<(), String> {
-    let passes = |site: PaperSite| text.get("perturb")?.get(site.name())?.get("passes")?.as_str();
-    let kept = |site: &PaperSite| passes(*site).is_some_and(|passes| passes != "off");
-    switched_off(levels_of(text).as_deref()).find(kept).map_or(Ok(()), |site| {
-        Err(format!(
-            "perturb.{}.passes contradicts perturb.levels, which switches that site off; add its level there (\"{}\"), or \
-             remove one of the two",
-            site.name(),
-            word(site.spec().level)
-        ))
-    })
-}
-
-fn levels_of(text: &Table) -> Option<Vec<Level>> {
-    text.get("perturb")?.get("levels").cloned().and_then(|levels| one_or_many(levels).ok())
 }
