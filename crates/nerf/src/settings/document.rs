@@ -157,7 +157,7 @@ const OTHER_WORDS: [(&str, &str); 21] = [
     ("tv", "regularizer.weight"),
 ];
 
-fn our_word(word: &str) -> Option<&'static str> {
+pub(super) fn our_word(word: &str) -> Option<&'static str> {
     OTHER_WORDS.iter().find(|(other, _)| *other == word).map(|(_, ours)| *ours)
 }
 

@@ -6,6 +6,7 @@ use std::sync::LazyLock;
 use serde::Serialize;
 use strsim::levenshtein;
 
+use super::document::our_word;
 use crate::base::SettingError;
 pub use crate::base::settings::{Effect, Range, Registry, Rule, Section, SectionRow, Setting};
 
@@ -27,89 +28,51 @@ pub fn check_flag(flag: &str, path: &str, value: impl Serialize) -> Result<(), S
 /// Largest number of settings that are suggested for a mistaken name.
 const MOST_MEANT: usize = 3;
 
-/// Returns the settings whose last part is that of `name`, or what it is short for, in the fewest sections. `steps` gives
-/// `train.steps`, `lr` gives `train.learning_rate`, and `width` both `data.width` and `field.width`.
+/// Returns the settings whose last part is that of `name`, in the section that it names. `steps` gives `train.steps`, `lr`
+/// gives `train.learning_rate`, and `width` both `data.width` and `field.width`.
 pub fn settings_called(name: &str) -> Vec<&'static str> {
-    shallowest(REGISTRY.settings.iter().map(|setting| setting.path.as_str()).filter(|path| is_called(path, name)))
+    let (distance, nearest) = nearest(name);
+    if distance == 0 { nearest } else { Vec::new() }
 }
 
-/// Returns whether the last part of `name` is that of `path`, its initials, or the beginnings of its words.
-fn is_called(path: &str, name: &str) -> bool {
-    let (own, short) = (last_part(path), last_part(name).to_lowercase());
-    let words: Vec<&str> = own.split('_').collect();
-    let begin = |parts: &[&str]| {
-        let pairs = || words.iter().zip(parts);
-        words.len() == parts.len() && pairs().all(|(word, part)| !part.is_empty() && word.starts_with(part))
-    };
-    let initials = || words.iter().filter_map(|word| word.chars().next()).eq(short.chars());
-    own == short || words.len() > 1 && (initials() || begin(&short.split('_').collect::<Vec<&str>>()))
-}
-
-/// Returns what a mistaken name may have meant, in words: settings of that last part, otherwise the nearest by Levenshtein's
-/// distance. A setting of the section that is named comes first.
+/// Returns the settings that a mistaken name may have meant, in words.
 pub(super) fn meant(name: &str) -> String {
-    in_words(&candidates(name))
+    in_words(&nearest(name).1)
 }
 
 /// Returns the same for a word that need not be a name: `None` if no setting is near.
 pub(super) fn nearly(word: &str) -> Option<String> {
-    let near = |path: &&'static str| {
-        is_called(path, word) || levenshtein(path, word).min(levenshtein(last_part(path), word)) <= word.len() / 3
-    };
-    let near: Vec<&str> = candidates(word).into_iter().filter(near).collect();
-    (!near.is_empty()).then(|| in_words(&near))
+    let (distance, nearest) = nearest(word);
+    (distance <= 2 * (word.len() / 3)).then(|| in_words(&nearest))
+}
+
+fn split(name: &str) -> (&str, &str) {
+    name.rsplit_once('.').unwrap_or(("", name))
 }
 
 fn in_words(paths: &[&str]) -> String {
     paths.iter().map(|path| format!("'{path}'")).collect::<Vec<_>>().join(" or ")
 }
 
-/// Largest Levenshtein distance of a misspelt key in the named section.
-const TYPOS: usize = 2;
-
-fn candidates(name: &str) -> Vec<&'static str> {
-    let known = || REGISTRY.settings.iter().map(|setting| setting.path.as_str());
-    if let Some(same) = known().find(|path| path.eq_ignore_ascii_case(name)) {
-        return vec![same];
+/// Returns the settings nearest to a name, those in the fewest sections, with their distance: twice Levenshtein's of the last
+/// parts, and that of the sections. A section around or in that of the setting is at distance 0, and so is none.
+fn nearest(name: &str) -> (usize, Vec<&'static str>) {
+    let settings = || REGISTRY.settings.iter();
+    let is_known = |name: &str| settings().any(|setting| setting.key() == split(name).1);
+    let mut name = name.to_lowercase();
+    if let Some(ours) = our_word(split(&name).1).filter(|ours| !is_known(&name) && is_known(ours)) {
+        name = ours.into();
     }
-    let nearest = |among: &[&'static str]| among.iter().copied().min_by_key(|path| levenshtein(path, name));
-    let called: Vec<&str> = known().filter(|path| is_called(path, name)).collect();
-    let section = |path: &str| path.rsplit_once('.').map(|(section, _)| section.to_string());
-    let beside = known().filter(|path| name.contains('.') && section(path) == section(name));
-    let beside: Vec<&str> = beside.filter(|path| levenshtein(last_part(path), last_part(name)) <= TYPOS).collect();
-    if let Some(nearest) = nearest(&beside) {
-        return vec![nearest];
-    }
-    // `perturb.steps` stands in the section of each site.
-    let below: Vec<&str> = section(name).map_or(Vec::new(), |section| {
-        called.iter().copied().filter(|path| path.starts_with(&format!("{section}."))).collect()
-    });
-    if below.len() > 1 {
-        return below;
-    }
-    match (name.contains('.'), called.is_empty()) {
-        // A section is named: the one that comes nearest.
-        (true, false) => nearest(&called).into_iter().collect(),
-        (true, true) => nearest(&known().collect::<Vec<_>>()).into_iter().collect(),
-        (false, false) => settings_called(name),
-        (false, true) => {
-            let away = |path: &&str| levenshtein(last_part(path), name);
-            let least = known().map(|path| away(&path)).min();
-            shallowest(known().filter(|path| Some(away(path)) == least))
-        }
-    }
-}
-
-fn last_part(path: &str) -> &str {
-    path.rsplit('.').next().expect("split gives one")
-}
-
-/// Those in the fewest sections, the first few.
-fn shallowest(paths: impl Iterator<Item = &'static str>) -> Vec<&'static str> {
-    let depth = |path: &str| path.matches('.').count();
-    let paths: Vec<&str> = paths.collect();
-    let least = paths.iter().map(|path| depth(path)).min();
-    paths.into_iter().filter(|path| Some(depth(path)) == least).take(MOST_MEANT).collect()
+    let (section, key) = split(&name);
+    let rank = |setting: &Setting| {
+        let own = setting.section();
+        let is_inside = section.is_empty() || format!(".{own}.").contains(&format!(".{section}."));
+        let of_sections = if is_inside { 0 } else { levenshtein(own, section) };
+        (2 * levenshtein(setting.key(), key) + of_sections, setting.path.matches('.').count())
+    };
+    let least = settings().map(rank).min().expect("there are settings");
+    let nearest = settings().filter(|setting| rank(setting) == least).map(|setting| setting.path.as_str());
+    (least.0, nearest.take(MOST_MEANT).collect())
 }
 
 #[cfg(test)]
@@ -155,7 +118,7 @@ mod tests {
         }
         assert_eq!(nearly("train.stepz").as_deref(), Some("'train.steps'"));
         assert_eq!((nearly("sigma"), nearly("lr").as_deref()), (None, Some("'train.learning_rate'")));
-        assert_eq!(settings_called("train.steps"), ["train.steps", "srn.steps"]);
+        assert_eq!(settings_called("train.steps"), ["train.steps"]);
         assert!(settings_called("rows").is_empty());
     }
 
