@@ -29,7 +29,7 @@ fn with_values(command: Command) -> Command {
     let is_new = command.get_name() == "new";
     command.mut_subcommands(with_values).mut_args(|flag| {
         let values: Vec<&'static str> = match flag.get_long() {
-            Some("preset") => Preset::ALL.iter().map(|(name, _)| *name).collect(),
+            Some("preset") => Preset::all().map(|(name, _)| name).collect(),
             Some("method") => Method::ALL.iter().map(|method| method.name()).collect(),
             // Once in a process that only prints them.
             Some("set") => REGISTRY.settings.iter().map(|setting| &*format!("{}=", setting.path).leak()).collect(),

@@ -190,7 +190,7 @@ fn rows_that_cannot_run_are_named_together() {
             r#"{ name = "A", set = { method = "tv" } }, { name = "B", preset = "fast", set = { method = "mip-nerf" } }"#,
             &[
                 "A (builtin): its set: method: tv is a regularizer; use regularizer.kind=tv",
-                "; B (builtin): preset fast sets field.encoding = \"hash\", which method mip-nerf cannot use; choose one of the presets smoke, cpu",
+                "; B (builtin): field.encoding = \"hash\" is not that of method mip-nerf: integrated is for mip-nerf",
             ],
         ),
         // 40 views of 16 x 16 pixels, whose rays end 6 from the cameras.

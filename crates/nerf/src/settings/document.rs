@@ -56,7 +56,7 @@ pub fn settings_page() -> String {
 
 /// Returns the section on what each preset sets.
 fn presets() -> String {
-    let tables: Vec<(&str, Table)> = Preset::ALL.iter().map(|(name, preset)| (*name, preset.table())).collect();
+    let tables: Vec<(&str, Table)> = Preset::all().map(|(name, preset)| (name, preset.table())).collect();
     let mut text =
         "\n## Presets\n\nWhat `--preset` sets over the defaults; an empty cell is the default.\n\n".to_string();
     let names: Vec<&str> = tables.iter().map(|(name, _)| *name).collect();

@@ -6,9 +6,8 @@ use toml::{Table, Value};
 
 use super::identity::value_at;
 use super::registry::{REGISTRY, Setting, meant};
-use super::{Config, DataConfig, Encoding, Method, REGULARIZERS, over_run};
+use super::{Config, DataConfig, Method, REGULARIZERS, over_run};
 use crate::base::input::{TEXT_BYTES, read_named};
-use crate::base::settings::word;
 use crate::base::{Error, Result, number_text};
 
 /// A named set of settings.
@@ -36,53 +35,36 @@ pub enum Preset {
     FewViewsBlender,
 }
 
+/// The presets with their names on the command line, their files, and the sizes of methods without fields that suit them,
+/// the general one first. Sizes name tables of `presets/srn.toml` and the like.
+const PRESETS: [(Preset, &str, &str, &[&str]); 10] = [
+    (Preset::Fast, "fast", include_str!("presets/fast.toml"), &["small"]),
+    (Preset::Smoke, "smoke", include_str!("presets/smoke.toml"), &["small", "smoke"]),
+    (Preset::Cpu, "cpu", include_str!("presets/cpu.toml"), &["small", "cpu"]),
+    (Preset::PaperLlff, "paper-llff", include_str!("presets/paper-llff.toml"), &["paper"]),
+    (Preset::PaperBlender, "paper-blender", include_str!("presets/paper-blender.toml"), &["paper"]),
+    (Preset::ReleasedLlff, "released-llff", include_str!("presets/released-llff.toml"), &["paper"]),
+    (Preset::ReleasedBlender, "released-blender", include_str!("presets/released-blender.toml"), &["paper"]),
+    (Preset::FewViews, "few-views", include_str!("presets/few-views.toml"), &["small", "few-views"]),
+    (Preset::FewViewsLlff, "few-views-llff", include_str!("presets/few-views-llff.toml"), OF_PAPERS),
+    (Preset::FewViewsBlender, "few-views-blender", include_str!("presets/few-views-blender.toml"), OF_PAPERS),
+];
+
+const OF_PAPERS: &[&str] = &["small", "few-views-of-papers"];
+
 impl Preset {
-    /// All presets with their names on the command line.
-    pub const ALL: [(&str, Preset); 10] = [
-        ("fast", Preset::Fast),
-        ("smoke", Preset::Smoke),
-        ("cpu", Preset::Cpu),
-        ("paper-llff", Preset::PaperLlff),
-        ("paper-blender", Preset::PaperBlender),
-        ("released-llff", Preset::ReleasedLlff),
-        ("released-blender", Preset::ReleasedBlender),
-        ("few-views", Preset::FewViews),
-        ("few-views-llff", Preset::FewViewsLlff),
-        ("few-views-blender", Preset::FewViewsBlender),
-    ];
+    /// Iterates over all presets with their names on the command line.
+    pub fn all() -> impl Iterator<Item = (&'static str, Preset)> {
+        PRESETS.iter().map(|(preset, name, ..)| (*name, *preset))
+    }
 
     /// Returns the preset of a name.
     pub fn parse(name: &str) -> Result<Preset> {
-        let found = Preset::ALL.iter().find(|(known, _)| *known == name);
-        found.map(|(_, preset)| *preset).ok_or_else(|| {
-            let names: Vec<&str> = Preset::ALL.iter().map(|(known, _)| *known).collect();
+        let found = Preset::all().find(|(known, _)| *known == name);
+        found.map(|(_, preset)| preset).ok_or_else(|| {
+            let names: Vec<&str> = Preset::all().map(|(known, _)| known).collect();
             Error::Config(format!("preset '{name}' does not exist; choose one of {}", names.join(", ")))
         })
-    }
-
-    /// Returns the preset's encoding if the method has no field of it.
-    fn unsuited(self, method: Method) -> Option<Encoding> {
-        let encoding = value_at(&self.table(), "field.encoding")?.clone().try_into().ok()?;
-        method.representation(encoding).is_none().then_some(encoding)
-    }
-
-    /// Returns an error if the named method has no field of the preset's encoding.
-    fn check_method(self, named: Option<&Value>) -> Result<()> {
-        let Some(method) = named.and_then(|named| named.clone().try_into::<Method>().ok()) else { return Ok(()) };
-        let Some(encoding) = self.unsuited(method) else { return Ok(()) };
-        let presets = |fits: &dyn Fn(Preset) -> bool| -> String {
-            let fitting = Preset::ALL.iter().filter(|(_, preset)| fits(*preset)).map(|(name, _)| *name);
-            fitting.collect::<Vec<&str>>().join(", ")
-        };
-        let methods = Method::ALL.into_iter().filter(|other| other.has_fields() && self.unsuited(*other).is_none());
-        Err(Error::Config(format!(
-            "preset {} sets field.encoding = \"{}\", which method {} cannot use; choose one of the presets {}, or one of the methods {}",
-            presets(&|preset| preset == self),
-            word(encoding),
-            method.name(),
-            presets(&|preset| preset.unsuited(method).is_none()),
-            methods.map(Method::name).collect::<Vec<&str>>().join(", ")
-        )))
     }
 
     /// Returns the settings of the preset.
@@ -90,23 +72,9 @@ impl Preset {
         toml::from_str(self.file().0).expect("presets are valid TOML")
     }
 
-    /// Returns the preset's file, and the sizes of methods without fields that suit it, the general one first. Sizes name
-    /// tables of `presets/srn.toml` and the like.
     fn file(self) -> (&'static str, &'static [&'static str]) {
-        match self {
-            Preset::Fast => (include_str!("presets/fast.toml"), &["small"]),
-            Preset::Smoke => (include_str!("presets/smoke.toml"), &["small", "smoke"]),
-            Preset::Cpu => (include_str!("presets/cpu.toml"), &["small", "cpu"]),
-            Preset::PaperLlff => (include_str!("presets/paper-llff.toml"), &["paper"]),
-            Preset::PaperBlender => (include_str!("presets/paper-blender.toml"), &["paper"]),
-            Preset::ReleasedLlff => (include_str!("presets/released-llff.toml"), &["paper"]),
-            Preset::ReleasedBlender => (include_str!("presets/released-blender.toml"), &["paper"]),
-            Preset::FewViews => (include_str!("presets/few-views.toml"), &["small", "few-views"]),
-            Preset::FewViewsLlff => (include_str!("presets/few-views-llff.toml"), &["small", "few-views-of-papers"]),
-            Preset::FewViewsBlender => {
-                (include_str!("presets/few-views-blender.toml"), &["small", "few-views-of-papers"])
-            }
-        }
+        let row = PRESETS.iter().find(|(preset, ..)| *preset == self);
+        row.map(|(_, _, text, sizes)| (*text, *sizes)).expect("each preset has a row")
     }
 }
 
@@ -191,36 +159,31 @@ fn typed(text: &str, setting: Option<&Setting>) -> Value {
 /// # Ok::<(), augnerf::base::Error>(())
 /// ```
 pub fn build(preset: Option<Preset>, file: Option<&Path>, assignments: &[(Vec<String>, Value)]) -> Result<Config> {
-    let mut base = Table::new();
-    if let Some(preset) = preset {
-        merge(&mut base, preset.table());
-    }
-    let mut table = Table::new();
-    if let Some(path) = file {
-        let text = read_named(path, TEXT_BYTES)
-            .map_err(|e| Error::Config(format!("cannot read the configuration file {}: {e}", path.display())))?;
-        let layer: Table = toml::from_str(&text).map_err(|e| Error::Config(format!("{}: {e}", path.display())))?;
-        check_keys(&layer, &path.display().to_string())?;
-        // Also checks types and choices, while the file and its lines can still be named.
-        toml::from_str::<Config>(&text).map_err(|e| Error::Config(format!("{}: {e}", path.display())))?;
-        merge(&mut table, layer);
-        let mut given = Table::new();
-        assignments.iter().try_for_each(|(path, value)| assign(&mut given, path, value.clone()))?;
-        over_run::reopen(&mut table, &given);
-    }
-    for (path, value) in assignments {
-        assign(&mut table, path, value.clone())?;
-    }
+    let mut base = preset.map_or_else(Table::new, Preset::table);
+    let mut table = file.map_or_else(|| Ok(Table::new()), read)?;
+    let mut given = Table::new();
+    assignments.iter().try_for_each(|(path, value)| assign(&mut given, path, value.clone()))?;
+    over_run::reopen(&mut table, &given);
+    merge(&mut table, given);
     if let Some(layer) = representation_layer([&table, &base], preset) {
         merge(&mut base, layer);
     }
     over_run::forget_term(&mut base, &table);
-    if let Some(preset) = preset.filter(|_| value_at(&table, "field.encoding").is_none()) {
-        preset.check_method(value_at(&table, "method"))?;
-    }
     merge(&mut base, table);
     let text = toml::to_string(&base).expect("a table of settings is plain data");
     Config::from_toml(&text, "settings")
+}
+
+/// Reads a configuration file.
+fn read(path: &Path) -> Result<Table> {
+    let text = read_named(path, TEXT_BYTES)
+        .map_err(|e| Error::Config(format!("cannot read the configuration file {}: {e}", path.display())))?;
+    let wrong = |e: toml::de::Error| Error::Config(format!("{}: {e}", path.display()));
+    let layer = toml::from_str(&text).map_err(wrong)?;
+    check_keys(&layer, &path.display().to_string())?;
+    // Also checks types and choices, while the file and its lines can still be named.
+    toml::from_str::<Config>(&text).map_err(wrong)?;
+    Ok(layer)
 }
 
 /// Returns section `data` of the defaults with assignments over them. It decides the preset if none is named. Nothing
@@ -230,8 +193,7 @@ pub fn data_section(assignments: &[(Vec<String>, Value)]) -> Result<DataConfig> 
     for (path, value) in assignments.iter().filter(|(path, _)| path[0] == "data") {
         assign(&mut table, path, value.clone())?;
     }
-    let text = toml::to_string(&table).expect("a table of settings is plain data");
-    let config: Config = toml::from_str(&text).expect("each assignment was checked");
+    let config: Config = table.try_into().expect("each assignment was checked");
     Ok(config.data)
 }
 
@@ -455,7 +417,7 @@ mod tests {
         let nv = |preset| method("nv", Some(preset)).unwrap().nv;
         let sides = [Preset::PaperLlff, Preset::Cpu, Preset::Smoke].map(|p| (nv(p).resolution, nv(p).divide));
         assert_eq!(sides, [(128, 1), (64, 4), (32, 4)]);
-        for (name, preset) in Preset::ALL {
+        for (name, preset) in Preset::all() {
             for baseline in ["srn", "nv", "llff"] {
                 // The preset is its term, and these methods have none.
                 if preset == Preset::FewViews {
@@ -471,7 +433,7 @@ mod tests {
 
     #[test]
     fn every_preset_is_valid_and_survives_being_written_out() {
-        for (name, preset) in Preset::ALL {
+        for (name, preset) in Preset::all() {
             let config = build(Some(preset), None, &[]).unwrap_or_else(|e| panic!("{name}: {e}"));
             assert_eq!(Config::from_toml(&config.to_toml(), name).unwrap(), config, "{name}");
         }

@@ -48,7 +48,7 @@ impl Config {
         let Some(representation) = self.method.representation(self.field.encoding) else {
             return Err(Error::Config(format!(
                 "field.encoding = \"{}\" is not that of method {method}: integrated is for mip-nerf and aug-mip-nerf, \
-                 positional and hash are for nerf and aug-nerf",
+                 positional and hash are for nerf and aug-nerf; choose another method, encoding or preset",
                 word(self.field.encoding),
             )));
         };
