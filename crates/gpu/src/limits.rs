@@ -64,7 +64,7 @@ pub(crate) fn check_precision(gpu: &Gpu, config: &Config) -> Result<()> {
 
 /// Returns an error for fields that the device neither trains nor renders.
 pub(crate) fn check_fields(config: &Config) -> Result<()> {
-    if !config.representation().is_field() || config.field.encoding == Encoding::Integrated {
+    if !config.method.has_fields() || config.field.encoding == Encoding::Integrated {
         return Err(refused(&format!("method {}", config.method.name())));
     }
     check_field(&config.field)?;

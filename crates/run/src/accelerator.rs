@@ -48,7 +48,7 @@ pub(crate) fn check(config: &Resolved, runtime: &Runtime) -> Result<()> {
                 .into(),
         )),
         None => Ok(()),
-        Some(_) if !config.representation().is_field() => Err(refused(config)),
+        Some(_) if !config.method.has_fields() => Err(refused(config)),
         Some(accelerator) => accelerator.check(config),
     }
 }

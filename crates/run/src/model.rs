@@ -51,7 +51,7 @@ impl Model {
     /// Settings do not suit the scene; every initialization is dead; the method is not built in.
     pub fn start(config: &Resolved, scene: &Scene, dtype: DType, runtime: &Runtime) -> Result<(Model, Vec<u64>)> {
         let device = runtime.device();
-        if config.representation().is_field() {
+        if config.method.has_fields() {
             let (learner, redraws) = FieldLearner::start(config, scene, dtype, device)?;
             return Ok((Model::Fields(learner.fields().clone()), redraws));
         }
@@ -65,7 +65,7 @@ impl Model {
     /// # Errors
     /// Those of [`Model::start`], except a dead start.
     pub fn check(config: &Resolved, scene: &Scene, dtype: DType, runtime: &Runtime) -> Result<()> {
-        if !config.representation().is_field() {
+        if !config.method.has_fields() {
             return (baseline(config)?.check)(config, scene);
         }
         FieldLearner::check(config, scene, dtype, runtime.device())
@@ -73,7 +73,7 @@ impl Model {
 
     /// Returns the names of a configuration's networks, in the fixed order of parameters.
     pub fn parts(config: &Config) -> Vec<&'static str> {
-        match config.representation().is_field() {
+        match config.method.has_fields() {
             true => Fields::roles(config),
             false => family(config.representation()).map(|family| family.part).into_iter().collect(),
         }
@@ -81,7 +81,7 @@ impl Model {
 
     /// Returns names and shapes of all parameters, in their fixed order; empty for a method that is not built in.
     pub fn parameter_names(config: &Config) -> Vec<(String, Vec<usize>)> {
-        match config.representation().is_field() {
+        match config.method.has_fields() {
             true => Fields::parameter_names(config),
             false => family(config.representation()).map(|family| (family.parameter_names)(config)).unwrap_or_default(),
         }
@@ -92,7 +92,7 @@ impl Model {
     /// # Errors
     /// Values have another number or shape; the method is not built in.
     pub fn from_parameters(config: &Config, values: Vec<Tensor>) -> Result<Model> {
-        if config.representation().is_field() {
+        if config.method.has_fields() {
             return Ok(Model::Fields(Fields::from_parameters(config, values)?));
         }
         let representation = config.representation();

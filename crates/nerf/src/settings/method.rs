@@ -124,14 +124,6 @@ impl Representation {
         self.lacks(Capability::Derivatives).is_none()
     }
 
-    /// Whether the method is a radiance field, which `augnerf-nerf` trains itself.
-    pub fn is_field(self) -> bool {
-        match self {
-            Representation::Nerf | Representation::MipNerf | Representation::HashNerf => true,
-            Representation::Srn | Representation::Volume | Representation::Planes => false,
-        }
-    }
-
     /// Returns why the capability is missing, in words that end a sentence, or `None` if it is supported.
     pub fn lacks(self, capability: Capability) -> Option<&'static str> {
         use Representation::{HashNerf, MipNerf, Nerf, Planes, Srn, Volume};
