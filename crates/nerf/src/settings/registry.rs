@@ -108,6 +108,8 @@ mod tests {
             ("sed", "'seed'"),
             ("perturb.q.epsilon", "'perturb.t.epsilon'"),
             ("perturb.rgb.epsilom", "'perturb.rgb.epsilon'"),
+            // A setting that a draft leaves open.
+            ("eval.mesh.treshold", "'eval.mesh.threshold'"),
             ("trian.steps", "'train.steps'"),
             ("train.lr", "'train.learning_rate'"),
             ("lr", "'train.learning_rate'"),

@@ -283,24 +283,6 @@ impl Config {
 mod tests {
     use super::super::{build, parse_assignment};
 
-    #[test]
-    fn messages_name_field_value_and_range() {
-        for (assignment, words) in [
-            ("train.steps=0", vec!["train.steps", "0", "at least 1"]),
-            ("field.width=7", vec!["field.width", "7", "even"]),
-            ("perturb.t.epsilon=0.6", vec!["perturb.t.epsilon", "0.6", "0.5"]),
-            ("field.skips=[8]", vec!["field.skips", "8", "1 to 7"]),
-            ("train.learning_rate=nan", vec!["train.learning_rate", "positive"]),
-            ("data.holdout=1", vec!["data.holdout", "at least 2"]),
-        ] {
-            let set = vec![parse_assignment(assignment).unwrap()];
-            let message = build(None, None, &set).unwrap_err().to_string();
-            for word in words {
-                assert!(message.contains(word), "{assignment}: {message}");
-            }
-        }
-    }
-
     /// What settings of a hash field are told; nothing where they are taken.
     fn told(further: &[&str]) -> String {
         let texts = ["field.encoding=hash"].iter().chain(further);
