@@ -3,7 +3,8 @@
 use augnerf::base::rng::{Random, Stream};
 use augnerf::methods::step_over_radius;
 use augnerf::perturb::{
-    AttackGeometry, DeltaSet, Epsilon, Geometry, Norm, PaperPass, PaperSite, PassGeometry, PerSite, PixelScale, SampleDensity, Sets, SiteNumbers,
+    AttackGeometry, DeltaSet, Epsilon, Geometry, Norm, PaperPass, PaperSite, PassGeometry, PerSite, PixelScale,
+    SampleDensity, Sets, SiteNumbers,
 };
 use augnerf::run::load_scene;
 use augnerf::settings::{Config, PerturbConfig, Preset, Sizes};

@@ -46,8 +46,7 @@ pub use crate::losses::{
     LatticePoints, REGULARIZERS, RegularizedFields, Regularizer, RegularizerConfig, TermNeeds, TermRays, WeightSchedule,
 };
 pub use crate::perturb::settings::{
-    ChangedEntries, Objective, OutputPlace, PerturbConfig, PerturbField, Resample, SecondPass,
-    SiteConfig, Sizes,
+    ChangedEntries, Objective, OutputPlace, PerturbConfig, PerturbField, Resample, SecondPass, SiteConfig, Sizes,
 };
 pub use crate::render::settings::{SamplingConfig, Spacing};
 

@@ -13,8 +13,8 @@ use crate::revision::version;
 use crate::settings::columns::{COLUMNS, applies, find, perturbed, regularized};
 use crate::settings::registry::REGISTRY;
 use crate::settings::{
-    Config, Core, Encoding, EvalSplit, HashConfig, LatticePoints, Precision, Regularizer, RegularizerConfig,
-    Representation, Resolved, PerturbConfig, SamDirection, SamplingConfig, Schedule, TermRays, TrainConfig,
+    Config, Core, Encoding, EvalSplit, HashConfig, LatticePoints, PerturbConfig, Precision, Regularizer,
+    RegularizerConfig, Representation, Resolved, SamDirection, SamplingConfig, Schedule, TermRays, TrainConfig,
     TrainViews, WeightSchedule, value_at, word,
 };
 use crate::train::checkpoint::State;
