@@ -90,18 +90,13 @@ fn representation_layer(layers: [&Table; 2], preset: Option<Preset>) -> Option<T
 /// Returns a method's layer with the tables of the sizes that suit a preset.
 fn sized(layer: &str, preset: Option<Preset>) -> Table {
     let mut layer: Table = toml::from_str(layer).expect("presets are valid TOML");
-    let own = SIZES.map(|size| (size, layer.remove(size)));
-    let suit = preset.map_or(&["paper"][..], |preset| preset.file().1);
-    for (_, own) in own.into_iter().filter(|(size, _)| suit.contains(size)) {
-        if let Some(Value::Table(own)) = own {
-            merge(&mut layer, own);
-        }
-    }
+    let sizes = preset.map_or(&["paper"][..], |preset| preset.file().1);
+    let own: Vec<Value> = sizes.iter().filter_map(|size| layer.remove(*size)).collect();
+    // What remains besides sections are other sizes.
+    layer.retain(|name, _| REGISTRY.knows(name));
+    own.into_iter().filter_map(|own| own.try_into().ok()).for_each(|own| merge(&mut layer, own));
     layer
 }
-
-/// Names of tables in a method's layer; later ones override earlier ones.
-const SIZES: [&str; 6] = ["paper", "small", "cpu", "smoke", "few-views", "few-views-of-papers"];
 
 /// More parts than the name of any setting has.
 const DEEPEST: usize = 8;

@@ -35,33 +35,24 @@ impl Config {
         } else {
             self.validate_without_fields()?;
         }
-        if side > 0 {
-            self.require_capability(Capability::Density, &format!("eval.mesh.resolution = {side}"), "set it to 0")?;
-        }
+        self.validate_capabilities()?;
         self.perturb.validate()?;
         self.regularizer.validate()?;
         self.validate_terms()
     }
 
     fn validate_representation(&self) -> Result<()> {
-        let method = self.method.name();
-        let Some(representation) = self.method.representation(self.field.encoding) else {
-            return Err(Error::Config(format!(
-                "field.encoding = \"{}\" is not that of method {method}: integrated is for mip-nerf and aug-mip-nerf, \
-                 positional and hash are for nerf and aug-nerf; choose another method, encoding or preset",
-                word(self.field.encoding),
-            )));
-        };
         let message = format!(
-            "regularizer.kind with method {method}: terms in space and orientation read density at points, and this \
-             field is queried at Gaussians; use nerf or aug-nerf, or other terms on rays, such as distortion"
+            "field.encoding = \"{}\" is not that of method {}: integrated is for mip-nerf and aug-mip-nerf, positional and hash \
+             are for nerf and aug-nerf; choose another method, encoding or preset",
+            word(self.field.encoding),
+            self.method.name()
         );
-        let reads_points = |term: &Regularizer| matches!(term.needs(), TermNeeds::Density(_) | TermNeeds::Slopes);
-        refuse(!representation.has_derivatives_at_points() && self.regularizer.kind.iter().any(reads_points), message)
+        refuse(self.method.representation(self.field.encoding).is_none(), message)
     }
 
-    /// Rejects terms and spaces for which a method without fields has no answer.
-    fn validate_without_fields(&self) -> Result<()> {
+    /// Rejects terms and surfaces for which the representation has no answer.
+    fn validate_capabilities(&self) -> Result<()> {
         for term in &self.regularizer.kind {
             let capability = match term.needs() {
                 TermNeeds::Density(_) | TermNeeds::Slopes => Capability::Derivatives,
@@ -72,6 +63,13 @@ impl Config {
             let what = format!("regularizer.kind = \"{}\"", term.name());
             self.require_capability(capability, &what, "leave it empty, or use nerf or aug-nerf")?;
         }
+        let side = self.eval.mesh.resolution;
+        let what = format!("eval.mesh.resolution = {side}");
+        if side > 0 { self.require_capability(Capability::Density, &what, "set it to 0") } else { Ok(()) }
+    }
+
+    /// Rejects scenes for which a method without fields has no answer.
+    fn validate_without_fields(&self) -> Result<()> {
         let (data, method, kind) = (&self.data, self.method.name(), self.data.kind.name());
         let forward = data.kind.forward_facing() && !data.spherify;
         let around = match data.kind {
