@@ -12,7 +12,7 @@ use augnerf::sweep::{Definition, Overrides, Point, expand};
 use clap::error::ErrorKind;
 
 use crate::common::files::ending;
-use crate::sweep_run::Costs;
+use crate::sweep_run::costs;
 
 mod page;
 mod shell;
@@ -165,7 +165,7 @@ fn points_of(words: &[String]) -> Vec<Point> {
             set: values(words, "--set").into_iter().map(|text| parse_assignment(text).unwrap()).collect(),
         })
         .unwrap();
-    expand(&definition, None, &Costs).unwrap()
+    expand(&definition, None, &costs).unwrap()
 }
 
 /// The rows that docs/gpu.md refuses, by method or regularizer, are those that docs/reproduce.md names beside each table.

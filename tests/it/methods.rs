@@ -7,7 +7,7 @@ use augnerf::report::tables::{Table, table_latex, table_markdown};
 use augnerf::report::{Record, TableSpec};
 use augnerf::run::surface_threshold;
 use augnerf::settings::{Config, DataKind, Extent, Preset};
-use augnerf::sweep::{Definition, StepCosts, expand};
+use augnerf::sweep::{Definition, StepSeconds, expand};
 
 /// The methods, and why each has no density in space; none where it has one.
 const BASELINES: [(&str, Option<&str>); 3] = [
@@ -93,12 +93,8 @@ fn commands_that_need_fields_are_refused_before_anything_is_computed() {
 }
 
 /// A step of every row takes a second.
-struct Equal;
-
-impl StepCosts for Equal {
-    fn seconds_per_step(&self, _: &Config) -> Result<f64> {
-        Ok(1.0)
-    }
+fn equal(configs: &[&Config]) -> Result<StepSeconds> {
+    Ok(configs.iter().map(|config| (*config, 1.0)).collect())
 }
 
 #[test]
@@ -111,7 +107,7 @@ fn budgets_of_evaluations_are_for_fields_and_those_of_seconds_for_all() {
     };
     for (method, _) in BASELINES {
         let points = |kind: &str, like: &str| {
-            expand(&Definition::parse(&text(method, kind, like), "t.toml").unwrap(), None, &Equal)
+            expand(&Definition::parse(&text(method, kind, like), "t.toml").unwrap(), None, &equal)
         };
         let named = format!("method {method}");
         for like in ["NeRF", "Other"] {

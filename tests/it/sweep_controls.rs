@@ -6,11 +6,11 @@ use std::sync::atomic::Ordering;
 use augnerf::base::Error;
 use augnerf::perturb::{Epsilon, Geometry, PaperSite};
 use augnerf::settings::{Config, Representation, SecondPass, Sizes};
-use augnerf::sweep::{Definition, Point, PublishedCosts, StepCosts, SweepFolder, begin, expand};
+use augnerf::sweep::{Definition, Point, StepSeconds, SweepFolder, begin, expand};
 use tempfile::TempDir;
 
 use crate::common::files::ending;
-use crate::sweep_run::{BASE, Costs, Slower, parse, points_of};
+use crate::sweep_run::{BASE, Slower, costs, parse, points_of};
 
 /// Every shipped sweep by its file's name, with one seed.
 fn shipped() -> Vec<(String, Definition)> {
@@ -44,7 +44,7 @@ fn every_shipped_sweep_with_an_augmented_row_has_its_controls() {
     };
     let (mut augmented, mut lacking) = (0, Vec::new());
     for (name, definition) in shipped() {
-        let points = expand(&definition, None, &Costs).unwrap();
+        let points = expand(&definition, None, &costs).unwrap();
         let of_row = |row: &str| points.iter().find(|point| point.places.iter().any(|place| place.row == row)).unwrap();
         // Rows with a second pass, each with what it is compared with: settings of that pass and of the scene.
         let passes: Vec<(String, SecondPass, String, &Config)> = definition
@@ -117,7 +117,7 @@ fn every_shipped_sweep_tells_seen_from_unseen_views() {
     let mut sweeps = 0;
     for (name, definition) in shipped() {
         assert!(definition.metrics.iter().any(|metric| metric == "gap"), "{name}: no gap");
-        for point in expand(&definition, None, &Costs).unwrap() {
+        for point in expand(&definition, None, &costs).unwrap() {
             let (train, eval) = (&point.config.train, &point.config.eval);
             // LLFF shows seen views from their own planes, so that its gap says little, and predicts planes for each evaluation.
             let few = match point.config.representation() {
@@ -149,7 +149,7 @@ fn uniform_draws_are_named_by_their_sets() {
         if name.starts_with("study_") {
             continue;
         }
-        for point in expand(&definition, None, &Costs).unwrap() {
+        for point in expand(&definition, None, &costs).unwrap() {
             let perturb = &point.config.perturb;
             let uniform = perturb.second == SecondPass::Uniform;
             if !point.config.method.is_augmented() || !uniform {
@@ -170,7 +170,7 @@ fn uniform_draws_are_named_by_their_sets() {
 fn controls_of_the_study_have_the_sets_and_weight_of_its_attack() {
     let mut blocks = 0;
     for (name, definition) in shipped().into_iter().filter(|(name, _)| name.starts_with("study_")) {
-        let points = expand(&definition, None, &Costs).unwrap();
+        let points = expand(&definition, None, &costs).unwrap();
         let perturb = |row: &str| {
             let point = points.iter().find(|point| point.places.iter().any(|place| place.row == row));
             point.map(|point| point.config.perturb.clone())
@@ -203,7 +203,7 @@ fn budgets_of_two_kinds_may_come_to_the_same_steps() {
     };
     let both = equal("evaluations", "evaluations") + &equal("seconds", "seconds");
     let points = points_of(&format!("{BASE}{both}")).unwrap();
-    assert_eq!(points.iter().filter(|point| point.places.len() == 2).count(), 2, "a step of Costs takes 4 to 1");
+    assert_eq!(points.iter().filter(|point| point.places.len() == 2).count(), 2, "a step of costs takes 4 to 1");
     let absent = BASE.replace("[\"builtin\"]", "[\"nerf_llff_data/nowhere\"]").replace("\"smoke\"", "\"cpu\"");
     let points = points_of(&format!("{absent}{both}")).unwrap();
     assert!(points.iter().any(|point| point.without_budget && point.places.len() == 2));
@@ -218,9 +218,12 @@ fn seconds_beside_the_tables_are_used_again() {
     let dir = TempDir::new().unwrap();
     let [first, results, second] = ["first", "results", "second"].map(|name| dir.path().join(name));
     std::fs::create_dir(&results).unwrap();
-    let start = |folder: &Path, costs: &dyn StepCosts| {
-        let costs = PublishedCosts::beside(&results, costs)?;
-        let points = begin(&SweepFolder::new(folder), &definition, None, false, &costs, &|_, _| Ok(()))?;
+    let start = |folder: &Path, slower: &Slower| {
+        let measure = |configs: &[&Config]| match StepSeconds::published(&results, configs)? {
+            Some(published) => Ok(published),
+            None => slower.measure(configs),
+        };
+        let points = begin(&SweepFolder::new(folder), &definition, None, false, &measure, &|_, _| Ok(()))?;
         Ok::<_, Error>(points.into_iter().map(|point| point.id).collect::<Vec<_>>())
     };
     let slower = Slower::default();

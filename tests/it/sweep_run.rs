@@ -13,7 +13,7 @@ use augnerf::report::{PointResult, Status, TableSpec};
 use augnerf::runtime::Runtime;
 use augnerf::settings::{Config, Regularizer, SecondPass, parse_assignment};
 use augnerf::sweep::{
-    Change, Claim, Definition, Failure, Options, Overrides, Point, PointFolder, Progress, Runner, Sharing, StepCosts,
+    Change, Claim, Definition, Failure, Options, Overrides, Point, PointFolder, Progress, Runner, Sharing, StepSeconds,
     SweepFolder, Unmeasured, Work, begin, evaluations_per_step, expand,
 };
 use tempfile::TempDir;
@@ -34,12 +34,9 @@ set = { method = "aug-nerf", "perturb.t.steps" = 3 }
 "#;
 
 /// A step of a width-64 network takes a second, one with a perturbed pass four.
-pub struct Costs;
-
-impl StepCosts for Costs {
-    fn seconds_per_step(&self, config: &Config) -> Result<f64> {
-        Ok(if config.method.name() == "nerf" { 1.0 } else { 4.0 })
-    }
+pub fn costs(configs: &[&Config]) -> Result<StepSeconds> {
+    let seconds = |config: &Config| if config.method.name() == "nerf" { 1.0 } else { 4.0 };
+    Ok(configs.iter().map(|config| (*config, seconds(config))).collect())
 }
 
 pub fn parse(text: &str) -> Result<Definition> {
@@ -47,7 +44,7 @@ pub fn parse(text: &str) -> Result<Definition> {
 }
 
 pub fn points_of(text: &str) -> Result<Vec<Point>> {
-    expand(&parse(text)?, None, &Costs)
+    expand(&parse(text)?, None, &costs)
 }
 
 fn labels(points: &[Point]) -> Vec<String> {
@@ -117,7 +114,7 @@ pub fn sweep(text: &str) -> (TempDir, SweepFolder, Vec<Point>) {
 
 /// Begins it, or goes on with it, without data.
 pub fn begun(folder: &SweepFolder, definition: &Definition, extend: bool) -> Result<Vec<Point>> {
-    begin(folder, definition, None, extend, &Costs, &|_, _| Ok(()))
+    begin(folder, definition, None, extend, &costs, &|_, _| Ok(()))
 }
 
 pub fn run(folder: &SweepFolder, points: &[Point], work: &dyn Work, options: Options) -> Result<Vec<Unmeasured>> {
@@ -201,7 +198,7 @@ fn settings_by_seed_go_with_the_seed_under_rows() {
     let TableSpec { must_match, by_seed, .. } = definition.table("t", &points);
     assert!([must_match, by_seed].iter().all(|columns| columns.iter().any(|column| column == "split")));
     assert!(parse(BASE).unwrap().table("t", &points_of(BASE).unwrap()).by_seed.is_empty());
-    let offsets = expand(&with_settings(&definition, &["data.holdout_offset=1"]), None, &Costs).unwrap();
+    let offsets = expand(&with_settings(&definition, &["data.holdout_offset=1"]), None, &costs).unwrap();
     assert!(offsets.iter().all(|point| point.config.data.holdout_offset == 1), "the command line's setting");
     refused(&text.replace("[20]", "[]"), &["by_seed.\"train.steps\""]);
     refused(&text.replace("data.holdout_offset", "data.hold"), &["data.hold"]);
@@ -233,7 +230,7 @@ fn settings_by_scene_go_with_the_scene_under_rows() {
     let definition = parse(&text).unwrap();
     assert_eq!(parse(&definition.to_toml()).unwrap(), definition);
     let of = |definition: &Definition| -> Vec<(String, u64, usize)> {
-        let points = expand(definition, None, &Costs).unwrap();
+        let points = expand(definition, None, &costs).unwrap();
         points.into_iter().map(|point| (point.scene, point.config.train.steps, point.config.train.rays)).collect()
     };
     let plain = parse(BASE).unwrap();
@@ -542,9 +539,10 @@ fn a_definition_in_other_words_goes_on_with_its_points() {
 #[derive(Default)]
 pub struct Slower(pub AtomicUsize);
 
-impl StepCosts for Slower {
-    fn seconds_per_step(&self, _: &Config) -> Result<f64> {
-        Ok(1.5f64.powi(self.0.fetch_add(1, Ordering::SeqCst) as i32))
+impl Slower {
+    pub fn measure(&self, configs: &[&Config]) -> Result<StepSeconds> {
+        let seconds = || 1.5f64.powi(self.0.fetch_add(1, Ordering::SeqCst) as i32);
+        Ok(configs.iter().map(|config| (*config, seconds())).collect())
     }
 }
 
@@ -555,15 +553,16 @@ fn points_are_fixed_when_a_sweep_begins() {
     let definition = parse(&text).unwrap();
     let dir = TempDir::new().unwrap();
     let folder = SweepFolder::new(dir.path());
-    let costs = Slower::default();
+    let slower = Slower::default();
+    let measure = |configs: &[&Config]| slower.measure(configs);
     let ids = |points: Vec<Point>| points.into_iter().map(|point| point.id).collect::<Vec<_>>();
-    let start = || ids(begin(&folder, &definition, None, false, &costs, &|_, _| Ok(())).unwrap());
+    let start = || ids(begin(&folder, &definition, None, false, &measure, &|_, _| Ok(())).unwrap());
     let (a, b) = std::thread::scope(|scope| {
         let (a, b) = (scope.spawn(start), scope.spawn(start));
         (a.join().unwrap(), b.join().unwrap())
     });
     assert_eq!(a, b);
-    assert_eq!(costs.0.load(Ordering::SeqCst), 2, "one measurement for each of the two shapes");
+    assert_eq!(slower.0.load(Ordering::SeqCst), 2, "one measurement for each of the two shapes");
     assert_eq!(start(), a);
     assert_eq!(ids(folder.points(None).unwrap().unwrap()), a);
 }
@@ -580,11 +579,11 @@ fn a_budget_waits_for_its_scene() {
     let definition = parse(&text).unwrap();
     let dir = TempDir::new().unwrap();
     let folder = SweepFolder::new(dir.path());
-    let nowhere = begin(&folder, &definition, Some(Path::new("/nowhere")), false, &Costs, &|_, _| Ok(())).unwrap();
+    let nowhere = begin(&folder, &definition, Some(Path::new("/nowhere")), false, &costs, &|_, _| Ok(())).unwrap();
     assert_eq!(nowhere.len(), 6);
     assert!(nowhere.iter().all(|point| point.no_data.is_some()));
     assert_eq!(nowhere.iter().filter(|point| point.without_budget).count(), 2);
-    let here = begin(&folder, &definition, Some(&data), false, &Costs, &|_, _| Ok(())).unwrap();
+    let here = begin(&folder, &definition, Some(&data), false, &costs, &|_, _| Ok(())).unwrap();
     assert!(here.iter().all(|point| point.no_data.is_none() && !point.without_budget));
     assert_eq!(here[2].config.train.steps, 4 * here[0].config.train.steps);
     // Read back without the data: the same points.
@@ -659,7 +658,7 @@ fn expand_shipped_sweeps(data: Option<&Path>) {
     for path in crate::common::files::ending(&dir, ".toml") {
         let definition = Definition::read(&path).unwrap_or_else(|e| panic!("{e}"));
         let name = path.file_stem().unwrap().to_string_lossy().into_owned();
-        let points = expand(&definition, data, &Costs);
+        let points = expand(&definition, data, &costs);
         let points = points.unwrap_or_else(|e| panic!("{name}: {e}"));
         assert!(points.len() >= 2 * definition.seeds.len(), "{name}");
         found += 1;
@@ -707,7 +706,7 @@ fn the_figure_has_the_paper_s_axes_around_one_best_point() {
     let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("sweeps/paper/fig_strength_location.toml");
     let mut definition = Definition::read(&path).unwrap();
     definition.seeds = vec![0];
-    let points = expand(&definition, None, &Costs).unwrap();
+    let points = expand(&definition, None, &costs).unwrap();
     // NeRF; 7 axes with 5, 5, 5, 5, 5, 5 and 8 values that share the best point, plus equal sizes within a fixed epsilon.
     let best = points.iter().max_by_key(|point| point.places.len()).unwrap();
     assert_eq!(best.places.len(), 7, "{:?}", best.places);

@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use crate::common::assert_says;
 use crate::common::files::{ending, entries, files, rows, text};
 use crate::common::program::Place;
-use crate::sweep_run::Costs;
+use crate::sweep_run::costs;
 use augnerf::report::PointResult;
 use augnerf::sweep::{Claim, Definition, Point, SHIPPED, Sharing, SweepFolder, TEMPLATE, expand};
 
@@ -51,7 +51,7 @@ fn finished(dir: &Path, name: &str, definition: &str, fields: &[(&str, &str)]) -
     let path = dir.join("runs").join(name);
     let folder = SweepFolder::new(&path);
     let definition = Definition::parse(definition, name).unwrap();
-    let points = expand(&definition, None, &Costs).unwrap();
+    let points = expand(&definition, None, &costs).unwrap();
     std::fs::create_dir_all(path.join("points")).unwrap();
     folder.begin(&definition, &points, None).unwrap();
     let known = [
@@ -178,7 +178,7 @@ fn two_sweeps_stand_in_one_table_where_they_agree() {
     assert_eq!((other["baseline"].as_str(), other["psnr_pairs"].as_str()), ("NeRF", "2"));
     assert!(place.text("both/table.md").contains("a view of monday and tuesday"));
     // What is left to do of any sweep decides the exit code.
-    let later_points = expand(&Definition::parse(&later, "tuesday").unwrap(), None, &Costs).unwrap();
+    let later_points = expand(&Definition::parse(&later, "tuesday").unwrap(), None, &costs).unwrap();
     let of_b = later_points.iter().find(|point| point.places[0].row == "B").unwrap();
     let tuesday = SweepFolder::new(&place.at("runs/tuesday"));
     std::fs::remove_file(tuesday.point(&of_b.id).path().join("result.json")).unwrap();
@@ -200,7 +200,7 @@ fn a_new_sweep_file_runs_as_it_is_and_explains_every_key() {
     place.says("sweep new", 0, &["sweep.toml", "augnerf sweep plan sweep.toml"]);
     let file = place.at("sweep.toml");
     let definition = Definition::read(&file).unwrap();
-    assert_eq!(expand(&definition, None, &Costs).unwrap().len(), 8);
+    assert_eq!(expand(&definition, None, &costs).unwrap().len(), 8);
     place.says("sweep new", 4, &["sweep.toml exists already"]);
     // Every key of the page's tables has its line.
     let page = text(&Path::new(env!("CARGO_MANIFEST_DIR")).join("docs/sweep-file.md"));

@@ -5,7 +5,7 @@ use std::fs;
 use crate::common::assert_says;
 use crate::common::files::{entries, points_of, rows};
 use crate::common::program::Place;
-use crate::sweep_run::Costs;
+use crate::sweep_run::costs;
 use augnerf::sweep::{Definition, expand};
 
 const TINY: &str = r#"
@@ -256,7 +256,7 @@ fn status_says_why_the_last_worker_ended() {
     assert!(!status().contains("worker"));
     // A file where the first point's run belongs.
     let definition = Definition::read(&place.at("sweeps/tiny.toml")).unwrap();
-    let id = &expand(&definition, None, &Costs).unwrap()[0].id;
+    let id = &expand(&definition, None, &costs).unwrap()[0].id;
     let in_the_way = format!("runs/tiny/points/{id}/run");
     place.write(&in_the_way, "");
     place.run("sweep run sweeps/tiny.toml", 4);

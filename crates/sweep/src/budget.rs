@@ -1,60 +1,24 @@
 //! Costs of training steps, and the steps that give two rows the same cost.
 
-use serde::{Deserialize, Serialize};
-
-use crate::base::Result;
+use crate::base::{Error, Result};
 use crate::data::RayGroup;
 use crate::settings::{
     Config, LatticePoints, PerturbConfig, RegularizedFields, RegularizerConfig, SecondPass, TermNeeds, TermRays,
 };
 
 use super::definition::BudgetKind;
-
-/// Source of the time that one training step takes.
-pub trait StepCosts {
-    /// Returns the seconds of one training step of a configuration.
-    fn seconds_per_step(&self, config: &Config) -> Result<f64>;
-
-    /// Receives, once and in advance, one configuration of each shape whose seconds will be needed. The seconds are
-    /// compared with one another, so they should come from one source.
-    fn prepare(&self, _configs: &[&Config]) -> Result<()> {
-        Ok(())
-    }
-
-    /// Returns what the seconds were measured on, or `None` if it is unknown.
-    fn clock(&self) -> Option<Clock> {
-        None
-    }
-}
-
-/// The machine and program that seconds were measured on.
-#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
-pub struct Clock {
-    /// The CPU's model, or `unknown`.
-    pub processor: String,
-    /// The device, as `cpu`.
-    pub device: String,
-    /// Number of threads.
-    pub threads: usize,
-    /// Revision of the code.
-    pub code_revision: String,
-}
-
-impl std::fmt::Display for Clock {
-    /// Writes `12th Gen Intel(R) Core(TM) i5 (cpu, 2 threads, revision 21b6470)`.
-    fn fmt(&self, f: &mut std::fmt::Formatter) -> std::fmt::Result {
-        let Clock { processor, device, threads, code_revision } = self;
-        write!(f, "{processor} ({device}, {threads} threads, revision {code_revision})")
-    }
-}
+use super::step_seconds::StepSeconds;
 
 /// Returns the steps of `config` that cost as much as all steps of `like`; at least 1.
-pub fn steps_within(kind: BudgetKind, config: &Config, like: &Config, costs: &dyn StepCosts) -> Result<u64> {
-    let (own, other) = match kind {
-        BudgetKind::Evaluations => (evaluations_per_step(config), evaluations_per_step(like)),
-        BudgetKind::Seconds => (costs.seconds_per_step(config)?, costs.seconds_per_step(like)?),
+///
+/// # Errors
+/// The budget is in seconds, and `seconds` has none of a configuration.
+pub(super) fn steps_within(kind: BudgetKind, config: &Config, like: &Config, seconds: &StepSeconds) -> Result<u64> {
+    let cost = |config: &Config| match kind {
+        BudgetKind::Evaluations => Ok(evaluations_per_step(config)),
+        BudgetKind::Seconds => seconds.of(config).ok_or_else(|| Error::Config("its step was not measured".into())),
     };
-    Ok(((like.train.steps as f64 * other / own).round() as u64).max(1))
+    Ok(((like.train.steps as f64 * cost(like)? / cost(config)?).round() as u64).max(1))
 }
 
 /// Returns the network evaluations of one step. One evaluation is one pass through a network at one point. A forward

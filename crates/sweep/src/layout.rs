@@ -16,6 +16,7 @@ use crate::settings::{BuiltinScene, Config, DataKind, Preset, build, check_assig
 
 use super::axes::{Axis, AxisPoint};
 use super::definition::{BudgetKind, Combine, Definition, Row, scene_name};
+use super::points::Point;
 
 /// A row of the table with its values on axes.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -26,56 +27,43 @@ pub struct TablePosition {
     pub axes: Vec<AxisValue>,
 }
 
-/// A configuration with its position in the table, before its budget is applied.
-#[derive(Clone)]
+/// A point before its budget is applied, at one position in the table.
 pub struct PlannedRun {
-    /// The scene's name.
-    pub scene: String,
-    /// The scene as the definition names it.
-    pub source: String,
-    /// The configuration, with its own number of steps.
-    pub config: Config,
-    /// Steps over which its learning rate falls, or `None` if the scene is missing.
-    pub decay_steps: Option<u64>,
+    /// The point, with its own number of steps and no name yet.
+    pub point: Point,
     /// The budget's kind, and the configuration that it equals in cost; `None` if the row has its own steps.
     pub budget: Option<(BudgetKind, Config)>,
-    /// Why its scene cannot be read, or `None` if it can.
-    pub no_data: Option<String>,
-    /// Its position in the table.
-    pub place: TablePosition,
+    /// Steps over which its learning rate falls, or `None` if the scene is missing.
+    pub decay_steps: Option<u64>,
 }
 
-/// Builds the configurations of a definition's table, in the order in which points run. Points run seed by seed, so
-/// that part of a sweep already makes a table. Relative scenes are below `data_root`.
-///
-/// # Errors
-/// Rows have wrong settings; the error names all of these rows.
-pub fn lay_out(definition: &Definition, data_root: Option<&Path>) -> Result<Vec<PlannedRun>> {
-    let mut refused = Refused::default();
-    let planned = lay_out_others(definition, data_root, &mut refused)?;
-    refused.check().map(|()| planned)
+/// A definition's table before budgets are applied.
+pub struct Layout {
+    /// The runs, in the order in which points run.
+    pub planned: Vec<PlannedRun>,
+    /// Rows with wrong settings.
+    pub refused: Refused,
 }
 
-/// Lays out the rows whose settings are right, and adds the others to `refused`.
-pub(super) fn lay_out_others(
-    definition: &Definition,
-    data_root: Option<&Path>,
-    refused: &mut Refused,
-) -> Result<Vec<PlannedRun>> {
-    let preset = Preset::parse(&definition.preset)?;
-    let mut planned = Vec::new();
-    for &seed in &definition.seeds {
-        for scene in &definition.scenes {
-            let builder = Builder { definition, preset, scene, folder: scene_folder(scene, data_root), seed };
-            for row in &definition.row {
-                for axes in combinations(definition, row)? {
-                    let laid = builder.lay(row, &axes);
-                    planned.extend(refused.unless(laid, &[&label(&row.name, &named(&axes))], scene_name(scene))?);
+impl Layout {
+    /// Builds the configurations of a definition's table. Points run seed by seed, so that part of a sweep already makes
+    /// a table. Relative scenes are below `data_root`.
+    pub fn of(definition: &Definition, data_root: Option<&Path>) -> Result<Layout> {
+        let preset = Preset::parse(&definition.preset)?;
+        let mut layout = Layout { planned: Vec::new(), refused: Refused::default() };
+        for &seed in &definition.seeds {
+            for scene in &definition.scenes {
+                let builder = Builder { definition, preset, scene, folder: scene_folder(scene, data_root), seed };
+                for row in &definition.row {
+                    for axes in combinations(definition, row)? {
+                        let (laid, named) = (builder.lay(row, &axes), label(&row.name, &named(&axes)));
+                        layout.planned.extend(layout.refused.unless(laid, &[&named], scene_name(scene))?);
+                    }
                 }
             }
         }
+        Ok(layout)
     }
-    Ok(planned)
 }
 
 /// Rows that cannot run, with their scenes, by the reason. One list for all checks of a sweep.
@@ -229,15 +217,18 @@ impl Builder<'_> {
             let like = like.map_err(|error| error.within(&format!("its budget.like, row '{}'", other.name)))?;
             Ok::<_, Error>((budget.kind, like))
         });
-        Ok(PlannedRun {
+        let (budget, no_data) = (budget.transpose()?, reason_of(&config, &located));
+        let decay_steps = located.ok().and_then(|config| config.train.decay_steps);
+        let point = Point {
+            id: String::new(),
             scene: scene_name(self.scene).to_string(),
             source: self.scene.to_string(),
-            no_data: reason_of(&config, &located),
-            decay_steps: located.ok().and_then(|config| config.train.decay_steps),
-            budget: budget.transpose()?,
             config,
-            place: TablePosition { row: row.name.clone(), axes: named(axes) },
-        })
+            places: vec![TablePosition { row: row.name.clone(), axes: named(axes) }],
+            without_budget: budget.is_some() && decay_steps.is_none(),
+            no_data,
+        };
+        Ok(PlannedRun { point, budget, decay_steps })
     }
 
     fn plain_config(&self, row: &Row, axes: &Combination) -> Result<Config> {

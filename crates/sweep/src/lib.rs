@@ -51,7 +51,7 @@ mod words;
 mod worker;
 
 pub use axes::{Axis, AxisPoint};
-pub use budget::{Clock, StepCosts, evaluations_per_step, steps_within};
+pub use budget::evaluations_per_step;
 pub use claim::{Claim, Claimed, Progress, Sharing};
 pub use collect::{PAGE, Results, check_results_place};
 pub use comparisons::{ACROSS, ComparisonRequest, OVER_SCENES};
@@ -68,7 +68,7 @@ pub use points::{Point, expand};
 pub use provenance::{Missing, Provenance};
 pub use runner::{Options, Runner, Unmeasured, Work};
 pub use shipped::{SHIPPED, TEMPLATE, template, write_new};
-pub use step_seconds::PublishedCosts;
+pub use step_seconds::{Clock, MeasureSteps, StepSeconds};
 pub use sweep::{Sweep, TableOptions};
 pub use training::{Cost, Trainings};
 pub use view::{Origin, View, split_names};

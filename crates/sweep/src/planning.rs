@@ -7,13 +7,13 @@ use std::time::{Duration, Instant};
 use crate::base::{Error, Result};
 use crate::settings::Config;
 
-use super::budget::{StepCosts, evaluations_per_step};
+use super::budget::evaluations_per_step;
 use super::definition::Definition;
 use super::differences::differences;
 use super::folder::{Change, SweepFolder};
-use super::layout::{PlannedRun, Refused, lay_out_others};
-use super::points::{Point, apply_budgets, apply_budgets_to_others};
-use super::step_seconds::{KeptCosts, Unknown};
+use super::layout::{Layout, Refused};
+use super::points::Point;
+use super::step_seconds::{MeasureSteps, StepSeconds};
 use super::training::{Cost, Trainings};
 
 /// Returns the points of `folder`. A new folder is created with those of `definition`. A folder of another definition
@@ -25,10 +25,11 @@ pub fn begin(
     definition: &Definition,
     data_root: Option<&Path>,
     extend: bool,
-    measure: &dyn StepCosts,
+    measure: &MeasureSteps,
     check: &dyn Fn(&[Point], Refused) -> Result<()>,
 ) -> Result<Vec<Point>> {
-    let (planned, tried, refused) = try_out(definition, data_root)?;
+    let layout = Layout::of(definition, data_root)?;
+    let (tried, refused) = layout.other_points(&arbitrary)?;
     // A wrong definition must leave no folder.
     match folder.compare(definition)? {
         Change::New => check(&tried, refused.clone())?,
@@ -41,7 +42,7 @@ pub fn begin(
     let begun = folder.points(data_root)?;
     match (change, begun) {
         (Change::None, Some(points)) if !budgets_can_be_applied(&points) => return Ok(points),
-        (Change::Changed, begun) => match reworded(folder, definition, &planned, &begun.unwrap_or_default())? {
+        (Change::Changed, begun) => match reworded(folder, definition, &layout, &begun.unwrap_or_default())? {
             Ok(points) => {
                 folder.begin(definition, &points, data_root)?;
                 return Ok(points);
@@ -51,18 +52,9 @@ pub fn begin(
         },
         _ => {}
     }
-    let costs = KeptCosts::new(folder, measure)?;
-    let points = apply_budgets(&planned, &costs)?;
+    let points = layout.points(&|configs| StepSeconds::kept(&folder.step_seconds(), configs, measure))?;
     folder.begin(definition, &points, data_root)?;
     Ok(points)
-}
-
-/// Returns the configurations of a definition, its points with arbitrary budgets in seconds, and the rows of wrong settings.
-fn try_out(definition: &Definition, data_root: Option<&Path>) -> Result<(Vec<PlannedRun>, Vec<Point>, Refused)> {
-    let mut refused = Refused::default();
-    let planned = lay_out_others(definition, data_root, &mut refused)?;
-    let tried = apply_budgets_to_others(&planned, &Unmeasured, &mut refused)?;
-    Ok((planned, tried, refused))
 }
 
 /// Returns the points that a definition's folder would get. `check` is called as by [`begin`], before anything is measured.
@@ -72,13 +64,14 @@ fn try_out(definition: &Definition, data_root: Option<&Path>) -> Result<(Vec<Pla
 pub fn plan(
     definition: &Definition,
     data_root: Option<&Path>,
-    costs: &dyn StepCosts,
+    measure: &MeasureSteps,
     check: &dyn Fn(&[Point], Refused) -> Result<()>,
 ) -> Result<Vec<Point>> {
-    let (planned, tried, refused) = try_out(definition, data_root)?;
+    let layout = Layout::of(definition, data_root)?;
+    let (tried, refused) = layout.other_points(&arbitrary)?;
     check(&tried, refused.clone())?;
     refused.check()?;
-    apply_budgets(&planned, costs)
+    layout.points(measure)
 }
 
 /// Points of equal cost: the same number of steps and the same shape.
@@ -161,12 +154,12 @@ fn budgets_can_be_applied(points: &[Point]) -> bool {
 fn reworded(
     folder: &SweepFolder,
     definition: &Definition,
-    planned: &[PlannedRun],
+    layout: &Layout,
     points: &[Point],
 ) -> Result<Result<Vec<Point>>> {
     let before = folder.definition()?;
     // Budgets in seconds must be measured first.
-    let now = apply_budgets(planned, &Unknown).ok();
+    let now = layout.points(&|_| Err(Error::Config("not measured".into()))).ok();
     let without_settings = |definition: &Definition| {
         let mut bare = definition.clone();
         bare.set.clear();
@@ -206,12 +199,11 @@ fn reworded(
     ))))
 }
 
-/// Arbitrary seconds that differ between shapes; enough to check a definition.
-struct Unmeasured;
-
-impl StepCosts for Unmeasured {
-    fn seconds_per_step(&self, config: &Config) -> Result<f64> {
+/// Returns arbitrary seconds that differ between shapes; enough to check a definition.
+fn arbitrary(configs: &[&Config]) -> Result<StepSeconds> {
+    let seconds = |config: &Config| {
         let digits = u32::from_str_radix(&config.step_shape()[..6], 16).expect("a hexadecimal hash");
-        Ok(1.0 + f64::from(digits) / f64::from(1 << 24))
-    }
+        1.0 + f64::from(digits) / f64::from(1 << 24)
+    };
+    Ok(configs.iter().map(|config| (*config, seconds(config))).collect())
 }

@@ -9,12 +9,13 @@ use crate::base::{Error, Result};
 use crate::report::label;
 use crate::settings::Config;
 
-use super::budget::{StepCosts, steps_within};
+use super::budget::steps_within;
 use super::definition::{BudgetKind, Definition};
-use super::layout::{PlannedRun, Refused, TablePosition, lay_out, missing, scene_folder};
+use super::layout::{Layout, PlannedRun, Refused, TablePosition, missing, scene_folder};
+use super::step_seconds::{MeasureSteps, StepSeconds};
 
 /// Suffix of the name of a point whose budget is unknown.
-pub(super) const WITHOUT_BUDGET: &str = "-without-budget";
+const WITHOUT_BUDGET: &str = "-without-budget";
 
 /// One training: a configuration with its seed. Rows with equal configurations share it.
 #[derive(Clone, Debug, Serialize, Deserialize)]
@@ -55,21 +56,12 @@ impl Point {
     }
 }
 
-/// Expands a definition to its points, with the steps of their budgets.
+/// Expands a definition to its points, with the steps of their budgets. `measure` gives the seconds of steps for budgets
+/// in seconds.
 ///
 /// ```
-/// # mod augnerf { pub use augnerf_base as base; pub use augnerf_nerf::*; pub use augnerf_sweep as sweep; }
-/// use augnerf::base::Result;
-/// use augnerf::settings::Config;
-/// use augnerf::sweep::{Definition, StepCosts, expand};
-///
-/// /// With budgets in seconds, the seconds of a step are measured.
-/// struct OneSecond;
-/// impl StepCosts for OneSecond {
-///     fn seconds_per_step(&self, _: &Config) -> Result<f64> {
-///         Ok(1.0)
-///     }
-/// }
+/// # mod augnerf { pub use augnerf_base as base; pub use augnerf_sweep as sweep; }
+/// use augnerf::sweep::{Definition, expand};
 ///
 /// let text = r#"
 /// title = "Does worst-case augmentation help?"
@@ -83,104 +75,106 @@ impl Point {
 /// name = "Aug-NeRF"
 /// set = { method = "aug-nerf" }
 /// "#;
-/// let points = expand(&Definition::parse(text, "sweep.toml")?, None, &OneSecond)?;
+/// let definition = Definition::parse(text, "sweep.toml")?;
+/// let points = expand(&definition, None, &|configs| Ok(configs.iter().map(|config| (*config, 1.0)).collect()))?;
 /// assert_eq!(points.len(), 2 * 3);
 /// assert_eq!(points[0].label(), "NeRF · builtin · seed 0");
 /// # Ok::<(), augnerf::base::Error>(())
 /// ```
-pub fn expand(definition: &Definition, data_root: Option<&Path>, costs: &dyn StepCosts) -> Result<Vec<Point>> {
-    apply_budgets(&lay_out(definition, data_root)?, costs)
-}
-
-/// Turns planned runs into points. Runs with equal configurations share a point.
 ///
 /// # Errors
-/// Two rows are the same configuration, or the steps of rows do not suit their settings.
-pub(super) fn apply_budgets(planned: &[PlannedRun], costs: &dyn StepCosts) -> Result<Vec<Point>> {
-    let mut refused = Refused::default();
-    let points = apply_budgets_to_others(planned, costs, &mut refused)?;
-    refused.check().map(|()| points)
+/// Rows have wrong settings; the error names all of these rows.
+pub fn expand(definition: &Definition, data_root: Option<&Path>, measure: &MeasureSteps) -> Result<Vec<Point>> {
+    Layout::of(definition, data_root)?.points(measure)
 }
 
-/// Does the same for the other rows, and adds those with wrong settings to `refused`.
-pub(super) fn apply_budgets_to_others(
-    planned: &[PlannedRun],
-    costs: &dyn StepCosts,
-    refused: &mut Refused,
-) -> Result<Vec<Point>> {
-    costs.prepare(&timed(planned))?;
-    let mut points = Vec::<Point>::new();
-    let mut known: HashMap<String, (usize, Vec<&PlannedRun>)> = HashMap::new();
-    for planned in planned {
-        let valid = |point: Point| {
-            point.config.validate()?;
-            let others = known.get(&point.id).into_iter().flat_map(|(_, others)| others);
-            match others.into_iter().find(|other| is_same_row(other, planned)) {
-                Some(same) => Err(Error::Config(format!(
-                    "rows '{}' and '{}' have the same configuration; change or remove one",
-                    same.place.row, planned.place.row
-                ))),
-                None => Ok(point),
-            }
-        };
-        let TablePosition { row, axes } = &planned.place;
-        let point = point(planned, costs).and_then(valid);
-        let Some(point) = refused.unless(point, &[&label(row, axes)], &planned.scene)? else { continue };
-        match known.get_mut(&point.id) {
-            Some((index, others)) => {
-                others.push(planned);
-                points[*index].places.push(planned.place.clone());
-            }
-            None => {
-                known.insert(point.id.clone(), (points.len(), vec![planned]));
-                points.push(point);
+impl Layout {
+    /// Applies the budgets. Runs with equal configurations share a point.
+    ///
+    /// # Errors
+    /// Rows are refused, two rows are the same configuration, or the steps of rows do not suit their settings.
+    pub fn points(&self, measure: &MeasureSteps) -> Result<Vec<Point>> {
+        self.refused.clone().check()?;
+        let (points, refused) = self.other_points(measure)?;
+        refused.check().map(|()| points)
+    }
+
+    /// Does the same for the rows that are not refused, and returns all refused rows.
+    pub fn other_points(&self, measure: &MeasureSteps) -> Result<(Vec<Point>, Refused)> {
+        let timed = self.timed();
+        let seconds = if timed.is_empty() { StepSeconds::default() } else { measure(&timed)? };
+        let (mut points, mut refused) = (Vec::<Point>::new(), self.refused.clone());
+        let mut known: HashMap<String, (usize, Vec<&PlannedRun>)> = HashMap::new();
+        for planned in &self.planned {
+            let valid = |point: Point| {
+                point.config.validate()?;
+                let others = known.get(&point.id).into_iter().flat_map(|(_, others)| others);
+                match others.into_iter().find(|other| is_same_row(other, planned)) {
+                    Some(same) => Err(Error::Config(format!(
+                        "rows '{}' and '{}' have the same configuration; change or remove one",
+                        same.place().row,
+                        planned.place().row
+                    ))),
+                    None => Ok(point),
+                }
+            };
+            let TablePosition { row, axes } = planned.place();
+            let point = planned.within_budget(&seconds).and_then(valid);
+            let Some(point) = refused.unless(point, &[&label(row, axes)], &planned.point.scene)? else { continue };
+            match known.get_mut(&point.id) {
+                Some((index, others)) => {
+                    others.push(planned);
+                    points[*index].places.extend(point.places);
+                }
+                None => {
+                    known.insert(point.id.clone(), (points.len(), vec![planned]));
+                    points.push(point);
+                }
             }
         }
+        Ok((points, refused))
     }
-    Ok(points)
-}
 
-/// Returns one configuration of each shape whose seconds a budget needs.
-fn timed(planned: &[PlannedRun]) -> Vec<&Config> {
-    let mut known = HashSet::new();
-    let in_seconds =
-        planned.iter().filter(|planned| planned.decay_steps.is_some()).filter_map(|planned| match &planned.budget {
-            Some((BudgetKind::Seconds, like)) => Some([&planned.config, like]),
+    /// Returns one configuration of each shape whose seconds a budget needs.
+    fn timed(&self) -> Vec<&Config> {
+        let mut known = HashSet::new();
+        let in_seconds = self.planned.iter().filter_map(|planned| match (&planned.budget, planned.decay_steps) {
+            (Some((BudgetKind::Seconds, like)), Some(_)) => Some([&planned.point.config, like]),
             _ => None,
         });
-    in_seconds.flatten().filter(|config| known.insert(config.step_shape())).collect()
+        in_seconds.flatten().filter(|config| known.insert(config.step_shape())).collect()
+    }
 }
 
 /// Returns whether two rows with the same configuration are a mistake. Budgets of two kinds may give the same steps.
 fn is_same_row(a: &PlannedRun, b: &PlannedRun) -> bool {
     let kind = |planned: &PlannedRun| planned.budget.as_ref().map(|(kind, _)| *kind);
     let budgets_differ = kind(a).is_some() && kind(b).is_some() && kind(a) != kind(b);
-    a.place.row != b.place.row && a.place.axes == b.place.axes && !budgets_differ
+    a.place().row != b.place().row && a.place().axes == b.place().axes && !budgets_differ
 }
 
-/// Returns the point of one planned run.
-pub(super) fn point(planned: &PlannedRun, costs: &dyn StepCosts) -> Result<Point> {
-    let mut config = planned.config.clone();
-    if let (Some((kind, like)), Some(decay_steps)) = (&planned.budget, planned.decay_steps) {
-        let steps = steps_within(*kind, &config, like, costs)?;
-        // The decay of the learning rate is stretched with the steps. Without it a longer run would not learn at its
-        // end, as a shorter one would not with encodings that open after it.
-        let stretch = steps as f64 / config.train.steps as f64;
-        let stretched = |of: u64| (of as f64 * stretch).round() as u64;
-        config.train.decay_steps = Some(stretched(decay_steps).max(1));
-        config.field.frequency_steps = stretched(config.field.frequency_steps).min(steps);
-        config.sampling.anneal_steps = stretched(config.sampling.anneal_steps).min(steps);
-        config.train.steps = steps;
+impl PlannedRun {
+    fn place(&self) -> &TablePosition {
+        &self.point.places[0]
     }
-    let without_budget = planned.budget.is_some() && planned.decay_steps.is_none();
-    Ok(Point {
+
+    /// Returns the point with the steps of its budget.
+    fn within_budget(&self, seconds: &StepSeconds) -> Result<Point> {
+        let mut point = self.point.clone();
+        if let (Some((kind, like)), Some(decay_steps)) = (&self.budget, self.decay_steps) {
+            let config = &mut point.config;
+            let steps = steps_within(*kind, config, like, seconds)?;
+            // The decay of the learning rate is stretched with the steps. Without it a longer run would not learn at its
+            // end, as a shorter one would not with encodings that open after it.
+            let stretch = steps as f64 / config.train.steps as f64;
+            let stretched = |of: u64| (of as f64 * stretch).round() as u64;
+            config.train.decay_steps = Some(stretched(decay_steps).max(1));
+            config.field.frequency_steps = stretched(config.field.frequency_steps).min(steps);
+            config.sampling.anneal_steps = stretched(config.sampling.anneal_steps).min(steps);
+            config.train.steps = steps;
+        }
         // The name differs from that of the row without a budget.
-        id: config.hash() + if without_budget { WITHOUT_BUDGET } else { "" },
-        scene: planned.scene.clone(),
-        source: planned.source.clone(),
-        no_data: planned.no_data.clone(),
-        config,
-        places: vec![planned.place.clone()],
-        without_budget,
-    })
+        point.id = point.config.hash() + if point.without_budget { WITHOUT_BUDGET } else { "" };
+        Ok(point)
+    }
 }

@@ -2,9 +2,7 @@
 //! times of two machines or days do not compare.
 
 use std::collections::BTreeMap;
-use std::path::{Path, PathBuf};
-use std::sync::Mutex;
-use std::sync::atomic::{AtomicBool, Ordering};
+use std::path::Path;
 
 use serde::{Deserialize, Serialize};
 
@@ -12,17 +10,48 @@ use crate::base::files::{read_json, write_json};
 use crate::base::{Error, Result};
 use crate::settings::Config;
 
-use super::budget::{Clock, StepCosts};
-use super::folder::{STEP_SECONDS, SweepFolder};
+use super::folder::STEP_SECONDS;
 
-/// Content of the file.
+/// Measures the seconds of a step of each of some configurations. They are compared with one another, so they should
+/// come from one clock.
+pub type MeasureSteps<'a> = dyn Fn(&[&Config]) -> Result<StepSeconds> + 'a;
+
+/// The machine and program that seconds were measured on.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Clock {
+    /// The CPU's model, or `unknown`.
+    pub processor: String,
+    /// The device, as `cpu`.
+    pub device: String,
+    /// Number of threads.
+    pub threads: usize,
+    /// Revision of the code.
+    pub code_revision: String,
+}
+
+impl std::fmt::Display for Clock {
+    /// Writes `12th Gen Intel(R) Core(TM) i5 (cpu, 2 threads, revision 21b6470)`.
+    fn fmt(&self, f: &mut std::fmt::Formatter) -> std::fmt::Result {
+        let Clock { processor, device, threads, code_revision } = self;
+        write!(f, "{processor} ({device}, {threads} threads, revision {code_revision})")
+    }
+}
+
+/// Seconds of a training step; the content of the file.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
-struct StepSeconds {
-    /// What they were measured on, or `None` before anything is.
+pub struct StepSeconds {
+    /// What they were measured on, or `None` if it is unknown.
     #[serde(flatten)]
-    clock: Option<Clock>,
+    pub clock: Option<Clock>,
     /// Seconds by the shapes of steps.
     seconds: BTreeMap<String, f64>,
+}
+
+impl<'a> FromIterator<(&'a Config, f64)> for StepSeconds {
+    fn from_iter<T: IntoIterator<Item = (&'a Config, f64)>>(seconds: T) -> StepSeconds {
+        let seconds = seconds.into_iter().map(|(config, seconds)| (config.step_shape(), seconds)).collect();
+        StepSeconds { clock: None, seconds }
+    }
 }
 
 impl StepSeconds {
@@ -38,108 +67,41 @@ impl StepSeconds {
         Ok(file)
     }
 
-    fn of(&self, config: &Config) -> Option<f64> {
+    /// Returns the seconds of a step of a configuration's shape, if they are known.
+    pub fn of(&self, config: &Config) -> Option<f64> {
         self.seconds.get(&config.step_shape()).copied()
     }
-}
 
-/// Uses the seconds of a step next to the sweep's tables if all needed ones are there; otherwise measures all of them.
-/// A sweep that is created again, on another day or machine, then gets the same steps and points.
-pub struct PublishedCosts<'a> {
-    path: PathBuf,
-    known: StepSeconds,
-    measure: &'a dyn StepCosts,
-    used: AtomicBool,
-}
-
-impl<'a> PublishedCosts<'a> {
-    /// Reads those of the tables in `results`.
+    /// Returns the seconds of `configs` next to the tables in `results`, or `None` if any is missing there. A sweep
+    /// that is created again, on another day or machine, then gets the same steps and points.
     ///
     /// # Errors
     /// The file holds no seconds.
-    pub fn beside(results: &Path, measure: &'a dyn StepCosts) -> Result<PublishedCosts<'a>> {
-        let path = results.join(STEP_SECONDS);
-        Ok(PublishedCosts { known: StepSeconds::read(&path)?, path, measure, used: AtomicBool::new(false) })
+    pub fn published(results: &Path, configs: &[&Config]) -> Result<Option<StepSeconds>> {
+        let file = StepSeconds::read(&results.join(STEP_SECONDS))?;
+        let known: Option<StepSeconds> = configs.iter().map(|config| Some((*config, file.of(config)?))).collect();
+        Ok(known.map(|known| StepSeconds { clock: file.clock, ..known }))
     }
 
-    /// Returns a note that the file was used and what it was measured on, or `None` if it was not used.
-    pub fn note(&self) -> Option<String> {
-        let clock = self.known.clock.as_ref().map_or(String::new(), |clock| format!(", measured on {clock}"));
-        let used = self.used.load(Ordering::SeqCst);
-        used.then(|| format!("budgets in seconds: step times of {}{clock}", self.path.display()))
-    }
-}
-
-impl StepCosts for PublishedCosts<'_> {
-    fn prepare(&self, configs: &[&Config]) -> Result<()> {
-        let all = !configs.is_empty() && configs.iter().all(|config| self.known.of(config).is_some());
-        self.used.store(all, Ordering::SeqCst);
-        if all { Ok(()) } else { self.measure.prepare(configs) }
-    }
-
-    fn seconds_per_step(&self, config: &Config) -> Result<f64> {
-        match self.known.of(config).filter(|_| self.used.load(Ordering::SeqCst)) {
-            Some(seconds) => Ok(seconds),
-            None => self.measure.seconds_per_step(config),
+    /// Returns the seconds of `configs` that the file `path` keeps, so that an extended sweep keeps its points. If any is
+    /// missing, all are measured, and new ones are converted to seconds of the kept clock. The caller holds the folder's
+    /// lock.
+    pub(super) fn kept(path: &Path, configs: &[&Config], measure: &MeasureSteps) -> Result<StepSeconds> {
+        let mut kept = StepSeconds::read(path)?;
+        if configs.iter().all(|config| kept.of(config).is_some()) {
+            return Ok(kept);
         }
-    }
-
-    fn clock(&self) -> Option<Clock> {
-        if self.used.load(Ordering::SeqCst) { self.known.clock.clone() } else { self.measure.clock() }
-    }
-}
-
-/// Uses the seconds of a step that were measured when the sweep was created, so that an extended sweep keeps its
-/// points. The caller holds the folder's lock.
-pub struct KeptCosts<'a> {
-    path: PathBuf,
-    known: Mutex<StepSeconds>,
-    measure: &'a dyn StepCosts,
-}
-
-impl<'a> KeptCosts<'a> {
-    pub fn new(folder: &SweepFolder, measure: &'a dyn StepCosts) -> Result<KeptCosts<'a>> {
-        let path = folder.step_seconds();
-        let known = StepSeconds::read(&path)?;
-        Ok(KeptCosts { path, known: Mutex::new(known), measure })
-    }
-}
-
-impl StepCosts for KeptCosts<'_> {
-    /// Measures new shapes together with the kept ones, and converts them to seconds of the kept clock.
-    fn prepare(&self, configs: &[&Config]) -> Result<()> {
-        let mut known = self.known.lock().expect("no panic while measuring");
-        if configs.iter().all(|config| known.of(config).is_some()) {
-            return Ok(());
+        let measured = measure(configs)?;
+        let both = measured.seconds.iter().filter_map(|(shape, now)| Some((kept.seconds.get(shape)?, now)));
+        let (before, now) = both.fold((0.0, 0.0), |(sum, now_sum), (before, now)| (sum + before, now_sum + now));
+        let pace = if now > 0.0 { before / now } else { 1.0 };
+        if kept.seconds.is_empty() {
+            kept.clock = measured.clock;
         }
-        self.measure.prepare(configs)?;
-        let mut measured = BTreeMap::new();
-        for config in configs {
-            measured.insert(config.step_shape(), self.measure.seconds_per_step(config)?);
+        for (shape, seconds) in measured.seconds {
+            kept.seconds.entry(shape).or_insert(seconds * pace);
         }
-        let both = || measured.iter().filter_map(|(shape, now)| Some((known.seconds.get(shape)?, now)));
-        let (kept, now) = both().fold((0.0, 0.0), |(kept, sum), (before, now)| (kept + before, sum + now));
-        let pace = if now > 0.0 { kept / now } else { 1.0 };
-        if known.seconds.is_empty() {
-            known.clock = self.measure.clock();
-        }
-        for (shape, seconds) in measured {
-            known.seconds.entry(shape).or_insert(seconds * pace);
-        }
-        write_json(&self.path, &*known)
-    }
-
-    fn seconds_per_step(&self, config: &Config) -> Result<f64> {
-        let known = self.known.lock().expect("no panic while measuring").of(config);
-        known.map_or_else(|| self.measure.seconds_per_step(config), Ok)
-    }
-}
-
-/// Costs that are unknown.
-pub struct Unknown;
-
-impl StepCosts for Unknown {
-    fn seconds_per_step(&self, _: &Config) -> Result<f64> {
-        Err(Error::Config("not measured".into()))
+        write_json(path, &kept)?;
+        Ok(kept)
     }
 }

@@ -22,12 +22,12 @@ use crate::settings::{Config, CorruptionConfig, CorruptionKind, DataConfig, Reso
 use crate::space::Lattice;
 use crate::train::Trainer;
 
-use super::budget::{Clock, StepCosts};
 use super::claim::Progress;
 use super::layout::Refused;
 use super::point_folder::PointFolder;
 use super::points::Point;
 use super::runner::Work;
+use super::step_seconds::{Clock, StepSeconds};
 
 /// Protocol column that names the box over which `l1`, `tv` and related metrics are integrals.
 const SMOOTHNESS_DOMAIN: &str = "smoothness_domain";
@@ -61,11 +61,7 @@ pub struct Trainings<'a> {
     pub smoothness: bool,
     /// Receives progress of loading, training and measuring.
     pub events: &'a dyn Listener,
-    /// Seconds that each training is timed for.
-    calibration: f64,
     scenes: Mutex<Vec<(String, Arc<Scene>)>>,
-    /// Seconds of a step by its shape, for shapes that budgets needed.
-    seconds: Mutex<BTreeMap<String, f64>>,
 }
 
 impl<'a> Trainings<'a> {
@@ -76,21 +72,7 @@ impl<'a> Trainings<'a> {
         smoothness: bool,
         events: &'a dyn Listener,
     ) -> Trainings<'a> {
-        Trainings {
-            runtime,
-            lpips,
-            lpips_weights,
-            smoothness,
-            events,
-            calibration: CALIBRATION,
-            scenes: Mutex::default(),
-            seconds: Mutex::default(),
-        }
-    }
-
-    /// Times a few steps of each training: for estimates, which need no budget to the step.
-    pub fn brief(self) -> Self {
-        Trainings { calibration: ESTIMATE, ..self }
+        Trainings { runtime, lpips, lpips_weights, smoothness, events, scenes: Mutex::default() }
     }
 
     /// Returns the scene of a configuration, and the configuration resolved by it.
@@ -220,7 +202,7 @@ impl Trainings<'_> {
     /// Measures a few real steps and part of a held-out view, and scales to the views of an evaluation.
     pub fn cost(&self, config: &Config) -> Result<Cost> {
         let memory = watch_memory(&self.runtime);
-        let seconds_per_step = median(&self.time_steps(&[config], ESTIMATE)?[0]);
+        let seconds_per_step = self.estimated_step(config)?;
         let (trainer, scene, config) = self.trainer(config)?;
         let mut seconds_evaluation = 0.0;
         if let Some(view) = scene.test.first() {
@@ -265,50 +247,36 @@ impl Trainings<'_> {
     }
 }
 
-impl StepCosts for Trainings<'_> {
-    fn seconds_per_step(&self, config: &Config) -> Result<f64> {
-        let known = || self.seconds.lock().unwrap_or_else(PoisonError::into_inner).get(&config.step_shape()).copied();
-        match known() {
-            Some(seconds) => Ok(seconds),
-            None => {
-                self.prepare(&[config])?;
-                Ok(known().expect("just measured"))
-            }
-        }
-    }
-
-    fn prepare(&self, configs: &[&Config]) -> Result<()> {
-        if configs.is_empty() {
-            return Ok(());
-        }
-        let minutes = (self.calibration * configs.len() as f64 / 60.0).ceil();
-        let what = format!(
+impl Trainings<'_> {
+    /// Measures the seconds of a step of each training, for budgets.
+    pub fn step_seconds(&self, configs: &[&Config]) -> Result<StepSeconds> {
+        let minutes = (CALIBRATION * configs.len() as f64 / 60.0).ceil();
+        self.events.on(Event::Note(&format!(
             "timing the steps of {} trainings, which budgets in seconds need; this takes about {minutes} min, or longer where \
              {LEAST_STEPS} steps of a training take longer",
             configs.len()
-        );
-        if self.calibration > ESTIMATE {
-            self.events.on(Event::Note(&what));
-        }
-        let measured: Vec<f64> = if self.calibration > ESTIMATE {
-            self.time_steps(configs, self.calibration)?.iter().map(|steps| mean_without_hiccups(steps)).collect()
-        } else {
-            // Of a few steps the first ones are slow.
-            let alone = |config: &&Config| Ok(median(&self.time_steps(&[config], ESTIMATE)?[0]));
-            configs.iter().map(alone).collect::<Result<_>>()?
-        };
-        let mut seconds = self.seconds.lock().unwrap_or_else(PoisonError::into_inner);
-        seconds.extend(configs.iter().map(|config| config.step_shape()).zip(measured));
-        Ok(())
-    }
-
-    fn clock(&self) -> Option<Clock> {
-        Some(Clock {
+        )));
+        let seconds = self.time_steps(configs, CALIBRATION)?;
+        let clock = Clock {
             processor: Host::current().cpu.unwrap_or_else(|| "unknown".into()),
             device: self.runtime.name().to_string(),
             threads: self.runtime.threads(),
             code_revision: revision().to_string(),
-        })
+        };
+        let means = seconds.iter().map(|steps| mean_without_hiccups(steps));
+        let mut seconds: StepSeconds = configs.iter().copied().zip(means).collect();
+        seconds.clock = Some(clock);
+        Ok(seconds)
+    }
+
+    /// Estimates the same from a few steps, for numbers that are only printed.
+    pub fn estimated_step_seconds(&self, configs: &[&Config]) -> Result<StepSeconds> {
+        configs.iter().map(|config| Ok((*config, self.estimated_step(config)?))).collect()
+    }
+
+    /// Returns the median of a few steps, of which the first are slow.
+    fn estimated_step(&self, config: &Config) -> Result<f64> {
+        Ok(median(&self.time_steps(&[config], ESTIMATE)?[0]))
     }
 }
 

@@ -16,10 +16,10 @@ use crate::report::{Record, Status};
 use crate::run::load_lpips;
 use crate::runtime::Runtime;
 use crate::settings::columns::{AXIS, SETTING};
-use crate::settings::parse_assignment;
+use crate::settings::{Config, parse_assignment};
 use crate::sweep::verify::Archive;
 use crate::sweep::{
-    Change, Definition, Overrides, Point, PublishedCosts, Results, StepCosts, Sweep, SweepFolder, TableOptions,
+    Change, Definition, MeasureSteps, Overrides, Point, Results, StepSeconds, Sweep, SweepFolder, TableOptions,
     Trainings, begin, check_name, check_results_place, plan,
 };
 
@@ -219,25 +219,37 @@ fn begin_folder(
     location: &Location,
     definition: &Definition,
     extend: bool,
-    (trainings, measure): (&Trainings, &dyn StepCosts),
+    (trainings, measure): (&Trainings, &MeasureSteps),
     console: &Console,
 ) -> Result<(SweepFolder, Vec<Point>)> {
     let (folder, results) = (location.folder()?, location.results()?);
     // Before hours of training rather than after.
     check_results_place(&results, &location.name()?, &folder)?;
-    let costs = PublishedCosts::beside(&results, measure)?;
     let check = |points: &[Point], refused| trainings.check_points(points, refused);
-    let begun = begin(&folder, definition, location.data_root.as_deref(), extend, &costs, &check);
-    let points = begun.map_err(elsewhere)?;
-    costs.note().iter().for_each(|note| console.say(note));
-    Ok((folder, points))
+    let measure = |configs: &[&Config]| published_or_measured(&results, configs, measure, console);
+    let points = begin(&folder, definition, location.data_root.as_deref(), extend, &measure, &check);
+    Ok((folder, points.map_err(elsewhere)?))
+}
+
+/// Returns the seconds of steps next to the tables, which it names, or measures them if any is missing there.
+fn published_or_measured(
+    results: &Path,
+    configs: &[&Config],
+    measure: &MeasureSteps,
+    console: &Console,
+) -> Result<StepSeconds> {
+    let Some(seconds) = StepSeconds::published(results, configs)? else { return measure(configs) };
+    let clock = seconds.clock.as_ref().map_or(String::new(), |clock| format!(", measured on {clock}"));
+    let file = SweepFolder::new(results).step_seconds();
+    console.say(&format!("budgets in seconds: step times of {}{clock}", file.display()));
+    Ok(seconds)
 }
 
 /// Returns the points of a sweep, or those that its folder would get, checked by `trainings`.
 fn planned_points(
     location: &Location,
     definition: &Definition,
-    (trainings, measure): (&Trainings, &dyn StepCosts),
+    trainings: &Trainings,
     console: &Console,
     checked: impl Fn(),
 ) -> Result<Vec<Point>> {
@@ -248,11 +260,11 @@ fn planned_points(
             Ok(points)
         }
         _ => {
-            let costs = PublishedCosts::beside(&location.results()?, measure)?;
+            let results = location.results()?;
+            let estimated = |configs: &[&Config]| trainings.estimated_step_seconds(configs);
+            let measure = |configs: &[&Config]| published_or_measured(&results, configs, &estimated, console);
             let check = |points: &[Point], refused| trainings.check_points(points, refused).map(|()| checked());
-            let points = plan(definition, data_root, &costs, &check)?;
-            costs.note().iter().for_each(|note| console.say(note));
-            Ok(points)
+            plan(definition, data_root, &measure, &check)
         }
     }
 }

@@ -80,14 +80,14 @@ impl PlanArguments {
         let begun = Instant::now();
         let definition = self.changes.definition(&self.location)?;
         let folder = self.location.folder()?;
-        let trainings = Trainings::new(runtime.clone(), (Vec::new(), String::new()), false, console).brief();
+        let trainings = Trainings::new(runtime.clone(), (Vec::new(), String::new()), false, console);
         let checked = || {
             console.say(&format!(
                 "timing some steps of the points, for about {} s; slow first steps take longer",
                 LIMIT.as_secs()
             ));
         };
-        let points = planned_points(&self.location, &definition, (&trainings, &trainings), console, checked)?;
+        let points = planned_points(&self.location, &definition, &trainings, console, checked)?;
         let say = |words: &str| if self.answer.json { Ok(()) } else { print(words) };
         say(&format!("{} points", points.len()))?;
         let open: Vec<&Point> = points.iter().filter(|point| !folder.point(&point.id).ended()).collect();

@@ -12,6 +12,7 @@ use crate::cli::{Compute, LpipsWeights, whole};
 use crate::report::Status;
 use crate::report::tables::table_terminal;
 use crate::runtime::Runtime;
+use crate::settings::Config;
 use crate::sweep::{Options, Runner, Sharing, Sweep, TableOptions, Trainings, Unmeasured};
 
 use super::{
@@ -82,8 +83,8 @@ impl RunArguments {
     fn create(&self, runtime: &Runtime, console: &Console) -> Result<()> {
         let definition = self.changes.definition(&self.location)?;
         let trainings = Trainings::new(runtime.clone(), (Vec::new(), String::new()), false, console);
-        let (folder, points) =
-            begin_folder(&self.location, &definition, self.extend, (&trainings, &trainings), console)?;
+        let measure = |configs: &[&Config]| trainings.step_seconds(configs);
+        let (folder, points) = begin_folder(&self.location, &definition, self.extend, (&trainings, &measure), console)?;
         let (folder, last) = (folder.path().display().to_string(), points.len().saturating_sub(1));
         self.answer.give(&json!({ "folder": folder, "points": points.len() }), || {
             print(&format!(
@@ -99,8 +100,9 @@ impl RunArguments {
         let definition = self.changes.definition(&self.location)?;
         let trainings = trainings(&definition, &self.weights, runtime, &console)?;
         let (name, results) = (self.location.name()?, self.location.results()?);
+        let measure = |configs: &[&Config]| trainings.step_seconds(configs);
         let (folder, points) =
-            begin_folder(&self.location, &definition, self.extend, (&trainings, &trainings), &console)?;
+            begin_folder(&self.location, &definition, self.extend, (&trainings, &measure), &console)?;
         let records = folder.records(&definition, &points)?;
         check_any_data(&records)?;
         let is_open = records.iter().any(|record| record.status != Status::Done);

@@ -13,7 +13,7 @@ use crate::cli::progress::Console;
 use crate::runtime::{Accelerator, Runtime};
 use crate::settings::{Config, Resolved};
 use crate::sweep::slurm::Script;
-use crate::sweep::{Point, StepCosts, SweepFolder};
+use crate::sweep::{Point, StepSeconds, SweepFolder};
 
 use super::{Changes, Location, begin_folder, say_what_is_missing, trainings};
 
@@ -63,7 +63,7 @@ impl SlurmArguments {
         };
         let trainings = trainings(&definition, &self.weights, &runtime, &console)?;
         let (folder, points) =
-            begin_folder(&self.location, &definition, self.extend, (&trainings, &Elsewhere), &console)?;
+            begin_folder(&self.location, &definition, self.extend, (&trainings, &measured_elsewhere), &console)?;
         say_what_is_missing(&definition, &trainings, &console);
         script.points = self.left(&points, &folder)?;
         script.command = self.command(&path)?;
@@ -131,7 +131,7 @@ fn absolute(path: &Path) -> Result<PathBuf> {
     std::path::absolute(path).map_err(|e| Error::unreadable(path, &e))
 }
 
-/// The machines that train: this one knows neither their step times nor their GPU.
+/// The GPU of the machines that train.
 #[derive(Debug)]
 struct Elsewhere;
 
@@ -149,16 +149,11 @@ impl Accelerator for Elsewhere {
     }
 }
 
-impl StepCosts for Elsewhere {
-    fn seconds_per_step(&self, _: &Config) -> Result<f64> {
-        Err(Error::Config(
-            "budgets in seconds must be measured on a machine that trains; run `augnerf sweep run FILE --create` there (with `srun`, and \
-             the tasks' --device and --threads), then write the script"
-                .into(),
-        ))
-    }
-
-    fn prepare(&self, configs: &[&Config]) -> Result<()> {
-        configs.first().map_or(Ok(()), |config| self.seconds_per_step(config).map(|_| ()))
-    }
+/// Returns the error of a budget in seconds.
+fn measured_elsewhere(_: &[&Config]) -> Result<StepSeconds> {
+    Err(Error::Config(
+        "budgets in seconds must be measured on a machine that trains; run `augnerf sweep run FILE --create` there (with `srun`, and \
+         the tasks' --device and --threads), then write the script"
+            .into(),
+    ))
 }

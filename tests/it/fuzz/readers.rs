@@ -16,14 +16,14 @@ use augnerf::run::{DepthErrors, Foreign, Matching, RunDir, Scalars, Truth, pictu
 use augnerf::settings::columns::column_of_setting;
 use augnerf::settings::{Axes, Config, DataConfig, Method, build, parse_assignment};
 use augnerf::sweep::verify::{Archive, Outcome, Verifier};
-use augnerf::sweep::{Definition, PublishedCosts, StepCosts, SweepFolder, SweepOutputs, Trainings, expand};
+use augnerf::sweep::{Definition, StepSeconds, SweepFolder, SweepOutputs, Trainings, expand};
 use augnerf::train::checkpoint;
 use candle_core::{DType, Device};
 
 use crate::common::files::{copy, entries, files, fixture, seal};
 use crate::common::program::{Place, tiny_sweep};
 use crate::common::{runtime, tiny_config, tiny_scene, trained};
-use crate::sweep_run::Costs;
+use crate::sweep_run::costs;
 
 /// A file that can be damaged, and how it is read.
 pub struct Reader {
@@ -62,9 +62,9 @@ pub fn all(folder: &Path) -> Vec<Reader> {
         ("sweep", |file| {
             let definition = Definition::read(file)?;
             Definition::parse(&definition.to_toml(), "again")?;
-            expand(&definition, None, &Costs).map(drop)
+            expand(&definition, None, &costs).map(drop)
         }),
-        ("extended", |file| expand(&Definition::read(&file.with_file_name("above.toml"))?, None, &Costs).map(drop)),
+        ("extended", |file| expand(&Definition::read(&file.with_file_name("above.toml"))?, None, &costs).map(drop)),
     ];
     let of_kind = |(kind, read): (&str, fn(&Path) -> Result<()>)| each(&folder.join(kind), move |file, _| read(file));
     let mut all: Vec<Reader> = kinds.into_iter().flat_map(of_kind).collect();
@@ -192,7 +192,8 @@ fn sweep(folder: &Path) -> Vec<Reader> {
     let mut readers: Vec<Reader> = readers.into_iter().flatten().collect();
     readers.retain(|reader| is_read(&reader.file));
     readers.push(reader(seconds, move |file| {
-        let seconds = PublishedCosts::beside(file.parent().unwrap(), &Costs)?.seconds_per_step(&config)?;
+        let published = StepSeconds::published(file.parent().unwrap(), &[&config])?;
+        let seconds = published.and_then(|published| published.of(&config)).unwrap_or(1.0);
         assert!(seconds.is_finite() && seconds > 0.0, "a step of {seconds} s");
         Ok(())
     }));
