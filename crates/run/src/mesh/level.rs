@@ -7,18 +7,12 @@ use serde::Serialize;
 use super::{Marcher, Mesh};
 use crate::base::{Error, Result, number_text};
 use crate::field::Density;
-use crate::settings::MESH_SIDES;
 use crate::space::{Lattice, densities};
 
 /// Memory of a finished mesh with colours, normals and the search for its open edges, over that of its bare vertices
 /// and triangles.
 const WORKING_SHARE: f64 = 6.0;
 const MIB: f64 = 1024.0 * 1024.0;
-/// Memory of a mesh over that of the grid's planes; both grow with the square of the resolution. Surfaces of the
-/// built-in scene take 15 to 30 times as much, and this adds a margin.
-const MESH_OVER_PLANES: f64 = 40.0;
-/// The smallest allowed resolution.
-const LEAST_SIDE: usize = *MESH_SIDES.start();
 
 /// The densities at a grid's midpoints, 1 / length.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
@@ -56,8 +50,8 @@ pub struct Drawing {
 /// densities as little-endian f32, z fastest. `advance` is called after each plane, and its error ends the work.
 ///
 /// # Errors
-/// If a density is not finite, if the level set is empty, or if it needs too much memory. The messages name a threshold
-/// or a resolution that may work.
+/// If a density is not finite, if it needs too much memory, or if the level set is empty; the last names a threshold that
+/// may work.
 pub fn level_set(
     density: &dyn Density,
     drawing: &Drawing,
@@ -66,8 +60,8 @@ pub fn level_set(
 ) -> Result<LevelSet> {
     let Drawing { lattice, threshold, cap, .. } = *drawing;
     let (side, threshold) = (lattice.side, threshold as f32);
-    drawing.check_planes()?;
     let mut marcher = Marcher::new([side, side], threshold);
+    drawing.check_memory(&marcher, 0)?;
     let (mut least, mut greatest, mut inside) = (f32::INFINITY, f32::NEG_INFINITY, 0);
     let mut plane: Vec<f32> = Vec::with_capacity(side * side);
     let (mut planes, mut largest) = (0, f32::NEG_INFINITY);
@@ -101,7 +95,7 @@ pub fn level_set(
                 largest = full.iter().copied().fold(largest, f32::max);
                 marcher.push(full);
                 planes += 1;
-                drawing.check_mesh(&marcher, planes)?;
+                drawing.check_memory(&marcher, planes)?;
                 advance()?;
             }
         }
@@ -133,68 +127,27 @@ fn clear_border(plane: &mut [f32], side: usize, x: usize) {
     }
 }
 
-/// Returns the memory of a grid's planes in MiB.
-fn planes_mib(side: usize) -> f64 {
-    Marcher::plane_bytes([side, side]) as f64 / MIB
-}
-
-/// Returns the usual memory of a grid and its mesh in MiB.
-fn usual_mib(side: usize) -> f64 {
-    (1.0 + MESH_OVER_PLANES) * planes_mib(side)
-}
-
 fn mib(amount: f64) -> String {
     let digits = if amount < 10.0 { 3 } else { 0 };
     format!("{amount:.digits$} MiB")
 }
 
 impl Drawing {
-    fn check_planes(&self) -> Result<()> {
+    /// Returns an error if the grid's planes and the growing mesh take too much memory.
+    fn check_memory(&self, marcher: &Marcher, planes: usize) -> Result<()> {
         let side = self.lattice.side;
-        if planes_mib(side) <= self.most_mib {
+        let grid = Marcher::plane_bytes([side, side]) as f64;
+        let needed = (grid + WORKING_SHARE * marcher.mesh_bytes() as f64) / MIB;
+        if needed <= self.most_mib && marcher.vertices.len() < u32::MAX as usize {
             return Ok(());
         }
-        let advice = match self.largest_side(usual_mib) {
-            Some(fits) => format!("with its mesh, a resolution of about {fits} may fit"),
-            None => format!("with its mesh, even {LEAST_SIDE} would take about {}", mib(usual_mib(LEAST_SIDE))),
-        };
-        Err(Error::Config(format!(
-            "a resolution of {side} takes {} for the sampling grid's planes alone, and {} (a half of what is free, or `augnerf mesh \
-             --memory`) may be taken: {advice}",
-            mib(planes_mib(side)),
-            mib(self.most_mib)
-        )))
-    }
-
-    /// Returns an error if the growing mesh will need too much memory, with a resolution that may fit.
-    fn check_mesh(&self, marcher: &Marcher, planes: usize) -> Result<()> {
-        let side = self.lattice.side;
-        let mesh = WORKING_SHARE * marcher.mesh_bytes() as f64 / MIB;
-        if mesh + planes_mib(side) <= self.most_mib && marcher.vertices.len() < u32::MAX as usize {
-            return Ok(());
-        }
-        // A surface grows with the square of the resolution. Its first planes tell little of the rest: they are in the
-        // box's outer part, before the object or at its rim. The estimate is twice what they say, and at least the
-        // usual.
-        let whole = 2.0 * mesh * side as f64 / planes as f64;
-        let estimate = |fewer: usize| planes_mib(fewer) + whole * (fewer as f64 / side as f64).powi(2);
-        let needed = |fewer: usize| estimate(fewer).max(usual_mib(fewer));
-        let advice = match self.largest_side(needed) {
-            Some(fits) => format!("a resolution of about {fits} may fit"),
-            None => format!("even {LEAST_SIDE} would take about {}", mib(needed(LEAST_SIDE))),
-        };
         Err(Error::Config(format!(
             "the level set at resolution {side} outgrows {} (a half of what is free, or `augnerf mesh --memory`) after \
-             {planes} of {side} planes, with {} triangles: {advice}; a higher threshold may help, too, for a low one also \
+             {planes} of {side} planes, with {} triangles: choose a lower resolution or a higher threshold, for a low one also \
              draws what the training views left undecided",
             mib(self.most_mib),
             marcher.triangles.len()
         )))
-    }
-
-    /// Returns the largest resolution below this one that fits into the memory.
-    fn largest_side(&self, needed_mib: impl Fn(usize) -> f64) -> Option<usize> {
-        (LEAST_SIDE..self.lattice.side).rev().find(|&side| needed_mib(side) <= self.most_mib)
     }
 
     /// Returns the error for an empty surface. `least` and `largest` are the smallest and the largest density that
