@@ -36,7 +36,7 @@ fn with_values(command: Command) -> Command {
             Some("metric" | "metrics") => Metric::in_tables().map(|metric| metric.key).collect(),
             Some("device") => vec!["cpu", "gpu", "cuda", "cuda-tf32", "metal"],
             Some("scenes") => vec!["builtin", "builtin-forward"],
-            Some("from") if is_new => SHIPPED.iter().map(|(name, _)| *name).collect(),
+            Some("from") if is_new => SHIPPED.iter().map(|(name, ..)| *name).collect(),
             // Names in a folder that is not known yet: no files.
             Some("rows" | "row" | "baseline" | "seeds" | "name") => return flag.value_hint(ValueHint::Other),
             _ => return flag,

@@ -54,7 +54,10 @@ fn what_cannot_be_drawn_is_refused_with_what_could() {
     for (flags, words) in [
         ("--resolution 24 --threshold 1e6", &["1000000", "runs from 0", "choose a threshold between"][..]),
         ("--resolution 24 --memory 0.001", &["resolution 24 outgrows 0.001 MiB"]),
-        ("--resolution 24 --threshold 0.5 --memory 0.2", &["outgrows", "of 24 planes", "triangles", "lower resolution"]),
+        (
+            "--resolution 24 --threshold 0.5 --memory 0.2",
+            &["outgrows", "of 24 planes", "triangles", "lower resolution"],
+        ),
         ("--resolution 24 --threshold=-1", &["--threshold", "positive"]),
         ("--resolution 24 --bbox 1,1,1,0,0,0", &["--bbox", "corners"]),
         ("--resolution 24 --bbox 8,8,8,9,9,9", &["outside of"]),
@@ -68,7 +71,8 @@ fn what_cannot_be_drawn_is_refused_with_what_could() {
     place.says("mesh none", 5, &["missing"]);
     assert!(!place.at("run/mesh").exists(), "a refusal leaves nothing");
     // The threshold that a refusal names works.
-    let draw = |value: &str| format!("mesh run --quiet --bbox=-1.2,-1.2,-1.2,1.2,1.2,1.2 --resolution 32 --threshold {value}");
+    let draw =
+        |value: &str| format!("mesh run --quiet --bbox=-1.2,-1.2,-1.2,1.2,1.2,1.2 --resolution 32 --threshold {value}");
     let message = place.run(&draw("1e6"), 2);
     let (_, rest) = message.rsplit_once("such as ").unwrap_or_else(|| panic!("{message}"));
     place.run(&draw(rest.split([' ', ',']).next().unwrap()), 0);

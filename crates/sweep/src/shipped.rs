@@ -8,71 +8,8 @@ use crate::base::{Error, Result};
 /// A template with every key of the schema, explained.
 pub const TEMPLATE: &str = include_str!("new.toml");
 
-macro_rules! shipped {
-    ($($folder:literal $name:literal),* $(,)?) => {
-        /// The files of `sweeps/`, by name.
-        pub const SHIPPED: &[(&str, &str)] =
-            &[$(($name, include_str!(concat!("../../../sweeps/", $folder, "/", $name, ".toml")))),*];
-        /// Where they lie in the repository, in the same order.
-        const PLACES: &[&str] = &[$(concat!("sweeps/", $folder, "/", $name, ".toml")),*];
-    };
-}
-
-shipped![
-    "paper" "ablation",
-    "paper" "epsilon",
-    "paper" "fig_embedded",
-    "paper" "fig_strength_location",
-    "paper" "lambda",
-    "paper" "noise_fern",
-    "paper" "regularizer_grid",
-    "paper" "tab1_llff",
-    "paper" "tab2_blender",
-    "paper" "tab3_noise",
-    "paper" "tab4_ablation",
-    "paper" "tab4_embedded",
-    "paper" "tab4_fern",
-    "paper" "tabA1_capacity",
-    "paper" "tabA2_noise",
-    "paper" "variants",
-    "paper" "variants_blender",
-    "study" "study_chair_25",
-    "study" "study_chair_few",
-    "study" "study_fern_few",
-    "study" "study_fern_noise",
-    "study" "study_layer",
-    "study" "study_levels",
-    "study" "study_levels_fern",
-    "study" "study_own_few",
-    "study" "study_strength",
-    "baselines" "baselines_builtin",
-    "baselines" "baselines_chair",
-    "baselines" "baselines_fern",
-    "baselines" "baselines_llff_builtin",
-    "baselines" "baselines_presets_chair",
-    "baselines" "mip_chair",
-    "baselines" "mip_fern",
-    "baselines" "regularizers_chair",
-    "few_views" "few_views_blender_4",
-    "few_views" "few_views_blender_8",
-    "few_views" "few_views_llff_3",
-    "few_views" "few_views_llff_3_parts",
-    "few_views" "few_views_llff_6",
-    "few_views" "few_views_llff_9",
-    "few_views" "sam_fern",
-    "few_views" "scenes",
-    "few_views" "scenes_gate",
-    "few_views" "scenes_network",
-    "few_views" "scenes_network_gate",
-    "few_views" "scenes_network_seeds",
-    "few_views" "scenes_worst_case",
-    "few_views" "worst_case_fern",
-    "checks" "few_views_chair",
-    "checks" "geometry",
-    "checks" "geometry_chair",
-    "checks" "precision",
-    "checks" "smoke",
-];
+/// Name, place in the repository and text of the files of `sweeps/`, in the order of their places.
+pub const SHIPPED: &[(&str, &str, &str)] = include!(concat!(env!("OUT_DIR"), "/shipped.rs"));
 
 /// Writes a sweep file to `file`: the template, or the shipped file `from` together with the files that it extends.
 /// Returns the written paths, `file` first.
@@ -112,13 +49,13 @@ pub fn template(from: Option<&str>) -> Result<&'static str> {
 
 /// Name and text of the shipped sweep of this name.
 pub(super) fn shipped(name: &str) -> Option<(&'static str, &'static str)> {
-    SHIPPED.iter().find(|(known, _)| *known == name).copied()
+    SHIPPED.iter().find(|(known, ..)| *known == name).map(|(known, _, text)| (*known, *text))
 }
 
 /// Returns name and place in the repository of the shipped sweep of this name, or of a name that differs by at most two letters.
 pub(super) fn nearest(name: &str) -> Option<(&'static str, &'static str)> {
     let distance = |known: &str| strsim::osa_distance(known, name);
-    let named = SHIPPED.iter().zip(PLACES).map(|((known, _), place)| (*known, *place));
+    let named = SHIPPED.iter().map(|(known, place, _)| (*known, *place));
     named.min_by_key(|(known, _)| distance(known)).filter(|(known, _)| distance(known) <= 2)
 }
 
@@ -126,7 +63,7 @@ pub(super) fn nearest(name: &str) -> Option<(&'static str, &'static str)> {
 fn asked(from: &str) -> Result<&'static str> {
     let name = Path::new(from).file_stem().and_then(|stem| stem.to_str()).unwrap_or_default();
     shipped(name).map(|(_, text)| text).ok_or_else(|| {
-        let names: Vec<&str> = SHIPPED.iter().map(|(name, _)| *name).collect();
+        let names: Vec<&str> = SHIPPED.iter().map(|(name, ..)| *name).collect();
         Error::Config(format!("--from {from}: no shipped sweep has this name; choose from {}", names.join(", ")))
     })
 }
