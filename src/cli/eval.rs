@@ -69,7 +69,10 @@ impl EvalArguments {
         let report = trained.evaluate_into(&folder, &lpips, console)?;
         let [json, _] = RunDir::metrics_in(&folder);
         self.answer.give(&Measured::new((&self.run, &json), &report, (step, steps), None), || {
-            print(&serde_json::to_string_pretty(&report.mean).expect("plain data"))
+            let measured = report.mean.iter().filter_map(|(metric, value)| Some((metric, value?)));
+            let mut lines =
+                measured.map(|(metric, value)| format!("{:24} {:>10} {}", metric.key, metric.text(value), metric.unit));
+            lines.try_for_each(|line| print(line.trim_end()))
         })?;
         console.say(&format!("step {step} of {steps}: {}", json.display()));
         report.no_better_than_one_colour().iter().for_each(|remark| console.say(remark));

@@ -21,6 +21,10 @@ pub fn with_tips(mut error: clap::Error, words: &[OsString]) -> clap::Error {
     {
         return clap::Error::raw(ErrorKind::ValueValidation, wrong);
     }
+    if error.kind() == ErrorKind::InvalidSubcommand {
+        let tip = "`augnerf --help` lists the commands; CHANGELOG.md has those that left, with what to type";
+        error.insert(ContextKind::Suggested, ContextValue::StyledStrs(vec![tip.into()]));
+    }
     if error.kind() != ErrorKind::UnknownArgument {
         return error;
     }
@@ -29,12 +33,15 @@ pub fn with_tips(mut error: clap::Error, words: &[OsString]) -> clap::Error {
     let Some(ContextValue::String(unknown)) = error.get(ContextKind::InvalidArg).cloned() else { return error };
     let command = meant_command(words);
     let has = |flag: &str| command.get_arguments().any(|argument| argument.get_long() == Some(flag));
-    let tips = match unknown.strip_prefix("--") {
+    let mut tips = match unknown.strip_prefix("--") {
         Some(name) if command.get_name() == super::command().get_name() => after_subcommand(name, words),
         Some(name) if has("set") => setting_tips(name, &value_of(&unknown, words)),
         None if has("data") && !unknown.starts_with('-') => vec![format!("'--data {unknown}' names a scene")],
         _ => Vec::new(),
     };
+    if unknown.starts_with("--") && tips.is_empty() && error.get(ContextKind::SuggestedArg).is_none() {
+        tips.push("CHANGELOG.md has flags that left, with what to type".into());
+    }
     if tips.is_empty() {
         return error;
     }

@@ -46,6 +46,11 @@ fn a_value_that_a_flag_cannot_have_is_told_with_those_that_it_can() {
 #[test]
 fn other_flags_are_told_what_is_alike_and_nothing_wrong() {
     assert!(said("trian").contains("'train'"));
+    for (left, tip) in
+        [("chamfer", "those that left"), ("sweep power a", "those that left"), ("sweep run a --yes", "flags that left")]
+    {
+        assert!(said(left).contains(&format!("CHANGELOG.md has {tip}")), "{left}: {}", said(left));
+    }
     assert!(said("train --presett fast").contains("'--preset'"));
     for line in ["sweep status runs/a --rows A", "eval RUN --steps 100", "mesh A --rows 1", "train --nothing"] {
         let said = said(line);
