@@ -12,7 +12,7 @@ use super::axes::Axis;
 use super::extends;
 use crate::metrics::{Backbone, Metric, PSNR, SSIM, Scope};
 use crate::report::{AxisValue, PublishedKey, RowSpec};
-use crate::settings::BuiltinScene;
+use crate::settings::{BuiltinScene, leaves};
 
 /// A sweep file.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -236,18 +236,8 @@ impl Definition {
 
     /// Returns the names of settings that go with the scene or the seed.
     pub(super) fn own_settings(&self) -> Vec<String> {
-        fn names(prefix: &str, set: &Table, found: &mut Vec<String>) {
-            for (key, value) in set {
-                let path = format!("{prefix}{key}");
-                match value {
-                    Value::Table(inner) => names(&format!("{path}."), inner, found),
-                    _ => found.push(path),
-                }
-            }
-        }
-        let mut found: Vec<String> = self.by_seed.keys().cloned().collect();
-        self.by_scene.values().for_each(|set| names("", set, &mut found));
-        found
+        let of_scenes = self.by_scene.values().flat_map(leaves).map(|(name, _)| name);
+        self.by_seed.keys().cloned().chain(of_scenes).collect()
     }
 
     /// Returns whether the command line named another preset than the file.

@@ -12,7 +12,7 @@ use crate::base::{Error, Result};
 use crate::metrics::Scope;
 use crate::report::{AxisValue, label};
 use crate::run::locate_scene;
-use crate::settings::{BuiltinScene, Config, DataKind, Preset, build, check_assignment};
+use crate::settings::{BuiltinScene, Config, DataKind, Preset, build, check_assignment, leaves};
 
 use super::axes::{Axis, AxisPoint};
 use super::definition::{BudgetKind, Combine, Definition, Row, scene_name};
@@ -235,38 +235,33 @@ impl Builder<'_> {
         let preset = row.preset.as_deref().map_or(Ok(self.preset), Preset::parse)?;
         let mut assignments: Vec<(Vec<String>, Value)> = Vec::new();
         let mut wrong = None;
-        let mut assign = |origin: &str, key: &str, value: Value| {
+        let mut assign = |origin: &str, key: &str, value: &Value| {
             let path: Vec<String> = key.split('.').map(String::from).collect();
-            wrong = wrong.take().or_else(|| check_assignment(origin, &path, &value).err());
-            assignments.push((path, value));
+            wrong = wrong.take().or_else(|| check_assignment(origin, &path, value).err());
+            assignments.push((path, value.clone()));
         };
-        for (table, value) in &self.definition.set {
-            flatten(table, value, &mut |key, value| assign(self.definition.origin_of(key), key, value));
+        for (key, value) in leaves(&self.definition.set) {
+            assign(self.definition.origin_of(&key), &key, value);
         }
-        for set in self.definition.settings_of_scene(self.scene) {
-            set.iter()
-                .for_each(|(table, value)| flatten(table, value, &mut |key, value| assign("by_scene", key, value)));
+        for (key, value) in self.definition.settings_of_scene(self.scene).flat_map(leaves) {
+            assign("by_scene", &key, value);
         }
         // By the seed itself, not by its position in the list: the same for any seeds of a command line.
         for (key, values) in &self.definition.by_seed {
-            assign("by_seed", key, values[(self.seed % values.len() as u64) as usize].clone());
+            assign("by_seed", key, &values[(self.seed % values.len() as u64) as usize]);
         }
-        row.set
-            .iter()
-            .for_each(|(table, value)| flatten(table, value, &mut |key, value| assign("its set:", key, value)));
+        leaves(&row.set).into_iter().for_each(|(key, value)| assign("its set:", &key, value));
         for (axis, point) in axes {
             let origin = format!("axis '{}':", axis.name);
-            axis.set
-                .iter()
-                .for_each(|(table, value)| flatten(table, value, &mut |key, value| assign(&origin, key, value)));
-            point.sets.iter().for_each(|(key, value)| assign(&origin, key, value.clone()));
+            leaves(&axis.set).into_iter().for_each(|(key, value)| assign(&origin, &key, value));
+            point.sets.iter().for_each(|(key, value)| assign(&origin, key, value));
         }
         match BuiltinScene::named(self.scene) {
             Some(BuiltinScene { kind: DataKind::BuiltinBlender, seed: None }) => {}
-            Some(BuiltinScene { kind, seed: None }) => assign("scenes", "data.kind", Value::String(kind.name().into())),
-            _ => assign("scenes", "data.dir", Value::String(self.folder.to_string_lossy().into_owned())),
+            Some(BuiltinScene { kind, seed: None }) => assign("scenes", "data.kind", &kind.name().into()),
+            _ => assign("scenes", "data.dir", &self.folder.to_string_lossy().into_owned().into()),
         }
-        assign("seeds", "seed", Value::Integer(self.seed as i64));
+        assign("seeds", "seed", &(self.seed as i64).into());
         if let Some(error) = wrong {
             return Err(error);
         }
@@ -283,15 +278,5 @@ impl Builder<'_> {
             "{text}; preset {} has fewer layers than this sweep is for, `augnerf sweep run fig_embedded` is for small networks",
             self.definition.preset
         ))
-    }
-}
-
-/// Sets dotted names, from `a.b = v` and from nested tables alike.
-fn flatten(key: &str, value: &Value, assign: &mut impl FnMut(&str, Value)) {
-    match value {
-        Value::Table(table) => {
-            table.iter().for_each(|(inner, value)| flatten(&format!("{key}.{inner}"), value, assign))
-        }
-        value => assign(key, value.clone()),
     }
 }

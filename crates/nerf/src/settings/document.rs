@@ -5,7 +5,7 @@ use std::fmt::Write;
 use serde::Serialize;
 use toml::{Table, Value};
 
-use super::layers::{Preset, leaves};
+use super::layers::Preset;
 use super::registry::{Effect, REGISTRY, Setting, nearly};
 use super::{Config, value_at};
 use crate::base::{Error, Result};
@@ -61,8 +61,8 @@ fn presets() -> String {
         "\n## Presets\n\nWhat `--preset` sets over the defaults; an empty cell is the default.\n\n".to_string();
     let names: Vec<&str> = tables.iter().map(|(name, _)| *name).collect();
     let _ = writeln!(text, "| setting | {} |\n|---|{}", names.join(" | "), "---|".repeat(names.len()));
-    let set: Vec<Vec<String>> = tables.iter().map(|(_, table)| leaves(table, "")).collect();
-    for setting in REGISTRY.settings.iter().filter(|setting| set.iter().any(|keys| keys.contains(&setting.path))) {
+    let is_set = |path: &str| tables.iter().any(|(_, table)| value_at(table, path).is_some());
+    for setting in REGISTRY.settings.iter().filter(|setting| is_set(&setting.path)) {
         let value =
             |(_, table): &(&str, Table)| value_at(table, &setting.path).map_or(String::new(), |v| code(Some(v)));
         let cells: Vec<String> = tables.iter().map(value).collect();

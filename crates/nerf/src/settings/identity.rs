@@ -97,6 +97,20 @@ pub fn value_at<'a>(table: &'a Table, path: &str) -> Option<&'a Value> {
     }
 }
 
+/// Returns a table's values with their dotted paths. An empty section is a value.
+pub fn leaves(table: &Table) -> Vec<(String, &Value)> {
+    let mut found = Vec::new();
+    for (key, value) in table {
+        match value {
+            Value::Table(inner) if !inner.is_empty() => {
+                found.extend(leaves(inner).into_iter().map(|(path, value)| (format!("{key}.{path}"), value)));
+            }
+            value => found.push((key.clone(), value)),
+        }
+    }
+    found
+}
+
 /// Sets the value at a dotted path, or removes it. Without its section there is nothing to do.
 pub(super) fn set_or_remove(table: &mut Table, path: &str, value: Option<Value>) {
     let Some((section, rest)) = path.split_once('.') else {

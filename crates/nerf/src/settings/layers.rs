@@ -4,7 +4,7 @@ use std::path::Path;
 
 use toml::{Table, Value};
 
-use super::identity::value_at;
+use super::identity::{leaves, value_at};
 use super::registry::{REGISTRY, Setting, meant};
 use super::{Config, DataConfig, Method, REGULARIZERS, over_run};
 use crate::base::input::{TEXT_BYTES, read_named};
@@ -288,21 +288,12 @@ fn refusal(path: &str, value: &str, message: &str) -> String {
 
 /// Returns an error for unknown keys, with the nearest known one. serde's own message lists fields but not the path.
 fn check_keys(layer: &Table, origin: &str) -> Result<()> {
-    let unknown = leaves(layer, "").into_iter().find(|key| !REGISTRY.knows(key));
-    unknown.map_or(Ok(()), |key| {
+    let unknown = leaves(layer).into_iter().find(|(key, _)| !REGISTRY.knows(key));
+    unknown.map_or(Ok(()), |(key, _)| {
         // A very long name is cut: its beginning is enough.
         let key: String = key.chars().take(200).collect();
         Err(Error::Config(format!("{origin}: unknown key '{key}'; did you mean {}?", meant(&key))))
     })
-}
-
-/// Returns the dotted keys of a table's values.
-pub(super) fn leaves(table: &Table, prefix: &str) -> Vec<String> {
-    let of_key = |(key, value): (&String, &Value)| match value {
-        Value::Table(inner) if !inner.is_empty() => leaves(inner, &format!("{prefix}{key}.")),
-        _ => vec![format!("{prefix}{key}")],
-    };
-    table.iter().flat_map(of_key).collect()
 }
 
 #[cfg(test)]

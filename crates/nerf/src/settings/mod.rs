@@ -23,7 +23,7 @@ mod volume;
 pub use crate::base::settings::{name_of, word};
 pub use document::{SettingRow, settings_page, settings_rows, settings_text};
 pub use eval::{EvalConfig, MESH_SIDES, MeshConfig, NO_REFERENCE};
-pub use identity::value_at;
+pub use identity::{leaves, value_at};
 pub use layers::{Preset, build, check_assignment, data_section, parse_assignment, regularizer_hint};
 pub use method::{Capability, Method, Representation};
 pub use planes::{PlanesConfig, PlanesLoss};

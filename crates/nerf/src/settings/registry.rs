@@ -78,15 +78,14 @@ fn nearest(name: &str) -> (usize, Vec<&'static str>) {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::settings::layers::leaves;
-    use crate::settings::{Config, DataKind, Extent};
+    use crate::settings::{Config, DataKind, Extent, leaves};
 
     /// What a configuration file may hold is what the table lists, each once and with words.
     #[test]
     fn every_key_of_a_file_is_one_entry() {
         let extent = Extent { near: 2.0, far: 6.0, domain: None, pixels: 16 };
         let run = Config::default().resolve(DataKind::BuiltinBlender, extent).unwrap().into_draft().to_table();
-        assert!(leaves(&run, "").iter().all(|key| REGISTRY.get(key).is_some()));
+        assert!(leaves(&run).iter().all(|(key, _)| REGISTRY.get(key).is_some()));
         for Setting { path, doc, .. } in &REGISTRY.settings {
             assert!(!doc.is_empty(), "{path}");
             assert_eq!(REGISTRY.settings.iter().filter(|setting| setting.path == *path).count(), 1, "{path}");

@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use crate::base::{Error, Result};
 use crate::data::{Camera, Ndc, View};
 use crate::run::{Protocol, Viewer};
-use crate::settings::Config;
+use crate::settings::{Config, leaves};
 use crate::train::checkpoint::State;
 
 /// A run with one held-out view.
@@ -222,19 +222,8 @@ pub(super) fn settings(config: &Config) -> Vec<(String, String)> {
     if !config.method.is_augmented() {
         table.remove("perturb");
     }
-    let mut settings = Vec::new();
-    flatten(String::new(), &table, &mut settings);
-    settings
-}
-
-fn flatten(prefix: String, table: &toml::Table, into: &mut Vec<(String, String)>) {
-    for (name, value) in table {
-        match value {
-            toml::Value::Table(table) => flatten(format!("{prefix}{name}."), table, into),
-            toml::Value::String(text) => into.push((format!("{prefix}{name}"), text.clone())),
-            other => into.push((format!("{prefix}{name}"), other.to_string())),
-        }
-    }
+    let text = |value: &toml::Value| value.as_str().map_or_else(|| value.to_string(), String::from);
+    leaves(&table).into_iter().map(|(name, value)| (name, text(value))).collect()
 }
 
 #[cfg(test)]
