@@ -4,7 +4,7 @@
 
 use std::path::Path;
 use std::sync::atomic::{AtomicUsize, Ordering};
-use std::time::Instant;
+use std::time::{Duration, Instant};
 
 use candle_core::DType;
 
@@ -13,18 +13,15 @@ use crate::base::{Error, Event, Listener, Result};
 use crate::data::Scene;
 use crate::field::forget_buffers;
 use crate::methods::{LogColumns, Term};
-use crate::metrics::{Lpips, MeanMetrics, Metric, PSNR, PSNR_FLOAT};
+use crate::metrics::Lpips;
 use crate::model::Model;
 use crate::runtime::{Host, MemoryWatch, Runtime, Timing, host};
 use crate::settings::{Config, Regularizer, Resolved};
 use crate::train::{Origin, Trainer, checkpoint};
 
-use super::preview::{self, Preview};
 use super::scene_file::RecordedScene;
-use super::{
-    Between, EVALUATION_COLUMNS, Existing, Measurement, Pictures, Report, RunDir, Session, TRAINING_VIEW_COLUMNS,
-    Viewer, interrupted, scene_file, surface_reference,
-};
+use super::session::{Session, write_head};
+use super::{Existing, Measurement, Pictures, Report, RunDir, Viewer, scene_file, surface_reference};
 
 /// The inputs of a training.
 pub struct Setup<'a> {
@@ -69,16 +66,16 @@ pub struct Job<'a> {
 }
 
 /// A training in its folder: the parts of a job except the trainer, which the session takes.
-struct Experiment<'a> {
-    run: RunDir,
-    setup: Setup<'a>,
+pub(super) struct Experiment<'a> {
+    pub(super) run: RunDir,
+    pub(super) setup: Setup<'a>,
     earlier: Earlier,
     /// Problems found when the run was resumed.
     notes: Vec<String>,
     started_unix: u64,
     memory: MemoryWatch,
     /// Seconds of the shortest session that draws previews.
-    previews_from: Option<f64>,
+    pub(super) previews_from: Option<f64>,
 }
 
 /// The sessions before this one.
@@ -188,7 +185,7 @@ impl<'a> Job<'a> {
         let trainer = Trainer::begin_from(origin, &setup.config, setup.scene, DType::F32, &setup.runtime)?;
         let run = RunDir::create(folder, existing, setup.bytes_needed())?;
         let job = Job::begin(run, setup, trainer, Earlier::default(), Vec::new(), memory)?;
-        super::session::write_head(&job.experiment.run, &job.trainer)?;
+        write_head(&job.experiment.run, &job.trainer)?;
         job.trainer.save(&job.experiment.run.checkpoints())?;
         Ok(job)
     }
@@ -270,21 +267,19 @@ impl Experiment<'_> {
         let (first, config) = (trainer.step_count(), &self.setup.config);
         let (steps, rays) = (config.train.steps, config.rays_per_step());
         events.on(Event::TrainingStarted { first, steps, rays });
-        let preview = self.previews_from.map(|shortest| Preview::new((first, steps), shortest));
-        let mut watcher = Watcher { experiment: self, events, signal, seconds_evaluation: 0.0, preview };
-        let session = trainer.run(&self.run, signal, events, &mut watcher);
+        let session = Session::run(self, &mut trainer, events, signal);
         events.on(Event::TrainingFinished);
-        let Session { seconds, last_terms } = session?;
+        let Session { stepping, evaluating: between, last_terms, .. } = session?;
         let evaluating = Instant::now();
         let report = self.evaluate(&trainer, events, signal)?;
-        let of_evaluation = evaluating.elapsed().as_secs_f64() + watcher.seconds_evaluation;
-        self.timing(trainer.step_count(), seconds, of_evaluation).write(&self.run.timing())?;
+        self.timing(trainer.step_count(), stepping, between + evaluating.elapsed()).write(&self.run.timing())?;
         // Whoever switches the check of each step off wants the numbers of collapsed trainings, too.
         if self.setup.config.train.collapse_steps > 0 {
             report.check_learned(self.run.path())?;
         }
         let steps = (trainer.step_count(), self.setup.config.train.steps);
         let heavy_terms = heavy_terms(&self.setup.config, &trainer.columns(), &last_terms);
+        let seconds = stepping.as_secs_f64();
         Ok(Finished { report, model: trainer.model()?.clone(), steps, seconds, heavy_terms })
     }
 
@@ -301,17 +296,22 @@ impl Experiment<'_> {
         }
     }
 
-    fn viewer<'a>(&'a self, trainer: &'a Trainer) -> Result<Viewer<'a>> {
+    pub(super) fn viewer<'a>(&'a self, trainer: &'a Trainer) -> Result<Viewer<'a>> {
         let Setup { config, scene, runtime, .. } = &self.setup;
         Ok(Viewer { model: trainer.model()?, config, scene, runtime })
     }
 
     /// Returns an error once there is a signal; the run's newest checkpoint is of `step`.
-    fn check_signal(&self, signal: &AtomicUsize, step: u64) -> Result<()> {
-        match signal.load(Ordering::SeqCst) {
-            0 => Ok(()),
-            signal => Err(interrupted(signal as i32, step, self.run.path())),
-        }
+    pub(super) fn check_signal(&self, signal: &AtomicUsize, step: u64) -> Result<()> {
+        let signal = match signal.load(Ordering::SeqCst) {
+            0 => return Ok(()),
+            signal => signal as i32,
+        };
+        let message = format!(
+            "stopped by signal {signal} at step {step}; nothing is lost: `augnerf resume {}` continues from there",
+            self.run.path().display()
+        );
+        Err(Error::Interrupted { signal, message })
     }
 
     /// Measures every held-out view and some training views.
@@ -329,12 +329,12 @@ impl Experiment<'_> {
         Ok(report)
     }
 
-    fn timing(&self, step: u64, training: f64, evaluation: f64) -> Timing {
+    pub(super) fn timing(&self, step: u64, training: Duration, evaluation: Duration) -> Timing {
         let Setup { config, runtime, .. } = &self.setup;
-        let training = training + self.earlier.seconds_training;
+        let training = training.as_secs_f64() + self.earlier.seconds_training;
         Timing {
             seconds_training: training,
-            seconds_evaluation: evaluation + self.earlier.seconds_evaluation,
+            seconds_evaluation: evaluation.as_secs_f64() + self.earlier.seconds_evaluation,
             rays_per_second: (training > 0.0).then(|| step as f64 * config.rays_per_step() as f64 / training),
             peak_memory_mib: self.memory.peak_mib().filter(|_| runtime.is_alone()),
             device: runtime.name().to_string(),
@@ -344,79 +344,5 @@ impl Experiment<'_> {
             finished_unix: host::unix_seconds() as u64,
             sessions: self.earlier.sessions.saturating_add(1),
         }
-    }
-}
-
-/// Evaluates between steps and keeps `timing.json` current.
-struct Watcher<'a> {
-    experiment: &'a Experiment<'a>,
-    events: &'a dyn Listener,
-    signal: &'a AtomicUsize,
-    /// Seconds spent on evaluations and previews during training.
-    seconds_evaluation: f64,
-    preview: Option<Preview>,
-}
-
-impl Watcher<'_> {
-    /// Draws the first held-out view, and says where the session's first picture is. An error of a picture ends the
-    /// pictures, not the training.
-    fn draw_preview(&mut self, trainer: &Trainer) -> Result<()> {
-        let Some(preview) = &mut self.preview else { return Ok(()) };
-        let Some(allowance) = preview.allowance(trainer.step_count()) else { return Ok(()) };
-        let started = Instant::now();
-        let (Setup { scene, config, .. }, step) = (&self.experiment.setup, trainer.step_count());
-        let renders = RunDir::renders_in(self.experiment.run.path());
-        let pictures = Pictures::new(&renders, scene, config.eval.pictures);
-        let viewer = self.experiment.viewer(trainer)?;
-        let stop_check = &mut || self.experiment.check_signal(self.signal, step);
-        let drawn = preview::draw(&viewer, &pictures, allowance, stop_check);
-        let (is_first, seconds) = (preview.spent == 0.0, started.elapsed().as_secs_f64());
-        preview.spent += seconds;
-        match drawn {
-            Ok(true) if is_first => self.events.on(Event::Note(&format!(
-                "step {step}: the first preview is {}; at the end, the evaluation writes {} in its place",
-                pictures.preview_path().display(),
-                renders.join(format!("{}_beside.png", scene.test[0].name)).display()
-            ))),
-            // The session stops after this step.
-            Ok(_) | Err(Error::Interrupted { .. }) => {}
-            Err(error) => {
-                self.preview = None;
-                self.events.on(Event::Note(&format!("no picture of the unfinished training: {error}")));
-            }
-        }
-        self.seconds_evaluation += seconds;
-        Ok(())
-    }
-}
-
-impl Between for Watcher<'_> {
-    fn evaluate(&mut self, trainer: &Trainer) -> Result<Vec<(&'static str, f64)>> {
-        let started = Instant::now();
-        let saved = trainer.step_count() - 1;
-        let stop_check = || self.experiment.check_signal(self.signal, saved);
-        let viewer = self.experiment.viewer(trainer)?;
-        let stride = trainer.config().train.eval_stride;
-        let [views, seen] = viewer.evaluate_sparsely(stride, stop_check)?;
-        self.seconds_evaluation += started.elapsed().as_secs_f64();
-        let mut mean = MeanMetrics::from_views(&views);
-        mean.set_train(&seen);
-        let step = trainer.step_count();
-        if let Some(psnr) = mean.get(&PSNR) {
-            let seen = mean.get(PSNR.train()).map_or(String::new(), |seen| format!(", of training views {seen:.2} dB"));
-            self.events.on(Event::Note(&format!("step {step}: held-out PSNR {psnr:.2} dB{seen}")));
-        }
-        let metrics: [&Metric; 4] = [&PSNR, &PSNR_FLOAT, PSNR.train(), PSNR.gap()];
-        let values =
-            EVALUATION_COLUMNS.into_iter().chain(TRAINING_VIEW_COLUMNS).zip(metrics.map(|metric| mean.get(metric)));
-        Ok(values.filter_map(|(name, value)| value.map(|value| (name, value))).collect())
-    }
-
-    fn stepped(&mut self, trainer: &Trainer) -> Result<()> {
-        self.draw_preview(trainer)
-    }
-
-    fn saved(&mut self, step: u64, seconds: f64) -> Result<()> {
-        self.experiment.timing(step, seconds, self.seconds_evaluation).write(&self.experiment.run.timing())
     }
 }

@@ -51,7 +51,6 @@ pub use scalars::Scalars;
 pub use scene_file::WorldMatrix;
 pub use scene_picture::scene_picture;
 pub use score::{Matching, Picture, Score, Truth, pictures, score};
-pub use session::{Between, EVALUATION_COLUMNS, Session, TRAINING_VIEW_COLUMNS, interrupted};
 pub use smoothness::{FieldSmoothness, SMOOTHNESS_SIDE, SmoothnessReport, check_measurable, smoothness_box};
 use surface::builtin_surface;
 pub use surface::{Surface, most_memory_mib, surface_box, surface_reference, surface_threshold};
