@@ -3,7 +3,6 @@
 use std::path::{Path, PathBuf};
 
 use clap::Args;
-use tempfile::NamedTempFile;
 use toml::Value;
 
 use crate::base::{Error, Result};
@@ -160,17 +159,6 @@ impl Default for Base<'_> {
     fn default() -> Self {
         Base { file: None, first: Vec::new(), last: Vec::new(), preset: |preset| preset }
     }
-}
-
-/// Writes settings to a temporary file for [`Base::file`].
-///
-/// # Errors
-/// [`Error::Output`]: the file cannot be written.
-pub fn settings_file(toml: &str) -> Result<NamedTempFile> {
-    let unwritable = |e: std::io::Error| Error::unwritable(&std::env::temp_dir(), &e);
-    let file = tempfile::Builder::new().suffix(".toml").tempfile().map_err(unwritable)?;
-    std::fs::write(file.path(), toml).map_err(unwritable)?;
-    Ok(file)
 }
 
 impl Experiment {

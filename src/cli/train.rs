@@ -4,7 +4,6 @@ use std::io::IsTerminal;
 use std::path::{Path, PathBuf};
 
 use clap::Args;
-use tempfile::NamedTempFile;
 
 use crate::base::{Error, Result};
 use crate::data::Photos;
@@ -16,7 +15,7 @@ use crate::train::Origin;
 use crate::train::checkpoint::{self, State};
 
 use super::answer::{Answer, Measured};
-use super::experiment::{Base, Experiment, say_without_effect, settings_file};
+use super::experiment::{Base, Experiment, say_without_effect};
 use super::measure::print_balance;
 use super::progress::{Console, print};
 use super::signals::catch_signals;
@@ -133,8 +132,8 @@ impl TrainArguments {
 /// The run whose weights another run starts with.
 struct Parent {
     run: RunDir,
-    /// The run's settings as a file.
-    config: NamedTempFile,
+    /// The file of the run's settings.
+    config: PathBuf,
     checkpoint: PathBuf,
     state: State,
 }
@@ -145,10 +144,8 @@ impl Parent {
         let run = RunDir::take_to_read(run)?;
         let checkpoint = checkpoint::latest(&run.checkpoints())?;
         let state = checkpoint::load_state(&checkpoint)?;
-        let own = run.read_config()?;
-        checkpoint::check_config(&checkpoint, &state, &own)?;
-        let config = settings_file(&own.to_toml())?;
-        Ok(Parent { run, config, checkpoint, state })
+        checkpoint::check_config(&checkpoint, &state, &run.read_config()?)?;
+        Ok(Parent { config: run.config(), run, checkpoint, state })
     }
 
     /// Returns the run's settings as a base; the parent's name overrides everything.
@@ -156,7 +153,7 @@ impl Parent {
         let restarted = if restart { " restarted" } else { "" };
         let name = format!("{}@{}{restarted}", self.state.config_hash, self.state.step);
         let last = vec![(vec!["train".into(), "parent".into()], name.into())];
-        Base { file: Some(self.config.path()), first: Vec::new(), last, preset: |preset| preset }
+        Base { file: Some(&self.config), first: Vec::new(), last, preset: |preset| preset }
     }
 
     fn check_steps(&self, steps: u64) -> Result<()> {
