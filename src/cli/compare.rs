@@ -134,7 +134,7 @@ impl Runs {
             if chosen.is_empty() && done && !twice {
                 named.push(NamedRun { path: run, label: label.clone() });
             } else if chosen.contains(label) && !done {
-                let status = sweep.point(&point.id).state(point)?.status.name();
+                let status = sweep.point(&point.id).record(point)?.status.name();
                 return Err(Error::Config(format!(
                     "row '{label}' with seed {seed}: {status}; train it with `augnerf sweep run`, or see `augnerf sweep \
                      status {}`",

@@ -44,7 +44,7 @@ fn a_claim_from_another_machine_holds_as_long_as_its_lock() {
         assert!(Claim::take(point.path(), sharing).unwrap().is_none(), "{sharing:?}");
     }
     drop(held);
-    assert_eq!(point.state(&points[0]).unwrap().status, Status::Waiting);
+    assert_eq!(point.record(&points[0]).unwrap().status, Status::Waiting);
     assert_says(
         &Claim::look(point.path()).unwrap().fate(),
         &["elsewhere", "process 1", "killed at step 50", "cannot see its lock"],

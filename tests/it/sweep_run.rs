@@ -134,7 +134,7 @@ pub fn run_heard(
 }
 
 pub fn statuses(folder: &SweepFolder, points: &[Point]) -> Vec<Status> {
-    points.iter().map(|point| folder.point(&point.id).state(point).unwrap().status).collect()
+    points.iter().map(|point| folder.point(&point.id).record(point).unwrap().status).collect()
 }
 
 #[test]

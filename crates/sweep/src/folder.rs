@@ -185,20 +185,11 @@ impl SweepFolder {
     pub fn records(&self, definition: &Definition, points: &[Point]) -> Result<Vec<Record>> {
         let (mut records, varied) = (Vec::new(), Varied::of(definition, points));
         for point in points {
-            let state = self.point(&point.id).state(point)?;
+            let own = self.point(&point.id).record(point)?;
             for place in &point.places {
-                let mut record = Record {
-                    id: point.id.clone(),
-                    scene: point.scene.clone(),
-                    row: place.row.clone(),
-                    axes: place.axes.clone(),
-                    seed: Some(point.config.seed),
-                    status: state.status,
-                    reason: state.reason.clone(),
-                    result: state.result.clone(),
-                };
-                if state.status == Status::Done {
-                    let columns = varied.columns(point, &place.axes, Some(&state.result.protocol));
+                let mut record = Record { row: place.row.clone(), axes: place.axes.clone(), ..own.clone() };
+                if own.status == Status::Done {
+                    let columns = varied.columns(point, &place.axes, Some(&own.result.protocol));
                     record.result.protocol.extend(columns);
                 }
                 records.push(record.ordered());

@@ -63,7 +63,7 @@ pub use outputs::{Scalars, SweepOutputs};
 pub use pace::Pace;
 pub use page::check_page_place;
 pub use planning::{CostGroup, begin, plan, plan_costs};
-pub use point_folder::{Failure, PointFolder, PointState};
+pub use point_folder::{Failure, PointFolder};
 pub use points::{Point, expand};
 pub use provenance::{Missing, Provenance};
 pub use runner::{Options, Runner, Unmeasured, Work};

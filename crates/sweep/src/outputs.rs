@@ -11,8 +11,8 @@ use crate::base::csv::{column_names, csv_text, hash_cell, plain_hash};
 use crate::base::files::{read_json, write_atomic};
 use crate::base::input::{TABLE_BYTES, read_bytes};
 use crate::base::{Error, Result};
+use crate::report::Record;
 use crate::report::tables::{Constants, PointTiming, constants};
-use crate::report::{Record, Status};
 use crate::run::{DepthErrors, RunDir};
 use crate::runtime::Timing;
 
@@ -56,11 +56,10 @@ impl SweepOutputs {
             ..SweepOutputs::default()
         };
         for point in points {
-            let run = folder.point(&point.id).run();
-            if folder.point(&point.id).state(point)?.status != Status::Done {
-                continue;
+            let own = folder.point(&point.id);
+            if own.finished_at().is_some() {
+                outputs.read_run(&point.id, &own.run())?;
             }
-            outputs.read_run(&point.id, &run)?;
         }
         if wants_depth(&definition.metrics) {
             let errors = |id: &str| DepthErrors::read(&RunDir::depth_errors_in(&folder.point(id).run()));

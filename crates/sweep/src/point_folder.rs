@@ -11,11 +11,12 @@ use crate::base::files::{
 use crate::base::input::{TEXT_BYTES, read_text};
 use crate::base::{BAD_CHECKPOINT, Error, Result};
 use crate::metrics::{Metric, Scope};
-use crate::report::{PointResult, Status};
+use crate::report::{PointResult, Record, Status};
 use crate::run::RunDir;
 use crate::settings::Config;
 
 use super::claim::{CLAIM, Claim, Sharing};
+use super::layout::TablePosition;
 use super::points::Point;
 
 /// What to do with a damaged file of a point.
@@ -39,17 +40,6 @@ pub struct Failure {
     pub reason: String,
     /// Its exit code.
     pub exit_code: u8,
-}
-
-/// What the files of a point say.
-#[derive(Clone, Debug)]
-pub struct PointState {
-    /// How far it is.
-    pub status: Status,
-    /// Why it failed or has no data; empty otherwise.
-    pub reason: String,
-    /// What it left; empty unless done.
-    pub result: PointResult,
 }
 
 /// The folder of one point.
@@ -205,22 +195,23 @@ impl PointFolder {
         }
     }
 
-    /// What the files say about a point.
-    pub fn state(&self, point: &Point) -> Result<PointState> {
-        let state = |status, reason: String| PointState { status, reason, result: PointResult::default() };
+    /// Returns what the files say about a point, at its first position in the table.
+    pub fn record(&self, point: &Point) -> Result<Record> {
+        let TablePosition { row, axes } = point.places[0].clone();
+        let (id, scene, seed) = (point.id.clone(), point.scene.clone(), Some(point.config.seed));
+        let record = Record { id, scene, row, axes, seed, ..Record::default() };
         if let Some(result) = self.result()? {
-            return Ok(PointState { result, ..state(Status::Done, String::new()) });
+            return Ok(Record { status: Status::Done, result, ..record });
         }
         if let Some(failure) = self.failure()? {
-            let first = failure.reason.lines().next().unwrap_or_default().to_string();
-            return Ok(state(Status::Failed, first));
+            let reason = failure.reason.lines().next().unwrap_or_default().to_string();
+            return Ok(Record { status: Status::Failed, reason, ..record });
         }
-        let claim = Claim::look(&self.path);
-        Ok(match (claim, &point.no_data) {
-            (Some(claim), _) if claim.alive => state(Status::Running, String::new()),
+        Ok(match (Claim::look(&self.path), &point.no_data) {
+            (Some(claim), _) if claim.alive => Record { status: Status::Running, ..record },
             // What a killed worker left here waits for the scene, too.
-            (_, Some(reason)) => state(Status::NoData, reason.clone()),
-            _ => state(Status::Waiting, String::new()),
+            (_, Some(reason)) => Record { status: Status::NoData, reason: reason.clone(), ..record },
+            _ => Record { status: Status::Waiting, ..record },
         })
     }
 }

@@ -123,21 +123,21 @@ impl RunPointArguments {
     /// The point failed, or has no data.
     fn tell(&self, (folder, point): (&SweepFolder, &Point), before: bool, console: &Console) -> Result<()> {
         let own = folder.point(&point.id);
-        let (state, label) = (own.state(point)?, point.label());
-        match state.status {
+        let (record, label) = (own.record(point)?, point.label());
+        match record.status {
             Status::Done if before => console.say(&format!("{label} was already done")),
             // The runner has printed it.
             Status::Done => {}
             Status::Failed => {
                 return Err(Error::PointsFailed(format!(
                     "{label} failed; run it again with --retry-failed: {}",
-                    state.reason
+                    record.reason
                 )));
             }
             Status::NoData => {
                 return Err(Error::PointsWithoutData(format!(
                     "{label} has no data here: {}; put the scene into --data-root (AUGNERF_DATA)",
-                    state.reason
+                    record.reason
                 )));
             }
             Status::Running | Status::Waiting => {
@@ -149,8 +149,8 @@ impl RunPointArguments {
             "folder": folder.path().display().to_string(),
             "id": point.id,
             "label": label,
-            "status": state.status.name(),
-            "psnr": state.result.metric(PSNR.key),
+            "status": record.status.name(),
+            "psnr": record.metric(PSNR.key),
         }))
     }
 }
