@@ -19,17 +19,17 @@ mod domain;
 mod encode;
 mod gradient;
 mod operator;
-mod reference;
 mod scatter;
 #[cfg(test)]
 mod tests;
+mod vertices;
 
 pub(crate) use adam::Moving;
 pub use domain::{Contraction, Domain};
 pub use encode::fetch_tables;
 pub use operator::Operator;
-pub use reference::{Real, Vertex};
 pub use scatter::EncodingGradients;
+pub use vertices::{Real, Vertex};
 
 use serde::{Deserialize, Serialize};
 

@@ -23,12 +23,12 @@ pub(super) struct ChunkRecorder<'a> {
     pub(super) log: bool,
 }
 
-/// The random numbers of a pass. `First` has those of the step, of stream `Jitter`. `Second` has new ones, of stream `Search` with
-/// one part for each chunk. Perturbed passes have `First`, as the clean passes that they repeat.
+/// The random numbers of a pass. `OfStep` are those of the step, of stream `Jitter`. `Redrawn` are new ones, of stream `Search` with
+/// one part for each chunk. Perturbed passes have `OfStep`, as the clean passes that they repeat.
 #[derive(Clone, Copy, PartialEq)]
-enum RandomsOf {
-    First,
-    Second,
+enum Randoms {
+    OfStep,
+    Redrawn,
 }
 
 impl<'a> ChunkRecorder<'a> {
@@ -37,12 +37,12 @@ impl<'a> ChunkRecorder<'a> {
         let plan = &self.steps.plan;
         let (clean_weight, second_weight) = plan.loss_weights(0);
         for pass in &plan.clean {
-            self.clean(recorder, RandomsOf::First, pass, clean_weight);
+            self.clean(recorder, Randoms::OfStep, pass, clean_weight);
         }
         for pass in &plan.second {
             match &pass.deltas {
                 Some(delta_plan) => self.perturbed(recorder, pass, delta_plan, second_weight),
-                None => self.clean(recorder, RandomsOf::Second, pass, second_weight),
+                None => self.clean(recorder, Randoms::Redrawn, pass, second_weight),
             }
         }
     }
@@ -71,7 +71,7 @@ impl<'a> ChunkRecorder<'a> {
     }
 
     /// Records words of the clean pass's stream: `per_ray` numbers a ray, `before` a ray in the stream before them.
-    fn numbers(&self, recorder: &mut Recorder<'a>, which: RandomsOf, to: &Buffer, kind: Numbers, before: &[Numbers]) {
+    fn numbers(&self, recorder: &mut Recorder<'a>, which: Randoms, to: &Buffer, kind: Numbers, before: &[Numbers]) {
         let buffers = &self.steps.buffers;
         let rays_of_step = self.config().train.rays;
         let even = |count: usize, kind: &Numbers| if kind.normal { count.next_multiple_of(2) } else { count };
@@ -85,11 +85,11 @@ impl<'a> ChunkRecorder<'a> {
             }
         };
         match which {
-            RandomsOf::First => {
+            Randoms::OfStep => {
                 let offset = words_before(rays_of_step) + self.ray0 * kind.per_ray;
                 draw(self.rays, 1, 0, offset, 0, Stream::Jitter);
             }
-            RandomsOf::Second => {
+            Randoms::Redrawn => {
                 let chunk = self.config().train.chunk;
                 let (whole, rest) = (self.rays / chunk, self.rays % chunk);
                 let part = self.ray0 / chunk;
@@ -117,7 +117,7 @@ impl<'a> ChunkRecorder<'a> {
     }
 
     /// Records the noise of a pass, and returns it.
-    fn noise(&self, recorder: &mut Recorder<'a>, which: RandomsOf, is_coarse: bool) -> Option<&'a Buffer> {
+    fn noise(&self, recorder: &mut Recorder<'a>, which: Randoms, is_coarse: bool) -> Option<&'a Buffer> {
         if self.config().density_noise == 0.0 {
             return None;
         }
@@ -129,9 +129,9 @@ impl<'a> ChunkRecorder<'a> {
     }
 
     /// Records the samples of a pass, and returns them.
-    fn samples(&self, recorder: &mut Recorder<'a>, which: RandomsOf, plan: &PassPlan) -> &'a Buffer {
+    fn samples(&self, recorder: &mut Recorder<'a>, which: Randoms, plan: &PassPlan) -> &'a Buffer {
         let buffers = &self.steps.buffers;
-        let is_first = which == RandomsOf::First && plan.deltas.is_none();
+        let is_first = which == Randoms::OfStep && plan.deltas.is_none();
         let t_fine = if is_first { &buffers.t_fine } else { &buffers.t_second };
         match plan.samples {
             SampleSource::OfCleanPass if plan.is_coarse => &buffers.t_coarse,
@@ -157,7 +157,7 @@ impl<'a> ChunkRecorder<'a> {
     }
 
     /// Records samples in bins between near and far.
-    fn stratified(&self, recorder: &mut Recorder<'a>, which: RandomsOf) -> &'a Buffer {
+    fn stratified(&self, recorder: &mut Recorder<'a>, which: Randoms) -> &'a Buffer {
         let (config, buffers) = (self.config(), &self.steps.buffers);
         self.numbers(recorder, which, &buffers.jitter, self.kinds()[0], &[]);
         let columns = config.field.encoding.t_vals(config.sampling.coarse);
@@ -171,7 +171,7 @@ impl<'a> ChunkRecorder<'a> {
     fn resample(
         &self,
         recorder: &mut Recorder<'a>,
-        which: RandomsOf,
+        which: Randoms,
         t_coarse: &'a Buffer,
         t_fine: &'a Buffer,
     ) -> &'a Buffer {
@@ -182,11 +182,11 @@ impl<'a> ChunkRecorder<'a> {
     }
 
     /// Records a clean pass and its gradients.
-    fn clean(&self, recorder: &mut Recorder<'a>, which: RandomsOf, plan: &PassPlan, weight: f64) {
+    fn clean(&self, recorder: &mut Recorder<'a>, which: Randoms, plan: &PassPlan, weight: f64) {
         let config = self.config();
         let t_vals = self.samples(recorder, which, plan);
         let noise = self.noise(recorder, which, plan.is_coarse);
-        let pass = self.pass(plan, which == RandomsOf::Second, t_vals, noise);
+        let pass = self.pass(plan, which == Randoms::Redrawn, t_vals, noise);
         let weight_of = |wanted: Regularizer| {
             let known = config.regularizer.terms().find(|(term, _)| *term == wanted);
             let counted = known.filter(|(term, _)| plan.counts(term.is_of_evaluated_pass()));
@@ -222,8 +222,8 @@ impl<'a> ChunkRecorder<'a> {
     /// Records the draws of a perturbed pass, its search, the pass with its gradients, and the diagnostics before it.
     fn perturbed(&self, recorder: &mut Recorder<'a>, plan: &PassPlan, delta_plan: &DeltaPlan, weight: f64) {
         let (index, source) = (slot(plan, false), delta_plan.source);
-        let t_vals = self.samples(recorder, RandomsOf::First, plan);
-        let noise = self.noise(recorder, RandomsOf::First, plan.is_coarse);
+        let t_vals = self.samples(recorder, Randoms::OfStep, plan);
+        let noise = self.noise(recorder, Randoms::OfStep, plan.is_coarse);
         let pass = self.pass(plan, true, t_vals, noise);
         let steps = self.steps;
         let perturb = &self.config().perturb;

@@ -70,7 +70,7 @@ impl Field {
     /// Gaussians `[n, 6]` whose means move.
     pub fn density_gradient(&self, positions: &Tensor) -> Result<Tensor> {
         let tracked = Var::from_tensor(positions)?;
-        let density = self.activate_density(&self.raw_density(&tracked)?)?;
+        let density = self.activate_density(&self.frozen()?.raw_density(&tracked)?)?;
         let gradients = density.sum_all()?.backward()?;
         let gradient =
             gradients.get(&tracked).map_or_else(|| positions.zeros_like(), |gradient| Ok(gradient.clone()))?;

@@ -151,7 +151,7 @@ section! {
             numbers().text(WeightSchedule::is_possible, SCHEDULES).columns(&["regularizers"]).same_time();
         /// Lower and upper corner of the box, in the units of the points (NDC if the scene uses it).
         pub domain: [[f64; 3]; 2] = [[-1.0; 3], [1.0; 3]], numbers().corners().columns(&["regularizer_domain"]);
-        /// Cells along each side of the box (N).
+        /// Cells along each side of the box (N): at most 256 with `points = "full"`.
         pub lattice: usize = 64,
             numbers().whole(4, 1024, "4 to 1024 cells a side: fewer say nothing about smoothness, more would never finish")
                 .columns(POINTS);
@@ -272,19 +272,25 @@ impl RegularizerConfig {
             let allowed = format!("a multiple of {together}, the rays of a {of}");
             require(rays.is_multiple_of(together), "regularizer.unseen_rays", rays, &allowed)?;
         }
-        let (points, lattice) = (self.points_per_step, self.lattice);
         if self.points == LatticePoints::Full {
-            let allowed = format!(
-                "at most {MOST_CELLS_A_SIDE} with regularizer.points = \"full\"; lower it, or set regularizer.points = \"sampled\""
-            );
-            return require(lattice <= MOST_CELLS_A_SIDE, "regularizer.lattice", lattice, &allowed);
+            return Ok(());
         }
+        let (points, lattice) = (self.points_per_step, self.lattice);
         let cells = lattice.pow(3);
         let most = cells.min(MOST_POINTS_PER_STEP);
-        let allowed = format!(
-            "1 to {most} on a lattice of {lattice} a side (regularizer.points = \"full\" takes all {cells} cells)"
-        );
+        let all = format!(" (regularizer.points = \"full\" takes all {cells} cells)");
+        let all = if lattice <= MOST_CELLS_A_SIDE { all } else { String::new() };
+        let allowed = format!("1 to {most} on a lattice of {lattice} a side{all}");
         require((1..=most).contains(&points), "regularizer.points_per_step", points, &allowed)
+    }
+
+    /// Checks that a step of a new run ends. Runs that are there stay readable.
+    pub(crate) fn check_lattice(&self) -> Result<()> {
+        let is_too_long = self.points == LatticePoints::Full && self.lattice > MOST_CELLS_A_SIDE;
+        let allowed = format!(
+            "at most {MOST_CELLS_A_SIDE} with regularizer.points = \"full\"; lower it, or set regularizer.points = \"sampled\""
+        );
+        require(!is_too_long, "regularizer.lattice", self.lattice, &allowed)
     }
 
     /// Adds the settings without effect.

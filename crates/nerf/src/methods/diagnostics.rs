@@ -175,7 +175,7 @@ pub(super) struct SiteEffect {
     pub(super) at_bound: Option<f64>,
 }
 
-/// SiteSums over chunks and passes, by site: of gain, gain over random, shift, share at the bound, and of the fractions behind
+/// Sums over chunks and passes, by site: of gain, gain over random, shift, share at the bound, and of the fractions behind
 /// the last two.
 #[derive(Default)]
 pub(super) struct SiteSums(Vec<(String, [f64; 6])>);

@@ -6,9 +6,10 @@ use toml::{Table, Value};
 
 use super::identity::{leaves, value_at};
 use super::registry::{REGISTRY, Setting, meant};
-use super::{Config, DataConfig, Method, REGULARIZERS, over_run};
+use super::{Config, DataConfig, Method, PerturbConfig, REGULARIZERS, over_run};
 use crate::base::input::{TEXT_BYTES, read_named};
 use crate::base::{Error, Result, number_text};
+use crate::perturb::PaperSite;
 
 /// A named set of settings.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -156,6 +157,7 @@ fn typed(text: &str, setting: Option<&Setting>) -> Value {
 pub fn build(preset: Option<Preset>, file: Option<&Path>, assignments: &[(Vec<String>, Value)]) -> Result<Config> {
     let mut base = preset.map_or_else(Table::new, Preset::table);
     let mut table = file.map_or_else(|| Ok(Table::new()), read)?;
+    check_passes(&table, assignments)?;
     let mut given = Table::new();
     assignments.iter().try_for_each(|(path, value)| assign(&mut given, path, value.clone()))?;
     over_run::reopen(&mut table, &given);
@@ -167,6 +169,19 @@ pub fn build(preset: Option<Preset>, file: Option<&Path>, assignments: &[(Vec<St
     merge(&mut base, table);
     let text = toml::to_string(&base).expect("a table of settings is plain data");
     Config::from_toml(&text, "settings")
+}
+
+/// Returns an error for passes that `perturb.levels` would ignore: both are in the file, or the passes come after it.
+fn check_passes(file: &Table, assignments: &[(Vec<String>, Value)]) -> Result<()> {
+    let in_file = value_at(file, "perturb.levels");
+    let path = |site: PaperSite| format!("perturb.{}.passes", site.name());
+    let named = |site| Some((site, value_at(file, &path(site))?));
+    PerturbConfig::check_levels(in_file, &PaperSite::ALL.into_iter().filter_map(named).collect::<Vec<_>>())?;
+    let last = assignments.iter().rposition(|(path, _)| path.join(".") == "perturb.levels");
+    let later = &assignments[last.map_or(0, |last| last + 1)..];
+    let site = |name: &str| PaperSite::ALL.into_iter().find(|site| path(*site) == name);
+    let passes: Vec<_> = later.iter().filter_map(|(path, value)| Some((site(&path.join("."))?, value))).collect();
+    PerturbConfig::check_levels(last.map(|last| &assignments[last].1).or(in_file), &passes)
 }
 
 /// Reads a configuration file.
@@ -299,7 +314,6 @@ fn check_keys(layer: &Table, origin: &str) -> Result<()> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::perturb::PaperSite;
     use crate::settings::{Batching, TrainConfig};
 
     fn set(texts: &[&str]) -> Result<Config> {
@@ -369,6 +383,19 @@ mod tests {
     }
 
     /// A method without fields has its own size for a preset; the original's where none is named.
+    /// A misspelt table would be left out in silence.
+    #[test]
+    fn tables_of_layers_are_sections_or_sizes() {
+        let is_size = |name: &str| PRESETS.iter().any(|(.., sizes)| sizes.contains(&name));
+        for method in Method::ALL {
+            let Some(layer) = method.representation(method.encoding()).and_then(|found| found.layer()) else {
+                continue;
+            };
+            let layer: Table = toml::from_str(layer).unwrap();
+            assert!(layer.keys().all(|name| REGISTRY.knows(name) || is_size(name)), "{}: {layer:?}", method.name());
+        }
+    }
+
     #[test]
     fn methods_without_fields_have_a_size_for_each_preset() {
         let method = |name: &str, preset| build(preset, None, &[parse_assignment(&format!("method={name}")).unwrap()]);

@@ -29,11 +29,15 @@ pub fn check_flag(flag: &str, path: &str, value: impl Serialize) -> Result<(), S
 const MOST_MEANT: usize = 3;
 
 /// Returns the settings whose last part is that of `name`, in the section that it names. `steps` gives `train.steps`, `lr`
-/// gives `train.learning_rate`, and `width` both `data.width` and `field.width`.
+/// gives `train.learning_rate`, and `width` both `data.width` and `field.width`. Words for other things, such as epochs, give none.
 pub fn settings_called(name: &str) -> Vec<&'static str> {
     let (distance, nearest) = nearest(name);
-    if distance == 0 { nearest } else { Vec::new() }
+    let is_name = our_word(name).is_none() || SAME_THINGS.contains(&name);
+    if distance == 0 && is_name { nearest } else { Vec::new() }
 }
+
+/// Other programs' words for the same things.
+const SAME_THINGS: [&str; 4] = ["batch_size", "iterations", "lr", "max_steps"];
 
 /// Returns the settings that a mistaken name may have meant, in words.
 pub(super) fn meant(name: &str) -> String {
@@ -120,6 +124,7 @@ mod tests {
         assert_eq!(nearly("train.stepz").as_deref(), Some("'train.steps'"));
         assert_eq!((nearly("sigma"), nearly("lr").as_deref()), (None, Some("'train.learning_rate'")));
         assert_eq!(settings_called("train.steps"), ["train.steps"]);
+        assert_eq!((settings_called("lr"), settings_called("epochs")), (vec!["train.learning_rate"], vec![]));
         assert!(settings_called("rows").is_empty());
     }
 

@@ -46,6 +46,7 @@ impl Config {
     /// If a setting is out of range, or contradicts another setting or the kind of scene.
     pub fn locate(mut self, kind: DataKind) -> Result<Config> {
         self.data.kind = kind;
+        self.perturb.take_levels();
         self.regularizer.settle();
         self.checked_table()?;
         let idle = self.idle();

@@ -61,7 +61,7 @@ impl Config {
                 TermNeeds::Tables => continue,
             };
             let what = format!("regularizer.kind = \"{}\"", term.name());
-            self.require_capability(capability, &what, "leave it empty, or use nerf or aug-nerf")?;
+            self.require_capability(capability, &what, "leave it out, or use nerf or aug-nerf")?;
         }
         let side = self.eval.mesh.resolution;
         let what = format!("eval.mesh.resolution = {side}");

@@ -58,7 +58,7 @@ pub enum CountedTerms {
     /// All.
     All,
     /// All but those that count in the evaluated pass alone.
-    OfAnyPass,
+    ButOfEvaluated,
     /// None.
     None,
 }
@@ -77,7 +77,7 @@ impl PassPlan {
     pub fn counts(&self, is_of_evaluated_pass: bool) -> bool {
         match self.terms {
             CountedTerms::All => true,
-            CountedTerms::OfAnyPass => !is_of_evaluated_pass,
+            CountedTerms::ButOfEvaluated => !is_of_evaluated_pass,
             CountedTerms::None => false,
         }
     }
@@ -112,7 +112,7 @@ impl Plan {
             is_evaluated: !has_fine,
             terms: match (has_fine, is_for_both) {
                 (false, _) => CountedTerms::All,
-                (true, true) => CountedTerms::OfAnyPass,
+                (true, true) => CountedTerms::ButOfEvaluated,
                 (true, false) => CountedTerms::None,
             },
             deltas: None,

@@ -75,7 +75,7 @@ impl StepRays {
         Ok(StepRays { target: self.target.clone(), fraction, index, ..drawn })
     }
 
-    /// StepRays jitter, density noise and inverse-CDF positions of a clean pass, in a fixed order.
+    /// Draws jitter, density noise and inverse-CDF positions of a clean pass, in a fixed order.
     fn draw(learner: &FieldLearner, rays: Rays, step: u64, random: &mut Random) -> Result<StepRays> {
         let FieldLearner { config, dtype, device, .. } = learner;
         let sampling = &config.sampling;

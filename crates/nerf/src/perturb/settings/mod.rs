@@ -7,11 +7,12 @@ use std::ops::{Index, IndexMut};
 use std::sync::Arc;
 
 use serde::{Deserialize, Serialize};
+use toml::Value;
 
-use crate::base;
 use crate::base::settings::IdleKind::Noted;
 use crate::base::settings::{IdleSettings, one_or_many, refuse, require, word};
 use crate::base::settings::{numbers, section};
+use crate::base::{self, Error};
 use crate::perturb::{
     Density, Epsilon, Feature, Geometry, Level, Norm, PaperPass, PaperSite, Passes, PerSite, Pgd, REACH, Radius, Rgb,
     Site, SiteNumbers, StepUnit, T, View, Xyz,
@@ -128,8 +129,8 @@ section! {
         /// of the paper's runs, so that any run searches sets of the paper's absolute size).
         pub geometry: Geometry = Geometry::Sampling,
             numbers().column("attack_geometry").columns(&["step_over_radius"]).same_time();
-        /// Levels to perturb. Sites of the others are off, whatever their `passes` say. It is read but never written;
-        /// a program sets the passes of sites.
+        /// Levels to perturb, all if they are not named. Sites of the others are off. It is read but never written; a program
+        /// sets the passes of sites.
         #[serde(skip_serializing, deserialize_with = "one_or_many")]
         pub levels: Vec<Level> = Level::ALL.to_vec(), numbers().columns(&["levels"]);
     }
@@ -193,6 +194,24 @@ impl PerturbConfig {
         let levels = std::mem::replace(&mut self.levels, PerturbConfig::default().levels);
         let unnamed = |site: &PaperSite| !levels.contains(&site.spec().level);
         PaperSite::ALL.into_iter().filter(unnamed).for_each(|site| self[site].passes = Passes::Off);
+    }
+
+    /// Returns an error if `passes` switches on a site whose level `levels` does not name.
+    pub(crate) fn check_levels(levels: Option<&Value>, passes: &[(PaperSite, &Value)]) -> base::Result<()> {
+        let Some(levels) = levels.and_then(|levels| one_or_many::<Level, _>(levels.clone()).ok()) else {
+            return Ok(());
+        };
+        let is_ignored = |(site, passes): &&(PaperSite, &Value)| {
+            !levels.contains(&site.spec().level) && passes.as_str().is_some_and(|passes| passes != "off")
+        };
+        passes.iter().find(is_ignored).map_or(Ok(()), |(site, _)| {
+            Err(Error::Config(format!(
+                "perturb.{}.passes contradicts perturb.levels, which switches that site off; add its level there (\"{}\"), or \
+                 remove one of the two",
+                site.name(),
+                word(site.spec().level)
+            )))
+        })
     }
 
     /// Returns whether no number is empty, as in a run's file.
@@ -366,6 +385,7 @@ mod tests {
             assert_eq!((&short, short.hash(), short.to_toml()), (&long, long.hash(), long.to_toml()), "{levels}");
         }
         // A site of a level that is on keeps what is said of it.
+        // What is named later wins over passes.
         let both = set(&["perturb.t.passes=fine", "perturb.rgb.passes=fine", "perturb.levels=[\"input\"]"]).unwrap();
         let passes = |site| both.perturb[site].passes;
         assert_eq!(
@@ -376,6 +396,25 @@ mod tests {
         assert!(wrong.contains("perturb.levels") && wrong.contains("input"), "{wrong}");
         let none = set(&["method=aug-nerf", "perturb.levels=[]"]).unwrap_err().to_string();
         assert!(none.contains("perturbs nothing"), "{none}");
+    }
+
+    #[test]
+    fn passes_of_a_site_whose_level_is_off_are_refused_not_ignored() {
+        for passes in ["both", "coarse", "fine"] {
+            let passes = format!("perturb.rgb.passes={passes}");
+            let refused = set(&["perturb.levels=[\"input\"]", &passes]).unwrap_err().to_string();
+            assert!(refused.contains("perturb.rgb.passes") && refused.contains("\"output\""), "{passes}: {refused}");
+        }
+        let off = set(&["perturb.levels=[\"input\"]", "perturb.rgb.passes=off"]).unwrap();
+        assert_eq!(off.perturb[PaperSite::Rgb].passes, Passes::Off);
+        let file = tempfile::NamedTempFile::new().unwrap();
+        std::fs::write(file.path(), "[perturb]\nlevels = \"input\"\nrgb.passes = \"both\"\n").unwrap();
+        let refused = build(None, Some(file.path()), &[]).unwrap_err().to_string();
+        assert!(refused.contains("contradicts perturb.levels"), "{refused}");
+        std::fs::write(file.path(), "[perturb]\nlevels = \"input\"\n").unwrap();
+        let passes = parse_assignment("perturb.rgb.passes=both").unwrap();
+        let refused = build(None, Some(file.path()), &[passes]).unwrap_err().to_string();
+        assert!(refused.contains("contradicts perturb.levels"), "{refused}");
     }
 
     /// A run's own file names the passes of all sites.
