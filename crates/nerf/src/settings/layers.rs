@@ -361,6 +361,7 @@ mod tests {
             ("train.learning_rate=-1e300", "train.learning_rate = -1e300 is out of range"),
             ("train.learning_rate=nan", "train.learning_rate = NaN is out of range: it must be positive"),
             ("field.width=7", "field.width = 7 is out of range: it must be even"),
+            ("data.holdout=1", "at least 2"),
             ("field.skips=[8]", "1 to 7"),
             ("perturb.t.epsilon=0.6", "perturb.t.epsilon = 0.6 is out of range: it must be 0 to 0.5"),
             ("regularizer.kind=none", "orientation or sparse-depth, nor a list of them; [] is none"),
