@@ -55,12 +55,12 @@ impl SiteSet {
 impl PassSets {
     /// Returns the sets of a perturbed pass.
     pub(crate) fn new(config: &Resolved, scene: &Scene, plan: &PassPlan, delta_plan: &DeltaPlan) -> Result<PassSets> {
-        let columns = config.field.encoding.t_vals(plan.count);
+        let columns = config.field.encoding.t_vals(plan.sample_count);
         let run = AttackGeometry::new(config, scene);
         let perturb = &config.perturb;
         let t_vals = Tensor::zeros((1, columns), DType::F64, &Device::Cpu)?;
         let direction_norm = &Tensor::full(FAR, (1, 1), &Device::Cpu)?;
-        let (samples, is_coarse) = (plan.count, plan.is_coarse);
+        let (samples, is_coarse) = (plan.sample_count, plan.is_coarse);
         let pass = PassGeometry { run, is_coarse, t_vals: &t_vals, samples, direction_norm };
         let sets = Sets::new(delta_plan.sites.iter().cloned(), &pass)?;
         let sites = sets.iter().map(|entry| {
@@ -82,9 +82,9 @@ impl PassSets {
             let (size_of, per_ray) = match site {
                 PaperSite::T => (1, columns),
                 PaperSite::View => (2, 1),
-                PaperSite::Xyz | PaperSite::Rgb => (3, plan.count),
-                PaperSite::Feature => (config.field.width, plan.count),
-                PaperSite::Density => (1, plan.count),
+                PaperSite::Xyz | PaperSite::Rgb => (3, plan.sample_count),
+                PaperSite::Feature => (config.field.width, plan.sample_count),
+                PaperSite::Density => (1, plan.sample_count),
             };
             Ok(SiteSet { site, numbers, radius, size: size_of, per_ray, masks: set.mask.is_some() })
         });

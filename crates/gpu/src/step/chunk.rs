@@ -61,8 +61,8 @@ impl<'a> ChunkRecorder<'a> {
             field: self.steps.field(plan.field),
             ray0: self.ray0,
             rays: self.rays,
-            samples: plan.count,
-            columns: self.config().field.encoding.t_vals(plan.count),
+            samples: plan.sample_count,
+            columns: self.config().field.encoding.t_vals(plan.sample_count),
             t_vals,
             noise,
             deltas: DeltaBuffers::default(),
@@ -139,8 +139,8 @@ impl<'a> ChunkRecorder<'a> {
             SampleSource::Stratified => self.stratified(recorder, which),
             SampleSource::PlacedByDensity => {
                 let t_vals = self.stratified(recorder, which);
-                let count = self.config().sampling.coarse;
-                let placing = PassPlan { is_coarse: true, field: "coarse", count, ..plan.clone() };
+                let sample_count = self.config().sampling.coarse;
+                let placing = PassPlan { is_coarse: true, field: "coarse", sample_count, ..plan.clone() };
                 recorder.place_by_density(&self.pass(&placing, !is_first, t_vals, None));
                 self.resample(recorder, which, t_vals, t_fine)
             }

@@ -19,7 +19,7 @@ const SHORTEST: [f64; 2] = [1.0, 2.0];
 impl AttackGeometry {
     /// Returns that of a run on its scene.
     pub fn new(config: &Resolved, scene: &Scene) -> AttackGeometry {
-        let own = AttackGeometry {
+        let geometry = AttackGeometry {
             bounds: scene.bounds(),
             pixel: pixel_scale(scene),
             coarse_samples: config.field.encoding.t_vals(config.sampling.coarse),
@@ -27,8 +27,8 @@ impl AttackGeometry {
             paper: None,
         };
         match config.perturb.geometry {
-            Geometry::Sampling => own,
-            Geometry::Paper => own.of_paper(PaperPass::of_scenes(config.data.kind.forward_facing())),
+            Geometry::Sampling => geometry,
+            Geometry::Paper => geometry.of_paper(PaperPass::of_scenes(config.data.kind.forward_facing())),
         }
     }
 }
@@ -46,13 +46,13 @@ pub fn step_over_radius(config: &Resolved, scene: &Scene) -> Result<Vec<(PaperSi
     let mut ratios: Vec<(PaperSite, f64)> = Vec::new();
     for plan in Plan::of(config).second {
         let Some(delta_plan) = plan.deltas else { continue };
-        let columns = config.field.encoding.t_vals(plan.count);
-        let at = |i: usize| match config.sampling.spacing {
+        let columns = config.field.encoding.t_vals(plan.sample_count);
+        let t_at = |i: usize| match config.sampling.spacing {
             Spacing::Depth => near + (far - near) * i as f64 / (columns - 1) as f64,
             spacing => spacing.at((near, far), i as f64 / (columns - 1) as f64),
         };
-        let t_vals = Tensor::from_vec((0..columns).map(at).collect::<Vec<f64>>(), (1, columns), &Device::Cpu)?;
-        let (samples, is_coarse) = (plan.count, plan.is_coarse);
+        let t_vals = Tensor::from_vec((0..columns).map(t_at).collect::<Vec<f64>>(), (1, columns), &Device::Cpu)?;
+        let (samples, is_coarse) = (plan.sample_count, plan.is_coarse);
         let pass = PassGeometry { run, is_coarse, t_vals: &t_vals, samples, direction_norm };
         for SiteSet { site, set } in Sets::new(delta_plan.sites, &pass)?.iter() {
             let pgd = site.pgd();
@@ -60,7 +60,7 @@ pub fn step_over_radius(config: &Resolved, scene: &Scene) -> Result<Vec<(PaperSi
                 StepUnit::Absolute => pgd.step_size / set.radius.mean_all()?.to_scalar::<f64>()?,
                 StepUnit::Relative => pgd.step_size,
             };
-            if ratios.iter().all(|(known, _)| *known != site.at()) {
+            if ratios.iter().all(|(paper_site, _)| *paper_site != site.at()) {
                 ratios.push((site.at(), ratio));
             }
         }

@@ -28,7 +28,7 @@ pub struct PassPlan {
     /// Where its samples come from.
     pub samples: SampleSource,
     /// Number of samples of a ray.
-    pub count: usize,
+    pub sample_count: usize,
     /// Weight of its squared error beside that of the other pass of the list.
     pub weight: f64,
     /// Its colours are those of an evaluation.
@@ -107,7 +107,7 @@ impl Plan {
             is_coarse: true,
             field: "coarse",
             samples: SampleSource::Stratified,
-            count: coarse,
+            sample_count: coarse,
             weight: if has_fine { config.train.coarse_weight } else { 1.0 },
             is_evaluated: !has_fine,
             terms: match (has_fine, is_for_both) {
@@ -121,7 +121,7 @@ impl Plan {
             is_coarse: false,
             field: if config.representation().has_fine_field() { "fine" } else { "coarse" },
             samples: if has_coarse { SampleSource::Resampled } else { SampleSource::PlacedByDensity },
-            count: fine,
+            sample_count: fine,
             weight: 1.0,
             is_evaluated: true,
             terms: CountedTerms::All,

@@ -63,9 +63,9 @@ pub(super) fn step(learner: &mut FieldLearner, step: u64, log: bool, stop_check:
     let mut further: Vec<(&str, f64, f64)> =
         terms.iter().map(|WeightedTerm { term, weight, .. }| (term.name(), *weight, f64::NAN)).collect();
     // Fills in the values of all terms of a source, in their order.
-    let mut fill = |source: TermSource, found: &[f64]| {
-        let of_source = terms.iter().zip(&mut further).filter(|(term, _)| term.term.source() == source);
-        of_source.zip(found).for_each(|((_, (.., value)), found)| *value = *found);
+    let mut fill = |source: TermSource, measured: &[f64]| {
+        let filled = terms.iter().zip(&mut further).filter(|(term, _)| term.term.source() == source);
+        filled.zip(measured).for_each(|((_, (.., value)), measured)| *value = *measured);
     };
 
     // Lines 4 to 22.
@@ -113,7 +113,7 @@ pub(super) fn step(learner: &mut FieldLearner, step: u64, log: bool, stop_check:
 /// Runs the clean passes of a step's rays without photographs, in such groups.
 pub(super) fn on_unseen(passes: StepPasses, group: RayGroup, step: u64) -> Result<Sums> {
     let passes = StepPasses { second: &[], source: TermSource::UnseenRays(group), log: false, ..passes };
-    let clean = Plan::unseen(passes.clean, |pass| passes.terms_of(pass).count());
+    let clean = Plan::unseen(passes.clean, |pass| passes.terms_of(pass).any_counts());
     StepPasses { clean: &clean, ..passes }.over(&StepRays::unseen(passes.learner, group, step)?)
 }
 
@@ -255,7 +255,7 @@ impl<'a> StepPasses<'a> {
             return Ok(SampleWeights { weights: out.composite.weights.detach(), t_vals });
         };
         let loss = photometric_loss(&out.composite.rgb, target)?;
-        if terms.count() {
+        if terms.any_counts() {
             terms.descend(learner, (field, pass), &out, Some(&(&loss * weight)?), chunk, sums)?;
         } else {
             sums.gradients.add(&learner.variables, &(&loss * weight)?.backward()?)?;

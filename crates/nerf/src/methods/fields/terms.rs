@@ -39,7 +39,7 @@ impl<'a> RayTerms<'a> {
     }
 
     /// Returns whether any of them counts.
-    pub(super) fn count(&self) -> bool {
+    pub(super) fn any_counts(&self) -> bool {
         self.0.iter().any(|(.., counts)| *counts)
     }
 
