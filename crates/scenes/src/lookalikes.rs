@@ -6,22 +6,27 @@ use std::ffi::OsStr;
 use std::path::{Path, PathBuf};
 
 use super::foreign::{ARCHIVES, LAYOUTS, OWN, UNREAD, VIDEOS};
+use super::formats::transforms::TRANSFORMS_FILE;
 use super::formats::{FORMATS, Format};
 use super::{images, json};
 use crate::found;
 use augnerf_base::input::{TEXT_BYTES, read_text};
 use augnerf_base::{Error, Result, quoted};
 
-/// Files by which a folder is recognized as a scene.
-const MARKERS: [&str; 3] = ["poses_bounds.npy", "transforms_train.json", "transforms.json"];
 /// Largest number of letters by which a mistaken name differs from a right one.
 const TYPING_ERRORS: usize = 2;
 /// Folders above one that may be the scene's.
 const ABOVE: usize = 3;
 
+/// Iterates over the files by which a folder is recognized as a scene. COLMAP's are in a folder below.
+fn markers() -> impl Iterator<Item = &'static str> {
+    let names = FORMATS.iter().filter_map(|format| format.marker?.split(' ').next());
+    names.filter(|name| !name.contains('/'))
+}
+
 /// Returns the folder of a scene's own file, such as `transforms.json`. `None` for other files.
 pub fn scene_of_file(file: &Path) -> Option<PathBuf> {
-    let is_marker = file.is_file() && file.file_name().is_some_and(|name| MARKERS.iter().any(|marker| name == *marker));
+    let is_marker = file.is_file() && file.file_name().is_some_and(|name| markers().any(|marker| name == marker));
     is_marker.then(|| file.parent().map(Path::to_path_buf)).flatten()
 }
 
@@ -160,11 +165,11 @@ fn misnamed(dir: &Path, entries: &[String]) -> Option<String> {
     let files = || entries.iter().filter(|name| dir.join(name).is_file());
     let nearly = |name: &str| {
         let distance = |marker: &str| strsim::osa_distance(&name.to_lowercase(), marker);
-        MARKERS.into_iter().min_by_key(|marker| distance(marker)).filter(|marker| distance(marker) <= TYPING_ERRORS)
+        markers().min_by_key(|marker| distance(marker)).filter(|marker| distance(marker) <= TYPING_ERRORS)
     };
     let (name, marker) = files().find_map(|name| Some((name, nearly(name)?))).or_else(|| {
         let lists_frames = |name: &&String| json::lists_frames(&dir.join(name));
-        files().find(lists_frames).map(|name| (name, MARKERS[2]))
+        files().find(lists_frames).map(|name| (name, TRANSFORMS_FILE))
     })?;
     Some(format!("{} is probably a scene's {marker}; rename it to {marker}", dir.join(name).display()))
 }
