@@ -64,7 +64,7 @@ pub(crate) fn check_precision(gpu: &Gpu, config: &Config) -> Result<()> {
 
 /// Returns an error for fields that the device neither trains nor renders.
 pub(crate) fn check_fields(config: &Config) -> Result<()> {
-    if !config.method.has_fields() || config.field.encoding == Encoding::Integrated {
+    if !config.method.has_fields() || config.field.encoding.queries_gaussians() {
         return Err(refused(&format!("method {}", config.method.name())));
     }
     check_field(&config.field)?;
@@ -77,8 +77,9 @@ pub(crate) fn check_fields(config: &Config) -> Result<()> {
 
 /// Returns an error for a field that the device does not query.
 pub(crate) fn check_field(config: &FieldConfig) -> Result<()> {
-    if config.encoding == Encoding::Integrated {
-        return Err(refused("fields that are queried at Gaussians"));
+    match config.encoding {
+        Encoding::Positional | Encoding::Hash => {}
+        Encoding::Integrated => return Err(refused("fields that are queried at Gaussians")),
     }
     if !config.width.is_multiple_of(4) {
         return Err(refused(&format!("networks of width {}, which is no multiple of 4,", config.width)));

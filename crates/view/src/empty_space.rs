@@ -50,7 +50,7 @@ impl EmptySpace {
     ) -> Result<Option<EmptySpace>> {
         let FieldConfig { encoding, hash, .. } = field.config();
         let contracts = *encoding == Encoding::Hash && hash.contraction != Some(Contraction::None);
-        if *encoding == Encoding::Integrated || contracts || config.sampling.spacing != Spacing::Depth {
+        if encoding.queries_gaussians() || contracts || config.sampling.spacing != Spacing::Depth {
             return Ok(None);
         }
         let (sampled, direction_norm) = sampled_box(field, config, scene)?;

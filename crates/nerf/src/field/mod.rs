@@ -16,7 +16,7 @@ use candle_nn::{Init, Linear, VarBuilder};
 use crate::base::Result;
 use crate::base::place::is_ours_in_f32;
 use crate::base::rng::{Random, Stream};
-use crate::field::settings::{Core, Encoding, FieldConfig, Precision};
+use crate::field::settings::{Core, FieldConfig, Precision};
 
 mod activation;
 mod density;
@@ -398,7 +398,7 @@ impl Field {
     /// Returns the positions at which this field is queried for `points [n, 3]`. With integrated encoding these are
     /// Gaussians `[n, 6]` around them, with a `variance` along each axis, length^2. Otherwise they are the points.
     pub fn positions(&self, points: &Tensor, variance: [f64; 3]) -> Result<Tensor> {
-        if self.config.encoding != Encoding::Integrated {
+        if !self.config.encoding.queries_gaussians() {
             return Ok(points.clone());
         }
         let variance = Tensor::new(&variance, points.device())?.to_dtype(points.dtype())?;

@@ -16,7 +16,10 @@ pub fn opening_factors(
     device: &Device,
 ) -> Result<Vec<Option<Tensor>>> {
     // Channels next to each other that open at once: one of each axis, or a level's features.
-    let at_once = if config.encoding == Encoding::Hash { config.hash.features } else { 3 };
+    let at_once = match config.encoding {
+        Encoding::Positional | Encoding::Integrated => 3,
+        Encoding::Hash => config.hash.features,
+    };
     let position_factors = channel_factors(position_channels(config), at_once, fraction);
     let view_factors = channel_factors(encoded_channels(config.view_octaves), 3, fraction);
     let open = vec![1.0; config.width];

@@ -9,7 +9,6 @@ use candle_nn::Module;
 
 use crate::base::Result;
 use crate::base::tensors::relu;
-use crate::field::settings::Encoding;
 
 use super::activation::{Activated, Cotangents};
 use super::encoding::encode;
@@ -85,7 +84,7 @@ impl Field {
 
     /// Returns the same up to a derivative, without work for higher ones.
     pub fn spatial_up_to(&self, order: Order, points: &Tensor) -> Result<Spatial<'_>> {
-        if self.config.encoding == Encoding::Integrated {
+        if self.config.encoding.queries_gaussians() {
             return Err(tensor_error("density's derivatives are those of a field that is queried at points".into()));
         }
         let order = if self.config.has_laplacian() { order } else { order.min(Order::Gradient) };

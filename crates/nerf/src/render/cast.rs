@@ -6,7 +6,6 @@ use candle_core::{D, Tensor};
 use crate::base::Result;
 use crate::data::{RayParts, Rays};
 use crate::field::Field;
-use crate::field::settings::Encoding;
 
 use super::volume::middles;
 
@@ -16,16 +15,15 @@ use super::volume::middles;
 /// - With an integrated encoding, Gaussians `[rays, samples, 6]` of the intervals between `t_vals [rays, samples + 1]`.
 /// - On a hash grid, the middles of those intervals.
 pub fn positions_at(field: &Field, rays: &Rays, t_vals: &Tensor) -> Result<Tensor> {
-    match field.config().encoding {
-        Encoding::Positional => points_at(rays, t_vals),
-        Encoding::Hash => points_at(rays, &middles(t_vals, sample_count(field, t_vals)?)?),
-        Encoding::Integrated => gaussians_at(rays, t_vals),
+    if field.config().encoding.queries_gaussians() {
+        return gaussians_at(rays, t_vals);
     }
+    points_at(rays, &middles(t_vals, sample_count(field, t_vals)?)?)
 }
 
 /// Returns the parts of rays that passes of `field` need.
 pub fn ray_parts(field: &Field) -> RayParts {
-    RayParts { footprint: field.config().encoding == Encoding::Integrated, tangents: false }
+    RayParts { footprint: field.config().encoding.queries_gaussians(), tangents: false }
 }
 
 /// Returns the number of samples of a pass of `field` with this many columns of `t_vals`.

@@ -5,7 +5,6 @@ use candle_core::Tensor;
 use crate::base::Result;
 use crate::data::Rays;
 use crate::field::Field;
-use crate::field::settings::Encoding;
 use crate::render::settings::SamplingConfig;
 
 use super::cast::positions_at;
@@ -27,12 +26,10 @@ pub fn resample(
     weights: &Tensor,
     u: &Tensor,
 ) -> Result<Tensor> {
-    match field.config().encoding {
-        Encoding::Positional => sampling::importance(t_vals, weights, u),
-        Encoding::Integrated | Encoding::Hash => {
-            sampling::resample_intervals(t_vals, weights, u, sampling.resample_padding)
-        }
+    if field.config().encoding.at_intervals() {
+        return sampling::resample_intervals(t_vals, weights, u, sampling.resample_padding);
     }
+    sampling::importance(t_vals, weights, u)
 }
 
 /// Renders rays for evaluation, deterministically: no jitter, no noise, evenly spaced u. Without a fine field the

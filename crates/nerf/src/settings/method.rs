@@ -169,7 +169,10 @@ impl Encoding {
     /// Returns whether passes sample the intervals between neighbouring `t_vals`, not `t_vals` themselves. Only this
     /// function tells edges from samples.
     pub fn at_intervals(self) -> bool {
-        self != Encoding::Positional
+        match self {
+            Encoding::Positional => false,
+            Encoding::Integrated | Encoding::Hash => true,
+        }
     }
 
     /// Returns whether the network is queried at Gaussians that stand for conical frustums, not at points.

@@ -15,7 +15,7 @@ use augnerf_fast::inside::replaced_outside;
 
 use super::grid::Grid;
 use super::inside::NOTHING;
-use super::{FeatureDelta, Field, Inputs, RawOutput};
+use super::{FeatureDelta, Field, Inputs, RawOutput, position_channels};
 use crate::base::tensors::Values;
 
 mod spatial;
@@ -166,7 +166,7 @@ fn position_code(config: &FieldConfig) -> Code {
     match config.encoding {
         Encoding::Positional => Code::Positional(config.position_octaves),
         Encoding::Integrated => Code::Integrated(config.position_octaves),
-        Encoding::Hash => Code::Features(config.hash.levels * config.hash.features),
+        Encoding::Hash => Code::Features(position_channels(config)),
     }
 }
 
