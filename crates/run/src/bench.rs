@@ -10,7 +10,7 @@ use crate::data::{Camera, Scene, View};
 use crate::field::peak_gflops;
 use crate::revision::revision;
 use crate::runtime::{Runtime, peak_memory_mib};
-use crate::settings::{DataKind, Extent, Method, Preset, REGULARIZERS, Regularizer, Resolved, parse_assignment};
+use crate::settings::{DataKind, Extent, Method, Preset, REGULARIZERS, Resolved, parse_assignment};
 use crate::train::Trainer;
 
 /// Steps before the timing starts.
@@ -18,15 +18,14 @@ const WARM_UP: usize = 2;
 
 /// Returns the names that can be timed: methods, and NeRF with one regularizer.
 pub fn methods() -> Vec<&'static str> {
-    Method::ALL.map(Method::name).into_iter().chain(REGULARIZERS.map(Regularizer::name)).collect()
+    Method::ALL.map(Method::name).into_iter().chain(REGULARIZERS.iter().map(|term| term.name())).collect()
 }
 
 /// Returns the setting that a name stands for.
 fn setting_of(name: &str) -> Result<String> {
-    let one_of = |names: &[&str]| names.contains(&name);
     match () {
-        () if one_of(&Method::ALL.map(Method::name)) => Ok(format!("method={name}")),
-        () if one_of(&REGULARIZERS.map(Regularizer::name)) => Ok(format!("regularizer.kind={name}")),
+        () if Method::ALL.iter().any(|method| method.name() == name) => Ok(format!("method={name}")),
+        () if REGULARIZERS.iter().any(|term| term.name() == name) => Ok(format!("regularizer.kind={name}")),
         () => Err(Error::Config(format!("--method {name} cannot be timed; choose one of {}", methods().join(", ")))),
     }
 }

@@ -13,7 +13,7 @@ pub use crate::section;
 pub use idle::{IdleKind, IdleSettings};
 pub use rules::{Effect, Rule, numbers, output, path, work};
 use types::kind_of;
-pub use types::{Range, name_of, one_or_many, word};
+pub use types::{Range, all_of, name_of, one_or_many, word};
 
 /// A setting in the registry.
 #[derive(Clone, Debug)]

@@ -81,6 +81,15 @@ pub fn name_of<T: DeserializeOwned>(index: usize) -> &'static str {
     kind_of::<T>().names[index]
 }
 
+/// Returns all choices, in the order of the enum.
+///
+/// # Panics
+/// A variant is not read from its name.
+pub fn all_of<T: DeserializeOwned>() -> Vec<T> {
+    let read = |name: &&str| Value::from(*name).try_into().expect("a choice is a name");
+    kind_of::<T>().names.iter().map(read).collect()
+}
+
 /// Reads nothing, and records what was asked for.
 struct Probe<'a>(&'a mut Kind);
 

@@ -330,8 +330,8 @@ mod tests {
 
     #[test]
     fn the_settings_name_each_term_as_it_names_itself() {
-        for regularizer in REGULARIZERS {
-            assert_eq!(LossTerm::of(regularizer, &RegularizerConfig::default()).name(), regularizer.name());
+        for regularizer in REGULARIZERS.iter() {
+            assert_eq!(LossTerm::of(*regularizer, &RegularizerConfig::default()).name(), regularizer.name());
         }
     }
 

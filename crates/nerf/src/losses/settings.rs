@@ -1,11 +1,13 @@
 //! Section `regularizer`: terms of the loss next to the photometric one, on density in space or on rays.
 
+use std::sync::LazyLock;
+
 use serde::{Deserialize, Serialize};
 
 use super::{LossTerm, TermNeeds};
 use crate::base::Result;
 use crate::base::settings::IdleKind::Dropped;
-use crate::base::settings::{IdleSettings, name_of, one_or_many, refuse, require};
+use crate::base::settings::{IdleSettings, all_of, name_of, one_or_many, refuse, require};
 use crate::base::settings::{numbers, section};
 use crate::data::{RayGroup, UnseenPoses};
 use crate::schedule::{SCHEDULES, WeightSchedule};
@@ -47,22 +49,7 @@ pub enum Regularizer {
 }
 
 /// All regularizers in their fixed order.
-pub const REGULARIZERS: [Regularizer; 14] = [
-    Regularizer::L1,
-    Regularizer::Tv,
-    Regularizer::Laplacian,
-    Regularizer::Distortion,
-    Regularizer::Occlusion,
-    Regularizer::Entropy,
-    Regularizer::Cauchy,
-    Regularizer::OpacityPrior,
-    Regularizer::OpacitySparsity,
-    Regularizer::HashDecay,
-    Regularizer::DepthSmoothness,
-    Regularizer::InformationGain,
-    Regularizer::Orientation,
-    Regularizer::SparseDepth,
-];
+pub static REGULARIZERS: LazyLock<Vec<Regularizer>> = LazyLock::new(all_of);
 
 impl Regularizer {
     /// Returns the name in files and tables.
@@ -295,7 +282,7 @@ impl RegularizerConfig {
 
     /// Adds the settings without effect.
     pub(crate) fn idle(&self, idle: &mut IdleSettings) {
-        let terms = REGULARIZERS.map(|term| term.name()).join(", ");
+        let terms = REGULARIZERS.iter().map(|term| term.name()).collect::<Vec<_>>().join(", ");
         let in_space = ["domain", "lattice", "points", "points_per_step", "jitter"];
         let on_rays = ["weight", "schedule", "fields", "occlusion_share", "rays", "unseen_rays", "unseen_poses"];
         let why = format!("regularizer.kind names no term; choose from {terms}");
@@ -333,7 +320,7 @@ mod tests {
     #[test]
     fn the_text_of_rays_names_every_term_on_single_rays() {
         let doc = &REGISTRY.get("regularizer.rays").unwrap().doc;
-        for term in REGULARIZERS {
+        for term in REGULARIZERS.iter() {
             let named = doc.contains(&format!("`{}`", term.name()));
             assert_eq!(named, term.group() == Some(RayGroup::One), "{}", term.name());
         }
@@ -348,6 +335,7 @@ mod tests {
             .map(|pair| pair.split_once(' ').unwrap())
             .map(|(name, w)| (name, w.parse().unwrap()))
             .collect();
-        assert_eq!(named, REGULARIZERS.map(|term| (term.name(), super::LossTerm::default_weight(term))));
+        let expected = REGULARIZERS.iter().map(|term| (term.name(), super::LossTerm::default_weight(*term)));
+        assert_eq!(named, expected.collect::<Vec<_>>());
     }
 }

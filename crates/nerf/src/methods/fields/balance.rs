@@ -71,7 +71,7 @@ impl FieldLearner {
             };
             Ok(Some(Balance { term: name, photometric_norm, term_norm: gradients.norm()? }))
         };
-        let found = REGULARIZERS.map(|term| LossTerm::of(term, config)).into_iter().map(alone);
+        let found = REGULARIZERS.iter().map(|term| LossTerm::of(*term, config)).map(alone);
         found.filter_map(Result::transpose).collect()
     }
 }
