@@ -277,7 +277,7 @@ impl PerturbConfig {
         }
         let relative = self.step_unit == Some(StepUnit::Relative);
         let in_radii = relative || self.sizes == Sizes::Calibrated;
-        let reaching = self.sites().find(|(_, config)| config.epsilon == Some(Epsilon::Reach));
+        let reaching = self.sites_on().find(|(_, config)| config.epsilon == Some(Epsilon::Reach));
         if let Some((site, _)) = reaching.filter(|_| in_radii) {
             return Err(base::Error::Config(format!(
                 "perturb.{}.epsilon = \"{REACH}\" is as far as steps of a length of their own reach, and here steps are \
@@ -291,7 +291,7 @@ impl PerturbConfig {
             "perturb.attack = \"calibrated\" measures steps in radii; omit perturb.step_unit or set it to \"relative\", and \
              omit the sites' numbers that are the paper's",
         )?;
-        match self.sites().find(|(_, config)| config.step_size.is_none()) {
+        match self.sites_on().find(|(_, config)| config.step_size.is_none()) {
             Some((unset, _)) if self.sizes == Sizes::Paper && relative => Err(base::Error::Config(format!(
                 "perturb.step_unit = \"relative\" measures steps in radii, which the paper's step sizes are not; \
                  set perturb.{}.step_size, too",
@@ -425,6 +425,14 @@ mod tests {
         let levels = parse_assignment("perturb.levels=[\"feature\"]").unwrap();
         let narrowed = build(None, Some(file.path()), &[levels]).unwrap();
         assert_eq!(narrowed.perturb.sites_on().map(|(site, _)| site).collect::<Vec<_>>(), [PaperSite::Feature]);
+    }
+
+    #[test]
+    fn sites_that_are_off_need_no_numbers() {
+        let on = ["method=aug-nerf", "perturb.levels=output", "perturb.step_unit=relative", "perturb.rgb.step_size=1"];
+        let wrong = set(&on).unwrap_err().to_string();
+        assert!(wrong.contains("set perturb.density.step_size, too"), "{wrong}");
+        set(&[&on[..], &["perturb.density.step_size=1"]].concat()).unwrap();
     }
 
     #[test]
