@@ -11,6 +11,9 @@
 //! | 22 | the loss: squared error of the clean colours, plus lambda times that of the perturbed ones |
 //! | 23 | update the parameters |
 //!
+//! Clean passes come first; a perturbed pass and its search repeat one of them. Each pass is searched by its own loss: the deltas
+//! of the coarse pass have no gradient in the loss of the fine one, so that this is the search of both.
+//!
 //! No scalar holds the whole loss: the gradients of its parts are added.
 //!
 //! Rays are processed in chunks whose gradients are added. The chunk bounds memory, and small chunks stay in a CPU's cache.
