@@ -29,7 +29,6 @@ pub struct PerturbedRenderer {
     fields: Fields,
     config: Resolved,
     geometry: AttackGeometry,
-    bounds: (f64, f64),
     background: Option<[f32; 3]>,
 }
 
@@ -39,9 +38,8 @@ impl PerturbedRenderer {
     /// # Errors
     /// Those of candle.
     pub fn new(fields: &Fields, config: &Resolved, scene: &Scene) -> Result<PerturbedRenderer> {
-        let geometry = AttackGeometry::new(config, scene);
-        let (bounds, background) = (scene.bounds(), scene.background);
-        Ok(PerturbedRenderer { fields: fields.frozen()?, config: config.clone(), geometry, bounds, background })
+        let (geometry, background) = (AttackGeometry::new(config, scene), scene.background);
+        Ok(PerturbedRenderer { fields: fields.frozen()?, config: config.clone(), geometry, background })
     }
 
     /// Returns the parts of rays that it needs.
@@ -66,7 +64,7 @@ impl PerturbedRenderer {
         let (coarse, field) = (self.fields.coarse(), self.fields.evaluated());
         let sampling = &self.config.sampling;
         let (columns, _) = t_vals_per_ray(coarse, sampling);
-        let t_coarse = stratified(self.bounds, sampling.spacing, rays.len(), columns, None, &rays.origins)?;
+        let t_coarse = stratified(self.geometry.bounds, sampling.spacing, rays.len(), columns, None, &rays.origins)?;
         let is_coarse = self.fields.fine().is_none();
         let t_vals = if is_coarse { t_coarse } else { fine_t_vals(coarse, rays, &t_coarse, sampling)? };
         let pass =

@@ -77,10 +77,13 @@ fn presets() -> String {
 /// # Errors
 /// If no setting contains `filter`.
 pub fn settings_text(filter: Option<&str>) -> Result<String> {
-    let defaults = Config::default().to_table();
     let told = filter.and_then(|word| Some(format!("here '{word}' is '{}':\n", our_word(&word.to_lowercase())?)));
-    let entries = found(filter)?.into_iter().map(|setting| entry(setting, value_at(&defaults, &setting.path)));
-    Ok(told.into_iter().chain(entries).collect())
+    let entry = |SettingRow { setting, default, values, what, changes, .. }: SettingRow| {
+        let default = default.map_or("empty".into(), |default| default.to_string());
+        let changes = if changes == Effect::Numbers.name() { "changes numbers" } else { "changes no numbers" };
+        format!("{setting} = {default}\n    {what}\n    {values}; {changes}\n")
+    };
+    Ok(told.into_iter().chain(settings_rows(filter)?.into_iter().map(entry)).collect())
 }
 
 /// Returns the same settings as rows for other programs.
@@ -164,18 +167,6 @@ pub(super) fn our_word(word: &str) -> Option<&'static str> {
 /// Returns what to search for if no setting mentions `filter`.
 fn advice(filter: &str) -> String {
     nearly(filter).map_or("`augnerf settings` lists all".into(), |near| format!("did you mean {near}?"))
-}
-
-/// Returns a setting with its text, ended by a line break.
-fn entry(setting: &Setting, default: Option<&Value>) -> String {
-    let default = default.map_or("empty".into(), Value::to_string);
-    let effect = match setting.rule.effect {
-        Effect::Numbers => "changes numbers",
-        Effect::Work => "changes work, no numbers",
-        Effect::Path => "is a path and changes no numbers",
-        Effect::Output => "changes output, no numbers",
-    };
-    format!("{} = {default}\n    {}\n    {}; {effect}\n", setting.path, setting.doc, setting.values())
 }
 
 fn code(value: Option<&Value>) -> String {

@@ -29,8 +29,6 @@ pub struct FieldLearner {
     pub(super) config: Resolved,
     /// What a step consists of.
     pub(super) plan: Plan,
-    /// Start and end of a ray's interval, in units of `t_vals`.
-    pub(super) bounds: (f64, f64),
     /// The colour behind missing accumulation.
     pub(super) background: Option<[f32; 3]>,
     /// The geometry of the constraint sets.
@@ -63,7 +61,6 @@ impl FieldLearner {
         let mut learner = FieldLearner {
             config: config.clone(),
             plan: Plan::of(config),
-            bounds: scene.bounds(),
             background: scene.background,
             geometry: AttackGeometry::new(config, scene),
             device: device.clone(),
@@ -188,7 +185,7 @@ impl Learner for FieldLearner {
         let starts: Vec<usize> = (0..rays.len()).step_by(size).collect();
         let colours_of_part = |starts: &[usize]| -> Result<Tensor> {
             let part = rays.narrow(starts[0], size.min(rays.len() - starts[0]))?;
-            Ok(render_rays(fields.coarse(), fields.fine(), &part, self.bounds, sampling, self.background)?.rgb)
+            Ok(render_rays(fields.coarse(), fields.fine(), &part, self.geometry.bounds, sampling, self.background)?.rgb)
         };
         Ok(Some(Tensor::cat(&over_parts(&self.device, &starts, 1, colours_of_part)?, 0)?))
     }

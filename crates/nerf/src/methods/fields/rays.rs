@@ -83,7 +83,7 @@ impl StepRays {
         let (columns, fine_columns) = t_vals_per_ray(learner.fields.coarse(), sampling);
         let (intervals, (_, fine_samples)) = (config.field.encoding.at_intervals(), config.samples());
         let jitter = sampling.jitter.then(|| random.uniform_tensor(&[n, columns], *dtype, device)).transpose()?;
-        let bounds = sampling.annealed(learner.bounds, step);
+        let bounds = sampling.annealed(learner.geometry.bounds, step);
         let t_coarse = sampling::stratified(bounds, sampling.spacing, n, columns, jitter.as_ref(), &rays.origins)?;
         let std = config.density_noise;
         let mut noise = |samples: usize| -> Result<Option<Tensor>> {

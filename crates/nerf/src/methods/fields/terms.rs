@@ -58,7 +58,7 @@ impl<'a> RayTerms<'a> {
         let slopes = reads_slopes.then(|| SampleSlopes::of(field, pass)).transpose()?;
         let seen = RayPass {
             output: out,
-            bounds: learner.bounds,
+            bounds: learner.geometry.bounds,
             direction_norm: &pass.rays.direction_norm,
             directions: &pass.rays.directions,
             slopes: slopes.as_ref().map(|slopes| slopes.at_samples.as_tensor()),

@@ -216,10 +216,9 @@ impl PerturbConfig {
 
     /// Returns whether no number is empty, as in a run's file.
     pub(crate) fn is_filled_in(&self) -> bool {
-        let is_filled = |site: &SiteConfig| {
-            site.steps.is_some() && site.step_size.is_some() && site.epsilon.is_some() && site.norm.is_some()
-        };
-        self.step_unit.is_some() && self.sites().all(|(_, site)| is_filled(site))
+        let mut filled = self.clone();
+        filled.fill(1.0, 1, 1);
+        filled == *self
     }
 
     /// Fills every empty number from `attack`, and returns the sites' numbers in the run's own units for every geometry.
