@@ -56,12 +56,12 @@ fn loss_gradients_in_every_delta_equal_finite_differences() {
         let mut deltas = setting.draw(0);
         for site in PaperSite::ALL {
             let half = (deltas.get(site).unwrap() * 0.5).unwrap();
-            deltas.set(site, half);
+            deltas.insert(site, half);
         }
         let mut tracked = deltas.clone();
         let variables = PaperSite::ALL.map(|site| Var::from_tensor(deltas.get(site).unwrap()).unwrap());
         for site in PaperSite::ALL {
-            tracked.set(site, variables[site as usize].as_tensor().clone());
+            tracked.insert(site, variables[site as usize].as_tensor().clone());
         }
         let gradients = setting.loss(&tracked).0.backward().unwrap();
         for site in PaperSite::ALL {
@@ -79,7 +79,7 @@ fn loss_gradients_in_every_delta_equal_finite_differences() {
             let difference = |i: usize| {
                 let at = |by: f64| {
                     let mut moved = deltas.clone();
-                    moved.set(site, nudged(deltas.get(site).unwrap(), i, by));
+                    moved.insert(site, nudged(deltas.get(site).unwrap(), i, by));
                     setting.loss_value(&moved)
                 };
                 (at(H) - at(-H)) / (2.0 * H)
@@ -347,7 +347,7 @@ fn density_noise_cannot_make_an_empty_white_scene_opaque() {
     });
     setting.noise = Some(Tensor::full(-1e3f64, (6, 9), &CPU).unwrap());
     let mut deltas = Deltas::default();
-    deltas.set(PaperSite::Density, Tensor::full(0.01f64, (6, 9), &CPU).unwrap());
+    deltas.insert(PaperSite::Density, Tensor::full(0.01f64, (6, 9), &CPU).unwrap());
     let out = perturbed_pass(&setting.field, setting.pass(), setting.perturbation(&deltas)).unwrap();
     let norms = setting.rays.direction_norm.flatten_all().unwrap().to_vec1::<f64>().unwrap();
     for (rgb, norm) in out.composite.rgb.to_vec2::<f64>().unwrap().iter().zip(norms) {

@@ -178,7 +178,7 @@ impl Attack {
     fn deltas(&self, stage: &str) -> Deltas {
         let mut deltas = Deltas::default();
         for site in SITES {
-            deltas.set(site, self.reference.get(&format!("{stage}.{}", site.name())));
+            deltas.insert(site, self.reference.get(&format!("{stage}.{}", site.name())));
         }
         deltas
     }
@@ -201,7 +201,7 @@ fn gradients_of_the_perturbed_loss_in_every_delta() {
         let mut tracked = Deltas::default();
         let variables = SITES.map(|site| Var::from_tensor(values.get(site).unwrap()).unwrap());
         for site in SITES {
-            tracked.set(site, variables[site as usize].as_tensor().clone());
+            tracked.insert(site, variables[site as usize].as_tensor().clone());
         }
         let out = a.perturbed(&a.field.frozen().unwrap(), &tracked);
         let loss = photometric_loss(&out.composite.rgb, &a.target).unwrap();
@@ -224,7 +224,7 @@ fn two_search_steps_and_the_final_pass() {
     // it here, which decides whether a colour's gradient is 0 or has a sign. A start that lies
     // 1e-12 lower is projected onto the same floor exactly.
     let mut start = a.deltas("start");
-    start.set(PaperSite::Density, (start.get(PaperSite::Density).unwrap() - 1e-12).unwrap());
+    start.insert(PaperSite::Density, (start.get(PaperSite::Density).unwrap() - 1e-12).unwrap());
     let found = worst_case(&a.sets, start, |deltas, _| {
         let out = a.perturbed(&frozen, deltas);
         iterates.push(out.used.deltas.clone());

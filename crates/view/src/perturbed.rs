@@ -91,10 +91,10 @@ impl PerturbedRenderer {
             let scaled_up = (delta.detach() * attack.scale)?;
             if site.at().spec().largest_epsilon.0 < f64::MAX {
                 // Its set ends where deltas lose their meaning: samples would pass each other.
-                scaled.set(site.name(), set.project(&scaled_up)?);
+                scaled.insert(site.name(), set.project(&scaled_up)?);
                 continue;
             }
-            scaled.set(site.name(), scaled_up);
+            scaled.insert(site.name(), scaled_up);
             // What is scaled up leaves its set on purpose.
             set.radius = (&set.radius * attack.scale.max(1.0))?;
         }

@@ -22,7 +22,8 @@
 //! box: volume / n * sum over n points. If the points are the midpoints of all cells, volume / n is the paper's delta^3. A term of your own
 //! implements [`RayTerm`] or [`SpaceTerm`], and is passed to the trainer (`Learner::add_term` in [`crate::methods`]).
 //!
-//! Values and weight gradients of terms in space are made in `spatial.rs`, by `field/spatial.rs`.
+//! A step computes terms in space in `methods/fields/space.rs`, at points of `RegularizerConfig::quadrature`. `spatial.rs` here
+//! multiplies by weight and volume. `field/spatial.rs` has density's derivatives, and the gradients of the network's parameters.
 
 use std::sync::Arc;
 

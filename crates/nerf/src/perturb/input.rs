@@ -46,8 +46,11 @@ impl Site for T {
     }
 
     /// Returns the set: at most epsilon of the gap to the nearer neighbour, within near..far. The ends have one neighbour.
-    /// In the paper's geometry it is the gap that its pass would have there, and at most half of this pass's gap. The mean
-    /// of the two gaps tells the fraction of coarse samples around. Random sampling moves it less than the nearer gap.
+    ///
+    /// In the paper's geometry epsilon is of the gap that the paper's pass would have here: this gap divided by the ratio of the
+    /// paper's samples to ours. The radius stays at most half of this pass's gap. In a fine pass the ratio depends on the share
+    /// of coarse samples around, which is estimated from the mean of the two gaps: random sampling changes it less than the
+    /// nearer gap.
     ///
     /// The radius is two roundings below its nominal value. With epsilon 1/2 two neighbours may meet, and a gap that was
     /// rounded up would let them pass each other.
@@ -61,15 +64,15 @@ impl Site for T {
             DType::F64 => 1.0 - 2.0 * f64::EPSILON,
             _ => 1.0 - 2.0 * f64::from(f32::EPSILON),
         };
-        let (nearer_gap, density) = (before.minimum(&after)?, pass.sample_density()?);
+        let (nearer_gap, samples_ratio) = (before.minimum(&after)?, pass.sample_density()?);
         let radius = match self.numbers.epsilon {
             // The paper's gaps may be wider than these. More than half of these would lose the order.
-            Epsilon::Units(epsilon) => match density.uniform() {
-                Some(density) => (nearer_gap * ((epsilon / density).min(LARGEST_SHIFT) * two_roundings))?,
+            Epsilon::Units(epsilon) => match samples_ratio.uniform() {
+                Some(ratio) => (nearer_gap * ((epsilon / ratio).min(LARGEST_SHIFT) * two_roundings))?,
                 None => {
                     let coarse_gap = (far - near) / (pass.run.coarse_samples as f64 - 1.0);
-                    let density = density.around(&((before + after)? * 0.5)?, coarse_gap)?;
-                    let fraction = (density.recip()? * epsilon)?
+                    let ratio = samples_ratio.around(&((before + after)? * 0.5)?, coarse_gap)?;
+                    let fraction = (ratio.recip()? * epsilon)?
                         .minimum(&pass.scalar(LARGEST_SHIFT)?.broadcast_as((rays, samples))?)?;
                     ((nearer_gap * fraction)? * two_roundings)?
                 }

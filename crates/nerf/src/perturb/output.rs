@@ -158,7 +158,7 @@ impl UsedDeltas {
             };
             let projected = set.project(&delta.detach())?;
             sum = straight_through(within_range((&values + &projected)?)?, &sum, &delta)?;
-            deltas.set(site.name(), projected);
+            deltas.insert(site.name(), projected);
         }
         Ok(sum)
     }

@@ -9,9 +9,9 @@ use crate::perturb::sets::{Deltas, Sets, SiteSet};
 ///
 /// delta <- project(delta + step size * direction(d loss / d delta))
 ///
-/// All sites move together. A site stops after its own number of steps. `loss` is called with the deltas, of which those that
-/// still move are tracked, and with whether the samples stay where they are, in this step and all later ones. It returns the
-/// loss, and the deltas as they were really used: the output level is projected again onto what the forward pass allows. PGD
+/// All sites move together. A site stops after its own number of steps. `loss(deltas, samples_stay)` is called with deltas of
+/// which the moving ones are tracked. `samples_stay`: no site moves samples in this step or a later one. It returns the loss,
+/// and the deltas as they were really used: the output level is projected again onto what the forward pass allows. PGD
 /// continues from there. Weights must be frozen in `loss`.
 ///
 /// # Errors
@@ -29,15 +29,15 @@ pub fn worst_case(
         let mut tracked = deltas.clone();
         for SiteSet { site, .. } in &moving {
             let delta = deltas.get(site.name()).expect("is on").detach();
-            tracked.set(site.name(), Var::from_tensor(&delta)?.into_inner());
+            tracked.insert(site.name(), Var::from_tensor(&delta)?.into_inner());
         }
-        let (loss, used) = loss(&tracked, samples_stay)?;
-        let gradients = loss.backward()?;
+        let (value, used) = loss(&tracked, samples_stay)?;
+        let gradients = value.backward()?;
         for SiteSet { site, set } in &moving {
             // Without a gradient the loss does not depend on this delta (sign(0) = 0).
             let Some(gradient) = gradients.get(tracked.get(site.name()).expect("is on")) else { continue };
             let delta = used.get(site.name()).expect("is on").detach();
-            deltas.set(site.name(), set.ascend(&delta, &gradient.detach(), site.pgd())?);
+            deltas.insert(site.name(), set.ascend(&delta, &gradient.detach(), site.pgd())?);
         }
     }
     Ok(deltas)
@@ -88,7 +88,7 @@ mod tests {
         let sets = Sets::new(sites, &pass).unwrap();
         let mut start = Deltas::default();
         for entry in sets.iter() {
-            start.set(entry.site.name(), Tensor::zeros((1, 1, 3), DType::F64, &Device::Cpu).unwrap());
+            start.insert(entry.site.name(), Tensor::zeros((1, 1, 3), DType::F64, &Device::Cpu).unwrap());
         }
         worst_case(&sets, start, loss).unwrap()
     }

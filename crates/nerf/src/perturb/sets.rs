@@ -20,8 +20,8 @@ impl Deltas {
         self.0.iter().find(|(name, _)| name == site.as_ref()).map(|(_, delta)| delta)
     }
 
-    /// Sets a site's delta.
-    pub fn set(&mut self, site: impl AsRef<str>, delta: Tensor) {
+    /// Gives a site its delta.
+    pub fn insert(&mut self, site: impl AsRef<str>, delta: Tensor) {
         match self.0.iter_mut().find(|(name, _)| name == site.as_ref()) {
             Some((_, entry)) => *entry = delta,
             None => self.0.push((site.as_ref().to_string(), delta)),
@@ -112,7 +112,7 @@ impl Sets {
     pub fn draw(&self, distribution: Distribution, pass: u64, random: impl Fn(u64) -> Random) -> Result<Deltas> {
         let mut deltas = Deltas::default();
         for SiteSet { site, set } in &self.0 {
-            deltas.set(site.name(), set.draw(distribution, &mut random(part_of(site.name(), pass)))?);
+            deltas.insert(site.name(), set.draw(distribution, &mut random(part_of(site.name(), pass)))?);
         }
         Ok(deltas)
     }
@@ -130,7 +130,7 @@ impl Sets {
         for SiteSet { site, set } in &self.0 {
             if let Some(delta) = deltas.get(site.name()) {
                 let order = Tensor::from_slice(&order, rays, delta.device())?;
-                permuted.set(site.name(), set.project(&delta.detach().contiguous()?.index_select(&order, 0)?)?);
+                permuted.insert(site.name(), set.project(&delta.detach().contiguous()?.index_select(&order, 0)?)?);
             }
         }
         Ok(permuted)

@@ -1,5 +1,5 @@
-//! A site: a point of the perturbed pass at which a delta is added. The paper's six are in `input`, `feature` and `output`,
-//! a file for each level.
+//! A site: a quantity of the perturbed pass (a coordinate, a feature or an output) to which a delta is added. The paper's six are
+//! in `input`, `feature` and `output`, a file for each level.
 
 use std::ops::{Index, IndexMut};
 
@@ -11,7 +11,7 @@ use crate::perturb::geometry::PassGeometry;
 use crate::perturb::set::{DeltaSet, Norm};
 use crate::perturb::{feature, input, output};
 
-/// A point of the perturbed pass at which a delta is added, with the set of its deltas.
+/// A quantity of the perturbed pass to which a delta is added, with the set of its deltas.
 ///
 /// A site of your own is a type that implements this. Its delta can have any shape: one number a ray, or six numbers of a
 /// camera. [`DeltaSet::spread_by`] says what such a delta adds. The search moves it with all other sites.

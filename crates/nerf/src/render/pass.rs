@@ -18,7 +18,7 @@ use super::volume::{self, Composite};
 pub struct Pass<'a> {
     /// Origins and directions, `[rays, 3]`, with the other parts that the method needs.
     pub rays: &'a Rays,
-    /// Sample positions, `[rays, samples]`. With an integrated encoding or a hash grid, edges of
+    /// Distances of samples along the ray, `[rays, samples]`. With an integrated encoding or a hash grid, edges of
     /// intervals, `[rays, samples + 1]`.
     pub t_vals: &'a Tensor,
     /// Added to raw density, `[rays, samples]`.

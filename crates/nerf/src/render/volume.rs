@@ -101,7 +101,8 @@ pub fn composite(
     })
 }
 
-/// The same in plain candle operations.
+/// The rendering equation in candle's operations: the sum of T_k alpha_k rgb_k, plus the background. [`weights_from_density`]
+/// has T_k and alpha_k.
 pub fn composite_reference(
     rgb: &Tensor,
     density: &Tensor,

@@ -11,8 +11,8 @@ use crate::settings::Resolved;
 pub struct Plan {
     /// The clean passes (paper, algorithm 1, lines 6 to 11).
     pub clean: Vec<PassPlan>,
-    /// The passes after them: perturbed (lines 9 to 13), or clean again as the control of equal loss weight. Empty for
-    /// methods that are not augmented.
+    /// The passes after them: perturbed (lines 9 to 13), or clean again as the control of equal loss weight. `perturb.kind`
+    /// chooses. Empty for methods that are not augmented.
     pub second: Vec<PassPlan>,
     objective: Objective,
     lambda: (f64, WeightSchedule),
@@ -142,7 +142,8 @@ impl Plan {
         }
     }
 
-    /// Returns the weights of the clean passes' loss and of the second ones' in the step after `step` finished ones.
+    /// Returns the factors of the photometric losses of the clean and of the second passes, in the step after `step` finished
+    /// ones. Terms are not multiplied by them.
     pub fn loss_weights(&self, step: u64) -> (f64, f64) {
         let lambda = self.lambda.1.at(self.lambda.0, step);
         match (self.second.is_empty(), self.objective) {
@@ -177,7 +178,8 @@ fn without_terms(pass: PassPlan) -> PassPlan {
     PassPlan { is_evaluated: false, terms: CountedTerms::None, ..pass }
 }
 
-/// Returns the same pass with deltas. It has the samples of the clean one, unless its coarse pass places them.
+/// Returns the same pass with deltas, at the clean pass's samples. With `perturb.resample = "perturbed"`, the weights of the
+/// perturbed coarse pass place the fine ones.
 fn perturbed(config: &Resolved, source: SecondPass, pass: PassPlan) -> PassPlan {
     let resamples = config.perturb.resample == Resample::Perturbed && pass.samples == SampleSource::Resampled;
     PassPlan {

@@ -5,14 +5,15 @@
 //! |---|---|
 //! | 3 | draw rays |
 //! | 4 | search the deltas of all sites by PGD |
-//! | 6, 7 | place coarse samples evenly, fine ones by the coarse density |
+//! | 6, 7 | place coarse samples in even bins, with jitter, and fine ones by the coarse weights |
 //! | 9 to 13 | query the field at each sample, and at perturbed ones with their deltas |
 //! | 16 to 20 | render both |
 //! | 22 | the loss: squared error of the clean colours, plus lambda times that of the perturbed ones |
 //! | 23 | update the parameters |
 //!
-//! Clean passes come first; a perturbed pass and its search repeat one of them. Each pass is searched by its own loss: the deltas
-//! of the coarse pass have no gradient in the loss of the fine one, so that this is the search of both.
+//! Clean passes come first; a perturbed pass and its search repeat one of them. Each pass is searched by its own loss.
+//! Fine samples are placed without a graph, so coarse deltas have no gradient in the fine loss: two searches follow the gradient
+//! of the joint loss.
 //!
 //! No scalar holds the whole loss: the gradients of its parts are added.
 //!
@@ -76,8 +77,7 @@ pub(super) fn step(learner: &mut FieldLearner, step: u64, log: bool, stop_check:
         learner,
         clean: &plan.clean,
         second: &plan.second,
-        // Of the clean pass, and lambda of the second.
-        weights: plan.loss_weights(step),
+        loss_weights: plan.loss_weights(step),
         terms: &terms,
         source: TermSource::TrainingRays,
         log,
@@ -127,8 +127,8 @@ pub(super) struct StepPasses<'a> {
     /// See [`Plan`].
     pub(super) clean: &'a [PassPlan],
     pub(super) second: &'a [PassPlan],
-    /// Weights of the losses of both.
-    pub(super) weights: (f64, f64),
+    /// Factors of the photometric losses of both.
+    pub(super) loss_weights: (f64, f64),
     /// Further terms, of which those of `source` count.
     pub(super) terms: &'a [WeightedTerm],
     /// The rays: a step's own, or unseen ones.
@@ -175,12 +175,12 @@ impl<'a> StepPasses<'a> {
 
     /// Runs them over a chunk. Losses and gradients are weighted with its fraction of the rays, so that chunks add up.
     fn over_chunk(&self, fields: &Fields, chunk: &StepRays) -> Result<Sums> {
-        let (clean_weight, second_weight) = self.weights;
+        let (clean_weight, second_weight) = self.loss_weights;
         let mut sums = Sums::new(self.learner.variables.len()).with_diagnostics(self.log);
         let mut clean: Vec<SampleWeights> = Vec::new();
         for plan in self.clean {
             let t_vals = self.samples(plan, fields, chunk, clean.last(), None)?;
-            clean.push(self.clean_pass(plan, fields, chunk, t_vals, clean_weight, &mut sums)?);
+            clean.push(self.train_clean(plan, fields, chunk, t_vals, clean_weight, &mut sums)?);
         }
         sums.add_tables(fields.table_records());
         // Clean passes that follow clean ones have random numbers of their own.
@@ -194,8 +194,8 @@ impl<'a> StepPasses<'a> {
         for (plan, clean_samples) in self.second.iter().zip(&clean) {
             let t_vals = self.samples(plan, fields, chunk, second.last(), Some(clean_samples))?;
             second.push(match &plan.deltas {
-                Some(delta_plan) => self.perturbed_pass(plan, delta_plan, fields, chunk, &t_vals, &mut sums)?,
-                None => self.clean_pass(plan, fields, chunk, t_vals, second_weight, &mut control)?,
+                Some(delta_plan) => self.train_perturbed(plan, delta_plan, fields, chunk, &t_vals, &mut sums)?,
+                None => self.train_clean(plan, fields, chunk, t_vals, second_weight, &mut control)?,
             });
         }
         let mut second_records = fields.table_records();
@@ -207,7 +207,8 @@ impl<'a> StepPasses<'a> {
         Ok(sums)
     }
 
-    /// Returns the samples of a pass (lines 6 and 7), `t_vals`. `coarse` is the pass before it, and `clean` that of its kind.
+    /// Returns the samples of a pass (lines 6 and 7), `t_vals`. `coarse` is the coarse pass before it in the same list, and `clean`
+    /// the clean pass that a second pass repeats.
     fn samples(
         &self,
         plan: &PassPlan,
@@ -240,7 +241,7 @@ impl<'a> StepPasses<'a> {
 
     /// Runs a clean pass (lines 10, 11, 17 and 19), and adds the gradients of `weight` times its loss and of the terms on its
     /// rays, in one backward pass. Losses are added times the chunk's fraction, and those of terms unweighted.
-    fn clean_pass(
+    fn train_clean(
         &self,
         plan: &PassPlan,
         fields: &Fields,
@@ -274,7 +275,7 @@ impl<'a> StepPasses<'a> {
 
     /// Finds the deltas of a perturbed pass (line 4), runs it (lines 9 to 13, 18 and 20), and adds the gradients of its loss,
     /// with its weight in the step.
-    fn perturbed_pass(
+    fn train_perturbed(
         &self,
         plan: &PassPlan,
         delta_plan: &DeltaPlan,
@@ -298,7 +299,7 @@ impl<'a> StepPasses<'a> {
         }
         let loss = photometric_loss(&out.composite.rgb, target)?;
         let weight = chunk.fraction * plan.weight;
-        sums.gradients.add(&learner.variables, &(&loss * (self.weights.1 * weight))?.backward()?)?;
+        sums.gradients.add(&learner.variables, &(&loss * (self.loss_weights.1 * weight))?.backward()?)?;
         let loss = loss.to_dtype(DType::F64)?.to_scalar::<f64>()? * weight;
         sums.losses.perturbed = plus(sums.losses.perturbed, Some(loss));
         Ok(SampleWeights { t_vals: out.t_vals, weights: out.composite.weights.detach() })
