@@ -361,7 +361,10 @@ fn wrong_settings_are_refused_with_exit_code_2() {
         ("kind=[\"tv\",\"tv\"]", &["regularizer.kind", "tv", "once"]),
         ("lattice=100000", &["regularizer.lattice", "100000", "4 to 1024"]),
         ("lattice=8", &["regularizer.points_per_step", "4096", "1 to 512", "full"]),
-        ("points=full lattice=257", &["regularizer.lattice = 257", "at most 256", "regularizer.points = \"sampled\""]),
+        (
+            "kind=tv points=full lattice=257",
+            &["regularizer.lattice = 257", "at most 256", "regularizer.points = \"sampled\""],
+        ),
         ("domain=[[1,1,1],[0,0,0]]", &["regularizer.domain", "corners"]),
         ("kind=tv domain=[[40,40,40],[41,41,41]]", &["outside of builtin", "run from", "regularizer.domain"]),
     ] {

@@ -32,7 +32,7 @@ fn photometric<'a>(learner: &'a FieldLearner, clean: &'a [PassPlan]) -> StepPass
         learner,
         clean,
         second: &[],
-        weights: (1.0, 0.0),
+        loss_weights: (1.0, 0.0),
         terms: &[],
         source: TermSource::TrainingRays,
         log: false,
@@ -60,7 +60,7 @@ impl FieldLearner {
             if is_lacking || self.place_unseen_cameras(&terms).is_err() {
                 return Ok(None);
             }
-            let alone = StepPasses { weights: (0.0, 0.0), terms: &terms, ..photometric(self, &clean) };
+            let alone = StepPasses { loss_weights: (0.0, 0.0), terms: &terms, ..photometric(self, &clean) };
             let gradients = match &terms[0].term {
                 LossTerm::InSpace(_) => {
                     space_terms(self, &in_space(&terms), config, step, &TO_ITS_END)?.expect("a term").1
