@@ -69,10 +69,11 @@ impl EvalArguments {
         let report = trained.evaluate_into(&folder, &lpips, console)?;
         let [json, _] = RunDir::metrics_in(&folder);
         self.answer.give(&Measured::new((&self.run, &json), &report, (step, steps), None), || {
-            let measured = report.mean.iter().filter_map(|(metric, value)| Some((metric, value?)));
-            let mut lines =
-                measured.map(|(metric, value)| format!("{:24} {:>10} {}", metric.key, metric.text(value), metric.unit));
-            lines.try_for_each(|line| print(line.trim_end()))
+            // A metric that could not be computed is empty.
+            report.mean.iter().try_for_each(|(metric, value)| {
+                let (text, unit) = value.map_or_else(Default::default, |value| (metric.text(value), metric.unit));
+                print(format!("{:24} {text:>10} {unit}", metric.key).trim_end())
+            })
         })?;
         console.say(&format!("step {step} of {steps}: {}", json.display()));
         report.no_better_than_one_colour().iter().for_each(|remark| console.say(remark));

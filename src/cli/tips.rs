@@ -7,6 +7,9 @@ use clap::error::{ContextKind, ContextValue, ErrorKind};
 
 use crate::settings::registry::settings_called;
 
+/// What is said of a word that means nothing: it may be a mistake, or of an earlier version.
+const REPLACED: &str = "if an earlier version had it, CHANGELOG.md says what takes its place";
+
 /// Adds tips to an error: a setting that an unknown flag names, or a flag for a stray word.
 /// `words` is the command line without the program.
 pub fn with_tips(mut error: clap::Error, words: &[OsString]) -> clap::Error {
@@ -22,7 +25,9 @@ pub fn with_tips(mut error: clap::Error, words: &[OsString]) -> clap::Error {
         return clap::Error::raw(ErrorKind::ValueValidation, wrong);
     }
     if error.kind() == ErrorKind::InvalidSubcommand {
-        let tip = "`augnerf --help` lists the commands; CHANGELOG.md has those that left, with what to type";
+        let (root, command) = (super::command(), meant_command(words));
+        let named = if command.get_name() == root.get_name() { "" } else { &format!(" {}", command.get_name()) };
+        let tip = format!("`augnerf{named} --help` lists the commands; {REPLACED}");
         error.insert(ContextKind::Suggested, ContextValue::StyledStrs(vec![tip.into()]));
     }
     if error.kind() != ErrorKind::UnknownArgument {
@@ -40,7 +45,7 @@ pub fn with_tips(mut error: clap::Error, words: &[OsString]) -> clap::Error {
         _ => Vec::new(),
     };
     if unknown.starts_with("--") && tips.is_empty() && error.get(ContextKind::SuggestedArg).is_none() {
-        tips.push("CHANGELOG.md has flags that left, with what to type".into());
+        tips.push(REPLACED.into());
     }
     if tips.is_empty() {
         return error;

@@ -53,7 +53,10 @@ fn what_cannot_be_drawn_is_refused_with_what_could() {
     let place = trained("");
     for (flags, words) in [
         ("--resolution 24 --threshold 1e6", &["1000000", "runs from 0", "choose a threshold between"][..]),
-        ("--resolution 24 --memory 0.001", &["resolution 24 outgrows 0.001 MiB"]),
+        (
+            "--resolution 24 --memory 0.001",
+            &["resolution 24 outgrows 0.001 MiB", "a lower resolution or allow more memory"],
+        ),
         (
             "--resolution 24 --threshold 0.5 --memory 0.2",
             &["outgrows", "of 24 planes", "triangles", "lower resolution"],

@@ -80,7 +80,13 @@ pub fn settings_text(filter: Option<&str>) -> Result<String> {
     let told = filter.and_then(|word| Some(format!("here '{word}' is '{}':\n", our_word(&word.to_lowercase())?)));
     let entry = |SettingRow { setting, default, values, what, changes, .. }: SettingRow| {
         let default = default.map_or("empty".into(), |default| default.to_string());
-        let changes = if changes == Effect::Numbers.name() { "changes numbers" } else { "changes no numbers" };
+        let changes = if changes == Effect::Numbers.name() {
+            "changes numbers".into()
+        } else if changes == Effect::Path.name() {
+            "is a path and changes no numbers".into()
+        } else {
+            format!("changes {changes}, no numbers")
+        };
         format!("{setting} = {default}\n    {what}\n    {values}; {changes}\n")
     };
     Ok(told.into_iter().chain(settings_rows(filter)?.into_iter().map(entry)).collect())
@@ -193,6 +199,14 @@ mod tests {
         }
         let tv = settings_text(Some("tv")).unwrap();
         assert!(tv.contains("regularizer.weight") && tv.contains("tv 3.8e-6"), "{tv}");
+        for (setting, changes) in [
+            ("train.steps", "; changes numbers\n"),
+            ("train.log_every", "; changes work, no numbers\n"),
+            ("data.dir", "; is a path and changes no numbers\n"),
+            ("eval.pictures", "; changes output, no numbers\n"),
+        ] {
+            assert!(settings_text(Some(setting)).unwrap().contains(changes), "{setting}");
+        }
         let two = settings_text(Some("learning rate")).unwrap();
         assert!(two.contains("train.learning_rate") && !two.contains("train.steps"), "{two}");
     }

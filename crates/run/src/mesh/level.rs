@@ -141,12 +141,16 @@ impl Drawing {
         if needed <= self.most_mib && marcher.vertices.len() < u32::MAX as usize {
             return Ok(());
         }
+        let (most, triangles) = (mib(self.most_mib), marcher.triangles.len());
+        let when = match planes {
+            0 => "before its first triangle: choose a lower resolution or allow more memory".into(),
+            _ => format!(
+                "after {planes} of {side} planes, with {triangles} triangles: choose a lower resolution or a higher threshold, \
+                 for a low one also draws what the training views left undecided"
+            ),
+        };
         Err(Error::Config(format!(
-            "the level set at resolution {side} outgrows {} (a half of what is free, or `augnerf mesh --memory`) after \
-             {planes} of {side} planes, with {} triangles: choose a lower resolution or a higher threshold, for a low one also \
-             draws what the training views left undecided",
-            mib(self.most_mib),
-            marcher.triangles.len()
+            "the level set at resolution {side} outgrows {most} (a half of what is free, or `augnerf mesh --memory`) {when}"
         )))
     }
 
