@@ -235,6 +235,12 @@ impl Builder<'_> {
         let preset = row.preset.as_deref().map_or(Ok(self.preset), Preset::parse)?;
         let mut assignments: Vec<(Vec<String>, Value)> = Vec::new();
         let mut wrong = None;
+        // A table has no order: its levels come before its passes, which they must not contradict.
+        let leaves = |set| {
+            let mut leaves = leaves(set);
+            leaves.sort_by_key(|(key, _)| key != "perturb.levels");
+            leaves
+        };
         let mut assign = |origin: &str, key: &str, value: &Value| {
             let path: Vec<String> = key.split('.').map(String::from).collect();
             wrong = wrong.take().or_else(|| check_assignment(origin, &path, value).err());
@@ -265,7 +271,10 @@ impl Builder<'_> {
         if let Some(error) = wrong {
             return Err(error);
         }
-        build(Some(preset), None, &assignments).map_err(|error| self.with_tip(error))
+        let config = build(Some(preset), None, &assignments).map_err(|error| self.with_tip(error))?;
+        // Also where the scene is not there yet.
+        config.regularizer.check_lattice()?;
+        Ok(config)
     }
 
     /// Adds the sweep for small networks to an error in the layer, where the command line named the preset.

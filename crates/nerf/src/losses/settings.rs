@@ -272,8 +272,12 @@ impl RegularizerConfig {
     }
 
     /// Checks that a step of a new run ends. Runs that are there stay readable.
-    pub(crate) fn check_lattice(&self) -> Result<()> {
-        let is_too_long = self.points == LatticePoints::Full && self.lattice > MOST_CELLS_A_SIDE;
+    ///
+    /// # Errors
+    /// [`Error::Setting`](crate::base::Error::Setting): a term in space takes too many cells.
+    pub fn check_lattice(&self) -> Result<()> {
+        let is_full = self.has_space_terms() && self.points == LatticePoints::Full;
+        let is_too_long = is_full && self.lattice > MOST_CELLS_A_SIDE;
         let allowed = format!(
             "at most {MOST_CELLS_A_SIDE} with regularizer.points = \"full\"; lower it, or set regularizer.points = \"sampled\""
         );

@@ -9,7 +9,6 @@ use super::registry::{REGISTRY, Setting, meant};
 use super::{Config, DataConfig, Method, PerturbConfig, REGULARIZERS, over_run};
 use crate::base::input::{TEXT_BYTES, read_named};
 use crate::base::{Error, Result, number_text};
-use crate::perturb::PaperSite;
 
 /// A named set of settings.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -171,17 +170,15 @@ pub fn build(preset: Option<Preset>, file: Option<&Path>, assignments: &[(Vec<St
     Config::from_toml(&text, "settings")
 }
 
-/// Returns an error for passes that `perturb.levels` would ignore: both are in the file, or the passes come after it.
+/// Returns an error for passes that `perturb.levels` would ignore: those set after it, and in a file also those beside it.
 fn check_passes(file: &Table, assignments: &[(Vec<String>, Value)]) -> Result<()> {
-    let in_file = value_at(file, "perturb.levels");
-    let path = |site: PaperSite| format!("perturb.{}.passes", site.name());
-    let named = |site| Some((site, value_at(file, &path(site))?));
-    PerturbConfig::check_levels(in_file, &PaperSite::ALL.into_iter().filter_map(named).collect::<Vec<_>>())?;
     let last = assignments.iter().rposition(|(path, _)| path.join(".") == "perturb.levels");
-    let later = &assignments[last.map_or(0, |last| last + 1)..];
-    let site = |name: &str| PaperSite::ALL.into_iter().find(|site| path(*site) == name);
-    let passes: Vec<_> = later.iter().filter_map(|(path, value)| Some((site(&path.join("."))?, value))).collect();
-    PerturbConfig::check_levels(last.map(|last| &assignments[last].1).or(in_file), &passes)
+    let (levels, mut named, later) = match last {
+        Some(last) => (Some(&assignments[last].1), Table::new(), &assignments[last + 1..]),
+        None => (value_at(file, "perturb.levels"), file.clone(), assignments),
+    };
+    later.iter().try_for_each(|(path, value)| assign(&mut named, path, value.clone()))?;
+    PerturbConfig::check_levels(levels, &named)
 }
 
 /// Reads a configuration file.
@@ -314,6 +311,7 @@ fn check_keys(layer: &Table, origin: &str) -> Result<()> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::perturb::PaperSite;
     use crate::settings::{Batching, TrainConfig};
 
     fn set(texts: &[&str]) -> Result<Config> {
@@ -383,7 +381,6 @@ mod tests {
         }
     }
 
-    /// A method without fields has its own size for a preset; the original's where none is named.
     /// A misspelt table would be left out in silence.
     #[test]
     fn tables_of_layers_are_sections_or_sizes() {
@@ -397,6 +394,7 @@ mod tests {
         }
     }
 
+    /// A method without fields has its own size for a preset; the original's where none is named.
     #[test]
     fn methods_without_fields_have_a_size_for_each_preset() {
         let method = |name: &str, preset| build(preset, None, &[parse_assignment(&format!("method={name}")).unwrap()]);

@@ -5,7 +5,8 @@ use toml::{Table, Value};
 
 use super::Config;
 use super::identity::{set_or_remove, value_at};
-use crate::perturb::PaperSite;
+use crate::perturb::settings::Sizes;
+use crate::perturb::{PaperSite, StepUnit};
 
 /// A setting, and the settings whose numbers belong to its value. `*` is each site.
 type Numbers = (&'static str, &'static [&'static str]);
@@ -41,9 +42,16 @@ fn as_list(value: &Value) -> Vec<Value> {
 /// in a run from scratch. Any other file stays as it is, because a person chose what it says.
 pub(super) fn reopen(file: &mut Table, given: &Table) {
     let run: Option<Config> = file.clone().try_into().ok().filter(|run: &Config| run.perturb.is_filled_in());
+    let Some(run) = run else { return };
     // With the settings that are newer than the run, at their defaults.
-    if let Some(run) = run {
-        forget(&NUMBERS, file, &run.to_table(), given);
+    *file = run.to_table();
+    let before = file.clone();
+    forget(&NUMBERS, file, &before, given);
+    // The paper's step of a site that was off is a length, also where the others' steps are radii.
+    if run.perturb.sizes == Sizes::Paper && run.perturb.step_unit == Some(StepUnit::Relative) {
+        let of = |site: PaperSite, field: &str| format!("perturb.{}.{field}", site.name());
+        let comes_on = |site: &PaperSite| !run.perturb[*site].on() && value_at(given, &of(*site, "passes")).is_some();
+        PaperSite::ALL.into_iter().filter(comes_on).for_each(|site| set_or_remove(file, &of(site, "step_size"), None));
     }
 }
 
@@ -98,6 +106,27 @@ mod tests {
             let at_once = built(Some(Preset::Cpu), None, &[texts, given].concat());
             assert_eq!(resolved(built(None, Some(&run), given)), resolved(at_once), "{texts:?} {given:?}");
         }
+    }
+
+    #[test]
+    fn a_site_that_comes_on_has_no_step_of_another_unit() {
+        let radii = ["method=aug-nerf", "perturb.levels=output", "perturb.step_unit=relative"];
+        let steps = ["perturb.rgb.step_size=1", "perturb.density.step_size=1"];
+        let run = file_of(&resolved(built(Some(Preset::Cpu), None, &[&radii[..], &steps].concat())).to_toml());
+        let comes_on = parse_assignment("perturb.t.passes=both").unwrap();
+        let refused = build(None, Some(run.path()), std::slice::from_ref(&comes_on)).unwrap_err().to_string();
+        assert!(refused.contains("set perturb.t.step_size, too"), "{refused}");
+        let step = parse_assignment("perturb.t.step_size=0.5").unwrap();
+        assert_eq!(build(None, Some(run.path()), &[comes_on, step]).unwrap().perturb.t.step_size, Some(0.5));
+    }
+
+    /// The layer of hash grids limits colours; a run from before that setting did not.
+    #[test]
+    fn settings_newer_than_a_run_are_at_their_defaults() {
+        let mut run = resolved(built(None, None, &["field.encoding=hash"])).to_table();
+        assert!(run["field"].as_table_mut().unwrap().remove("rgb_limit").is_some());
+        let found = built(None, Some(&file_of(&run.to_string())), &["train.steps=9"]);
+        assert_eq!((found.field.rgb_limit, found.train.steps), (0.0, 9));
     }
 
     #[test]

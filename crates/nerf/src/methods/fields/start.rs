@@ -59,8 +59,8 @@ impl FieldLearner {
     /// # Errors
     /// Those of [`FieldLearner::new`]; no ray meets a box of the settings.
     pub fn check(config: &Resolved, scene: &Scene, dtype: DType, device: &Device) -> Result<()> {
+        config.regularizer.check_lattice()?;
         if config.regularizer.has_space_terms() {
-            config.regularizer.check_lattice()?;
             space::lattice(&config.regularizer).check_meets(scene, "regularizer.domain")?;
         }
         check_grid(config, scene)?;

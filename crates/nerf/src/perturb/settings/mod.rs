@@ -7,7 +7,7 @@ use std::ops::{Index, IndexMut};
 use std::sync::Arc;
 
 use serde::{Deserialize, Serialize};
-use toml::Value;
+use toml::{Table, Value};
 
 use crate::base::settings::IdleKind::Noted;
 use crate::base::settings::{IdleSettings, one_or_many, refuse, require, word};
@@ -196,15 +196,16 @@ impl PerturbConfig {
         PaperSite::ALL.into_iter().filter(unnamed).for_each(|site| self[site].passes = Passes::Off);
     }
 
-    /// Returns an error if `passes` switches on a site whose level `levels` does not name.
-    pub(crate) fn check_levels(levels: Option<&Value>, passes: &[(PaperSite, &Value)]) -> base::Result<()> {
+    /// Returns an error if the settings of `named` switch on a site whose level `levels` does not name.
+    pub(crate) fn check_levels(levels: Option<&Value>, named: &Table) -> base::Result<()> {
         let Some(levels) = levels.and_then(|levels| one_or_many::<Level, _>(levels.clone()).ok()) else {
             return Ok(());
         };
-        let is_ignored = |(site, passes): &&(PaperSite, &Value)| {
-            !levels.contains(&site.spec().level) && passes.as_str().is_some_and(|passes| passes != "off")
+        let passes = |site: PaperSite| named.get("perturb")?.get(site.name())?.get("passes")?.as_str();
+        let is_ignored = |site: &PaperSite| {
+            !levels.contains(&site.spec().level) && passes(*site).is_some_and(|passes| passes != "off")
         };
-        passes.iter().find(is_ignored).map_or(Ok(()), |(site, _)| {
+        PaperSite::ALL.into_iter().find(is_ignored).map_or(Ok(()), |site| {
             Err(Error::Config(format!(
                 "perturb.{}.passes contradicts perturb.levels, which switches that site off; add its level there (\"{}\"), or \
                  remove one of the two",
@@ -383,8 +384,7 @@ mod tests {
             let long = set(&texts.iter().map(String::as_str).collect::<Vec<_>>()).unwrap();
             assert_eq!((&short, short.hash(), short.to_toml()), (&long, long.hash(), long.to_toml()), "{levels}");
         }
-        // A site of a level that is on keeps what is said of it.
-        // What is named later wins over passes.
+        // Levels that are named after passes win. A site of a level that is on keeps what is said of it.
         let both = set(&["perturb.t.passes=fine", "perturb.rgb.passes=fine", "perturb.levels=[\"input\"]"]).unwrap();
         let passes = |site| both.perturb[site].passes;
         assert_eq!(
@@ -406,8 +406,13 @@ mod tests {
         }
         let off = set(&["perturb.levels=[\"input\"]", "perturb.rgb.passes=off"]).unwrap();
         assert_eq!(off.perturb[PaperSite::Rgb].passes, Passes::Off);
+        let inline = set(&["perturb.levels=input", "perturb.rgb={passes=\"both\"}"]).unwrap_err().to_string();
+        assert!(inline.contains("contradicts perturb.levels"), "{inline}");
+        set(&["perturb.levels=input", "perturb.rgb.passes=both", "perturb.rgb.passes=off"]).unwrap();
         let file = tempfile::NamedTempFile::new().unwrap();
         std::fs::write(file.path(), "[perturb]\nlevels = \"input\"\nrgb.passes = \"both\"\n").unwrap();
+        let both = parse_assignment("perturb.levels=[\"input\", \"output\"]").unwrap();
+        build(None, Some(file.path()), &[both]).unwrap();
         let refused = build(None, Some(file.path()), &[]).unwrap_err().to_string();
         assert!(refused.contains("contradicts perturb.levels"), "{refused}");
         std::fs::write(file.path(), "[perturb]\nlevels = \"input\"\n").unwrap();
