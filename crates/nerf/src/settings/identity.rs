@@ -76,7 +76,7 @@ impl Config {
         for Setting { path, .. } in REGISTRY.settings.iter().filter(|setting| chosen(setting)) {
             set_or_remove(&mut table, path, value_at(&defaults, path).cloned());
         }
-        table.try_into().expect("defaults are values of settings")
+        Config::from_table(&table).expect("defaults are values of settings")
     }
 
     /// Returns the configuration with its scene named after the folder, unless it has a name.

@@ -166,8 +166,7 @@ pub fn build(preset: Option<Preset>, file: Option<&Path>, assignments: &[(Vec<St
     }
     over_run::forget_term(&mut base, &table);
     merge(&mut base, table);
-    let text = toml::to_string(&base).expect("a table of settings is plain data");
-    Config::from_toml(&text, "settings")
+    Config::from_toml(&base.to_string(), "settings")
 }
 
 /// Returns an error for passes that `perturb.levels` would ignore: those set after it, and in a file also those beside it.
@@ -200,8 +199,7 @@ pub fn data_section(assignments: &[(Vec<String>, Value)]) -> Result<DataConfig> 
     for (path, value) in assignments.iter().filter(|(path, _)| path[0] == "data") {
         assign(&mut table, path, value.clone())?;
     }
-    let config: Config = table.try_into().expect("each assignment was checked");
-    Ok(config.data)
+    Ok(Config::from_table(&table).expect("each assignment was checked").data)
 }
 
 /// Merges `over` into `base`, table by table.
@@ -257,7 +255,7 @@ fn layer_of(origin: &str, path: &[String], value: Value) -> Result<Table> {
     }
     check_keys(&layer, &origin)?;
     // Checked alone first, so that the message can name the assignment.
-    toml::from_str::<Config>(&toml::to_string(&layer).expect("plain data")).map_err(|e| {
+    Config::from_table(&layer).map_err(|e| {
         let set = if origin.starts_with("--") { "--set " } else { "" };
         let hint = regularizer_hint(&shown, set).filter(|_| name == "method");
         Error::Config(format!("{origin}: {}", hint.unwrap_or_else(|| refusal(&name, &shown, e.message()))))

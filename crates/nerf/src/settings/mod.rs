@@ -132,9 +132,14 @@ impl Config {
         toml::Table::try_from(self).expect("a configuration is plain data")
     }
 
+    /// Reads a table over the defaults, unchecked. It goes through text, so that each setting is compiled for one deserializer.
+    pub(super) fn from_table(table: &toml::Table) -> std::result::Result<Config, toml::de::Error> {
+        toml::from_str(&table.to_string())
+    }
+
     /// Returns the configuration as TOML with every setting written out, except the open ones.
     pub fn to_toml(&self) -> String {
-        toml::to_string(self).expect("a configuration is plain data")
+        self.to_table().to_string()
     }
 
     /// Returns the representation of the scene.

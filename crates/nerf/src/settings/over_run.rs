@@ -41,7 +41,7 @@ fn as_list(value: &Value) -> Vec<Value> {
 /// Removes from a run's `file` the numbers of each setting to which this call gives another value. They are then filled in as
 /// in a run from scratch. Any other file stays as it is, because a person chose what it says.
 pub(super) fn reopen(file: &mut Table, given: &Table) {
-    let run: Option<Config> = file.clone().try_into().ok().filter(|run: &Config| run.perturb.is_filled_in());
+    let run = Config::from_table(file).ok().filter(|run| run.perturb.is_filled_in());
     let Some(run) = run else { return };
     // With the settings that are newer than the run, at their defaults.
     *file = run.to_table();

@@ -218,7 +218,7 @@ fn check_labels(runs: &[PathBuf], given: &[String]) -> Result<Vec<String>> {
 
 /// Returns every setting that can change a number; section `perturb` only if there is a perturbed pass.
 pub(super) fn settings(config: &Config) -> Vec<(String, String)> {
-    let mut table = toml::Table::try_from(config.portable()).expect("a configuration is plain data");
+    let mut table = config.portable().to_table();
     if !config.method.is_augmented() {
         table.remove("perturb");
     }
