@@ -1,7 +1,7 @@
 //! Image files: their sizes, parallel decoding, and resampling to the working resolution.
 
 use std::fs::File;
-use std::io::{BufReader, Cursor};
+use std::io::{BufRead, BufReader, Cursor, Seek};
 use std::path::{Path, PathBuf};
 
 use image::metadata::Orientation;
@@ -169,13 +169,19 @@ impl Header {
     }
 }
 
-fn open(path: &Path) -> Result<ImageReader<BufReader<File>>> {
-    let reader = open_regular(path).map(|file| ImageReader::new(BufReader::new(file)));
+/// A file or its bytes. All decoders are generic over this type: as one, it is compiled once.
+trait Source: BufRead + Seek {}
+
+impl<S: BufRead + Seek> Source for S {}
+
+fn open(path: &Path) -> Result<ImageReader<Box<dyn Source>>> {
+    let source = |file: File| -> Box<dyn Source> { Box::new(BufReader::new(file)) };
+    let reader = open_regular(path).map(|file| ImageReader::new(source(file)));
     reader.and_then(ImageReader::with_guessed_format).map_err(|e| Error::unreadable(path, &e))
 }
 
 /// Limits the memory that a decoder may take.
-fn limited<R: std::io::BufRead + std::io::Seek>(mut reader: ImageReader<R>) -> ImageReader<R> {
+fn limited<'a>(mut reader: ImageReader<Box<dyn Source + 'a>>) -> ImageReader<Box<dyn Source + 'a>> {
     if reader.format() == Some(ImageFormat::WebP) {
         let mut limits = Limits::default();
         limits.max_alloc = Some(MOST_WEBP);
@@ -219,8 +225,8 @@ pub fn decode(path: &Path) -> Result<DynamicImage> {
     if format == ImageFormat::Jpeg && !jpeg_is_complete(&bytes) {
         return Err(undecodable(path, &"its end-of-image marker is missing"));
     }
-    let reader = ImageReader::with_format(Cursor::new(&bytes), format);
-    limited(reader).decode().map_err(|e| undecodable(path, &e))
+    let source: Box<dyn Source + '_> = Box::new(Cursor::new(&bytes));
+    limited(ImageReader::with_format(source, format)).decode().map_err(|e| undecodable(path, &e))
 }
 
 /// Returns whether an end-of-image marker closes the last scan of a JPEG. The decoder fills what is missing with grey,
