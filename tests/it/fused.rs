@@ -252,7 +252,7 @@ fn fixed_points_change_nothing() {
         let n = case.rays * case.samples;
         let single = |index: u64, shape: &[usize]| random(case.seed, index, shape).to_dtype(DType::F32).unwrap();
         let (points, viewdirs) = (single(0, &[n, 3]), single(1, &[case.rays, 3]));
-        let fixed = frozen.fixed_points(&points).unwrap();
+        let fixed = frozen.query_points(&points, None).unwrap().kept();
         for index in 2..5 {
             let query = |at_fixed: bool, with_delta: bool| {
                 let delta = Var::from_tensor(&single(index, &[n, 24])).unwrap();
@@ -448,7 +448,7 @@ fn bf16_does_not_round_a_small_delta_away() {
     let delta = (single(2, &[n, 256]) * 1e-4).unwrap();
     let effect = |field: Field, dtype: DType| {
         let given = |tensor: &Tensor| tensor.to_dtype(dtype).unwrap();
-        let fixed = field.fixed_points(&given(&points)).unwrap();
+        let fixed = field.query_points(&given(&points), None).unwrap().kept();
         let density = |delta: &Tensor| {
             let at = FeatureDelta { layer: case.layer, delta };
             let found = field.forward(&given(&points), &given(&viewdirs), Some(at)).unwrap().density;

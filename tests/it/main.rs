@@ -32,6 +32,7 @@ mod interruption;
 mod loaders;
 mod methods;
 mod metrics;
+mod occupancy;
 mod openings;
 mod output;
 mod own_sites;

@@ -152,7 +152,14 @@ impl Attack {
         let mut sets = Sets::new(
             config.sites_of_pass(&numbers, true),
             &PassGeometry {
-                run: AttackGeometry { bounds: (0.2, 1.8), pixel, coarse_samples: 7, width: 16, paper: None },
+                run: AttackGeometry {
+                    bounds: (0.2, 1.8),
+                    pixel,
+                    coarse_samples: 7,
+                    are_even: false,
+                    width: 16,
+                    paper: None,
+                },
                 is_coarse: true,
                 t_vals: &t_vals,
                 samples: 7,
@@ -167,7 +174,14 @@ impl Attack {
     }
 
     fn pass(&self) -> Pass<'_> {
-        Pass { rays: &self.rays, t_vals: &self.t_vals, density_noise: None, background: None, scales_gradients: false }
+        Pass {
+            rays: &self.rays,
+            t_vals: &self.t_vals,
+            asked: None,
+            density_noise: None,
+            background: None,
+            scales_gradients: false,
+        }
     }
 
     fn perturbed(&self, field: &Field, deltas: &Deltas) -> PassOutput {

@@ -246,6 +246,7 @@ pub const COLUMNS: &[Column] = &[
     column("gradient_scaling").where_differing().of(Fields),
     column("sam").where_differing(),
     column("hash_grid").where_differing().of(HashGrid),
+    column("occupancy").where_differing().of(HashGrid),
     column("spacing").where_differing().of(Fields),
     column("masks").in_caption().unless_varied(),
     column("parent").where_differing(),

@@ -52,6 +52,8 @@ pub enum Stream {
     View = 18,
     /// Points of a sweep that are trained again.
     Retrain = 19,
+    /// Cells that a look at occupancy asks about, and points in them.
+    Occupancy = 20,
 }
 
 /// A generator at the start of one (seed, stream, index).

@@ -2,7 +2,8 @@
 
 use augnerf_base::{Error, Result};
 use augnerf_nerf::settings::{
-    ChangedEntries, Config, Encoding, FieldConfig, Precision, Regularizer, Resolved, SecondPass, WeightSchedule,
+    ChangedEntries, Config, Encoding, FieldConfig, Placing, Precision, Regularizer, Resolved, SecondPass,
+    WeightSchedule,
 };
 
 use crate::device::Gpu;
@@ -68,6 +69,9 @@ pub(crate) fn check_fields(config: &Config) -> Result<()> {
         return Err(refused(&format!("method {}", config.method.name())));
     }
     check_field(&config.field)?;
+    if config.sampling.kind == Placing::Occupancy {
+        return Err(refused("sampling.kind = \"occupancy\""));
+    }
     let (coarse, fine) = config.samples();
     if coarse.max(fine) + 1 > MOST_POSITIONS {
         return Err(refused(&format!("{} samples of a ray (at most {})", coarse.max(fine), MOST_POSITIONS - 1)));

@@ -8,6 +8,8 @@ use crate::base::Result;
 use crate::base::place::is_ours_in_f32;
 use crate::settings::{Resolved, Schedule, TrainConfig};
 
+use crate::methods::OCCUPANCY;
+
 const BETA1: f64 = 0.9;
 
 /// The settings of Adam in a run.
@@ -149,10 +151,10 @@ fn decays(name: &str) -> bool {
     name.rsplit('.').next().is_some_and(|part| part.starts_with("weight"))
 }
 
-/// Returns whether the parameter is a hash grid's table. An update leaves its entries without gradient as they are,
-/// including moments (Mueller et al. 2022).
+/// Returns whether an update leaves entries without gradient as they are, including moments: those of a hash grid's table
+/// (Mueller et al. 2022), and occupied cells, which have none.
 fn is_table(name: &str) -> bool {
-    name.ends_with(".table")
+    name.ends_with(".table") || name == OCCUPANCY
 }
 
 #[cfg(test)]

@@ -9,6 +9,7 @@ use crate::base::{Error, Result};
 use crate::data::Scene;
 use crate::field::{Density, Field, FieldDensity};
 use crate::methods::{Family, FieldLearner, FieldRenderer, Fields, Learner, Network, Renderer};
+use crate::render::OccupiedDensity;
 use crate::runtime::Runtime;
 use crate::settings::{Capability, Config, Representation, Resolved};
 
@@ -158,7 +159,11 @@ impl Model {
     /// The method has no density; the runtime's accelerator does not compute it.
     pub fn density(&self, runtime: &Runtime) -> Result<Box<dyn Density>> {
         match self {
-            Model::Fields(fields) => density(runtime, fields.evaluated()),
+            Model::Fields(fields) => match fields.occupancy() {
+                // The processor alone knows occupied cells.
+                Some(occupancy) => Ok(Box::new(OccupiedDensity::new(fields.evaluated(), occupancy)?)),
+                None => density(runtime, fields.evaluated()),
+            },
             Model::Baseline(representation, network) => {
                 let density = network.density()?;
                 density.ok_or_else(|| unsupported(*representation, Capability::Density, "no density"))

@@ -183,10 +183,10 @@ impl Scene {
     }
 }
 
-/// Returns how often a training pixel was seen on average: steps times rays of a step, over the training pixels. Rays without
+/// Returns how often a training pixel was seen on average: the rays of all steps, over the training pixels. Rays without
 /// photographs are none of these. `None` if there are no pixels.
-pub fn epochs(steps: u64, rays_per_step: usize, training_pixels: usize) -> Option<f64> {
-    (training_pixels > 0).then(|| steps as f64 * rays_per_step as f64 / training_pixels as f64)
+pub fn epochs(rays: f64, training_pixels: usize) -> Option<f64> {
+    (training_pixels > 0).then(|| rays / training_pixels as f64)
 }
 
 /// The largest number in a scene, in magnitude. Training computes in f32, where products of three such numbers are

@@ -157,8 +157,16 @@ impl Rays {
 
     /// Returns rays `start..start + count`.
     pub fn narrow(&self, start: usize, count: usize) -> Result<Rays> {
-        // Complete rows of contiguous tensors are contiguous: they are shared, not copied.
-        let part = |tensor: &Tensor| tensor.narrow(0, start, count)?.contiguous();
+        // If the complete tensors are contiguous, they are shared, not copied.
+        self.map(|tensor| tensor.narrow(0, start, count)?.contiguous())
+    }
+
+    /// Returns the rays of these numbers, in their order.
+    pub fn select(&self, numbers: &Tensor) -> Result<Rays> {
+        self.map(|tensor| tensor.index_select(numbers, 0))
+    }
+
+    fn map(&self, part: impl Fn(&Tensor) -> candle_core::Result<Tensor>) -> Result<Rays> {
         let tangents = match &self.tangents {
             Some([u, w]) => Some([part(u)?, part(w)?]),
             None => None,

@@ -3,20 +3,31 @@
 use crate::base::{Error, Result};
 use crate::data::RayGroup;
 use crate::settings::{
-    Config, LatticePoints, PerturbConfig, RegularizedFields, RegularizerConfig, SecondPass, TermNeeds, TermRays,
+    Config, LatticePoints, PerturbConfig, Placing, RegularizedFields, RegularizerConfig, SecondPass, TermNeeds,
+    TermRays,
 };
 
 use super::definition::BudgetKind;
 use super::step_seconds::StepSeconds;
+
+/// Samples of a ray in occupied cells, and those of them that are seen, on average over trainings of the chair.
+const OCCUPIED: (usize, usize) = (10, 6);
 
 /// Returns the steps of `config` that cost as much as all steps of `like`; at least 1.
 ///
 /// # Errors
 /// The budget is in seconds, and `seconds` has none of a configuration.
 pub(super) fn steps_within(kind: BudgetKind, config: &Config, like: &Config, seconds: &StepSeconds) -> Result<u64> {
-    let cost = |config: &Config| match kind {
+    let cost = |config: &Config| {
+        match kind {
+        BudgetKind::Evaluations if config.sampling.kind == Placing::Occupancy => Err(Error::Config(
+            "a budget of evaluations with sampling.kind = \"occupancy\": the samples of a step are not known before it; take \
+             budget.kind = \"seconds\""
+                .into(),
+        )),
         BudgetKind::Evaluations => Ok(evaluations_per_step(config)),
         BudgetKind::Seconds => seconds.of(config).ok_or_else(|| Error::Config("its step was not measured".into())),
+    }
     };
     Ok(((like.train.steps as f64 * cost(like)? / cost(config)?).round() as u64).max(1))
 }
@@ -24,7 +35,13 @@ pub(super) fn steps_within(kind: BudgetKind, config: &Config, like: &Config, sec
 /// Returns the network evaluations of one step. One evaluation is one pass through a network at one point. A forward
 /// pass counts one. A backward pass counts two: one for the gradient of the layers' inputs, one for that of the
 /// weights. A coarse pass that only places samples has no backward pass, and no PGD perturbs it.
+///
+/// How many samples occupied cells have depends on the scene and the step: it is an estimate then.
 pub fn evaluations_per_step(config: &Config) -> f64 {
+    if config.sampling.kind == Placing::Occupancy {
+        let (placing, trained) = OCCUPIED;
+        return evaluations(config, placing, trained);
+    }
     let (coarse, fine) = config.samples();
     match config.representation().has_coarse_loss() {
         true => evaluations(config, 0, coarse + fine),

@@ -7,10 +7,8 @@ use crate::base::rng::{Random, Stream};
 use crate::data::{RayParts, Rays, Scene};
 use crate::methods::Fields;
 use crate::perturb::{AttackGeometry, Deltas, Distribution, PassGeometry, Sets, SiteSet};
-use crate::render::sampling::stratified;
 use crate::render::{
-    Pass, PassOutput, Perturbation, clean_pass, fine_t_vals, perturbed_pass, ray_parts, sample_count, search,
-    t_vals_per_ray,
+    Pass, PassOutput, Perturbation, clean_pass, evaluation_samples, perturbed_pass, ray_parts, sample_count, search,
 };
 use crate::settings::Resolved;
 
@@ -63,12 +61,17 @@ impl PerturbedRenderer {
     pub fn pass(&self, rays: &Rays, target: Option<&Tensor>, attack: &Attack, part: u64) -> Result<PassOutput> {
         let (coarse, field) = (self.fields.coarse(), self.fields.evaluated());
         let sampling = &self.config.sampling;
-        let (columns, _) = t_vals_per_ray(coarse, sampling);
-        let t_coarse = stratified(self.geometry.bounds, sampling.spacing, rays.len(), columns, None, &rays.origins)?;
-        let is_coarse = self.fields.fine().is_none();
-        let t_vals = if is_coarse { t_coarse } else { fine_t_vals(coarse, rays, &t_coarse, sampling)? };
-        let pass =
-            Pass { rays, t_vals: &t_vals, density_noise: None, background: self.background, scales_gradients: false };
+        let (fine, occupancy) = (self.fields.fine(), self.fields.occupancy());
+        let placed = evaluation_samples(coarse, fine, occupancy, rays, self.geometry.bounds, sampling)?;
+        let (t_vals, is_coarse) = (placed.t_vals, fine.is_none());
+        let pass = Pass {
+            rays,
+            t_vals: &t_vals,
+            asked: placed.asked.as_ref(),
+            density_noise: None,
+            background: self.background,
+            scales_gradients: false,
+        };
         let (samples, direction_norm) = (sample_count(field, &t_vals)?, &rays.direction_norm);
         let geometry = PassGeometry { run: self.geometry, is_coarse, t_vals: &t_vals, samples, direction_norm };
         let mut sites = self.config.perturb.sites_of_pass(&self.config.numbers, is_coarse);

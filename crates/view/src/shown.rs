@@ -162,6 +162,10 @@ impl ShownRun {
         let ShownRun { config, scene, runtime, .. } = self;
         let Some(weights) = self.weights().filter(|_| runtime.is_cpu()) else { return Ok(()) };
         let Ok(fields) = weights.model.fields() else { return Ok(()) };
+        if fields.occupancy().is_some() {
+            // Its renderer leaves it out already.
+            return Ok(());
+        }
         let Some(mut skipping) = SkippingRenderer::new(fields, config, scene, runtime, pause)? else { return Ok(()) };
         let (viewer, like) = (self.viewer(&weights), self.first_camera().with_height(CHECKED_ROWS));
         let mut render = |renderer: &dyn Renderer| viewer.render_unless(renderer, &like, MOST_RAYS, pause);

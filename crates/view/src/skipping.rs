@@ -4,11 +4,11 @@ use candle_core::Tensor;
 
 use crate::base::Result;
 use crate::data::{RayParts, Rays, Scene};
-use crate::field::Field;
+use crate::field::{Asked, Field};
 use crate::methods::{Fields, RenderedRays, Renderer};
 use crate::render::sampling::{even_u, stratified};
-use crate::render::volume::{composite, intervals, weights_from_density};
-use crate::render::{positions_at, ray_parts, resample, sample_count, t_vals_per_ray};
+use crate::render::volume::{intervals, weights_from_density};
+use crate::render::{Pass, clean_pass, positions_at, ray_parts, resample, sample_count, t_vals_per_ray};
 use crate::runtime::Runtime;
 use crate::settings::{Config, SamplingConfig};
 
@@ -59,25 +59,11 @@ impl SkippingRenderer {
 
     /// Composites a pass at `t_vals` of the samples that are not in empty space.
     fn pass(&self, field: &Field, space: &EmptySpace, rays: &Rays, t_vals: &Tensor) -> Result<RenderedRays> {
-        let samples = sample_count(field, t_vals)?;
-        let (points, asked) = points_of_interest(field, space, rays, t_vals)?;
-        let total = rays.len() * samples;
-        let (mut rgb, mut density) = (vec![0f32; 3 * total], vec![0f32; total]);
-        if !asked.is_empty() {
-            let of_rays: Vec<u32> = asked.iter().map(|&sample| sample / samples as u32).collect();
-            let of_rays = Tensor::from_vec(of_rays, asked.len(), points.device())?;
-            let raw = field.forward(&points, &rays.viewdirs.index_select(&of_rays, 0)?, None)?;
-            let found = field.activate_rgb(&raw.rgb)?.flatten_all()?.to_vec1::<f32>()?;
-            for ((&sample, colour), found) in
-                asked.iter().zip(found.chunks(3)).zip(field.activate_density(&raw.density)?.to_vec1::<f32>()?)
-            {
-                rgb[3 * sample as usize..][..3].copy_from_slice(colour);
-                density[sample as usize] = found;
-            }
-        }
-        let rgb = Tensor::from_vec(rgb, (rays.len(), samples, 3), t_vals.device())?;
-        let density = Tensor::from_vec(density, (rays.len(), samples), t_vals.device())?;
-        let out = composite(&rgb, &density, t_vals, &rays.direction_norm, self.background)?;
+        let (_, asked) = points_of_interest(field, space, rays, t_vals)?;
+        let asked = &Asked::new(asked, rays.len() * sample_count(field, t_vals)?);
+        let (asked, background) = (Some(asked), self.background);
+        let pass = Pass { rays, t_vals, asked, density_noise: None, background, scales_gradients: false };
+        let out = clean_pass(field, pass)?.composite;
         Ok(RenderedRays { rgb: out.rgb, depth: out.depth, acc: out.acc })
     }
 

@@ -16,7 +16,8 @@ use super::{tiny_config, tiny_scene};
 pub fn geometry<'a>(t_vals: &'a Tensor, direction_norm: &'a Tensor) -> PassGeometry<'a> {
     let samples = t_vals.dims()[1];
     let pixel = PixelScale { width: 16.0, height: 16.0, focal: 20.0, ndc: false };
-    let run = AttackGeometry { bounds: (0.0, 1.0), pixel, coarse_samples: samples, width: 16, paper: None };
+    let run =
+        AttackGeometry { bounds: (0.0, 1.0), pixel, coarse_samples: samples, are_even: false, width: 16, paper: None };
     PassGeometry { run, is_coarse: true, t_vals, samples, direction_norm }
 }
 
@@ -65,7 +66,14 @@ impl Setting {
 
     pub fn pass(&self) -> Pass<'_> {
         let Setting { rays, t_vals, noise, background, .. } = self;
-        Pass { rays, t_vals, density_noise: noise.as_ref(), background: *background, scales_gradients: false }
+        Pass {
+            rays,
+            t_vals,
+            asked: None,
+            density_noise: noise.as_ref(),
+            background: *background,
+            scales_gradients: false,
+        }
     }
 
     pub fn perturbation<'a>(&'a self, deltas: &'a Deltas) -> Perturbation<'a> {

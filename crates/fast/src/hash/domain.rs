@@ -75,6 +75,27 @@ impl Domain {
         points.as_chunks::<3>().0.iter().map(|point| !self.is_outside(point.map(Into::into))).collect()
     }
 
+    /// Returns the scene point that is at `unit` of the cube. `None` where there is none: at infinity, and beyond it.
+    pub fn point_at(&self, unit: [f64; 3]) -> Option<[f64; 3]> {
+        let [low, high] = [self.low, self.high];
+        if self.contraction == Contraction::None {
+            return Some(std::array::from_fn(|axis| low[axis] + unit[axis] * (high[axis] - low[axis])));
+        }
+        let contracted: [f64; 3] = unit.map(|unit| 4.0 * unit - 2.0);
+        let norm = length(contracted);
+        let factor = |size: f64| match size {
+            ..=1.0 => Some(1.0),
+            size => (size < 2.0).then(|| 1.0 / (size * (2.0 - size))),
+        };
+        let mut point = [0.0; 3];
+        for axis in 0..3 {
+            let size = if self.contraction == Contraction::Ball { norm } else { contracted[axis].abs() };
+            let normalized = contracted[axis] * factor(size)?;
+            point[axis] = 0.5 * (normalized * (high[axis] - low[axis]) + low[axis] + high[axis]);
+        }
+        Some(point)
+    }
+
     /// Computes the gradient in the scene, `d_points [n, 3]`, from that in the cube, `d_unit [n, 3]`. It is 0 at points
     /// outside.
     ///

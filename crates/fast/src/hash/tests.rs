@@ -273,6 +273,25 @@ fn table_gradients_have_the_same_bytes_for_any_number_of_threads() {
     assert!(off(&sums[0], &reference::table_gradient(&grid, &points, None, &d_out)) < 1e-5);
 }
 
+/// The way from the scene into the cube, and back. Nothing is at infinity.
+#[test]
+fn points_come_back_from_the_cube() {
+    let points = [[-1.3, 0.1, 1.5], [1.9, 0.9, 3.9], [0.2, 0.4, 2.0], [7.0, -3.0, 11.0], [-300.0, 0.5, 2.5]];
+    for contraction in CONTRACTIONS {
+        let domain = Domain::new([-2.0, 0.0, 1.0], [2.0, 1.0, 4.0], contraction);
+        for point in points {
+            let (mut unit, mut inside) = ([0.0; 3], [false]);
+            domain.map(&point, &mut unit, &mut inside);
+            let back = domain.point_at(unit).unwrap();
+            let is_near = |axis: usize| (back[axis] - point[axis]).abs() < 1e-9 * (1.0 + point[axis].abs().powi(2));
+            let is_clamped = contraction == Contraction::None && !inside[0];
+            assert!(is_clamped || (0..3).all(is_near), "{contraction:?} {point:?} {back:?}");
+        }
+        let corner = domain.point_at([1.0; 3]);
+        assert_eq!(corner, (contraction == Contraction::None).then_some([2.0, 1.0, 4.0]), "{contraction:?}");
+    }
+}
+
 const CONTRACTIONS: [Contraction; 3] = [Contraction::None, Contraction::Axes, Contraction::Ball];
 
 #[test]

@@ -144,6 +144,7 @@ impl<'a> ChunkRecorder<'a> {
                 recorder.place_by_density(&self.pass(&placing, !is_first, t_vals, None));
                 self.resample(recorder, which, t_vals, t_fine)
             }
+            SampleSource::Occupied => unreachable!("refused before"),
             // The way back leaves the weights of the coarse samples as they are.
             SampleSource::Resampled => {
                 let moves = |sets: &PassSets| plan.deltas.is_some() && sets.sites().any(|site| site == PaperSite::T);

@@ -13,9 +13,9 @@ use candle_core::{DType, Device, Shape, Tensor, Var};
 use candle_nn::var_builder::SimpleBackend;
 use candle_nn::{Init, Linear, VarBuilder};
 
-use crate::base::Result;
 use crate::base::place::is_ours_in_f32;
 use crate::base::rng::{Random, Stream};
+use crate::base::{Error, Result};
 use crate::field::settings::{Core, FieldConfig, Precision};
 
 mod activation;
@@ -41,6 +41,7 @@ pub use fast::TableRecord;
 use fast::{FastField, PrefixCache};
 use grid::Grid;
 use hash::HashGrid;
+pub use inside::Asked;
 use inside::Inside;
 pub use nerf::{FeatureDelta, Nerf, RawOutput};
 pub use open::opening_factors;
@@ -77,7 +78,12 @@ pub struct QueryPoints<'a> {
     trunk: Option<PrefixCache>,
 }
 
-impl QueryPoints<'_> {
+impl<'a> QueryPoints<'a> {
+    /// Keeps what depends on the points alone, for many queries without gradients of weights or points.
+    pub fn kept(self) -> QueryPoints<'a> {
+        QueryPoints { trunk: Some(PrefixCache::default()), ..self }
+    }
+
     /// Returns the field.
     pub fn field(&self) -> &Field {
         self.field
@@ -89,22 +95,26 @@ impl QueryPoints<'_> {
     /// Those of candle, if shapes do not fit.
     pub fn forward(&self, viewdirs: &Tensor, delta: Option<FeatureDelta>) -> Result<RawOutput> {
         let QueryPoints { field, inputs, trunk } = self;
-        if let Some(fast) = field.fast() {
-            return fast.forward(inputs, viewdirs, delta, trunk.as_ref());
+        let Some(asked) = &inputs.asked else { return field.run(inputs, viewdirs, delta, trunk.as_ref()) };
+        if asked.count() == 0 {
+            let zeros = |shape: &[usize]| Tensor::zeros(shape, field.dtype(), field.device());
+            return Ok(asked.over_all(RawOutput { rgb: zeros(&[0, 3])?, density: zeros(&[0])? })?);
         }
-        let (n, _) = inputs.values.dims2()?;
-        let directions = field.encode_views(viewdirs, n / viewdirs.dim(0)?.max(1))?;
-        let raw = field.nerf.forward(&encode_positions(&field.config, &inputs.values)?, &directions, delta)?;
-        Ok(RawOutput { density: inputs.only_inside(raw.density)?, ..raw })
+        let viewdirs = asked.rows_of_rays(viewdirs)?;
+        let rows = delta.map(|delta| asked.rows(delta.delta)).transpose()?;
+        let delta = delta.zip(rows.as_ref()).map(|(FeatureDelta { layer, .. }, delta)| FeatureDelta { layer, delta });
+        Ok(asked.over_all(field.run(inputs, &viewdirs, delta, trunk.as_ref())?)?)
     }
 }
 
 /// The input of a field's networks.
 struct Inputs {
-    /// Points `[n, 3]`, Gaussians `[n, 6]`, or features `[n, channels]`.
+    /// Points `[n, 3]`, Gaussians `[n, 6]`, or features `[n, channels]`, of the points that are asked about.
     values: Tensor,
     /// Where density can be. `None` if it can be everywhere.
     inside: Option<Inside>,
+    /// `None` if all are.
+    asked: Option<Asked>,
 }
 
 impl Inputs {
@@ -159,7 +169,7 @@ impl Field {
             return Err(tensor_error(format!("{} parameters given, {expected} expected", values.len())));
         }
         if config.precision == Precision::Bf16 && !(config.core == Core::Fused && values.iter().all(is_ours_in_f32)) {
-            return Err(crate::base::Error::Config(
+            return Err(Error::Config(
                 "field.precision = \"bf16\" needs the fused core, which needs f32 weights on the CPU: run with \
                  device cpu, or choose field.precision = \"f32\""
                     .into(),
@@ -337,27 +347,42 @@ impl Field {
     /// Returns raw colour and density of points `[n, 3]` along unit directions `viewdirs [rays, 3]`. All rays have the
     /// same number of points, and the points of a ray are consecutive.
     pub fn forward(&self, points: &Tensor, viewdirs: &Tensor, delta: Option<FeatureDelta>) -> Result<RawOutput> {
-        self.query_points(points)?.forward(viewdirs, delta)
+        self.query_points(points, None)?.forward(viewdirs, delta)
     }
 
-    /// Returns points `[n, 3]` at which it is queried.
-    pub fn query_points(&self, points: &Tensor) -> Result<QueryPoints<'_>> {
-        Ok(QueryPoints { field: self, inputs: self.inputs(points)?, trunk: None })
+    /// Returns points `[n, 3]` at which it is queried, all or those that are `asked` about.
+    pub fn query_points(&self, points: &Tensor, asked: Option<&Asked>) -> Result<QueryPoints<'_>> {
+        Ok(QueryPoints { field: self, inputs: self.inputs(points, asked)?, trunk: None })
     }
 
-    /// Returns points that do not move any more, for many queries without gradients of weights or points.
-    pub fn fixed_points(&self, points: &Tensor) -> Result<QueryPoints<'_>> {
-        Ok(QueryPoints { trunk: Some(PrefixCache::default()), ..self.query_points(&points.detach())? })
+    /// Runs the networks on their inputs, along `viewdirs [rays, 3]`.
+    fn run(
+        &self,
+        inputs: &Inputs,
+        viewdirs: &Tensor,
+        delta: Option<FeatureDelta>,
+        trunk: Option<&PrefixCache>,
+    ) -> Result<RawOutput> {
+        if let Some(fast) = self.fast() {
+            return fast.forward(inputs, viewdirs, delta, trunk);
+        }
+        let (n, _) = inputs.values.dims2()?;
+        let directions = self.encode_views(viewdirs, n / viewdirs.dim(0)?.max(1))?;
+        let raw = self.nerf.forward(&encode_positions(&self.config, &inputs.values)?, &directions, delta)?;
+        Ok(RawOutput { density: inputs.only_inside(raw.density)?, ..raw })
     }
 
     /// Returns the networks' input at `positions`: the positions, or their features in the hash grid.
-    fn inputs(&self, positions: &Tensor) -> Result<Inputs> {
-        let Some(grid) = &self.grid else { return Ok(Inputs { values: positions.clone(), inside: None }) };
+    fn inputs(&self, positions: &Tensor, asked: Option<&Asked>) -> Result<Inputs> {
+        let rows = asked.map(|asked| asked.rows(positions)).transpose()?;
+        let asked = asked.cloned();
+        let positions = rows.as_ref().unwrap_or(positions);
+        let Some(grid) = &self.grid else { return Ok(Inputs { values: positions.clone(), inside: None, asked }) };
         let values = match self.fast() {
             Some(fast) => fast.features(grid, positions)?,
             None => grid.encode(positions)?,
         };
-        Ok(Inputs { values, inside: grid.inside(positions)? })
+        Ok(Inputs { values, inside: grid.inside(positions)?, asked })
     }
 
     /// Returns 1 where density can be and 0 elsewhere, for points `[n, 3]`, as `[n]`. `None` if it is 1 everywhere.
@@ -373,7 +398,7 @@ impl Field {
             Some(fast) => return fast.raw_density(self, points),
             None => {}
         }
-        let inputs = self.inputs(points)?;
+        let inputs = self.inputs(points, None)?;
         let hidden = self.nerf.trunk(&encode_positions(&self.config, &inputs.values)?, None)?;
         inputs.only_inside(self.nerf.raw_density(&hidden)?)
     }
@@ -416,7 +441,7 @@ impl Field {
     }
 }
 
-fn tensor_error(message: String) -> crate::base::Error {
+fn tensor_error(message: String) -> Error {
     candle_core::Error::Msg(message).into()
 }
 

@@ -6,12 +6,15 @@ use crate::base::rng::{Random, Stream};
 use crate::base::{Error, Image, Result};
 use crate::data::settings::PixelOrigin;
 use crate::data::{Camera, Ndc, RayBuffer, RayParts, Scene, UnseenRay, View};
+use crate::render::settings::SamplingConfig;
 use crate::settings::{Batching, Resolved};
 
 /// The training views' pixels, and the order in which they are drawn. A batch is a function of the seed and the step.
 pub struct Batches {
     seed: u64,
     rays: usize,
+    /// Says how many of them the first steps have.
+    sampling: SamplingConfig,
     batching: Batching,
     precrop_steps: u64,
     precrop_fraction: f64,
@@ -59,6 +62,7 @@ impl Batches {
             ndc: scene.ndc,
             pixel_origin: config.data.origin_of_pixels(),
             parts,
+            sampling: config.sampling.clone(),
             epoch: None,
         };
         batches.check()?;
@@ -110,10 +114,11 @@ impl Batches {
 
     /// Returns the batch of a step.
     pub fn batch(&mut self, step: u64) -> Batch {
-        let pixels = match self.batching {
+        let mut pixels = match self.batching {
             Batching::AllImages => self.next_pixels(step),
             Batching::OneImage => self.pixels_of_one_image(step),
         };
+        pixels.truncate(self.sampling.rays_at(self.rays, step));
         let rays: Vec<(&Camera, u32, u32)> = pixels.iter().map(|&(view, x, y)| (&self.cameras[view], x, y)).collect();
         let rays = RayBuffer::new(&rays, self.ndc.as_ref(), self.pixel_origin, self.parts);
         let target = pixels.iter().flat_map(|&(view, x, y)| {

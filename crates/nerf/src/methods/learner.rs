@@ -115,6 +115,14 @@ pub trait Learner: Send {
         Ok(None)
     }
 
+    /// Brings what follows the parameters up to date, once after the update with which `finished` steps are done.
+    ///
+    /// # Errors
+    /// Those of candle.
+    fn updated(&mut self, _finished: u64) -> Result<()> {
+        Ok(())
+    }
+
     /// Computes loss and gradients of the step after `step` finished ones. It changes no parameter. Its random numbers
     /// depend on seed and step only. `log` requests diagnostics, which cost additional passes. A long step calls
     /// `stop_check` regularly, and ends with its error.

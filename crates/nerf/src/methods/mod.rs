@@ -20,8 +20,8 @@ pub use device_steps::{DeviceSteps, StepAt};
 pub use diagnostics::{SiteDiagnostics, SiteSummary, colour_shift, logged_sites, site_columns};
 pub use extremes::Extremes;
 pub use fields::{
-    Balance, CountedTerms, DeltaPlan, FieldLearner, FieldRenderer, Fields, PassPlan, Plan, SampleSource, StepLosses,
-    is_regularized, log_columns, parts, step_over_radius,
+    Balance, CountedTerms, DeltaPlan, FieldLearner, FieldRenderer, Fields, OCCUPANCY, PassPlan, Plan, SampleSource,
+    StepLosses, is_regularized, log_columns, parts, step_over_radius,
 };
 pub use gradients::Gradients;
 pub use learner::{Learner, LogColumns, StepReport, StepResult, StopCheck, Term, no_sites, not_finite};

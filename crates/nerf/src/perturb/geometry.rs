@@ -44,8 +44,10 @@ pub struct AttackGeometry {
     pub bounds: (f64, f64),
     /// The size of a pixel: the run's, or the paper's.
     pub pixel: PixelScale,
-    /// Columns of the coarse pass's `t_vals`.
+    /// Columns of the `t_vals` that are evenly spread along a ray: the coarse pass's.
     pub coarse_samples: usize,
+    /// A pass's samples are some of them, those in occupied cells.
+    pub are_even: bool,
     /// The width of the network.
     pub width: usize,
     /// The paper's pass, if sets are measured in its samples and pixels.
@@ -141,7 +143,8 @@ impl PassGeometry<'_> {
         let (columns, coarse) = (self.t_vals.dim(1)?, self.run.coarse_samples);
         let ratio = |paper: usize, own: usize| paper as f64 / own as f64;
         if self.is_coarse || self.has_edges()? {
-            let all = ratio(paper.gaps(self.is_coarse), columns - 1);
+            let own = if self.run.are_even { coarse } else { columns };
+            let all = ratio(paper.gaps(self.is_coarse), own - 1);
             return Ok(SampleDensity { coarse: all, drawn: all });
         }
         let drawn = ratio(paper.fine, columns - coarse);

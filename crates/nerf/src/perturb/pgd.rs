@@ -82,7 +82,8 @@ mod tests {
     ) -> Deltas {
         let one = Tensor::ones((1, 1), DType::F64, &Device::Cpu).unwrap();
         let pixel = PixelScale { width: 1.0, height: 1.0, focal: 1.0, ndc: false };
-        let run = AttackGeometry { bounds: (0.0, 1.0), pixel, coarse_samples: 1, width: 1, paper: None };
+        let run =
+            AttackGeometry { bounds: (0.0, 1.0), pixel, coarse_samples: 1, are_even: false, width: 1, paper: None };
         let pass = PassGeometry { run, is_coarse: false, t_vals: &one, samples: 1, direction_norm: &one };
         let sites = sites.into_iter().map(|site| Arc::new(site) as Arc<dyn Site>);
         let sets = Sets::new(sites, &pass).unwrap();

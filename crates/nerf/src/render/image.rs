@@ -8,6 +8,7 @@ use crate::field::Field;
 use crate::render::settings::SamplingConfig;
 
 use super::cast::positions_at;
+use super::occupancy::{Occupancy, PlacedSamples};
 use super::pass::{Pass, clean_pass};
 use super::sampling;
 use super::volume::{self, Composite};
@@ -33,25 +34,48 @@ pub fn resample(
 }
 
 /// Renders rays for evaluation, deterministically: no jitter, no noise, evenly spaced u. Without a fine field the
-/// coarse pass is the result.
+/// coarse pass is the result. With occupied cells these place the samples.
 pub fn render_rays(
     coarse: &Field,
     fine: Option<&Field>,
+    occupancy: Option<&Occupancy>,
     rays: &Rays,
     bounds: (f64, f64),
     sampling: &SamplingConfig,
     background: Option<[f32; 3]>,
 ) -> Result<Composite> {
+    let PlacedSamples { t_vals, asked } = evaluation_samples(coarse, fine, occupancy, rays, bounds, sampling)?;
+    let (t_vals, asked) = (&t_vals, asked.as_ref());
+    let pass = Pass { rays, t_vals, asked, density_noise: None, background, scales_gradients: false };
+    Ok(clean_pass(fine.unwrap_or(coarse), pass)?.composite)
+}
+
+/// Returns the samples of the pass that [`render_rays`] shows.
+pub fn evaluation_samples(
+    coarse: &Field,
+    fine: Option<&Field>,
+    occupancy: Option<&Occupancy>,
+    rays: &Rays,
+    bounds: (f64, f64),
+    sampling: &SamplingConfig,
+) -> Result<PlacedSamples> {
+    if let Some(occupancy) = occupancy {
+        let intervals = occupancy.march(rays, bounds, sampling.spacing, None)?;
+        return occupancy.place(fine.unwrap_or(coarse), rays, &intervals);
+    }
+    let t_vals = even_t_vals(coarse, rays, bounds, sampling)?;
+    let t_vals = if fine.is_some() { fine_t_vals(coarse, rays, &t_vals, sampling)? } else { t_vals };
+    Ok(PlacedSamples { t_vals, asked: None })
+}
+
+/// Returns the `t_vals` of a coarse pass without jitter.
+fn even_t_vals(coarse: &Field, rays: &Rays, bounds: (f64, f64), sampling: &SamplingConfig) -> Result<Tensor> {
     let (columns, _) = t_vals_per_ray(coarse, sampling);
-    let t_vals = sampling::stratified(bounds, sampling.spacing, rays.len(), columns, None, &rays.origins)?;
-    let pass = Pass { rays, t_vals: &t_vals, density_noise: None, background, scales_gradients: false };
-    let Some(fine) = fine else { return Ok(clean_pass(coarse, pass)?.composite) };
-    let t_vals = fine_t_vals(coarse, rays, &t_vals, sampling)?;
-    Ok(clean_pass(fine, Pass { t_vals: &t_vals, ..pass })?.composite)
+    sampling::stratified(bounds, sampling.spacing, rays.len(), columns, None, &rays.origins)
 }
 
 /// Returns the `t_vals` of an evaluation's fine pass, from the coarse field at `t_vals`.
-pub fn fine_t_vals(coarse: &Field, rays: &Rays, t_vals: &Tensor, sampling: &SamplingConfig) -> Result<Tensor> {
+fn fine_t_vals(coarse: &Field, rays: &Rays, t_vals: &Tensor, sampling: &SamplingConfig) -> Result<Tensor> {
     let u = sampling::even_u(rays.len(), t_vals_per_ray(coarse, sampling).1, t_vals)?;
     t_vals_by_density(coarse, rays, t_vals, sampling, &u)
 }

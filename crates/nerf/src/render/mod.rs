@@ -6,13 +6,15 @@ use crate::base::Result;
 
 mod cast;
 mod image;
+mod occupancy;
 mod pass;
 pub mod sampling;
 pub mod settings;
 pub mod volume;
 
 pub use cast::{gaussians_at, points_at, positions_at, ray_parts, sample_count};
-pub use image::{fine_t_vals, render_rays, resample, t_vals_by_density, t_vals_per_ray};
+pub use image::{evaluation_samples, render_rays, resample, t_vals_by_density, t_vals_per_ray};
+pub use occupancy::{Intervals, Occupancy, OccupiedDensity, PlacedSamples};
 pub use pass::{Pass, PassOutput, Perturbation, clean_pass, noiseless_acc, perturbed_pass, search};
 pub use volume::Composite;
 

@@ -5,7 +5,7 @@ use candle_core::{D, Tensor};
 
 use crate::base::Result;
 use crate::data::Rays;
-use crate::field::{FeatureDelta, Field, QueryPoints, RawOutput};
+use crate::field::{Asked, FeatureDelta, Field, QueryPoints, RawOutput};
 use crate::perturb::settings::OutputPlace;
 use crate::perturb::{Deltas, PaperSite, Sets, UsedDeltas, output_range, tilt, worst_case};
 
@@ -21,6 +21,8 @@ pub struct Pass<'a> {
     /// Distances of samples along the ray, `[rays, samples]`. With an integrated encoding or a hash grid, edges of
     /// intervals, `[rays, samples + 1]`.
     pub t_vals: &'a Tensor,
+    /// The samples that the field is asked about, ray after ray. The others are empty. `None`: all.
+    pub asked: Option<&'a Asked>,
     /// Added to raw density, `[rays, samples]`.
     pub density_noise: Option<&'a Tensor>,
     /// The colour behind missing accumulation.
@@ -82,7 +84,7 @@ pub fn clean_pass(field: &Field, pass: Pass) -> Result<PassOutput> {
 /// Those of candle, if shapes do not fit.
 pub fn perturbed_pass(field: &Field, pass: Pass, perturbation: Perturbation) -> Result<PassOutput> {
     let (t_vals, positions) = moved_samples(field, pass, perturbation)?;
-    render_samples(pass, perturbation, &t_vals, &field.query_points(&positions)?)
+    render_samples(pass, perturbation, &t_vals, &field.query_points(&positions, pass.asked)?)
 }
 
 /// Runs PGD ([`worst_case`]) from the deltas of `start`, on `sign` times the photometric loss against `target` `[rays, 3]`.
@@ -97,7 +99,7 @@ pub fn search(field: &Field, pass: Pass, start: Perturbation, target: &Tensor, s
         let perturbation = Perturbation { deltas, ..start };
         if samples_stay && fixed_samples.is_none() {
             let (t_vals, positions) = moved_samples(field, pass, perturbation)?;
-            fixed_samples = Some((t_vals, field.fixed_points(&positions)?));
+            fixed_samples = Some((t_vals, field.query_points(&positions.detach(), pass.asked)?.kept()));
         }
         let out = match &fixed_samples {
             Some((t_vals, points)) => render_samples(pass, perturbation, t_vals, points)?,
@@ -146,7 +148,8 @@ fn render_samples(pass: Pass, perturbation: Perturbation, t_vals: &Tensor, point
             let (rgb, density) = activate(field, &raw, pass.density_noise)?;
             let range = |site| Some(output_range(site, field.config().rgb_padding));
             let rgb = used.add_to(rgb, PaperSite::Rgb, range(PaperSite::Rgb))?;
-            (rgb, used.add_to(density, PaperSite::Density, range(PaperSite::Density))?)
+            let density = used.add_to(density, PaperSite::Density, range(PaperSite::Density))?;
+            (rgb, only_asked(density, pass.asked)?)
         }
         OutputPlace::Before => {
             let rgb = used.add_to(raw.rgb.clone(), PaperSite::Rgb, None)?;
@@ -157,6 +160,13 @@ fn render_samples(pass: Pass, perturbation: Perturbation, t_vals: &Tensor, point
     let composite = volume::composite(&rgb, &density, t_vals, &rays.direction_norm, pass.background)?;
     let (t_vals, raw_density) = (t_vals.detach(), raw.density.detach());
     Ok(PassOutput { composite, rgb, density, t_vals, raw_density, used })
+}
+
+/// Leaves what is empty without density, whatever its delta.
+fn only_asked(density: Tensor, asked: Option<&Asked>) -> Result<Tensor> {
+    let Some(asked) = asked else { return Ok(density) };
+    let mask = asked.mask(&density)?.reshape(density.shape())?;
+    Ok((density * mask)?)
 }
 
 fn tangents(rays: &Rays) -> Result<&[Tensor; 2]> {
@@ -253,7 +263,8 @@ mod tests {
                 used: UsedDeltas::default(),
             };
             let (density_noise, background) = (Some(&noise), None);
-            let pass = Pass { rays: &rays, t_vals: &t_vals, density_noise, background, scales_gradients: false };
+            let pass =
+                Pass { rays: &rays, t_vals: &t_vals, asked: None, density_noise, background, scales_gradients: false };
             let noiseless: Vec<f32> = noiseless_acc(&field, &out, pass).unwrap().to_vec1().unwrap();
             let is_same = |(acc, expected): (&f32, &f32)| (acc - expected).abs() < 1e-6 && *acc > 0.0;
             assert!(noiseless.iter().zip(&expected).all(is_same), "{density_activation:?}: {noiseless:?} {expected:?}");

@@ -4,6 +4,10 @@ use serde::{Deserialize, Serialize};
 
 use crate::base::settings::{numbers, section};
 
+mod occupancy;
+
+pub use occupancy::OccupancyConfig;
+
 /// The quantity in which the coarse samples of a ray are evenly spaced.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
@@ -25,11 +29,26 @@ impl Spacing {
     }
 }
 
+/// How the samples of the pass that is rendered are chosen.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Placing {
+    /// By the weights of a coarse pass (NeRF).
+    #[default]
+    Resampled,
+    /// Even intervals, of which those are asked about that are neither empty nor hidden (Instant-NGP).
+    Occupancy,
+}
+
 const ANNEAL: &[&str] = &["anneal"];
 
 section! {
     /// Samples along a ray.
     pub struct SamplingConfig {
+        /// How the samples of the pass that is rendered are chosen: `resampled`, by the weights of a coarse pass, or
+        /// `occupancy`, which asks a hash grid only where a grid of occupied cells and the light that is left say that it counts
+        /// (section `sampling.occupancy`; Instant-NGP).
+        pub kind: Placing = Placing::Resampled, numbers().columns(&["occupancy"]);
         /// Stratified samples of the coarse pass (MipNeRF and hash grids: intervals).
         pub coarse: usize = 64, numbers().whole(3, 4096, "3 to 4096 samples").column("samples_coarse");
         /// Additional inverse-CDF samples of the fine pass, which has `coarse + fine`. MipNeRF and hash grids: the
@@ -57,10 +76,32 @@ section! {
         /// otherwise.
         pub density_noise: Option<f64> = None, numbers().zero_or_positive().column("density_noise");
     }
-    sections {}
+    sections {
+        /// The occupied cells of `kind = "occupancy"`. Other kinds ignore it.
+        pub occupancy: OccupancyConfig;
+    }
 }
 
 impl SamplingConfig {
+    /// Returns the number of samples, or intervals, that are evenly spread along a ray.
+    pub fn even(&self) -> usize {
+        match self.kind {
+            Placing::Resampled => self.coarse,
+            Placing::Occupancy => self.occupancy.intervals,
+        }
+    }
+
+    /// Returns the rays of the step after `step` finished ones, of `rays` in later ones. Where all cells still count as occupied,
+    /// a ray has so many samples that fewer rays must do.
+    pub fn rays_at(&self, rays: usize, step: u64) -> usize {
+        let OccupancyConfig { first_rays, refresh, .. } = self.occupancy;
+        match self.kind {
+            Placing::Resampled => rays,
+            Placing::Occupancy if step / refresh < 32 => rays.min(first_rays << (step / refresh)),
+            Placing::Occupancy => rays,
+        }
+    }
+
     /// Returns the ends of the rays' part that the step after `step` finished ones samples, of the `bounds` near and far.
     ///
     /// ```

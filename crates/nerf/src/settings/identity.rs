@@ -180,7 +180,7 @@ mod tests {
         let defaults = Config::default().to_table().to_string();
         assert_eq!(
             short_hash(Sha256::new_with_prefix(defaults)),
-            "c844a152488c",
+            "1f2f42c211ab",
             "raise SCHEME, unless a setting was only added"
         );
     }

@@ -1,7 +1,7 @@
 //! Settings that have no effect in a configuration, with the reason. Notes name them, and files and hashes may hold their
 //! defaults instead.
 
-use super::{Batching, Config, Encoding, Method, Schedule, VolumeCode, word};
+use super::{Batching, Config, Encoding, Method, Placing, Schedule, VolumeCode, word};
 use crate::base::settings::IdleKind::{Dropped, Noted, Unhashed};
 use crate::base::settings::IdleSettings;
 
@@ -60,6 +60,10 @@ impl Config {
         idle.add(Unhashed, "field.", &["position_octaves"], on_grid, why);
         let names = ["anneal_start", "anneal_middle"];
         idle.add(Dropped, "sampling.", &names, sampling.anneal_steps == 0, "sampling.anneal_steps is 0");
+        let is_occupied = sampling.kind == Placing::Occupancy;
+        idle.add(Unhashed, "sampling.", &["occupancy"], !is_occupied, "sampling.kind is not \"occupancy\"");
+        let names = ["coarse", "fine", "resample_padding"];
+        idle.add(Unhashed, "sampling.", &names, is_occupied, "sampling.kind is \"occupancy\"");
         let why = format!("field.encoding is \"{encoding}\"; MipNeRF and hash grids read it");
         idle.add(Noted, "sampling.", &["resample_padding"], !self.field.encoding.at_intervals(), why);
     }

@@ -6,7 +6,7 @@ use toml::{Table, Value};
 
 use super::identity::{leaves, value_at};
 use super::registry::{REGISTRY, Setting, meant};
-use super::{Config, DataConfig, Method, PerturbConfig, REGULARIZERS, over_run};
+use super::{Config, DataConfig, Method, PerturbConfig, Placing, REGULARIZERS, over_run, word};
 use crate::base::input::{TEXT_BYTES, read_named};
 use crate::base::{Error, Result, number_text};
 
@@ -50,6 +50,9 @@ const PRESETS: [(Preset, &str, &str, &[&str]); 10] = [
     (Preset::FewViewsBlender, "few-views-blender", include_str!("presets/few-views-blender.toml"), OF_PAPERS),
 ];
 
+/// The table of a layer for `sampling.kind = "occupancy"`.
+const OCCUPIED: &str = "occupied";
+
 const OF_PAPERS: &[&str] = &["small", "few-views-of-papers"];
 
 impl Preset {
@@ -84,13 +87,15 @@ fn representation_layer(layers: [&Table; 2], preset: Option<Preset>) -> Option<T
     let named = |path: &str| layers.iter().find_map(|layer| value_at(layer, path)).cloned();
     let method = named("method").map_or(Some(Method::default()), |method| method.try_into::<Method>().ok())?;
     let encoding = named("field.encoding").map_or(Some(method.encoding()), |encoding| encoding.try_into().ok())?;
-    Some(sized(method.representation(encoding)?.layer()?, preset))
+    let is_occupied = named("sampling.kind").is_some_and(|kind| kind == word(Placing::Occupancy).into());
+    let of_preset = preset.map_or(&["paper"][..], |preset| preset.file().1);
+    let sizes: Vec<&str> = is_occupied.then_some(OCCUPIED).into_iter().chain(of_preset.iter().copied()).collect();
+    Some(sized(method.representation(encoding)?.layer()?, &sizes))
 }
 
-/// Returns a method's layer with the tables of the sizes that suit a preset.
-fn sized(layer: &str, preset: Option<Preset>) -> Table {
+/// Returns a method's layer with its tables of some sizes.
+fn sized(layer: &str, sizes: &[&str]) -> Table {
     let mut layer: Table = toml::from_str(layer).expect("presets are valid TOML");
-    let sizes = preset.map_or(&["paper"][..], |preset| preset.file().1);
     let own: Vec<Value> = sizes.iter().filter_map(|size| layer.remove(*size)).collect();
     // What remains besides sections are other sizes.
     layer.retain(|name, _| REGISTRY.knows(name));
@@ -382,7 +387,7 @@ mod tests {
     /// A misspelt table would be left out in silence.
     #[test]
     fn tables_of_layers_are_sections_or_sizes() {
-        let is_size = |name: &str| PRESETS.iter().any(|(.., sizes)| sizes.contains(&name));
+        let is_size = |name: &str| name == OCCUPIED || PRESETS.iter().any(|(.., sizes)| sizes.contains(&name));
         for method in Method::ALL {
             let Some(layer) = method.representation(method.encoding()).and_then(|found| found.layer()) else {
                 continue;
@@ -390,6 +395,21 @@ mod tests {
             let layer: Table = toml::from_str(layer).unwrap();
             assert!(layer.keys().all(|name| REGISTRY.knows(name) || is_size(name)), "{}: {layer:?}", method.name());
         }
+    }
+
+    /// Occupied cells have chunks and tables of their own, over which few views and settings lie.
+    #[test]
+    fn occupied_cells_have_settings_of_their_own() {
+        let of = |preset: Preset, settings: &[&str]| {
+            let settings: Vec<_> = settings.iter().map(|text| parse_assignment(text).unwrap()).collect();
+            let config = build(Some(preset), None, &settings).unwrap();
+            (config.train.rays, config.train.chunk, config.field.hash.log2_table)
+        };
+        let occupied = "sampling.kind=occupancy";
+        assert_eq!(of(Preset::Fast, &[occupied]), (1024, 256, 15));
+        assert_eq!(of(Preset::Fast, &[occupied, "train.chunk=64"]), (1024, 64, 15));
+        assert_eq!(of(Preset::FewViews, &[occupied]), (128, 256, 15));
+        assert_eq!(of(Preset::Fast, &[]), (1024, 32, 17));
     }
 
     /// A method without fields has its own size for a preset; the original's where none is named.

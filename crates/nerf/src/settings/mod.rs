@@ -48,7 +48,7 @@ pub use crate::losses::{
 pub use crate::perturb::settings::{
     ChangedEntries, Objective, OutputPlace, PerturbConfig, PerturbField, Resample, SecondPass, SiteConfig, Sizes,
 };
-pub use crate::render::settings::{SamplingConfig, Spacing};
+pub use crate::render::settings::{OccupancyConfig, Placing, SamplingConfig, Spacing};
 
 use crate::base::settings::{Setting, numbers, section};
 use crate::base::{Error, Result};
@@ -163,9 +163,26 @@ impl Config {
         }
     }
 
+    /// Returns the rays of this many first steps together.
+    pub fn rays_of_steps(&self, steps: u64) -> f64 {
+        let (rays, refresh) = (self.rays_per_step(), self.sampling.occupancy.refresh);
+        // Between two looks all steps have the same number.
+        let first: f64 = (0..32)
+            .map(|look| {
+                let steps = steps.saturating_sub(look * refresh).min(refresh);
+                steps as f64 * self.sampling.rays_at(rays, look * refresh) as f64
+            })
+            .sum();
+        first + steps.saturating_sub(32 * refresh) as f64 * rays as f64
+    }
+
     /// Returns the number of samples of the coarse and of the fine pass. The second is 0 if there is no fine pass.
+    /// With occupied cells there is no coarse pass, and the other has at most as many as there are intervals.
     pub fn samples(&self) -> (usize, usize) {
-        let SamplingConfig { coarse, fine, .. } = self.sampling;
+        let SamplingConfig { coarse, fine, kind, .. } = self.sampling;
+        if kind == Placing::Occupancy {
+            return (0, self.sampling.occupancy.intervals);
+        }
         (coarse, if fine == 0 || self.field.encoding.at_intervals() { fine } else { coarse + fine })
     }
 }

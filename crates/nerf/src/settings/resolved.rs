@@ -89,7 +89,7 @@ impl Config {
         const FILLED: &str = "a located configuration has it";
         let Extent { near, far, domain, pixels } = extent;
         let mut config = self.locate(kind)?;
-        let numbers = config.perturb.fill(far - near, config.sampling.coarse, config.field.width);
+        let numbers = config.perturb.fill(far - near, config.sampling.even(), config.field.width);
         let (ndc, is_bounded) = (config.data.in_ndc(), kind.object_half().is_some());
         match config.representation() {
             Representation::Nerf | Representation::MipNerf | Representation::Srn => {}

@@ -2,7 +2,7 @@
 
 use super::{
     Capability, ChangedEntries, Config, Core, CorruptionKind, DataKind, Encoding, MESH_SIDES, Objective, PerturbField,
-    Regularizer, Representation, Resample, SecondPass, Spacing, TermNeeds, UnseenPoses, word,
+    Placing, Regularizer, Representation, Resample, SecondPass, Spacing, TermNeeds, UnseenPoses, word,
 };
 use crate::base::settings::{refuse, require};
 use crate::base::{Error, Result};
@@ -130,6 +130,9 @@ impl Config {
                     .into(),
             ),
         ])?;
+        if self.sampling.kind == Placing::Occupancy {
+            self.validate_occupancy()?;
+        }
         let openings = [
             ("field.frequency_steps", self.field.frequency_steps, "or the encodings never open"),
             ("sampling.anneal_steps", self.sampling.anneal_steps, "or training never sees whole rays"),
@@ -148,6 +151,44 @@ impl Config {
             ),
         };
         require(is_possible, "sampling.fine", fine, allowed)
+    }
+
+    /// Refuses what cells of a hash grid cannot place samples with.
+    fn validate_occupancy(&self) -> Result<()> {
+        let of_samples = [Regularizer::Cauchy, Regularizer::InformationGain];
+        let other_samples =
+            of_samples.iter().find(|term| self.regularizer.kind.contains(term)).map_or("", |term| term.name());
+        let of_kind = "sampling.kind = \"occupancy\"";
+        refuse_first([
+            (
+                !self.on_hash_grid(),
+                format!(
+                    "{of_kind} needs a hash grid, whose cube its cells divide; set field.encoding = \"hash\", or leave \
+                     sampling.kind at \"resampled\""
+                ),
+            ),
+            (
+                self.sampling.density_noise.is_some_and(|noise| noise > 0.0),
+                format!(
+                    "{of_kind} with sampling.density_noise above 0: noise is density where space is empty; set \
+                     sampling.density_noise=0"
+                ),
+            ),
+            (
+                self.sampling.spacing == Spacing::Disparity,
+                format!(
+                    "{of_kind} with sampling.spacing = \"disparity\": a cell is empty by the depth of intervals of one length; leave \
+                     sampling.spacing at \"depth\""
+                ),
+            ),
+            (
+                !other_samples.is_empty(),
+                format!(
+                    "{of_kind} with regularizer.kind = \"{other_samples}\": that term compares or counts a ray's samples, of which \
+                     only those that count are there; leave sampling.kind at \"resampled\""
+                ),
+            ),
+        ])
     }
 
     fn validate_second_pass(&self) -> Result<()> {

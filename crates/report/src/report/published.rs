@@ -108,7 +108,7 @@ impl PublishedRow {
 
     /// Returns how often a training pixel was seen: 158 times on fern, 32 times on the chair.
     pub fn epochs(&self) -> Option<f64> {
-        epochs(self.steps?, self.rays?, self.width * self.height * self.views_trained?)
+        epochs(self.steps? as f64 * self.rays? as f64, self.width * self.height * self.views_trained?)
     }
 
     /// Returns the coarse and fine samples of a ray: `64 + 128`.

@@ -11,9 +11,10 @@ use super::run_view::RunView;
 use crate::base::files::{write_atomic, write_json};
 use crate::base::{Error, Result};
 use crate::data::{Camera, RayBuffer, Rays};
+use crate::field::Asked;
 use crate::render::sampling::stratified;
 use crate::render::volume::{middles, transmittance};
-use crate::render::{Pass, PassOutput, clean_pass, fine_t_vals, points_at, ray_parts, t_vals_per_ray};
+use crate::render::{Pass, PassOutput, clean_pass, evaluation_samples, points_at, ray_parts, t_vals_per_ray};
 use crate::run::Viewer;
 use crate::settings::{Capability, Config, Spacing};
 
@@ -87,21 +88,29 @@ impl Profile {
         let parts = ray_parts(fields.evaluated());
         let ray = RayBuffer::new(&pixel, scene.ndc.as_ref(), config.data.origin_of_pixels(), parts)
             .to_tensors(DType::F32, runtime.device())?;
-        let pass = |field, t_vals: &Tensor| {
+        let pass = |field, t_vals: &Tensor, asked: Option<&Asked>| {
             clean_pass(
                 field,
-                Pass { rays: &ray, t_vals, density_noise: None, background: scene.background, scales_gradients: false },
+                Pass {
+                    rays: &ray,
+                    t_vals,
+                    asked,
+                    density_noise: None,
+                    background: scene.background,
+                    scales_gradients: false,
+                },
             )
         };
         let sampling = &config.sampling;
         let (coarse_columns, _) = t_vals_per_ray(coarse, sampling);
         let t_vals = stratified(bounds, sampling.spacing, 1, coarse_columns, None, &ray.origins)?;
-        let coarse_pass = pass(coarse, &t_vals)?;
-        let fine_pass = fine.map(|fine| pass(fine, &fine_t_vals(coarse, &ray, &t_vals, sampling)?)).transpose()?;
+        let coarse_pass = pass(coarse, &t_vals, None)?;
+        let placed = evaluation_samples(coarse, fine, fields.occupancy(), &ray, bounds, sampling)?;
+        let fine_pass = fine.map(|fine| pass(fine, &placed.t_vals, placed.asked.as_ref())).transpose()?;
         // MipNeRF's intervals have one edge more.
         let even_columns = EVEN + coarse_columns - sampling.coarse;
         let t_vals = stratified(bounds, Spacing::Depth, 1, even_columns, None, &ray.origins)?;
-        let even = samples(&ray, &pass(fields.evaluated(), &t_vals)?)?;
+        let even = samples(&ray, &pass(fields.evaluated(), &t_vals, None)?)?;
         let shown = &fine_pass.as_ref().unwrap_or(&coarse_pass).composite;
         let depth = shown.depth.to_vec1::<f32>()?[0] / shown.acc.to_vec1::<f32>()?[0];
         let rgb = shown.rgb.to_vec2::<f32>()?.remove(0);

@@ -335,7 +335,7 @@ impl Experiment<'_> {
         Timing {
             seconds_training: training,
             seconds_evaluation: evaluation.as_secs_f64() + self.earlier.seconds_evaluation,
-            rays_per_second: (training > 0.0).then(|| step as f64 * config.rays_per_step() as f64 / training),
+            rays_per_second: (training > 0.0).then(|| config.rays_of_steps(step) / training),
             peak_memory_mib: self.memory.peak_mib().filter(|_| runtime.is_alone()),
             device: runtime.name().to_string(),
             threads: runtime.threads(),

@@ -13,9 +13,9 @@ use crate::revision::version;
 use crate::settings::columns::{COLUMNS, applies, find, perturbed, regularized};
 use crate::settings::registry::REGISTRY;
 use crate::settings::{
-    Config, Core, Encoding, EvalSplit, HashConfig, LatticePoints, PerturbConfig, Precision, Regularizer,
-    RegularizerConfig, Representation, Resolved, SamDirection, SamplingConfig, Schedule, TermRays, TrainConfig,
-    TrainViews, WeightSchedule, value_at, word,
+    Config, Core, Encoding, EvalSplit, HashConfig, LatticePoints, OccupancyConfig, PerturbConfig, Placing, Precision,
+    Regularizer, RegularizerConfig, Representation, Resolved, SamDirection, SamplingConfig, Schedule, TermRays,
+    TrainConfig, TrainViews, WeightSchedule, value_at, word,
 };
 use crate::train::checkpoint::State;
 
@@ -130,6 +130,10 @@ fn of_settings(config: &Resolved) -> Found {
         ("nv", config.nv.text().into()),
         ("llff", config.llff.text().into()),
         ("hash_grid", (config.field.encoding == Encoding::Hash).then(|| hash_grid(&config.field.hash)).into()),
+        (
+            "occupancy",
+            (config.sampling.kind == Placing::Occupancy).then(|| occupancy(&config.sampling.occupancy)).into(),
+        ),
         ("config_hash", config.hash().into()),
         ("program", version().into()),
     ]
@@ -216,7 +220,7 @@ fn of_state(config: &Resolved, scene: &Scene, state: &State) -> Found {
         Precision::F16 => "f16".into(),
         Precision::F32 => by_device(|device| if device == "cuda-tf32" { "tf32" } else { "f32" }),
     };
-    let seen = scene.training_pixels().and_then(|pixels| epochs(state.step, config.rays_per_step(), pixels));
+    let seen = scene.training_pixels().and_then(|pixels| epochs(config.rays_of_steps(state.step), pixels));
     vec![
         ("steps", state.step.into()),
         ("epochs", seen.into()),
@@ -258,6 +262,15 @@ fn hash_grid(hash: &HashConfig) -> String {
     let contraction =
         contraction.map_or_else(String::new, |contraction| format!(", contraction {}", word(contraction)));
     format!("{levels} x {features}, 2^{log2_table}, {coarsest}{finest}, {interpolation}{place}{contraction}")
+}
+
+/// Returns intervals, cells, threshold, decay, looks, first rays and the light behind which samples are hidden.
+fn occupancy(config: &OccupancyConfig) -> String {
+    let OccupancyConfig { intervals, first_rays, cells, threshold, decay, refresh, warmup, transmittance } = config;
+    format!(
+        "{intervals} intervals, {cells}^3 cells from depth {threshold}, decay {decay} every {refresh} steps, all of them in the first \
+         {warmup}, from {first_rays} rays, hidden below {transmittance}"
+    )
 }
 
 /// Returns which training views were used, or `None` for all.

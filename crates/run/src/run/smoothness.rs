@@ -98,6 +98,11 @@ fn measure_fields(
     if runtime.accelerator().is_some() && has_laplacian {
         events.on(Event::Note("the field has a Laplacian, which the processor computes: this is measured there"));
     }
+    if model.fields()?.occupancy().is_some() {
+        events.on(Event::Note(
+            "sampling.kind is occupancy: this is the field's density everywhere, also where pictures have none",
+        ));
+    }
     let parts = fields.len() * lattice.cells().div_ceil(CELLS);
     events.on(Event::Started { what: "measuring", parts: parts as u64 });
     let measured = fields.into_iter().map(|(role, field)| {

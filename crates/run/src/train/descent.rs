@@ -53,6 +53,7 @@ impl Descent {
         let StepResult { gradients, report } = self.compute(at.step, at.log, stop_check)?;
         self.adam.update(&gradients.0, at.learning_rate, at.updates)?;
         self.check_parameters(at.step + 1)?;
+        self.learner.updated(at.step + 1)?;
         Ok(report)
     }
 

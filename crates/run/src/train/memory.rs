@@ -7,11 +7,16 @@ use crate::base::{Error, Result};
 use crate::data::{Scene, View};
 use crate::field::{Order, encoded_channels, position_channels};
 use crate::losses::LossTerm;
-use crate::methods::parts;
+use crate::methods::{OCCUPANCY, parts};
 use crate::model::Model;
 use crate::runtime::free_memory_mib;
-use crate::settings::{Core, PlanesConfig, Representation, Resolved, SrnConfig, TermNeeds, TermRays, VolumeConfig};
+use crate::settings::{
+    Core, Placing, PlanesConfig, Representation, Resolved, SrnConfig, TermNeeds, TermRays, VolumeConfig,
+};
 use crate::space::{CHUNKS_AT_ONCE, chunk_size};
+
+/// A cell's number, its point and density, and its new depth.
+const OF_A_LOOK: f64 = 6.0;
 
 /// Weights, their gradient and Adam's two moments.
 const COPIES: f64 = 4.0;
@@ -106,6 +111,7 @@ fn needs(config: &Resolved, scene: &Scene, threads: usize) -> Vec<Need> {
     let mib = |numbers: f64| numbers * NUMBER / f64::from(1 << 20);
     let parameters = Model::parameter_names(config);
     let size = |(_, shape): &(String, Vec<usize>)| shape.iter().map(|&n| n as f64).product::<f64>();
+    let (cells, parameters): (Vec<_>, Vec<_>) = parameters.into_iter().partition(|(name, _)| name == OCCUPANCY);
     let (tables, layers): (Vec<_>, Vec<_>) = parameters.iter().partition(|(name, _)| name.ends_with(".table"));
     let (tables, layers) = (tables.into_iter().map(size).sum::<f64>(), layers.into_iter().map(size).sum::<f64>());
     let copies = COPIES + if train.sam_radius > 0.0 { COPIES_OF_MOVES } else { 0.0 };
@@ -114,9 +120,17 @@ fn needs(config: &Resolved, scene: &Scene, threads: usize) -> Vec<Need> {
         settings: sizes(config, tables > layers),
         mib: mib(copies * (tables + layers)),
     }];
+    needs.extend(cells.iter().map(|cells| Need {
+        what: "occupied cells, and a look at all of them,",
+        settings: format!("sampling.occupancy.cells = {}", config.sampling.occupancy.cells),
+        mib: mib((COPIES + OF_A_LOOK) * size(cells)),
+    }));
     // The fused core works in tiles; candle's operations keep each layer's output for all points.
     if config.method.has_fields() && field.core == Core::Plain {
-        let samples = (config.sampling.coarse + config.sampling.fine) as f64;
+        let samples = match config.sampling.kind {
+            Placing::Resampled => config.sampling.coarse + config.sampling.fine,
+            Placing::Occupancy => config.sampling.occupancy.intervals,
+        } as f64;
         let width = field.width as f64;
         needs.push(Need {
             what: "the layers' outputs of the active chunks, which the backward pass needs,",

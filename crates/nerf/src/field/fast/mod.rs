@@ -115,7 +115,7 @@ impl FastField {
     /// Computes [`Field::raw_density`] in candle's graph with gradients of `positions`: the encoding by kernels, the layers by
     /// candle.
     pub(super) fn raw_density_in_graph(&self, field: &Field, positions: &Tensor) -> Result<Tensor> {
-        let inputs = field.inputs(positions)?;
+        let inputs = field.inputs(positions, None)?;
         let encoded = match &field.grid {
             Some(_) => inputs.values.clone(),
             None => encoding::encode(&inputs.values, position_code(field.config()))?,
@@ -195,7 +195,7 @@ mod tests {
         for (scale, some_inside, some_outside) in [(1.3, true, true), (0.9, true, false)] {
             let points = drawn.affine(2.0 * scale, -scale).unwrap();
             let raw = field.raw_density(&points).unwrap().to_vec1::<f32>().unwrap();
-            let inputs = field.inputs(&points).unwrap();
+            let inputs = field.inputs(&points, None).unwrap();
             let unmasked = field.fast.as_ref().unwrap().query(None).density(&inputs.values).unwrap();
             assert_eq!(raw, only_inside(&inputs, unmasked).unwrap().to_vec1::<f32>().unwrap(), "scale {scale}");
             let outside = raw.iter().filter(|raw| **raw == -1e4).count();

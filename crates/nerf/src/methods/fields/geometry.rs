@@ -7,7 +7,7 @@ use crate::data::Scene;
 use crate::perturb::{
     AttackGeometry, Geometry, PaperPass, PaperSite, PassGeometry, PixelScale, Sets, SiteSet, StepUnit,
 };
-use crate::render::settings::Spacing;
+use crate::render::settings::{Placing, Spacing};
 use crate::settings::Resolved;
 
 use super::plan::Plan;
@@ -22,7 +22,8 @@ impl AttackGeometry {
         let geometry = AttackGeometry {
             bounds: scene.bounds(),
             pixel: pixel_scale(scene),
-            coarse_samples: config.field.encoding.t_vals(config.sampling.coarse),
+            coarse_samples: config.field.encoding.t_vals(config.sampling.even()),
+            are_even: config.sampling.kind == Placing::Occupancy,
             width: config.field.width,
             paper: None,
         };

@@ -6,6 +6,7 @@ use candle_core::{DType, Device, Tensor, Var};
 
 use crate::base::machine::over_parts;
 use crate::base::place::is_host;
+use crate::base::rng::{Random, Stream};
 use crate::base::{Error, Result};
 use crate::data::{Camera, PointRays, RayGroup, RayParts, Scene, UnseenCameras};
 use crate::field::Order;
@@ -16,6 +17,7 @@ use crate::methods::diagnostics::site_columns;
 use crate::methods::learner::{Learner, LogColumns, StepResult, StopCheck};
 use crate::perturb::settings::{ChangedEntries, SecondPass};
 use crate::perturb::{AttackGeometry, PaperSite, Site};
+use crate::render::settings::OccupancyConfig;
 use crate::render::{ray_parts, render_rays};
 use crate::settings::Resolved;
 
@@ -185,9 +187,20 @@ impl Learner for FieldLearner {
         let starts: Vec<usize> = (0..rays.len()).step_by(size).collect();
         let colours_of_part = |starts: &[usize]| -> Result<Tensor> {
             let part = rays.narrow(starts[0], size.min(rays.len() - starts[0]))?;
-            Ok(render_rays(fields.coarse(), fields.fine(), &part, self.geometry.bounds, sampling, self.background)?.rgb)
+            let (coarse, fine, occupancy) = (fields.coarse(), fields.fine(), fields.occupancy());
+            Ok(render_rays(coarse, fine, occupancy, &part, self.geometry.bounds, sampling, self.background)?.rgb)
         };
         Ok(Some(Tensor::cat(&over_parts(&self.device, &starts, 1, colours_of_part)?, 0)?))
+    }
+
+    fn updated(&mut self, finished: u64) -> Result<()> {
+        let OccupancyConfig { refresh, warmup, .. } = self.config.sampling.occupancy;
+        let Some(occupancy) = self.fields.occupancy().filter(|_| finished.is_multiple_of(refresh)) else {
+            return Ok(());
+        };
+        let field = self.fields.at_step(&self.config, finished)?.evaluated().frozen()?;
+        let mut random = Random::new(self.config.seed, Stream::Occupancy, finished);
+        occupancy.look(&field, self.geometry.bounds, finished < warmup, &mut random)
     }
 
     fn step(&mut self, step: u64, log: bool, stop_check: &StopCheck) -> Result<StepResult> {

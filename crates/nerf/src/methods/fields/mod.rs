@@ -21,7 +21,7 @@ mod terms;
 pub use balance::Balance;
 pub use geometry::step_over_radius;
 pub use learner::FieldLearner;
-pub use networks::Fields;
+pub use networks::{Fields, OCCUPANCY};
 pub use plan::{CountedTerms, DeltaPlan, PassPlan, Plan, SampleSource};
 pub use renderer::FieldRenderer;
 pub use report::{StepLosses, log_columns};

@@ -5,7 +5,12 @@ use candle_core::{DType, Device, Tensor, Var};
 use crate::base::Result;
 use crate::field::{Field, TableRecord};
 use crate::perturb::settings::PerturbField;
+use crate::render::Occupancy;
+use crate::render::settings::Placing;
 use crate::settings::Config;
+
+/// The name of [`Occupancy::depths`] among the parameters.
+pub const OCCUPANCY: &str = "occupancy";
 
 /// The coarse and the fine field, and the additional field of the released code's perturbed pass.
 #[derive(Clone)]
@@ -14,6 +19,9 @@ pub struct Fields {
     fields: Vec<(&'static str, Field)>,
     /// There is a fine pass. Without a field of its own it queries the coarse one.
     has_fine_pass: bool,
+    /// The cells that samples are placed in, if they place them. They are the last of the parameters, and no gradient reaches
+    /// them.
+    occupancy: Option<Occupancy>,
 }
 
 impl Fields {
@@ -25,7 +33,8 @@ impl Fields {
         let fields = draws.iter().enumerate().map(|(role, draw)| {
             Field::init(&config.field, config.seed, role as u64 * ROLE_STRIDE + draw, dtype, device)
         });
-        Ok(Fields::from_fields(config, fields.collect::<Result<Vec<Field>>>()?))
+        let all_occupied = || Ok(Tensor::zeros(Occupancy::cells(&config.sampling.occupancy), dtype, device)?);
+        Fields::from_fields(config, fields.collect::<Result<Vec<Field>>>()?, all_occupied)
     }
 
     /// Returns the names of a configuration's fields, in the fixed order of parameters: `coarse`, `fine`,
@@ -45,19 +54,35 @@ impl Fields {
     pub fn parameter_names(config: &Config) -> Vec<(String, Vec<usize>)> {
         let names_of_field = Field::parameter_names(&config.field);
         let named = |role| names_of_field.iter().map(move |(name, shape)| (format!("{role}.{name}"), shape.clone()));
-        Fields::roles(config).into_iter().flat_map(named).collect()
+        let mut names: Vec<(String, Vec<usize>)> = Fields::roles(config).into_iter().flat_map(named).collect();
+        if config.sampling.kind == Placing::Occupancy {
+            names.push((OCCUPANCY.into(), vec![Occupancy::cells(&config.sampling.occupancy)]));
+        }
+        names
     }
 
     /// Returns fields with given values, in the order of [`Fields::parameter_names`].
     pub fn from_parameters(config: &Config, values: Vec<Tensor>) -> Result<Fields> {
         let per_field = Field::parameter_names(&config.field).len();
-        let fields = values.chunks(per_field).map(|part| Field::from_parameters(&config.field, part.to_vec()));
-        Ok(Fields::from_fields(config, fields.collect::<Result<Vec<Field>>>()?))
+        let of_fields = values.chunks(per_field).take(Fields::roles(config).len());
+        let fields = of_fields.map(|part| Field::from_parameters(&config.field, part.to_vec()));
+        let fields = fields.collect::<Result<Vec<Field>>>()?;
+        Fields::from_fields(config, fields, || Ok(values.last().expect("a field has parameters").clone()))
     }
 
-    fn from_fields(config: &Config, fields: Vec<Field>) -> Fields {
+    /// `depths` returns those of occupied cells, if these place samples.
+    fn from_fields(config: &Config, fields: Vec<Field>, depths: impl FnOnce() -> Result<Tensor>) -> Result<Fields> {
+        let sampling = &config.sampling;
         let fields = Fields::roles(config).into_iter().zip(fields).collect();
-        Fields { fields, has_fine_pass: config.sampling.fine > 0 }
+        let (_, domain) = config.field.hash.grid();
+        let has_occupancy = sampling.kind == Placing::Occupancy;
+        let occupancy = has_occupancy.then(|| Occupancy::new(&sampling.occupancy, domain, &depths()?)).transpose()?;
+        Ok(Fields { fields, has_fine_pass: sampling.fine > 0, occupancy })
+    }
+
+    /// Returns the cells that place samples, if they do.
+    pub fn occupancy(&self) -> Option<&Occupancy> {
+        self.occupancy.as_ref()
     }
 
     /// Returns the field that places samples. It is the complete model if there is no fine pass.
@@ -112,7 +137,7 @@ impl Fields {
 
     fn map(&self, change: impl Fn(&Field) -> Result<Field>) -> Result<Fields> {
         let fields = self.by_role().map(|(role, field)| Ok((role, change(field)?)));
-        Ok(Fields { fields: fields.collect::<Result<_>>()?, ..*self })
+        Ok(Fields { fields: fields.collect::<Result<_>>()?, ..self.clone() })
     }
 
     /// Returns what the fields recorded, in the order of all parameters. An entry is `None` if its field does not
@@ -153,6 +178,7 @@ impl Fields {
         let named = |(role, field): (&str, &Field)| -> Vec<(String, Var)> {
             field.variables().iter().map(|(name, var)| (format!("{role}.{name}"), var.clone())).collect()
         };
-        self.by_role().flat_map(named).collect()
+        let occupancy = self.occupancy.iter().map(|occupancy| (OCCUPANCY.into(), occupancy.depths().clone()));
+        self.by_role().flat_map(named).chain(occupancy).collect()
     }
 }

@@ -5,6 +5,7 @@ use std::sync::Arc;
 use crate::losses::{RegularizedFields, WeightSchedule};
 use crate::perturb::settings::{Objective, PerturbField, Resample, SecondPass};
 use crate::perturb::{PaperSite, Site};
+use crate::render::settings::Placing;
 use crate::settings::Resolved;
 
 /// The passes of a step in their order. Each list has a coarse pass, a fine one, or both.
@@ -48,6 +49,8 @@ pub enum SampleSource {
     Resampled,
     /// The same, of the coarse field's density at stratified samples. That field has no pass of its own.
     PlacedByDensity,
+    /// Even intervals in occupied cells, up to where the light ends.
+    Occupied,
     /// They are those of the clean pass of its kind, coarse or fine.
     OfCleanPass,
 }
@@ -120,7 +123,11 @@ impl Plan {
         let fine_pass = PassPlan {
             is_coarse: false,
             field: if config.representation().has_fine_field() { "fine" } else { "coarse" },
-            samples: if has_coarse { SampleSource::Resampled } else { SampleSource::PlacedByDensity },
+            samples: match config.sampling.kind {
+                Placing::Occupancy => SampleSource::Occupied,
+                Placing::Resampled if has_coarse => SampleSource::Resampled,
+                Placing::Resampled => SampleSource::PlacedByDensity,
+            },
             sample_count: fine,
             weight: 1.0,
             is_evaluated: true,

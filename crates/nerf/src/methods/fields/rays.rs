@@ -1,11 +1,14 @@
 //! The rays of a step with the random numbers of its clean passes, complete and in chunks.
 
+use std::cmp::Reverse;
+use std::sync::Arc;
+
 use candle_core::Tensor;
 
 use crate::base::Result;
 use crate::base::rng::{Random, Stream};
 use crate::data::{RayBuffer, RayGroup, Rays};
-use crate::render::{Pass, sampling, t_vals_per_ray};
+use crate::render::{Intervals, Pass, PlacedSamples, sampling, t_vals_per_ray};
 
 use super::learner::FieldLearner;
 use super::plan::PassPlan;
@@ -20,7 +23,10 @@ pub(super) struct StepRays {
     pub(super) target: Option<Tensor>,
     /// The t of the known point on each ray, `[rays]`, of rays to points.
     pub(super) point_t: Option<Tensor>,
-    pub(super) t_coarse: Tensor,
+    /// The samples of a coarse pass.
+    t_coarse: Option<Tensor>,
+    /// Each ray's intervals in occupied cells, if these place samples.
+    intervals: Option<Vec<Arc<Intervals>>>,
     noise_coarse: Option<Tensor>,
     noise_fine: Option<Tensor>,
     /// Positions in the inverse CDF, `[rays, fine]`.
@@ -39,7 +45,18 @@ impl StepRays {
         let batch = learner.batches.batch(step);
         let target = Tensor::from_vec(batch.target, (batch.rays.len(), 3), &learner.device)?.to_dtype(learner.dtype)?;
         let mut random = Random::new(learner.config.seed, Stream::Jitter, step);
-        Ok(StepRays { target: Some(target), ..StepRays::from_buffer(learner, &batch.rays, step, &mut random)? })
+        StepRays { target: Some(target), ..StepRays::from_buffer(learner, &batch.rays, step, &mut random)? }.sorted()
+    }
+
+    /// Puts rays with many intervals in occupied cells before those with few: a chunk has as many columns as the ray with the most.
+    fn sorted(self) -> Result<StepRays> {
+        let Some(intervals) = self.intervals else { return Ok(self) };
+        let mut order: Vec<u32> = (0..intervals.len() as u32).collect();
+        order.sort_by_cached_key(|ray| Reverse(intervals[*ray as usize].count()));
+        let intervals = Some(order.iter().map(|ray| intervals[*ray as usize].clone()).collect());
+        let order = Tensor::new(order, self.rays.origins.device())?;
+        let target = self.target.map(|target| target.index_select(&order, 0)).transpose()?;
+        Ok(StepRays { rays: self.rays.select(&order)?, target, intervals, ..self })
     }
 
     /// Returns a step's rays without photographs' colours in groups.
@@ -81,9 +98,15 @@ impl StepRays {
         let sampling = &config.sampling;
         let (n, coarse, fine) = (rays.len(), sampling.coarse, sampling.fine);
         let (columns, fine_columns) = t_vals_per_ray(learner.fields.coarse(), sampling);
-        let (intervals, (_, fine_samples)) = (config.field.encoding.at_intervals(), config.samples());
-        let jitter = sampling.jitter.then(|| random.uniform_tensor(&[n, columns], *dtype, device)).transpose()?;
+        let (at_intervals, (_, fine_samples)) = (config.field.encoding.at_intervals(), config.samples());
         let bounds = sampling.annealed(learner.geometry.bounds, step);
+        let mut uniform = |columns| random.uniform_tensor(&[n, columns], *dtype, device);
+        if let Some(occupancy) = learner.fields.occupancy() {
+            let shift = sampling.jitter.then(|| uniform(1)).transpose()?;
+            let intervals = Some(occupancy.march(&rays, bounds, sampling.spacing, shift.as_ref())?);
+            return Ok(StepRays { intervals, ..StepRays::without_numbers(rays, step) });
+        }
+        let jitter = sampling.jitter.then(|| uniform(columns)).transpose()?;
         let t_coarse = sampling::stratified(bounds, sampling.spacing, n, columns, jitter.as_ref(), &rays.origins)?;
         let std = config.density_noise;
         let mut noise = |samples: usize| -> Result<Option<Tensor>> {
@@ -97,12 +120,18 @@ impl StepRays {
             (0, _) => None,
             (_, true) => {
                 let uniform = random.uniform_tensor(&[n, fine_columns], *dtype, device)?;
-                Some(if intervals { sampling::stratified_u(&uniform)? } else { uniform })
+                Some(if at_intervals { sampling::stratified_u(&uniform)? } else { uniform })
             }
             (_, false) => Some(sampling::even_u(n, fine_columns, &t_coarse)?),
         };
-        let (target, point_t) = (None, None);
-        Ok(StepRays { rays, target, point_t, t_coarse, noise_coarse, noise_fine, u, fraction: 1.0, step, index: 0 })
+        let t_coarse = Some(t_coarse);
+        Ok(StepRays { t_coarse, noise_coarse, noise_fine, u, ..StepRays::without_numbers(rays, step) })
+    }
+
+    fn without_numbers(rays: Rays, step: u64) -> StepRays {
+        let (target, point_t, t_coarse, intervals) = (None, None, None, None);
+        let (noise_coarse, noise_fine, u, fraction, index) = (None, None, None, 1.0, 0);
+        StepRays { rays, target, point_t, t_coarse, intervals, noise_coarse, noise_fine, u, fraction, step, index }
     }
 
     /// Returns chunk number `index` of a step's rays.
@@ -114,7 +143,8 @@ impl StepRays {
             rays: self.rays.narrow(start, count)?,
             target: maybe(&self.target)?,
             point_t: maybe(&self.point_t)?,
-            t_coarse: part(&self.t_coarse)?,
+            t_coarse: maybe(&self.t_coarse)?,
+            intervals: self.intervals.as_ref().map(|all| all[start..start + count].to_vec()),
             noise_coarse: maybe(&self.noise_coarse)?,
             noise_fine: maybe(&self.noise_fine)?,
             u: maybe(&self.u)?,
@@ -122,6 +152,22 @@ impl StepRays {
             step: self.step,
             index: index as u64,
         })
+    }
+
+    /// Returns the samples of a coarse pass.
+    ///
+    /// # Panics
+    /// Occupied cells place the samples.
+    pub(super) fn t_coarse(&self) -> &Tensor {
+        self.t_coarse.as_ref().expect("a coarse pass has samples")
+    }
+
+    /// Returns each ray's intervals in occupied cells.
+    ///
+    /// # Panics
+    /// They do not place the samples.
+    pub(super) fn intervals(&self) -> &[Arc<Intervals>] {
+        self.intervals.as_ref().expect("occupied cells place the samples")
     }
 
     /// Returns the positions in the inverse CDF of the samples of a fine pass.
@@ -132,12 +178,13 @@ impl StepRays {
         self.u.as_ref().expect("a fine pass has numbers to place its samples")
     }
 
-    /// Returns a pass with samples at `t_vals`.
-    pub(super) fn pass<'a>(&'a self, learner: &FieldLearner, plan: &PassPlan, t_vals: &'a Tensor) -> Pass<'a> {
+    /// Returns a pass with its samples.
+    pub(super) fn pass<'a>(&'a self, learner: &FieldLearner, plan: &PassPlan, samples: &'a PlacedSamples) -> Pass<'a> {
         let noise = if plan.is_coarse { &self.noise_coarse } else { &self.noise_fine };
         Pass {
             rays: &self.rays,
-            t_vals,
+            t_vals: &samples.t_vals,
+            asked: samples.asked.as_ref(),
             density_noise: noise.as_ref(),
             background: learner.background,
             scales_gradients: learner.config.train.gradient_scaling,

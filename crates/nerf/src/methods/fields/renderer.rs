@@ -36,7 +36,8 @@ impl Renderer for FieldRenderer {
 
     fn render(&self, rays: &Rays) -> Result<RenderedRays> {
         let (coarse, fine) = (self.fields.coarse(), self.fields.fine());
-        let composite = render_rays(coarse, fine, rays, self.bounds, &self.sampling, self.background)?;
+        let composite =
+            render_rays(coarse, fine, self.fields.occupancy(), rays, self.bounds, &self.sampling, self.background)?;
         Ok(RenderedRays { rgb: composite.rgb, depth: composite.depth, acc: composite.acc })
     }
 }

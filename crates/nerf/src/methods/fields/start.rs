@@ -7,7 +7,8 @@ use crate::data::{PointRays, RayParts, Scene};
 use crate::field::settings::{Contraction, DensityActivation, Encoding, FieldConfig};
 use crate::losses::WeightedTerm;
 use crate::methods::batches::Batches;
-use crate::render::positions_at;
+use crate::render::settings::Placing;
+use crate::render::{positions_at, sampling};
 use crate::settings::Resolved;
 use crate::space::Lattice;
 
@@ -31,7 +32,14 @@ impl FieldLearner {
         let fields = Fields::init(config, &redraws, dtype, device)?.at_step(config, 0)?;
         let mut learner = FieldLearner::new(config, scene, fields, dtype, device)?;
         let first = StepRays::batch(&mut learner, 0)?;
-        let positions = positions_at(learner.fields.coarse(), &first.rays, &first.t_coarse)?.flatten(0, 1)?;
+        let t_vals = match config.sampling.kind {
+            Placing::Resampled => first.t_coarse().clone(),
+            Placing::Occupancy => {
+                let (edges, like) = (config.sampling.even() + 1, &first.rays.origins);
+                sampling::stratified(scene.bounds(), config.sampling.spacing, first.rays.len(), edges, None, like)?
+            }
+        };
+        let positions = positions_at(learner.fields.coarse(), &first.rays, &t_vals)?.flatten(0, 1)?;
         loop {
             let dead = learner.dead_fields(&positions)?;
             if dead.is_empty() {

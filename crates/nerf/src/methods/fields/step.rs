@@ -33,8 +33,8 @@ use crate::methods::learner::{StepResult, StopCheck};
 use crate::perturb::settings::SecondPass;
 use crate::perturb::{Deltas, Distribution, PassGeometry, Sets};
 use crate::render::{
-    self, Pass, Perturbation, clean_pass, noiseless_acc, perturbed_pass, photometric_loss, resample, sample_count,
-    t_vals_by_density,
+    self, Pass, Perturbation, PlacedSamples, clean_pass, noiseless_acc, perturbed_pass, photometric_loss, resample,
+    sample_count, t_vals_by_density,
 };
 
 use super::diagnosis::diagnose;
@@ -140,7 +140,7 @@ pub(super) struct StepPasses<'a> {
 
 /// The samples of a pass, and their weights along the ray, both without graph.
 struct SampleWeights {
-    t_vals: Tensor,
+    samples: PlacedSamples,
     weights: Tensor,
 }
 
@@ -179,8 +179,8 @@ impl<'a> StepPasses<'a> {
         let mut sums = Sums::new(self.learner.variables.len()).with_diagnostics(self.log);
         let mut clean: Vec<SampleWeights> = Vec::new();
         for plan in self.clean {
-            let t_vals = self.samples(plan, fields, chunk, clean.last(), None)?;
-            clean.push(self.train_clean(plan, fields, chunk, t_vals, clean_weight, &mut sums)?);
+            let samples = self.samples(plan, fields, chunk, clean.last(), None)?;
+            clean.push(self.train_clean(plan, fields, chunk, samples, clean_weight, &mut sums)?);
         }
         sums.add_tables(fields.table_records());
         // Clean passes that follow clean ones have random numbers of their own.
@@ -192,10 +192,10 @@ impl<'a> StepPasses<'a> {
         let mut control = Sums::new(self.learner.variables.len());
         let mut second: Vec<SampleWeights> = Vec::new();
         for (plan, clean_samples) in self.second.iter().zip(&clean) {
-            let t_vals = self.samples(plan, fields, chunk, second.last(), Some(clean_samples))?;
+            let samples = self.samples(plan, fields, chunk, second.last(), Some(clean_samples))?;
             second.push(match &plan.deltas {
-                Some(delta_plan) => self.train_perturbed(plan, delta_plan, fields, chunk, &t_vals, &mut sums)?,
-                None => self.train_clean(plan, fields, chunk, t_vals, second_weight, &mut control)?,
+                Some(delta_plan) => self.train_perturbed(plan, delta_plan, fields, chunk, samples, &mut sums)?,
+                None => self.train_clean(plan, fields, chunk, samples, second_weight, &mut control)?,
             });
         }
         let mut second_records = fields.table_records();
@@ -207,7 +207,7 @@ impl<'a> StepPasses<'a> {
         Ok(sums)
     }
 
-    /// Returns the samples of a pass (lines 6 and 7), `t_vals`. `coarse` is the coarse pass before it in the same list, and `clean`
+    /// Returns the samples of a pass (lines 6 and 7). `coarse` is the coarse pass before it in the same list, and `clean`
     /// the clean pass that a second pass repeats.
     fn samples(
         &self,
@@ -216,19 +216,24 @@ impl<'a> StepPasses<'a> {
         chunk: &StepRays,
         coarse: Option<&SampleWeights>,
         clean: Option<&SampleWeights>,
-    ) -> Result<Tensor> {
+    ) -> Result<PlacedSamples> {
         let sampling = &self.learner.config.sampling;
-        match plan.samples {
-            SampleSource::Stratified => Ok(chunk.t_coarse.clone()),
+        let t_vals = match plan.samples {
+            SampleSource::Stratified => chunk.t_coarse().clone(),
             SampleSource::Resampled => {
-                let SampleWeights { t_vals, weights } = coarse.expect("the coarse pass comes first");
-                resample(fields.coarse(), sampling, t_vals, weights, chunk.u())
+                let SampleWeights { samples, weights } = coarse.expect("the coarse pass comes first");
+                resample(fields.coarse(), sampling, &samples.t_vals, weights, chunk.u())?
             }
             SampleSource::PlacedByDensity => {
-                t_vals_by_density(&fields.coarse().frozen()?, &chunk.rays, &chunk.t_coarse, sampling, chunk.u())
+                t_vals_by_density(&fields.coarse().frozen()?, &chunk.rays, chunk.t_coarse(), sampling, chunk.u())?
             }
-            SampleSource::OfCleanPass => Ok(clean.expect("clean passes come first").t_vals.clone()),
-        }
+            SampleSource::Occupied => {
+                let occupancy = fields.occupancy().expect("the plan asks for cells that there are");
+                return occupancy.place(&self.field(fields, plan).frozen()?, &chunk.rays, chunk.intervals());
+            }
+            SampleSource::OfCleanPass => return Ok(clean.expect("clean passes come first").samples.clone()),
+        };
+        Ok(PlacedSamples { t_vals, asked: None })
     }
 
     fn field<'b>(&self, fields: &'b Fields, plan: &PassPlan) -> &'b Field {
@@ -246,17 +251,17 @@ impl<'a> StepPasses<'a> {
         plan: &PassPlan,
         fields: &Fields,
         chunk: &StepRays,
-        t_vals: Tensor,
+        samples: PlacedSamples,
         weight: f64,
         sums: &mut Sums,
     ) -> Result<SampleWeights> {
         let (learner, field, terms) = (self.learner, self.field(fields, plan), self.terms_of(plan));
-        let pass = chunk.pass(learner, plan, &t_vals);
+        let pass = chunk.pass(learner, plan, &samples);
         let weight = weight * chunk.fraction * plan.weight;
         let out = clean_pass(field, pass)?;
         let Some(target) = &chunk.target else {
             terms.descend(learner, (field, pass), &out, None, chunk, sums)?;
-            return Ok(SampleWeights { weights: out.composite.weights.detach(), t_vals });
+            return Ok(SampleWeights { weights: out.composite.weights.detach(), samples });
         };
         let loss = photometric_loss(&out.composite.rgb, target)?;
         if terms.any_counts() {
@@ -270,7 +275,7 @@ impl<'a> StepPasses<'a> {
             let acc = noiseless_acc(field, &out, pass)?;
             sums.extremes = Some(Extremes::of(&acc, &out.composite.rgb, target)?);
         }
-        Ok(SampleWeights { weights: out.composite.weights.detach(), t_vals })
+        Ok(SampleWeights { weights: out.composite.weights.detach(), samples })
     }
 
     /// Finds the deltas of a perturbed pass (line 4), runs it (lines 9 to 13, 18 and 20), and adds the gradients of its loss,
@@ -281,14 +286,14 @@ impl<'a> StepPasses<'a> {
         delta_plan: &DeltaPlan,
         fields: &Fields,
         chunk: &StepRays,
-        t_vals: &Tensor,
+        samples: PlacedSamples,
         sums: &mut Sums,
     ) -> Result<SampleWeights> {
         let (learner, field) = (self.learner, self.field(fields, plan));
-        let pass = chunk.pass(learner, plan, t_vals);
-        let (samples, is_coarse) = (sample_count(field, t_vals)?, plan.is_coarse);
+        let pass = chunk.pass(learner, plan, &samples);
+        let (t_vals, count, is_coarse) = (pass.t_vals, sample_count(field, pass.t_vals)?, plan.is_coarse);
         let direction_norm = &pass.rays.direction_norm;
-        let geometry = PassGeometry { run: learner.geometry, is_coarse, t_vals, samples, direction_norm };
+        let geometry = PassGeometry { run: learner.geometry, is_coarse, t_vals, samples: count, direction_norm };
         let sets = Sets::new(delta_plan.sites.iter().cloned(), &geometry)?;
         let target = chunk.target.as_ref().expect("training rays have colours");
         let perturbed = PerturbedPass { learner, plan, delta_plan, chunk, field, pass, target, sets };
@@ -302,7 +307,8 @@ impl<'a> StepPasses<'a> {
         sums.gradients.add(&learner.variables, &(&loss * (self.loss_weights.1 * weight))?.backward()?)?;
         let loss = loss.to_dtype(DType::F64)?.to_scalar::<f64>()? * weight;
         sums.losses.perturbed = plus(sums.losses.perturbed, Some(loss));
-        Ok(SampleWeights { t_vals: out.t_vals, weights: out.composite.weights.detach() })
+        let samples = PlacedSamples { t_vals: out.t_vals, asked: samples.asked.clone() };
+        Ok(SampleWeights { samples, weights: out.composite.weights.detach() })
     }
 }
 
