@@ -10,24 +10,22 @@ use crate::settings::{
 use super::definition::BudgetKind;
 use super::step_seconds::StepSeconds;
 
+/// The error for a budget of evaluations with occupied cells.
+const UNKNOWN: &str = "a budget of evaluations with sampling.kind = \"occupancy\": the samples of a step are not known before it; \
+    take budget.kind = \"seconds\"";
+
 /// Samples of a ray in occupied cells, and those of them that are seen, on average over trainings of the chair.
 const OCCUPIED: (usize, usize) = (10, 6);
 
 /// Returns the steps of `config` that cost as much as all steps of `like`; at least 1.
 ///
 /// # Errors
-/// The budget is in seconds, and `seconds` has none of a configuration.
+/// The budget is in seconds, and `seconds` has none of a configuration; it is in evaluations, and occupied cells place samples.
 pub(super) fn steps_within(kind: BudgetKind, config: &Config, like: &Config, seconds: &StepSeconds) -> Result<u64> {
-    let cost = |config: &Config| {
-        match kind {
-        BudgetKind::Evaluations if config.sampling.kind == Placing::Occupancy => Err(Error::Config(
-            "a budget of evaluations with sampling.kind = \"occupancy\": the samples of a step are not known before it; take \
-             budget.kind = \"seconds\""
-                .into(),
-        )),
+    let cost = |config: &Config| match kind {
+        BudgetKind::Evaluations if config.sampling.kind == Placing::Occupancy => Err(Error::Config(UNKNOWN.into())),
         BudgetKind::Evaluations => Ok(evaluations_per_step(config)),
         BudgetKind::Seconds => seconds.of(config).ok_or_else(|| Error::Config("its step was not measured".into())),
-    }
     };
     Ok(((like.train.steps as f64 * cost(like)? / cost(config)?).round() as u64).max(1))
 }

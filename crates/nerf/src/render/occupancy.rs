@@ -139,8 +139,8 @@ impl Occupancy {
         self.occupied.read().unwrap_or_else(PoisonError::into_inner).clone()
     }
 
-    /// Returns each ray's intervals in occupied cells between near and far, of so many even ones in `sampling`. They begin at near
-    /// plus `shift [rays, 1]` times their length, 0 without it.
+    /// Returns each ray's intervals in occupied cells, of the even ones between near and far. These begin at near plus
+    /// `shift [rays, 1]` times their length, 0 without it.
     ///
     /// # Errors
     /// Those of candle.
