@@ -41,7 +41,8 @@ pub fn in_parts<T: Sync, R: Send>(
     work: impl Fn(&[T]) -> Result<R> + Sync + Send,
 ) -> Result<Vec<R>> {
     match at_once {
-        true => items.par_chunks(size).map(work).collect(),
+        // One at a time, because the first parts of rays in occupied cells are the longest.
+        true => items.par_chunks(size).with_max_len(1).map(work).collect(),
         false => items.chunks(size).map(work).collect(),
     }
 }

@@ -60,7 +60,7 @@ pub fn evaluation_samples(
     sampling: &SamplingConfig,
 ) -> Result<PlacedSamples> {
     if let Some(occupancy) = occupancy {
-        let intervals = occupancy.march(rays, bounds, sampling.spacing, None)?;
+        let intervals = occupancy.march(rays, bounds, None)?;
         return occupancy.place(fine.unwrap_or(coarse), rays, &intervals);
     }
     let t_vals = even_t_vals(coarse, rays, bounds, sampling)?;

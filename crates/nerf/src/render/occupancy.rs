@@ -14,7 +14,7 @@ use crate::base::rng::Random;
 use crate::data::Rays;
 use crate::field::hash::{Contraction, Domain};
 use crate::field::{Asked, Density, Field, FieldDensity};
-use crate::render::settings::{OccupancyConfig, Spacing};
+use crate::render::settings::OccupancyConfig;
 
 /// Points of a look at cells that are asked about at once.
 const AT_ONCE: usize = 4096;
@@ -144,16 +144,10 @@ impl Occupancy {
     ///
     /// # Errors
     /// Those of candle.
-    pub fn march(
-        &self,
-        rays: &Rays,
-        bounds: (f64, f64),
-        spacing: Spacing,
-        shift: Option<&Tensor>,
-    ) -> Result<Vec<Arc<Intervals>>> {
+    pub fn march(&self, rays: &Rays, bounds: (f64, f64), shift: Option<&Tensor>) -> Result<Vec<Arc<Intervals>>> {
         let (origins, directions) = (host(&rays.origins)?, host(&rays.directions)?);
         let shifts = shift.map_or_else(|| Ok(vec![0.0; rays.len()]), host)?;
-        let marcher = Marcher { config: &self.config, domain: self.domain, occupied: self.bits(), spacing, bounds };
+        let marcher = Marcher { config: &self.config, domain: self.domain, occupied: self.bits(), bounds };
         let rays = origins.as_chunks::<3>().0.par_iter().zip(directions.as_chunks::<3>().0).zip(shifts);
         Ok(rays.map(|((origin, direction), shift)| Arc::new(marcher.march(*origin, *direction, shift))).collect())
     }
@@ -296,26 +290,27 @@ struct Marcher<'a> {
     config: &'a OccupancyConfig,
     domain: Domain,
     occupied: Bits,
-    spacing: Spacing,
     bounds: (f64, f64),
 }
 
 impl Marcher<'_> {
     /// Returns a ray's intervals whose middles are in occupied cells.
     fn march(&self, origin: [f32; 3], direction: [f32; 3], shift: f32) -> Intervals {
-        let Marcher { config, domain, .. } = self;
+        let (Marcher { config, domain, .. }, (near, far)) = (self, self.bounds);
         let (side, count) = (config.cells as f32, config.intervals);
-        let edge = |i: usize| {
-            let fraction = ((i as f64 + f64::from(shift)) / count as f64).min(1.0);
-            self.spacing.at(self.bounds, fraction) as f32
-        };
+        let length = (far - near) / count as f64;
+        let edge = |i: usize| (near + (i as f64 + f64::from(shift)).min(count as f64) * length) as f32;
         let (low, high) = domain.corners();
         let is_box = domain.contraction() == Contraction::None;
         let scale: [f32; 3] = std::array::from_fn(|axis| side / (high[axis] - low[axis]) as f32);
         let first: [f32; 3] = std::array::from_fn(|axis| (origin[axis] - low[axis] as f32) * scale[axis]);
         let slope: [f32; 3] = std::array::from_fn(|axis| direction[axis] * scale[axis]);
-        let (mut intervals, mut start) = (Intervals::default(), edge(0));
-        for i in 0..count {
+        // The intervals in the box, and one more at each end, for rounding.
+        let (enters, leaves) = if is_box { inside(first, slope, side) } else { (near as f32, far as f32) };
+        let number = |t: f32| (f64::from(t) - near) / length - f64::from(shift);
+        let (from, to) = ((number(enters) - 1.0).max(0.0) as usize, (number(leaves) + 2.0).min(count as f64) as usize);
+        let (mut intervals, mut start) = (Intervals::default(), edge(from));
+        for i in from..to {
             let end = edge(i + 1);
             let middle = 0.5 * (start + end);
             let position: [f32; 3] = if is_box {
@@ -334,6 +329,15 @@ impl Marcher<'_> {
         }
         intervals
     }
+}
+
+/// Returns the first and the last t at which `first + t * slope` is in the cube of that side. The first is not below the last where it
+/// never is.
+fn inside(first: [f32; 3], slope: [f32; 3], side: f32) -> (f32, f32) {
+    first.into_iter().zip(slope).fold((f32::NEG_INFINITY, f32::INFINITY), |(enters, leaves), (first, slope)| {
+        let (a, b) = (-first / slope, (side - first) / slope);
+        (enters.max(a.min(b)), leaves.min(a.max(b)))
+    })
 }
 
 /// Returns densities at scene points `[n, 3]`.

@@ -103,7 +103,7 @@ impl StepRays {
         let mut uniform = |columns| random.uniform_tensor(&[n, columns], *dtype, device);
         if let Some(occupancy) = learner.fields.occupancy() {
             let shift = sampling.jitter.then(|| uniform(1)).transpose()?;
-            let intervals = Some(occupancy.march(&rays, bounds, sampling.spacing, shift.as_ref())?);
+            let intervals = Some(occupancy.march(&rays, bounds, shift.as_ref())?);
             return Ok(StepRays { intervals, ..StepRays::without_numbers(rays, step) });
         }
         let jitter = sampling.jitter.then(|| uniform(columns)).transpose()?;
