@@ -7,9 +7,10 @@ use toml::Value;
 
 use crate::base::{Error, Result};
 use crate::data::{self, Format};
+use crate::runtime::Runtime;
 use crate::settings::{
-    BuiltinScene, Config, Encoding, Method, Preset, build, check_assignment, data_section, parse_assignment,
-    regularizer_hint,
+    BuiltinScene, Config, Encoding, Method, Placing, Preset, build, check_assignment, data_section, parse_assignment,
+    regularizer_hint, word,
 };
 
 use super::progress::Console;
@@ -152,12 +153,21 @@ pub struct Base<'a> {
     pub last: Assignments,
     /// Maps the preset that suits the scene, if `--preset` names none.
     pub preset: fn(Preset) -> Preset,
+    /// Whether preset `fast` samples objects in occupied cells.
+    pub occupied: bool,
 }
 
 impl Default for Base<'_> {
     /// Returns a base that adds nothing.
     fn default() -> Self {
-        Base { file: None, first: Vec::new(), last: Vec::new(), preset: |preset| preset }
+        Base { file: None, first: Vec::new(), last: Vec::new(), preset: |preset| preset, occupied: false }
+    }
+}
+
+impl Base<'_> {
+    /// Returns a base for a training on a device. No accelerator trains with occupied cells.
+    pub fn of_training(runtime: &Runtime) -> Self {
+        Base { occupied: runtime.is_cpu(), ..Base::default() }
     }
 }
 
@@ -176,7 +186,7 @@ impl Experiment {
 
     /// Builds the settings of preset, file and flags, in that order.
     pub fn config(&self, console: &Console) -> Result<Config> {
-        self.config_over(Base::default(), &LpipsWeights { lpips_weights: None }, console)
+        self.config_over(Base::default(), &LpipsWeights::default(), console)
     }
 
     /// Builds the settings over a base, with the folder of LPIPS weights. `--preset` and `--config` replace the base's file.
@@ -212,16 +222,62 @@ impl Experiment {
         }
         assignments.extend(base.last);
         let mut preset = self.preset.as_deref().map(Preset::parse).transpose()?;
-        if preset.is_none() && file.is_none() {
+        if file.is_some() {
+            return build(preset, file, &assignments);
+        }
+        let format = Format::of(data::detect(&data_section(&assignments)?)?);
+        let method = named_method(&assignments);
+        if preset.is_none() {
             // The preset that suits the scene.
-            let format = Format::of(data::detect(&data_section(&assignments)?)?);
             preset = format.map(|format| Preset::parse(format.preset)).transpose()?.map(base.preset);
-            if preset == Some(Preset::Fast) && !may_be_on_a_grid(&assignments) {
+            if preset == Some(Preset::Fast) && method.representation(Encoding::Hash).is_none() {
                 preset = Some(Preset::Smoke);
             }
         }
-        build(preset, file, &assignments)
+        let config = build(preset, None, &assignments)?;
+        let is_object = format.is_some_and(|format| format.object_half.is_some());
+        if !(base.occupied && is_object && preset == Some(Preset::Fast) && config.on_hash_grid()) {
+            return Ok(config);
+        }
+        Ok(in_occupied_cells(config, assignments, console))
     }
+}
+
+/// Settings that say which samples a ray has.
+const SAMPLES: [&str; 5] =
+    ["sampling", "sampling.kind", "sampling.coarse", "sampling.fine", "sampling.resample_padding"];
+
+/// Returns the settings of preset `fast` for an object, which samples occupied cells, unless a setting refuses them. Prints which.
+fn in_occupied_cells(config: Config, mut assignments: Assignments, console: &Console) -> Config {
+    if let Some(name) = assignments.iter().map(|(path, _)| path.join(".")).find(|name| SAMPLES.contains(&name.as_str()))
+    {
+        if name != "sampling.kind" && config.sampling.kind == Placing::Resampled {
+            console.say(&format!("{name} is set: preset fast does not use occupied cells, and takes longer"));
+        }
+        return config;
+    }
+    assignments.push(placing(Placing::Occupancy));
+    match build(Some(Preset::Fast), None, &assignments) {
+        Ok(occupied) => {
+            console.say(
+                "preset fast samples only occupied cells of this object, for speed; --set sampling.kind=resampled samples as on other scenes",
+            );
+            occupied
+        }
+        Err(refused) => {
+            // What follows the first part is advice on a setting that nobody set.
+            let why = refused.to_string();
+            let why = why.split(';').next().unwrap_or_default();
+            let like = "compare with runs that have sampling.kind=resampled";
+            console.say(&format!("preset fast does not use occupied cells here, so {like}: {why}"));
+            config
+        }
+    }
+}
+
+/// Returns the setting of a kind of samples.
+pub fn placing(kind: Placing) -> (Vec<String>, Value) {
+    (vec!["sampling".into(), "kind".into()], Value::String(word(kind)))
 }
 
 /// Checks the name of a method.
@@ -238,9 +294,8 @@ fn check_method(name: &str) -> Result<()> {
     Err(Error::Config(format!("--method {name}: {found}")))
 }
 
-/// Returns whether the named method, if any, has fields on hash grids.
-fn may_be_on_a_grid(assignments: &[(Vec<String>, Value)]) -> bool {
+/// Returns the method that settings name, otherwise the default one. An unknown name is refused later.
+fn named_method(assignments: &Assignments) -> Method {
     let named = assignments.iter().rev().find(|(path, _)| path[..] == ["method"]);
-    let method = named.and_then(|(_, method)| method.clone().try_into::<Method>().ok());
-    method.is_none_or(|method| method.representation(Encoding::Hash).is_some())
+    named.and_then(|(_, method)| method.clone().try_into().ok()).unwrap_or_default()
 }

@@ -92,13 +92,16 @@ pub fn print_balance(experiment: &Experiment, steps: u64, answer: Answer, on: (&
     let (runtime, console) = on;
     let config = experiment.config(console)?;
     say_without_effect(experiment.settings(), |setting| not_balanced(&config, setting), console);
+    let on_hash_grid = config.on_hash_grid();
     let (config, lines) = balance(config, steps, runtime, console)?;
     let report = json!({ "scene": config.data.name, "steps": steps, "weights": lines });
     answer.give(&report, || print(&balance_csv(&config.data.name, steps, &lines)))?;
-    console.say(
+    // Occupied cells, which preset `fast` takes for objects, need weights of their own.
+    let samples = if on_hash_grid { " --set sampling.kind=resampled" } else { "" };
+    console.say(&format!(
         "share: the term's gradient norm at that weight, divided by the photometric loss's; use a weight with \
-         --set regularizer.kind=TERM --set regularizer.weight=WEIGHT",
-    );
+         --set regularizer.kind=TERM --set regularizer.weight=WEIGHT{samples}",
+    ));
     Ok(())
 }
 

@@ -41,7 +41,7 @@ mod view;
 
 /// Train and compare neural radiance fields with and without worst-case augmentation
 ///
-/// Start with `augnerf train`: it needs no data and takes about a minute.
+/// Start with `augnerf train`: it needs no data and takes half a minute.
 #[derive(Parser)]
 #[command(version = SHORT_VERSION.as_str(), long_version = LONG_VERSION.as_str(), max_term_width = 100, after_help = exit_codes())]
 #[command(arg_required_else_help = true, args_conflicts_with_subcommands = true, override_usage = "augnerf <COMMAND>")]
@@ -79,7 +79,7 @@ fn exit_codes() -> String {
 }
 
 const TRAIN_EXAMPLES: &str = "Examples:
-  augnerf train                                             # the built-in scene, about a minute
+  augnerf train                                             # the built-in scene, half a minute
   augnerf train --data fern --preset cpu                    # NeRF on a real scene, minutes
   augnerf train --data fern --preset cpu --method aug-nerf  # with worst-case augmentation
 
@@ -205,7 +205,7 @@ struct Sources {
 }
 
 /// The flag for the networks of LPIPS, which are not part of this program.
-#[derive(Args)]
+#[derive(Args, Default)]
 #[command(next_help_heading = "Experiment")]
 struct LpipsWeights {
     /// Folder with LPIPS weights (.pth or .safetensors) [default: none, LPIPS is not measured]

@@ -10,12 +10,12 @@ use crate::data::Photos;
 use crate::metrics::{Backbone, FLOOR_PSNR, PSNR, SSIM};
 use crate::run::{Existing, Finished, Job, RunDir, Setup, load_lpips, load_scene, load_scene_of};
 use crate::runtime::Runtime;
-use crate::settings::Config;
+use crate::settings::{Config, Placing};
 use crate::train::Origin;
 use crate::train::checkpoint::{self, State};
 
 use super::answer::{Answer, Measured};
-use super::experiment::{Base, Experiment, say_without_effect};
+use super::experiment::{Base, Experiment, placing, say_without_effect};
 use super::measure::print_balance;
 use super::progress::{Console, print};
 use super::signals::catch_signals;
@@ -94,10 +94,10 @@ impl TrainArguments {
     fn train(&self, runtime: &Runtime, console: &Console) -> Result<()> {
         // Restarted weights on another scene bring none of their own scene's settings.
         let parent = self.from.as_deref().map(Parent::open).transpose()?;
-        let base = parent.as_ref().map_or_else(Base::default, |parent| parent.base(self.restart));
+        let base = parent.as_ref().map_or_else(|| Base::of_training(runtime), |parent| parent.base(self.restart));
         let config = self.experiment.config_over(base, &self.weights, console)?;
-        if let Some(parent) = parent.as_ref().filter(|_| !self.restart && !self.print_config) {
-            parent.check_steps(config.train.steps)?;
+        if let Some(parent) = parent.as_ref().filter(|_| !self.print_config) {
+            parent.check(&config, self.restart)?;
         }
         let lpips = load_lpips(&config.eval.lpips_weights, runtime.device())?;
         let (config, scene) = load_scene(config, console)?;
@@ -134,6 +134,7 @@ struct Parent {
     run: RunDir,
     /// The file of the run's settings.
     config: PathBuf,
+    settings: Config,
     checkpoint: PathBuf,
     state: State,
 }
@@ -144,8 +145,9 @@ impl Parent {
         let run = RunDir::take_to_read(run)?;
         let checkpoint = checkpoint::latest(&run.checkpoints())?;
         let state = checkpoint::load_state(&checkpoint)?;
-        checkpoint::check_config(&checkpoint, &state, &run.read_config()?)?;
-        Ok(Parent { config: run.config(), run, checkpoint, state })
+        let settings = run.read_config()?;
+        checkpoint::check_config(&checkpoint, &state, &settings)?;
+        Ok(Parent { config: run.config(), settings, run, checkpoint, state })
     }
 
     /// Returns the run's settings as a base; the parent's name overrides everything.
@@ -153,11 +155,23 @@ impl Parent {
         let restarted = if restart { " restarted" } else { "" };
         let name = format!("{}@{}{restarted}", self.state.config_hash, self.state.step);
         let last = vec![(vec!["train".into(), "parent".into()], name.into())];
-        Base { file: Some(&self.config), first: Vec::new(), last, preset: |preset| preset }
+        // Weights in occupied cells stay there, whatever preset replaces the file.
+        let first = vec![placing(self.settings.sampling.kind)];
+        Base { file: Some(&self.config), first, last, ..Base::default() }
     }
 
-    fn check_steps(&self, steps: u64) -> Result<()> {
-        if self.state.step < steps {
+    /// Returns an error for a child that would train nothing, or that would not query where its own scene is.
+    fn check(&self, config: &Config, restart: bool) -> Result<()> {
+        if restart && config.sampling.kind == Placing::Occupancy && config.data.dir != self.settings.data.dir {
+            return Err(Error::Config(format!(
+                "--restart with {} on another scene: its occupied cells leave out where the new scene is; add --set \
+                 sampling.kind=resampled --set field.hash.log2_table={}",
+                self.run.path().display(),
+                self.settings.field.hash.log2_table
+            )));
+        }
+        let steps = config.train.steps;
+        if restart || self.state.step < steps {
             return Ok(());
         }
         Err(Error::Config(format!(
@@ -208,8 +222,9 @@ fn how_it_resumes(run: &Path, (step, steps): (u64, u64)) -> String {
 /// Describes the training in one line.
 fn what_is_trained(Setup { config, scene, .. }: &Setup) -> String {
     let size = scene.train.first().map(|view| (view.camera.width, view.camera.height)).unwrap_or_default();
+    let most = if config.sampling.kind == Placing::Occupancy { "up to " } else { "" };
     format!(
-        "{}{} on {}: {} views of {} x {} pixels, {} held out; {} steps of {} rays",
+        "{}{} on {}: {} views of {} x {} pixels, {} held out; {} steps of {most}{} rays",
         config.method.name(),
         config.regularizer.added(),
         scene.name,

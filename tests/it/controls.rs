@@ -94,6 +94,6 @@ fn a_mask_without_a_shared_grid_is_refused() {
         (&format!("{on_grid}; field.core=plain"), &["perturb.entries", "field.core", "perturb.field"]),
         (&format!("{on_grid}; perturb.field=separate"), &["perturb.entries", "field.core", "perturb.field"]),
         (&format!("{permuted}; train.chunk=1"), &["permuted", "train.chunk = 1"]),
-        (&format!("{permuted}; train.rays=65; train.chunk=32"), &["permuted", "train.rays = 65"]),
+        (&format!("{permuted}; train.rays=65; train.chunk=32"), &["permuted", "65 rays in a step"]),
     ]);
 }

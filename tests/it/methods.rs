@@ -117,6 +117,12 @@ fn budgets_of_evaluations_are_for_fields_and_those_of_seconds_for_all() {
         let steps: Vec<u64> = points("seconds", "NeRF").unwrap().iter().map(|point| point.config.train.steps).collect();
         assert_eq!(steps, [1200, 1200], "{method}");
     }
+    // How many samples occupied cells leave is not known before a step.
+    let occupied = text("nerf", "evaluations", "NeRF")
+        .replace("smoke", "fast")
+        .replace("method = \"nerf\"", "\"sampling.kind\" = \"occupancy\"");
+    let told = expand(&Definition::parse(&occupied, "t.toml").unwrap(), None, &equal).unwrap_err().to_string();
+    assert_says(&told, &["sampling.kind = \"occupancy\"", "budget.kind = \"seconds\""]);
 }
 
 /// A scene fills what is left open, and a resolved configuration resolves to itself.

@@ -1,7 +1,8 @@
 //! Samples in occupied cells: what is left out, what stays the same, and what does not go with them.
 
+use crate::common::program::{Place, set};
 use crate::common::{
-    assert_refused, assert_same_bytes, flat, parameters, put_on_grid, tiny_config, tiny_scene, trained,
+    assert_refused, assert_same_bytes, assert_says, flat, parameters, put_on_grid, tiny_config, tiny_scene, trained,
 };
 use augnerf::base::rng::{Random, Stream};
 use augnerf::data::{RayBuffer, RayParts, Rays};
@@ -54,7 +55,7 @@ fn all_intervals(rays: &Rays) -> PlacedSamples {
 }
 
 fn placed(occupancy: &Occupancy, field: &Field, rays: &Rays) -> PlacedSamples {
-    let intervals = occupancy.march(rays, BOUNDS, Spacing::Depth, None).unwrap();
+    let intervals = occupancy.march(rays, BOUNDS, None).unwrap();
     occupancy.place(field, rays, &intervals).unwrap()
 }
 
@@ -238,4 +239,41 @@ fn what_does_not_go_with_occupied_cells_is_refused() {
         ("sampling.occupancy.cells=4", &["sampling.occupancy.cells", "8 to 256"]),
         ("sampling.occupancy.decay=1", &["sampling.occupancy.decay", "below 1"]),
     ]);
+}
+
+/// Preset `fast` takes them for objects, unless a setting says otherwise, and says what it takes.
+#[test]
+fn preset_fast_takes_occupied_cells_for_objects() {
+    let place = Place::new();
+    place.run("data export-builtin scene --width 40", 0);
+    let small = set("data.width=40 eval.train_views=0");
+    place.run(&format!("train --preset smoke --out run --quiet --set train.steps=2{small}"), 0);
+    let (taken, refused) = ("only occupied cells of this object", "preset fast does not use occupied cells here");
+    for (flags, said, kind) in [
+        ("", Some(taken), "occupancy"),
+        ("--preset fast --data scene --method aug-nerf", Some(taken), "occupancy"),
+        ("--set sampling.kind=resampled", None, "resampled"),
+        ("--set sampling.coarse=24", Some("sampling.coarse is set"), "resampled"),
+        ("--set regularizer.kind=cauchy", Some(refused), "resampled"),
+        ("--set field.encoding=positional", None, "resampled"),
+        ("--preset fast --method srn", None, "resampled"),
+        ("--data builtin-forward:3 --preset fast", None, "resampled"),
+        ("--config run/config.toml --preset fast", None, "resampled"),
+        ("--from run --set train.steps=4", None, "resampled"),
+        ("--from run --preset fast --set train.steps=4", None, "resampled"),
+        ("--preset few-views", None, "resampled"),
+    ] {
+        let size = if flags.contains("--data scene") { "" } else { " --set data.width=40" };
+        let told = place.run(&format!("train --print-config {flags}{size}"), 0);
+        assert_says(&told, &[said.unwrap_or(""), &format!("kind = \"{kind}\"\ncoarse = ")]);
+        assert!(said.is_some() || !told.contains("occupied cells"), "{flags}: {told}");
+    }
+    // Cells of one scene say nothing of another.
+    place.run(&format!("train --out occupied --quiet --set train.steps=2{small}"), 0);
+    let other = "train --from occupied --restart --data scene --set train.steps=2 --out other";
+    assert_says(&place.run(other, 2), &["--restart", "occupied cells", "sampling.kind=resampled"]);
+    place.run(&format!("{other} --set sampling.kind=resampled --quiet"), 0);
+    // Noise has no occupied cells.
+    let timed = "bench --set field.encoding=hash --set sampling.kind=occupancy";
+    assert_says(&place.run(timed, 2), &["sampling.kind = \"occupancy\"", "timing.json"]);
 }

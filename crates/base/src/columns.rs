@@ -55,7 +55,9 @@ pub enum Applies {
     HashGrid,
     /// Those of fields without a hash grid.
     NoHashGrid,
-    /// Those of fields that are queried at intervals.
+    /// Those of fields with a coarse pass.
+    CoarsePass,
+    /// Those of fields with a coarse pass that are queried at intervals.
     Intervals,
     /// Those whose steps use rays.
     Rays,
@@ -188,8 +190,8 @@ pub const COLUMNS: &[Column] = &[
     column("field_depth").in_caption().of(Fields),
     column("init").where_differing().of(Fields),
     column("density_activation").in_caption().of(Fields),
-    column("samples_coarse").in_caption().of(Fields),
-    column("samples_fine").in_caption().of(Fields),
+    column("samples_coarse").in_caption().of(CoarsePass),
+    column("samples_fine").in_caption().of(CoarsePass),
     column("rays").in_caption().of(Rays),
     column("steps").in_caption(),
     column("epochs"),
@@ -246,7 +248,7 @@ pub const COLUMNS: &[Column] = &[
     column("gradient_scaling").where_differing().of(Fields),
     column("sam").where_differing(),
     column("hash_grid").where_differing().of(HashGrid),
-    column("occupancy").where_differing().of(HashGrid),
+    column("occupancy").in_caption().of(HashGrid),
     column("spacing").where_differing().of(Fields),
     column("masks").in_caption().unless_varied(),
     column("parent").where_differing(),

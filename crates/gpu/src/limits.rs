@@ -70,7 +70,11 @@ pub(crate) fn check_fields(config: &Config) -> Result<()> {
     }
     check_field(&config.field)?;
     if config.sampling.kind == Placing::Occupancy {
-        return Err(refused("sampling.kind = \"occupancy\""));
+        return Err(Error::Config(
+            "device gpu does not compute sampling.kind = \"occupancy\" yet; use --device cpu, or train with --set \
+             sampling.kind=resampled"
+                .into(),
+        ));
     }
     let (coarse, fine) = config.samples();
     if coarse.max(fine) + 1 > MOST_POSITIONS {

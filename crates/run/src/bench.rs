@@ -10,7 +10,7 @@ use crate::data::{Camera, Scene, View};
 use crate::field::peak_gflops;
 use crate::revision::revision;
 use crate::runtime::{Runtime, peak_memory_mib};
-use crate::settings::{DataKind, Extent, Method, Preset, REGULARIZERS, Resolved, parse_assignment};
+use crate::settings::{DataKind, Extent, Method, Placing, Preset, REGULARIZERS, Resolved, parse_assignment};
 use crate::train::Trainer;
 
 /// Steps before the timing starts.
@@ -205,13 +205,18 @@ impl Workload {
     /// Takes the steps on a runtime and times them.
     ///
     /// # Errors
-    /// Settings are invalid; training diverges.
+    /// Settings are invalid, or samples depend on what is learned; training diverges.
     pub fn run(&self, runtime: &Runtime) -> Result<Timed> {
         runtime.install(|| self.run_here(runtime))
     }
 
     fn run_here(&self, runtime: &Runtime) -> Result<Timed> {
         let config = self.config(runtime)?;
+        if config.sampling.kind == Placing::Occupancy {
+            let refusal = "sampling.kind = \"occupancy\" is not timed on noise, because a step's samples depend on what was learned; train, \
+                           and read seconds_training in the run's timing.json";
+            return Err(Error::Config(refusal.into()));
+        }
         let workload = self.filled()?;
         let rays = workload.rays.unwrap_or(config.llff.crop.pow(2));
         let mut trainer = Trainer::new(&config, &scene_of(config.method), DType::F32, runtime)?;

@@ -1,7 +1,7 @@
 //! The columns of a run's protocol ([`crate::base::columns`]), as configurations have them.
 
 use super::registry::REGISTRY;
-use super::{Batching, Config, Encoding, Method, Schedule};
+use super::{Batching, Config, Encoding, Method, Placing, Schedule};
 pub use crate::base::columns::*;
 use crate::perturb::PaperSite;
 
@@ -10,6 +10,7 @@ pub fn applies(column: &Column, config: &Config) -> bool {
     let Config { method, train, .. } = config;
     let (of_fields, of_rays) = (method.has_fields(), method.learns_from_rays());
     let on_hash_grid = config.field.encoding == Encoding::Hash;
+    let places = config.sampling.kind == Placing::Resampled;
     let of_one_image = of_rays && train.batching == Some(Batching::OneImage);
     let perturbed_at = |site: PaperSite| perturbed(config) && config.perturb[site].on();
     match column.applies {
@@ -23,7 +24,8 @@ pub fn applies(column: &Column, config: &Config) -> bool {
         Applies::Fields => of_fields,
         Applies::HashGrid => of_fields && on_hash_grid,
         Applies::NoHashGrid => of_fields && !on_hash_grid,
-        Applies::Intervals => of_fields && config.field.encoding.at_intervals(),
+        Applies::CoarsePass => of_fields && places,
+        Applies::Intervals => of_fields && places && config.field.encoding.at_intervals(),
         Applies::Rays => of_rays,
         Applies::OneImage => of_one_image,
         Applies::Precrop => of_one_image && train.precrop_steps != Some(0),

@@ -20,7 +20,8 @@ impl Config {
         self.idle().at(path).next().map(|idle| idle.why.clone())
     }
 
-    pub(crate) fn on_hash_grid(&self) -> bool {
+    /// Returns whether a field on a hash grid is trained.
+    pub fn on_hash_grid(&self) -> bool {
         self.method.has_fields() && self.field.encoding == Encoding::Hash
     }
 

@@ -13,7 +13,7 @@ use crate::base::{Error, Result, number_text};
 /// A named set of settings.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Preset {
-    /// About a minute on two cores, for any scene: a field on a hash grid.
+    /// Half a minute to a minute on two cores, for any scene: a field on a hash grid.
     Fast,
     /// Seconds on two cores, for the built-in scene.
     Smoke,
@@ -397,19 +397,19 @@ mod tests {
         }
     }
 
-    /// Occupied cells have chunks and tables of their own, over which few views and settings lie.
+    /// Occupied cells have tables and intervals of their own, over which few views and settings lie.
     #[test]
     fn occupied_cells_have_settings_of_their_own() {
         let of = |preset: Preset, settings: &[&str]| {
             let settings: Vec<_> = settings.iter().map(|text| parse_assignment(text).unwrap()).collect();
             let config = build(Some(preset), None, &settings).unwrap();
-            (config.train.rays, config.train.chunk, config.field.hash.log2_table)
+            (config.train.rays, config.field.hash.log2_table, config.sampling.occupancy.intervals)
         };
         let occupied = "sampling.kind=occupancy";
-        assert_eq!(of(Preset::Fast, &[occupied]), (1024, 256, 15));
-        assert_eq!(of(Preset::Fast, &[occupied, "train.chunk=64"]), (1024, 64, 15));
-        assert_eq!(of(Preset::FewViews, &[occupied]), (128, 256, 15));
-        assert_eq!(of(Preset::Fast, &[]), (1024, 32, 17));
+        assert_eq!(of(Preset::Fast, &[occupied]), (1024, 15, 192));
+        assert_eq!(of(Preset::Fast, &[occupied, "field.hash.log2_table=16"]), (1024, 16, 192));
+        assert_eq!(of(Preset::FewViews, &[occupied]), (128, 15, 192));
+        assert_eq!(of(Preset::Fast, &[]), (1024, 17, 256));
     }
 
     /// A method without fields has its own size for a preset; the original's where none is named.

@@ -163,8 +163,8 @@ impl Config {
             (
                 !self.on_hash_grid(),
                 format!(
-                    "{of_kind} needs a hash grid, whose cube its cells divide; set field.encoding = \"hash\", or leave \
-                     sampling.kind at \"resampled\""
+                    "{of_kind} needs a hash grid, whose cube its cells divide; set field.encoding = \"hash\", or \
+                     sampling.kind=resampled"
                 ),
             ),
             (
@@ -177,15 +177,15 @@ impl Config {
             (
                 self.sampling.spacing == Spacing::Disparity,
                 format!(
-                    "{of_kind} with sampling.spacing = \"disparity\": a cell is empty by the depth of intervals of one length; leave \
-                     sampling.spacing at \"depth\""
+                    "{of_kind} with sampling.spacing = \"disparity\": a cell is empty by the depth of intervals of one length; set \
+                     sampling.spacing=depth"
                 ),
             ),
             (
                 !other_samples.is_empty(),
                 format!(
-                    "{of_kind} with regularizer.kind = \"{other_samples}\": that term compares or counts a ray's samples, of which \
-                     only those that count are there; leave sampling.kind at \"resampled\""
+                    "{of_kind} with regularizer.kind = \"{other_samples}\": that term needs all samples of a ray; \
+                     set sampling.kind=resampled"
                 ),
             ),
         ])
@@ -207,6 +207,9 @@ impl Config {
         let on_grid = self.field.encoding == Encoding::Hash;
         let separable = on_grid && self.field.core == Core::Fused && perturb.field == PerturbField::Shared;
         let permutes = perturb.second == SecondPass::Permuted;
+        // The first steps with occupied cells have fewer rays.
+        let refresh = self.sampling.occupancy.refresh;
+        let alone = (0..32).map(|look| self.sampling.rays_at(rays, look * refresh)).find(|rays| rays % chunk == 1);
         let still = !self.sampling.jitter && self.sampling.density_noise == Some(0.0);
         refuse_first([
             (
@@ -216,10 +219,11 @@ impl Config {
                     .into(),
             ),
             (
-                permutes && (chunk == 1 || rays % chunk == 1),
+                permutes && (chunk == 1 || alone.is_some()),
                 format!(
-                    "perturb.kind = \"permuted\" with train.chunk = {chunk} and train.rays = {rays}: a chunk has one ray, whose \
-                     deltas no other ray can take; choose a train.chunk that leaves no chunk of one ray"
+                    "perturb.kind = \"permuted\" with train.chunk = {chunk} and {} rays in a step: a chunk has one ray, whose \
+                     deltas no other ray can take; choose a train.chunk that leaves no chunk of one ray",
+                    alone.unwrap_or(rays)
                 ),
             ),
             (

@@ -6,7 +6,7 @@ use crate::base::{Error, Event, Image, Listener, Result};
 use crate::data::{Camera, Scene};
 use crate::mesh::{Chamfer, Drawing, Reference, chamfer, in_scene, level_set, read_mesh, sample};
 use crate::runtime::free_memory_mib;
-use crate::settings::{BuiltinScene, Config, DataKind, MeshConfig, NO_REFERENCE, Representation};
+use crate::settings::{BuiltinScene, Config, DataKind, MeshConfig, NO_REFERENCE, Placing, Representation};
 use crate::space::Lattice;
 
 use super::mesh_picture::surface_picture;
@@ -41,7 +41,8 @@ pub fn surface_box(scene: &Scene) -> [[f64; 3]; 2] {
 /// Returns the default density of a scene's surface: it stops half of the light within the mean interval between a
 /// ray's samples, ln 2 * samples / (far - near). The run's own rendering shows thinner density as a veil, and cannot
 /// resolve a denser surface. For the paper's 64 + 128 samples from 2 to 6 it is 33 (the paper: 25). Under NDC, where
-/// rays run from z = -1 to 1, `far - near` is 2.
+/// rays run from z = -1 to 1, `far - near` is 2. In occupied cells it stops half of the light within
+/// six intervals.
 ///
 /// Neural Volumes add up opacity * length: there the surface stops half of the light of one step.
 pub fn surface_threshold(config: &Config, scene: &Scene) -> f64 {
@@ -50,9 +51,15 @@ pub fn surface_threshold(config: &Config, scene: &Scene) -> f64 {
     }
     let length = if scene.ndc.is_some() { 2.0 * (scene.far - scene.near) } else { scene.far - scene.near };
     let (coarse, fine) = config.samples();
-    let samples = if fine > 0 { fine } else { coarse };
-    std::f64::consts::LN_2 * samples as f64 / length
+    let samples = match config.sampling.kind {
+        Placing::Occupancy => fine as f64 / OCCUPIED_INTERVALS,
+        Placing::Resampled => (if fine > 0 { fine } else { coarse }) as f64,
+    };
+    std::f64::consts::LN_2 * samples / length
 }
+
+/// Intervals in occupied cells that stop half of the light at a scene's surface. The light of one alone leaves holes.
+const OCCUPIED_INTERVALS: f64 = 6.0;
 
 /// Returns the built-in scene whose surface a name means: `builtin`, or `builtin:17`.
 pub(super) fn builtin_surface(name: &str) -> Option<BuiltinScene> {

@@ -316,7 +316,12 @@ fn corruption_notes(lines: &[&Line]) -> Vec<String> {
 
 /// Returns the settings that the definition varies between lines and that a reader might think equal.
 fn varied_notes(lines: &[&Line], most: usize) -> Vec<String> {
-    let value = |line: &Line, name: &str| Some(line.protocol(name).to_string()).filter(|text| !text.is_empty());
+    let value = |line: &Line, name: &str| match line.protocol(name) {
+        // A hash grid without occupied cells, beside one with them.
+        "" if name == "occupancy" && !line.protocol("hash_grid").is_empty() => Some("none".to_string()),
+        "" => None,
+        text => Some(text.to_string()),
+    };
     let varied = columns(&[CaptionRule::Always, CaptionRule::Differing]).filter_map(|name| {
         let values = labels_by(lines, most, |line| value(line, name));
         let named: Vec<String> = values.iter().map(|(value, labels)| format!("{value} ({labels})")).collect();
