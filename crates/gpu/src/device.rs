@@ -2,7 +2,7 @@
 
 use std::collections::HashMap;
 use std::fmt;
-use std::sync::{Arc, Mutex, PoisonError, mpsc};
+use std::sync::{Arc, Mutex, OnceLock, PoisonError, mpsc};
 use std::time::Duration;
 
 use augnerf_base::{Error, Result};
@@ -35,6 +35,8 @@ struct Opened {
     adapter: ListedDevice,
     limits: Limits,
     pipelines: Mutex<HashMap<Kernel, ComputePipeline>>,
+    /// How the device was lost, and what first went wrong outside of [`Gpu::checked`].
+    failures: Arc<[OnceLock<String>; 2]>,
     /// Tiles of wide layers in f32.
     tiles: Tiles,
 }
@@ -119,6 +121,10 @@ pub(crate) struct Dispatch {
     size: [u32; 3],
 }
 
+/// Groups after which a submission ends. With the tiles of integrated cards a group has at most a million multiply-adds, so that a
+/// submission takes half a second at a quarter of a TFLOP/s.
+const AT_ONCE: u64 = 1 << 16;
+
 /// Groups an axis can have.
 pub(crate) const MOST_GROUPS: u32 = 65_535;
 
@@ -174,13 +180,21 @@ impl Gpu {
         let (device, queue) = block_on(adapter.request_device(&descriptor))
             .map_err(|e| refuse(format!("{} cannot be opened: {e}", known.name)))?;
         let pipelines = Mutex::default();
+        // wgpu's own handlers panic.
+        let failures: Arc<[OnceLock<String>; 2]> = Arc::default();
+        let (of_loss, of_error) = (failures.clone(), failures.clone());
+        device.set_device_lost_callback(move |_, found| drop(of_loss[0].set(format!("was lost: {found}"))));
+        device.on_uncaptured_error(Arc::new(move |error| drop(of_error[1].set(failure_of(&error)))));
         // Large tiles need the registers of a card; an H200's step of NeRF takes two thirds of the time with them.
         let (budget, tiles) = match info.device_type {
             DeviceType::DiscreteGpu => (6 << 30, Tiles::Large),
             DeviceType::Cpu => (1 << 28, Tiles::Small),
             _ => (1 << 30, Tiles::Small),
         };
-        Ok(Gpu(Arc::new(Opened { device, queue, adapter: known, limits: required, pipelines, tiles }), budget))
+        Ok(Gpu(
+            Arc::new(Opened { device, queue, adapter: known, limits: required, pipelines, failures, tiles }),
+            budget,
+        ))
     }
 
     /// Returns its adapter.
@@ -218,13 +232,15 @@ impl Gpu {
         let [internal, validation, memory] = [internal, validation, memory].map(|scope| block_on(scope.pop()));
         // Work on a buffer that could not be made is wrong as well.
         if memory.is_some() {
-            return Err(refused(
-                "out of memory; lower train.rays, field.width, field.hash.log2_table or regularizer.lattice".into(),
-            ));
+            return Err(refused(format!("out of memory; {SMALLER}")));
         }
         match internal.or(validation) {
-            Some(error) => Err(refused(error.to_string())),
-            None => Ok(value),
+            Some(error) => {
+                // On a lost device everything is wrong.
+                self.wait()?;
+                Err(refused(error.to_string()))
+            }
+            None => self.still_works().map(|()| value),
         }
     }
 
@@ -314,18 +330,25 @@ impl Gpu {
         self.0.device.create_command_encoder(&CommandEncoderDescriptor::default())
     }
 
-    /// Submits dispatches in their order.
+    /// Submits dispatches in their order, in several submissions if they are many: drivers end one that takes seconds.
     pub(crate) fn submit<'a>(&self, work: impl IntoIterator<Item = &'a Dispatch>) {
-        let mut encoder = self.encoder();
-        {
-            let mut pass = encoder.begin_compute_pass(&ComputePassDescriptor::default());
-            for Dispatch { pipeline, group, size: [x, y, z] } in work {
-                pass.set_pipeline(pipeline);
-                pass.set_bind_group(0, group, &[]);
-                pass.dispatch_workgroups(*x, *y, *z);
+        let mut work = work.into_iter().peekable();
+        while work.peek().is_some() {
+            let mut encoder = self.encoder();
+            {
+                let mut pass = encoder.begin_compute_pass(&ComputePassDescriptor::default());
+                let mut groups = 0;
+                while groups < AT_ONCE
+                    && let Some(Dispatch { pipeline, group, size: [x, y, z] }) = work.next()
+                {
+                    pass.set_pipeline(pipeline);
+                    pass.set_bind_group(0, group, &[]);
+                    pass.dispatch_workgroups(*x, *y, *z);
+                    groups += u64::from(*x) * u64::from(*y) * u64::from(*z);
+                }
             }
+            self.0.queue.submit([encoder.finish()]);
         }
-        self.0.queue.submit([encoder.finish()]);
     }
 
     /// Copies complete buffers, one after another, into another one, after the work that was submitted.
@@ -337,15 +360,29 @@ impl Gpu {
 
     /// Waits until all submitted work is done.
     pub(crate) fn wait(&self) -> Result<()> {
-        self.0.device.poll(PollType::wait_indefinitely()).map_err(|e| self.lost(&e.to_string()))?;
-        Ok(())
+        let waited = self.0.device.poll(PollType::wait_indefinitely());
+        // The first failure says more than that nothing can be waited for.
+        self.still_works()?;
+        waited.map(drop).map_err(|e| self.failed(&format!("was lost: {e}")))
     }
 
-    fn lost(&self, found: &str) -> Error {
+    /// Returns an error if something went wrong since the device was opened.
+    fn still_works(&self) -> Result<()> {
+        // On a lost device everything goes wrong.
+        let failure = self.0.failures.iter().find_map(OnceLock::get);
+        failure.map_or(Ok(()), |failure| Err(self.failed(failure)))
+    }
+
+    fn failed(&self, how: &str) -> Error {
         let name = &self.0.adapter.name;
-        let lost =
-            format!("device gpu ({name}) was lost: {found}; `augnerf resume` continues from the last checkpoint");
-        candle_core::Error::Msg(lost).into()
+        let failed = format!("device gpu ({name}) {how}; `augnerf resume` continues from the last checkpoint");
+        candle_core::Error::Msg(failed).into()
+    }
+
+    /// Takes the device away, for tests.
+    #[doc(hidden)]
+    pub fn destroy(&self) {
+        self.0.device.destroy();
     }
 
     /// Reads buffers in one transfer.
@@ -367,10 +404,10 @@ impl Gpu {
         self.wait()?;
         match outcome.recv_timeout(ANSWERS_WITHIN) {
             Ok(Ok(())) => {}
-            Ok(Err(error)) => return Err(self.lost(&error.to_string())),
-            Err(_) => return Err(self.lost("it does not answer")),
+            Ok(Err(error)) => return Err(self.failed(&format!("was lost: {error}"))),
+            Err(_) => return Err(self.failed("does not answer")),
         }
-        let view = staging.slice(..).get_mapped_range().map_err(|e| self.lost(&e.to_string()))?;
+        let view = staging.slice(..).get_mapped_range().map_err(|e| self.failed(&format!("was lost: {e}")))?;
         let mut parts = Vec::with_capacity(buffers.len());
         let mut at = 0;
         for buffer in buffers {
@@ -385,6 +422,17 @@ impl Gpu {
     pub(crate) fn read_f32(&self, buffer: &Buffer, count: usize) -> Result<Vec<f32>> {
         let bytes = self.read(&[buffer])?.remove(0);
         Ok(bytemuck::pod_collect_to_vec(&bytes[..4 * count]))
+    }
+}
+
+/// What helps where memory is short.
+const SMALLER: &str = "lower train.rays, field.width, field.hash.log2_table or regularizer.lattice";
+
+/// Returns the failure that an error outside of [`Gpu::checked`] is.
+fn failure_of(error: &wgpu::Error) -> String {
+    match error {
+        wgpu::Error::OutOfMemory { .. } => format!("is out of memory; {SMALLER}"),
+        error => format!("failed: {error}"),
     }
 }
 

@@ -2,8 +2,9 @@
 
 mod common;
 
-use augnerf_gpu::Steps;
+use augnerf_gpu::{Gpu, Steps};
 use augnerf_nerf::methods::{DeviceSteps, FieldLearner, Learner, StepAt};
+use augnerf_nerf::runtime::Accelerator;
 use augnerf_nerf::settings::DensityActivation;
 use candle_core::{DType, Device, Tensor};
 use common::{config, flat, gpu, scene, start};
@@ -333,5 +334,38 @@ fn what_is_not_there_is_refused_by_name() {
     ] {
         let error = augnerf_gpu::check(&config(&settings)).unwrap_err().to_string();
         assert!(error.contains(named) && error.contains("--device cpu"), "{error}");
+    }
+}
+
+/// Wherever a device is lost, an error says so, and nothing panics.
+#[test]
+fn a_lost_device_is_an_error_that_names_resume() {
+    let (config, scene) = (config(&["method=aug-nerf", "perturb.attack=calibrated"]), scene());
+    for at_place in 0..10u64 {
+        let gpu = Gpu::open(0).unwrap();
+        let learner = start(&config, &scene);
+        let work = || -> augnerf_base::Result<()> {
+            let lose = |place: u64| (place == at_place).then(|| gpu.destroy());
+            lose(0);
+            let mut steps = Steps::new(&gpu, &config, &scene, learner.fields(), None)?;
+            lose(1);
+            for step in 0..3 {
+                steps.step(at(step, 1e-3, step == 1))?;
+                lose(2 + step);
+            }
+            steps.reports()?;
+            lose(5);
+            steps.step(at(3, 1e-3, true))?;
+            lose(6);
+            steps.fetch()?;
+            lose(7);
+            steps.gradients(4)?;
+            lose(8);
+            steps.fetch()?;
+            lose(9);
+            gpu.synchronize()
+        };
+        let error = work().expect_err("the device is gone").to_string();
+        assert!(error.contains("was lost") && error.contains("`augnerf resume` continues"), "{at_place}: {error}");
     }
 }
