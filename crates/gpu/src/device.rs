@@ -21,7 +21,7 @@ use crate::kernels::{Kernel, Tiles};
 /// After a wait a device answers at once.
 const ANSWERS_WITHIN: Duration = Duration::from_secs(60);
 /// Storage buffers that the largest kernel binds.
-const STORAGE_BUFFERS: u32 = 10;
+const STORAGE_BUFFERS: u32 = 9;
 /// Bytes that the threads of a group share in the sort of a ray's samples.
 const SHARED_BYTES: u32 = 24_576;
 

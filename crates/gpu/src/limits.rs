@@ -58,7 +58,8 @@ pub(crate) fn check_precision(gpu: &Gpu, config: &Config) -> Result<()> {
         return Ok(());
     }
     Err(Error::Config(format!(
-        "field.precision = \"f16\" needs matrix units with f16, which {} lacks; choose \"f32\"",
+        "field.precision = \"f16\" needs matrix units of 16 x 16 in f16, for groups of exactly 32 threads, as NVIDIA's cards have; {} \
+         has none of that form; choose \"f32\"",
         gpu.adapter().name
     )))
 }
