@@ -10,7 +10,7 @@ use crate::data::Photos;
 use crate::metrics::{Backbone, FLOOR_PSNR, PSNR, SSIM};
 use crate::run::{Existing, Finished, Job, RunDir, Setup, load_lpips, load_scene, load_scene_of};
 use crate::runtime::Runtime;
-use crate::settings::{Config, Placing};
+use crate::settings::{Config, DataKind, Placing};
 use crate::train::Origin;
 use crate::train::checkpoint::{self, State};
 
@@ -162,7 +162,9 @@ impl Parent {
 
     /// Returns an error for a child that would train nothing, or that would not query where its own scene is.
     fn check(&self, config: &Config, restart: bool) -> Result<()> {
-        if restart && config.sampling.kind == Placing::Occupancy && config.data.dir != self.settings.data.dir {
+        let (data, own) = (&config.data, &self.settings.data);
+        let is_other = data.dir != own.dir || data.kind != DataKind::Auto && data.kind != own.kind;
+        if restart && config.sampling.kind == Placing::Occupancy && is_other {
             return Err(Error::Config(format!(
                 "--restart with {} on another scene: its occupied cells leave out where the new scene is; add --set \
                  sampling.kind=resampled --set field.hash.log2_table={}",

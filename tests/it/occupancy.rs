@@ -272,6 +272,10 @@ fn preset_fast_takes_occupied_cells_for_objects() {
     place.run(&format!("train --out occupied --quiet --set train.steps=2{small}"), 0);
     let other = "train --from occupied --restart --data scene --set train.steps=2 --out other";
     assert_says(&place.run(other, 2), &["--restart", "occupied cells", "sampling.kind=resampled"]);
+    assert_says(
+        &place.run(&other.replace("--data scene", "--data builtin-forward"), 2),
+        &["--restart", "occupied cells"],
+    );
     place.run(&format!("{other} --set sampling.kind=resampled --quiet"), 0);
     // Noise has no occupied cells.
     let timed = "bench --set field.encoding=hash --set sampling.kind=occupancy";
