@@ -10,7 +10,7 @@ use augnerf::field::{Density, Field, FieldDensity};
 use augnerf::methods::Fields;
 use augnerf::perturb::{PaperSite, Passes};
 use augnerf::render::{
-    Composite, Occupancy, OccupiedDensity, Pass, PlacedSamples, clean_pass, photometric_loss, render_rays, sampling,
+    Composite, Occupancy, OccupiedDensity, Pass, PlacedSamples, clean_pass, photometric_loss, sampling,
 };
 use augnerf::settings::{Config, Contraction, DensityActivation, Method, PixelOrigin, Placing, Resolved, Spacing};
 use candle_core::{DType, Device, Tensor};
@@ -42,16 +42,14 @@ fn rays(dtype: DType) -> Rays {
 
 /// A pass over all intervals, or over those of cells.
 fn rendered(field: &Field, rays: &Rays, placed: &PlacedSamples) -> Composite {
-    let (t_vals, asked) = (&placed.t_vals, placed.asked.as_ref());
-    let (density_noise, background, scales_gradients) = (None, Some([1.0; 3]), false);
-    clean_pass(field, Pass { rays, t_vals, asked, density_noise, background, scales_gradients }).unwrap().composite
+    clean_pass(field, Pass::noiseless(rays, placed, Some([1.0; 3]))).unwrap().composite
 }
 
 /// All intervals of rays.
 fn all_intervals(rays: &Rays) -> PlacedSamples {
     let edges = INTERVALS + 1;
     let t_vals = sampling::stratified(BOUNDS, Spacing::Depth, rays.len(), edges, None, &rays.origins).unwrap();
-    PlacedSamples { t_vals, asked: None }
+    PlacedSamples::all(t_vals)
 }
 
 fn placed(occupancy: &Occupancy, field: &Field, rays: &Rays) -> PlacedSamples {
@@ -98,7 +96,7 @@ fn an_interrupted_step_leaves_the_cells() {
     assert_eq!(parameters(&trainer, &["coarse", "occupancy"]), before);
 }
 
-/// Rays that meet nothing are the background, alone or beside others, and nothing is asked about them.
+/// Rays that meet nothing are the background, alone or beside others, and the field is not queried there.
 #[test]
 fn rays_that_meet_no_cell_are_background() {
     let config = config(Method::Nerf, |_| {});
@@ -108,7 +106,7 @@ fn rays_that_meet_no_cell_are_background() {
         let away = Rays { origins: (&rays.origins * 10.0).unwrap(), directions: rays.directions.clone(), ..rays };
         let field = fields.coarse().frozen().unwrap();
         let placed = placed(fields.occupancy().unwrap(), &field, &away);
-        assert_eq!(placed.asked.as_ref().unwrap().count(), 0);
+        assert_eq!(placed.queried.as_ref().unwrap().count(), 0);
         let out = rendered(&field, &away, &placed);
         assert!(flat(&out.rgb).iter().all(|colour| *colour == 1.0) && flat(&out.acc).iter().all(|acc| *acc == 0.0));
     }
@@ -125,7 +123,7 @@ fn with_all_cells_occupied_it_is_the_pass_over_all_intervals() {
         let target = Tensor::zeros((rays.len(), 3), dtype, &Device::Cpu).unwrap();
         let results = [all_intervals(&rays), placed(fields.occupancy().unwrap(), &field.frozen().unwrap(), &rays)].map(
             |placed| {
-                let count = placed.asked.as_ref().map(|asked| asked.count());
+                let count = placed.queried.as_ref().map(|queried| queried.count());
                 assert!(count.is_none_or(|count| (100..rays.len() * INTERVALS).contains(&count)), "{count:?}");
                 let field = fields.coarse().recording().unwrap();
                 let out = rendered(&field, &rays, &placed);
@@ -162,23 +160,22 @@ fn what_is_left_out_does_not_change_pictures() {
     });
     let mut trainer = trained(&config, 399);
     trainer.step(true).unwrap();
-    let (rays, sampling) = (rays(DType::F32), &config.sampling);
+    let rays = rays(DType::F32);
     let fields = trainer.model().unwrap().fields().unwrap().frozen().unwrap();
     let (field, occupancy) = (fields.evaluated(), fields.occupancy().unwrap());
-    occupancy.look(field, BOUNDS, true, &mut Random::new(1, Stream::Occupancy, 0)).unwrap();
+    occupancy.update(field, BOUNDS, true, &mut Random::new(1, Stream::Occupancy, 0)).unwrap();
     let sparse = placed(occupancy, field, &rays);
     let all = Fields::init(&config, &[0], DType::F32, &Device::Cpu).unwrap();
-    let count = |placed: &PlacedSamples| placed.asked.as_ref().unwrap().count();
-    let (asked, in_box) = (count(&sparse), count(&placed(all.occupancy().unwrap(), all.coarse(), &rays)));
-    assert!(asked > 10 && asked < in_box, "{asked} samples are asked about, of {in_box} in the box");
+    let count = |placed: &PlacedSamples| placed.queried.as_ref().unwrap().count();
+    let (queried, in_box) = (count(&sparse), count(&placed(all.occupancy().unwrap(), all.coarse(), &rays)));
+    assert!(queried > 10 && queried < in_box, "{queried} samples are queried, of {in_box} in the box");
     let (full, sparse) = (rendered(field, &rays, &all_intervals(&rays)), rendered(field, &rays, &sparse));
     let off: f64 =
         flat(&(&full.rgb - &sparse.rgb).unwrap().abs().unwrap()).iter().sum::<f64>() / (3 * rays.len()) as f64;
-    let skipped = (in_box - asked) as f64 / rays.len() as f64;
+    let skipped = (in_box - queried) as f64 / rays.len() as f64;
     let bound = 1.0 - (-THRESHOLD * skipped).exp();
-    assert!(off < bound, "colours differ by {off}, {bound} is allowed; {asked} of {in_box} intervals");
-    let evaluated =
-        render_rays(fields.coarse(), fields.fine(), Some(occupancy), &rays, BOUNDS, sampling, Some([1.0; 3])).unwrap();
+    assert!(off < bound, "colours differ by {off}, {bound} is allowed; {queried} of {in_box} intervals");
+    let evaluated = fields.evaluation(&config.sampling, BOUNDS, Some([1.0; 3])).render(&rays).unwrap();
     assert_eq!(flat(&evaluated.rgb), flat(&sparse.rgb), "an evaluation has the same samples");
 
     // In space, density is the field's in occupied cells, and 0 in others.

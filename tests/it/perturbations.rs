@@ -151,7 +151,8 @@ fn assert_legal(setting: &Setting, deltas: &Deltas) -> Result<(), TestCaseError>
     let padding = setting.field.config().rgb_padding;
     prop_assert!(flat(&out.rgb).iter().all(|c| (-padding..=1.0 + padding).contains(c)));
     prop_assert!(flat(&out.density).iter().all(|d| *d >= 0.0));
-    let t_vals = (&setting.t_vals + out.used.deltas.get(PaperSite::T).unwrap()).unwrap().to_vec2::<f64>().unwrap();
+    let t_vals =
+        (&setting.samples.t_vals + out.used.deltas.get(PaperSite::T).unwrap()).unwrap().to_vec2::<f64>().unwrap();
     for ray in t_vals {
         prop_assert!(ray.windows(2).all(|pair| pair[0] <= pair[1]), "{ray:?}");
         prop_assert!(ray.iter().all(|t| (2.0..=6.0).contains(t)), "{ray:?}");

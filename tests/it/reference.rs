@@ -8,7 +8,7 @@ use augnerf::data::Rays;
 use augnerf::field::{Field, encode};
 use augnerf::perturb::{AttackGeometry, DeltaSet, Deltas, Norm, PaperSite, PassGeometry, PixelScale, Sets, worst_case};
 use augnerf::render::sampling::inverse_cdf;
-use augnerf::render::{Pass, PassOutput, Perturbation, perturbed_pass, photometric_loss, volume};
+use augnerf::render::{Pass, PassOutput, Perturbation, PlacedSamples, perturbed_pass, photometric_loss, volume};
 use augnerf::settings::{FieldConfig, OutputPlace, PerturbConfig};
 use candle_core::{DType, Device, Tensor, Var};
 
@@ -125,7 +125,7 @@ struct Attack {
     reference: Reference,
     field: Field,
     rays: Rays,
-    t_vals: Tensor,
+    samples: PlacedSamples,
     target: Tensor,
     sets: Sets,
 }
@@ -170,18 +170,11 @@ impl Attack {
         let radius = Tensor::new(&[[[0.02f64]]], &Device::Cpu).unwrap();
         let xyz = sets.iter_mut().find(|entry| entry.site.at() == PaperSite::Xyz).unwrap();
         xyz.set = DeltaSet::new(Norm::L2, radius, &[5, 7, 3]);
-        Attack { reference, field, rays, t_vals, target, sets }
+        Attack { reference, field, rays, samples: PlacedSamples::all(t_vals), target, sets }
     }
 
     fn pass(&self) -> Pass<'_> {
-        Pass {
-            rays: &self.rays,
-            t_vals: &self.t_vals,
-            asked: None,
-            density_noise: None,
-            background: None,
-            scales_gradients: false,
-        }
+        Pass::noiseless(&self.rays, &self.samples, None)
     }
 
     fn perturbed(&self, field: &Field, deltas: &Deltas) -> PassOutput {
@@ -254,7 +247,7 @@ fn two_search_steps_and_the_final_pass() {
         }
     }
     let expected = |what: &str| a.reference.get(&format!("final.{what}"));
-    let t_vals = (&a.t_vals + found.get(PaperSite::T).unwrap()).unwrap();
+    let t_vals = (&a.samples.t_vals + found.get(PaperSite::T).unwrap()).unwrap();
     assert_close("t_vals", &t_vals, &expected("t_vals"), F64);
     let points = t_vals.unsqueeze(2).unwrap().broadcast_mul(&a.rays.directions.unsqueeze(1).unwrap()).unwrap();
     let points = points.broadcast_add(&a.rays.origins.unsqueeze(1).unwrap()).unwrap();

@@ -7,9 +7,7 @@ use crate::base::rng::{Random, Stream};
 use crate::data::{RayParts, Rays, Scene};
 use crate::methods::Fields;
 use crate::perturb::{AttackGeometry, Deltas, Distribution, PassGeometry, Sets, SiteSet};
-use crate::render::{
-    Pass, PassOutput, Perturbation, clean_pass, evaluation_samples, perturbed_pass, ray_parts, sample_count, search,
-};
+use crate::render::{Pass, PassOutput, Perturbation, clean_pass, perturbed_pass, ray_parts, sample_count, search};
 use crate::settings::Resolved;
 
 /// Which deltas are added, and how much of them.
@@ -59,21 +57,13 @@ impl PerturbedRenderer {
     /// # Errors
     /// Those of candle.
     pub fn pass(&self, rays: &Rays, target: Option<&Tensor>, attack: &Attack, part: u64) -> Result<PassOutput> {
-        let (coarse, field) = (self.fields.coarse(), self.fields.evaluated());
-        let sampling = &self.config.sampling;
-        let (fine, occupancy) = (self.fields.fine(), self.fields.occupancy());
-        let placed = evaluation_samples(coarse, fine, occupancy, rays, self.geometry.bounds, sampling)?;
-        let (t_vals, is_coarse) = (placed.t_vals, fine.is_none());
-        let pass = Pass {
-            rays,
-            t_vals: &t_vals,
-            asked: placed.asked.as_ref(),
-            density_noise: None,
-            background: self.background,
-            scales_gradients: false,
-        };
-        let (samples, direction_norm) = (sample_count(field, &t_vals)?, &rays.direction_norm);
-        let geometry = PassGeometry { run: self.geometry, is_coarse, t_vals: &t_vals, samples, direction_norm };
+        let (field, is_coarse) = (self.fields.evaluated(), self.fields.fine().is_none());
+        let evaluation = self.fields.evaluation(&self.config.sampling, self.geometry.bounds, self.background);
+        let placed = evaluation.samples(rays)?;
+        let pass = Pass::noiseless(rays, &placed, self.background);
+        let (t_vals, direction_norm) = (&placed.t_vals, &rays.direction_norm);
+        let samples = sample_count(field, t_vals)?;
+        let geometry = PassGeometry { run: self.geometry, is_coarse, t_vals, samples, direction_norm };
         let mut sites = self.config.perturb.sites_of_pass(&self.config.numbers, is_coarse);
         sites.retain(|site| attack.sites.iter().any(|name| name == site.name()));
         let mut sets = Sets::new(sites, &geometry)?;

@@ -4,11 +4,11 @@ use candle_core::Tensor;
 
 use crate::base::Result;
 use crate::data::{RayParts, Rays, Scene};
-use crate::field::{Asked, Field};
+use crate::field::{Field, Queried};
 use crate::methods::{Fields, RenderedRays, Renderer};
 use crate::render::sampling::{even_u, stratified};
 use crate::render::volume::{intervals, weights_from_density};
-use crate::render::{Pass, clean_pass, positions_at, ray_parts, resample, sample_count, t_vals_per_ray};
+use crate::render::{Pass, PlacedSamples, clean_pass, positions_at, ray_parts, resample, sample_count, t_vals_per_ray};
 use crate::runtime::Runtime;
 use crate::settings::{Config, SamplingConfig};
 
@@ -59,11 +59,10 @@ impl SkippingRenderer {
 
     /// Composites a pass at `t_vals` of the samples that are not in empty space.
     fn pass(&self, field: &Field, space: &EmptySpace, rays: &Rays, t_vals: &Tensor) -> Result<RenderedRays> {
-        let (_, asked) = points_of_interest(field, space, rays, t_vals)?;
-        let asked = &Asked::new(asked, rays.len() * sample_count(field, t_vals)?);
-        let (asked, background) = (Some(asked), self.background);
-        let pass = Pass { rays, t_vals, asked, density_noise: None, background, scales_gradients: false };
-        let out = clean_pass(field, pass)?.composite;
+        let (_, queried) = points_of_interest(field, space, rays, t_vals)?;
+        let queried = Some(Queried::new(queried, rays.len() * sample_count(field, t_vals)?));
+        let samples = PlacedSamples { t_vals: t_vals.clone(), queried };
+        let out = clean_pass(field, Pass::noiseless(rays, &samples, self.background))?.composite;
         Ok(RenderedRays { rgb: out.rgb, depth: out.depth, acc: out.acc })
     }
 
@@ -71,11 +70,11 @@ impl SkippingRenderer {
     fn coarse_weights(&self, rays: &Rays, t_vals: &Tensor) -> Result<Tensor> {
         let field = self.fields.coarse();
         let samples = sample_count(field, t_vals)?;
-        let (points, asked) = points_of_interest(field, &self.spaces.0, rays, t_vals)?;
+        let (points, queried) = points_of_interest(field, &self.spaces.0, rays, t_vals)?;
         let mut density = vec![0f32; rays.len() * samples];
-        if !asked.is_empty() {
+        if !queried.is_empty() {
             let found = field.activate_density(&field.raw_density(&points)?)?.to_vec1::<f32>()?;
-            asked.iter().zip(found).for_each(|(&sample, found)| density[sample as usize] = found);
+            queried.iter().zip(found).for_each(|(&sample, found)| density[sample as usize] = found);
         }
         let density = Tensor::from_vec(density, (rays.len(), samples), t_vals.device())?;
         weights_from_density(&density, &intervals(t_vals, &rays.direction_norm, samples)?)
@@ -102,12 +101,12 @@ impl Renderer for SkippingRenderer {
 /// Returns the points of a pass that count, `[n, 3]`, and their numbers among all samples, ray by ray.
 fn points_of_interest(field: &Field, space: &EmptySpace, rays: &Rays, t_vals: &Tensor) -> Result<(Tensor, Vec<u32>)> {
     let points = positions_at(field, rays, t_vals)?.flatten_all()?.to_vec1::<f32>()?;
-    let (mut kept, mut asked) = (Vec::<f32>::with_capacity(points.len()), Vec::with_capacity(points.len() / 3));
+    let (mut kept, mut queried) = (Vec::<f32>::with_capacity(points.len()), Vec::with_capacity(points.len() / 3));
     for (sample, point) in points.as_chunks::<3>().0.iter().enumerate() {
         if space.is_occupied(point) {
             kept.extend_from_slice(point);
-            asked.push(sample as u32);
+            queried.push(sample as u32);
         }
     }
-    Ok((Tensor::from_vec(kept, (asked.len(), 3), t_vals.device())?, asked))
+    Ok((Tensor::from_vec(kept, (queried.len(), 3), t_vals.device())?, queried))
 }

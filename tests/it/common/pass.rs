@@ -6,7 +6,7 @@ use augnerf::field::Field;
 use augnerf::perturb::{
     AttackGeometry, Deltas, Distribution, PaperSite, PassGeometry, Passes, PixelScale, Sets, worst_case,
 };
-use augnerf::render::{Pass, Perturbation, perturbed_pass, photometric_loss, sampling};
+use augnerf::render::{Pass, Perturbation, PlacedSamples, perturbed_pass, photometric_loss, sampling};
 use augnerf::settings::{Method, PerturbConfig, Resolved, Spacing};
 use candle_core::{DType, Device, Tensor};
 
@@ -26,7 +26,7 @@ pub struct Setting {
     pub config: Resolved,
     pub field: Field,
     pub rays: Rays,
-    pub t_vals: Tensor,
+    pub samples: PlacedSamples,
     pub noise: Option<Tensor>,
     pub background: Option<[f32; 3]>,
     pub target: Tensor,
@@ -61,19 +61,13 @@ impl Setting {
         let geometry = PassGeometry { samples, run: AttackGeometry { bounds, ..geometry.run }, ..geometry };
         let sets = Sets::new(config.perturb.sites_of_pass(&config.numbers, geometry.is_coarse), &geometry).unwrap();
         let field = Field::init(&config.field, seed, 0, dtype, &Device::Cpu).unwrap();
-        Setting { config, field, rays, t_vals, noise: Some(noise), background: Some([1.0; 3]), target, sets }
+        let samples = PlacedSamples::all(t_vals);
+        Setting { config, field, rays, samples, noise: Some(noise), background: Some([1.0; 3]), target, sets }
     }
 
     pub fn pass(&self) -> Pass<'_> {
-        let Setting { rays, t_vals, noise, background, .. } = self;
-        Pass {
-            rays,
-            t_vals,
-            asked: None,
-            density_noise: noise.as_ref(),
-            background: *background,
-            scales_gradients: false,
-        }
+        let Setting { rays, samples, noise, background, .. } = self;
+        Pass { density_noise: noise.as_ref(), ..Pass::noiseless(rays, samples, *background) }
     }
 
     pub fn perturbation<'a>(&'a self, deltas: &'a Deltas) -> Perturbation<'a> {

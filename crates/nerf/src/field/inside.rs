@@ -1,4 +1,4 @@
-//! Raw density of points that may be outside a hash grid's box, or that nothing is asked about.
+//! Raw density of points that may be outside a hash grid's box, or that are not queried.
 
 use std::sync::Arc;
 
@@ -31,27 +31,27 @@ impl Inside {
     }
 }
 
-/// The points of a query that are asked about. The others are empty, and have no gradient.
+/// The points of a query that are queried. The others are empty, and have no gradient.
 #[derive(Clone, Debug)]
-pub struct Asked {
+pub struct Queried {
     /// Their numbers, ascending.
     rows: Arc<[u32]>,
     /// The number of all points.
     of: usize,
 }
 
-impl Asked {
+impl Queried {
     /// Creates them from their ascending numbers among `of` points.
-    pub fn new(rows: Vec<u32>, of: usize) -> Asked {
-        Asked { rows: rows.into(), of }
+    pub fn new(rows: Vec<u32>, of: usize) -> Queried {
+        Queried { rows: rows.into(), of }
     }
 
-    /// Returns how many are asked about.
+    /// Returns how many are queried.
     pub fn count(&self) -> usize {
         self.rows.len()
     }
 
-    /// Returns 1 at points that are asked about and 0 at others, `[n]`, in the type of `like`.
+    /// Returns 1 at points that are queried and 0 at others, `[n]`, in the type of `like`.
     pub fn mask(&self, like: &Tensor) -> Result<Tensor> {
         let mut mask = vec![0u8; self.of];
         self.rows.iter().for_each(|row| mask[*row as usize] = 1);

@@ -41,8 +41,8 @@ pub use fast::TableRecord;
 use fast::{FastField, PrefixCache};
 use grid::Grid;
 use hash::HashGrid;
-pub use inside::Asked;
 use inside::Inside;
+pub use inside::Queried;
 pub use nerf::{FeatureDelta, Nerf, RawOutput};
 pub use open::opening_factors;
 pub use spatial::{DensityAt, Order, Spatial};
@@ -95,26 +95,26 @@ impl<'a> QueryPoints<'a> {
     /// Those of candle, if shapes do not fit.
     pub fn forward(&self, viewdirs: &Tensor, delta: Option<FeatureDelta>) -> Result<RawOutput> {
         let QueryPoints { field, inputs, trunk } = self;
-        let Some(asked) = &inputs.asked else { return field.run(inputs, viewdirs, delta, trunk.as_ref()) };
-        if asked.count() == 0 {
+        let Some(queried) = &inputs.queried else { return field.run(inputs, viewdirs, delta, trunk.as_ref()) };
+        if queried.count() == 0 {
             let zeros = |shape: &[usize]| Tensor::zeros(shape, field.dtype(), field.device());
-            return Ok(asked.over_all(RawOutput { rgb: zeros(&[0, 3])?, density: zeros(&[0])? })?);
+            return Ok(queried.over_all(RawOutput { rgb: zeros(&[0, 3])?, density: zeros(&[0])? })?);
         }
-        let viewdirs = asked.rows_of_rays(viewdirs)?;
-        let rows = delta.map(|delta| asked.rows(delta.delta)).transpose()?;
+        let viewdirs = queried.rows_of_rays(viewdirs)?;
+        let rows = delta.map(|delta| queried.rows(delta.delta)).transpose()?;
         let delta = delta.zip(rows.as_ref()).map(|(FeatureDelta { layer, .. }, delta)| FeatureDelta { layer, delta });
-        Ok(asked.over_all(field.run(inputs, &viewdirs, delta, trunk.as_ref())?)?)
+        Ok(queried.over_all(field.run(inputs, &viewdirs, delta, trunk.as_ref())?)?)
     }
 }
 
 /// The input of a field's networks.
 struct Inputs {
-    /// Points `[n, 3]`, Gaussians `[n, 6]`, or features `[n, channels]`, of the points that are asked about.
+    /// Points `[n, 3]`, Gaussians `[n, 6]`, or features `[n, channels]`, of the points that are queried.
     values: Tensor,
     /// Where density can be. `None` if it can be everywhere.
     inside: Option<Inside>,
     /// `None` if all are.
-    asked: Option<Asked>,
+    queried: Option<Queried>,
 }
 
 impl Inputs {
@@ -350,9 +350,9 @@ impl Field {
         self.query_points(points, None)?.forward(viewdirs, delta)
     }
 
-    /// Returns points `[n, 3]` at which it is queried, all or those that are `asked` about.
-    pub fn query_points(&self, points: &Tensor, asked: Option<&Asked>) -> Result<QueryPoints<'_>> {
-        Ok(QueryPoints { field: self, inputs: self.inputs(points, asked)?, trunk: None })
+    /// Returns points `[n, 3]` at which it is queried, all or those that are `queried`.
+    pub fn query_points(&self, points: &Tensor, queried: Option<&Queried>) -> Result<QueryPoints<'_>> {
+        Ok(QueryPoints { field: self, inputs: self.inputs(points, queried)?, trunk: None })
     }
 
     /// Runs the networks on their inputs, along `viewdirs [rays, 3]`.
@@ -373,16 +373,16 @@ impl Field {
     }
 
     /// Returns the networks' input at `positions`: the positions, or their features in the hash grid.
-    fn inputs(&self, positions: &Tensor, asked: Option<&Asked>) -> Result<Inputs> {
-        let rows = asked.map(|asked| asked.rows(positions)).transpose()?;
-        let asked = asked.cloned();
+    fn inputs(&self, positions: &Tensor, queried: Option<&Queried>) -> Result<Inputs> {
+        let rows = queried.map(|queried| queried.rows(positions)).transpose()?;
+        let queried = queried.cloned();
         let positions = rows.as_ref().unwrap_or(positions);
-        let Some(grid) = &self.grid else { return Ok(Inputs { values: positions.clone(), inside: None, asked }) };
+        let Some(grid) = &self.grid else { return Ok(Inputs { values: positions.clone(), inside: None, queried }) };
         let values = match self.fast() {
             Some(fast) => fast.features(grid, positions)?,
             None => grid.encode(positions)?,
         };
-        Ok(Inputs { values, inside: grid.inside(positions)?, asked })
+        Ok(Inputs { values, inside: grid.inside(positions)?, queried })
     }
 
     /// Returns 1 where density can be and 0 elsewhere, for points `[n, 3]`, as `[n]`. `None` if it is 1 everywhere.

@@ -8,8 +8,8 @@ use crate::field::Field;
 use crate::render::settings::SamplingConfig;
 
 use super::cast::positions_at;
-use super::occupancy::{Occupancy, PlacedSamples};
-use super::pass::{Pass, clean_pass};
+use super::occupancy::Occupancy;
+use super::pass::{Pass, PlacedSamples, clean_pass};
 use super::sampling;
 use super::volume::{self, Composite};
 
@@ -33,51 +33,51 @@ pub fn resample(
     sampling::importance(t_vals, weights, u)
 }
 
-/// Renders rays for evaluation, deterministically: no jitter, no noise, evenly spaced u. Without a fine field the
-/// coarse pass is the result. With occupied cells these place the samples.
-pub fn render_rays(
-    coarse: &Field,
-    fine: Option<&Field>,
-    occupancy: Option<&Occupancy>,
-    rays: &Rays,
-    bounds: (f64, f64),
-    sampling: &SamplingConfig,
-    background: Option<[f32; 3]>,
-) -> Result<Composite> {
-    let PlacedSamples { t_vals, asked } = evaluation_samples(coarse, fine, occupancy, rays, bounds, sampling)?;
-    let (t_vals, asked) = (&t_vals, asked.as_ref());
-    let pass = Pass { rays, t_vals, asked, density_noise: None, background, scales_gradients: false };
-    Ok(clean_pass(fine.unwrap_or(coarse), pass)?.composite)
+/// How fields are rendered for evaluation: deterministically, without jitter and noise, with evenly spaced u.
+#[derive(Clone, Copy)]
+pub struct Evaluation<'a> {
+    /// Places the samples of the fine pass. It is the complete model if there is none.
+    pub coarse: &'a Field,
+    /// The field of the fine pass.
+    pub fine: Option<&'a Field>,
+    /// The cells that place samples, instead of a coarse pass.
+    pub occupancy: Option<&'a Occupancy>,
+    /// How many samples there are.
+    pub sampling: &'a SamplingConfig,
+    /// Near and far.
+    pub bounds: (f64, f64),
+    /// The colour behind missing accumulation.
+    pub background: Option<[f32; 3]>,
 }
 
-/// Returns the samples of the pass that [`render_rays`] shows.
-pub fn evaluation_samples(
-    coarse: &Field,
-    fine: Option<&Field>,
-    occupancy: Option<&Occupancy>,
-    rays: &Rays,
-    bounds: (f64, f64),
-    sampling: &SamplingConfig,
-) -> Result<PlacedSamples> {
-    if let Some(occupancy) = occupancy {
-        let intervals = occupancy.march(rays, bounds, None)?;
-        return occupancy.place(fine.unwrap_or(coarse), rays, &intervals);
+impl Evaluation<'_> {
+    /// Renders rays.
+    ///
+    /// # Errors
+    /// Those of candle.
+    pub fn render(&self, rays: &Rays) -> Result<Composite> {
+        let samples = self.samples(rays)?;
+        Ok(clean_pass(self.fine.unwrap_or(self.coarse), Pass::noiseless(rays, &samples, self.background))?.composite)
     }
-    let t_vals = even_t_vals(coarse, rays, bounds, sampling)?;
-    let t_vals = if fine.is_some() { fine_t_vals(coarse, rays, &t_vals, sampling)? } else { t_vals };
-    Ok(PlacedSamples { t_vals, asked: None })
-}
 
-/// Returns the `t_vals` of a coarse pass without jitter.
-fn even_t_vals(coarse: &Field, rays: &Rays, bounds: (f64, f64), sampling: &SamplingConfig) -> Result<Tensor> {
-    let (columns, _) = t_vals_per_ray(coarse, sampling);
-    sampling::stratified(bounds, sampling.spacing, rays.len(), columns, None, &rays.origins)
-}
-
-/// Returns the `t_vals` of an evaluation's fine pass, from the coarse field at `t_vals`.
-fn fine_t_vals(coarse: &Field, rays: &Rays, t_vals: &Tensor, sampling: &SamplingConfig) -> Result<Tensor> {
-    let u = sampling::even_u(rays.len(), t_vals_per_ray(coarse, sampling).1, t_vals)?;
-    t_vals_by_density(coarse, rays, t_vals, sampling, &u)
+    /// Returns the samples of the pass that is rendered.
+    ///
+    /// # Errors
+    /// Those of candle.
+    pub fn samples(&self, rays: &Rays) -> Result<PlacedSamples> {
+        let Evaluation { coarse, fine, sampling, bounds, .. } = *self;
+        if let Some(occupancy) = self.occupancy {
+            let intervals = occupancy.march(rays, bounds, None)?;
+            return occupancy.place(fine.unwrap_or(coarse), rays, &intervals);
+        }
+        let (columns, fine_columns) = t_vals_per_ray(coarse, sampling);
+        let t_vals = sampling::stratified(bounds, sampling.spacing, rays.len(), columns, None, &rays.origins)?;
+        if fine.is_none() {
+            return Ok(PlacedSamples::all(t_vals));
+        }
+        let u = sampling::even_u(rays.len(), fine_columns, &t_vals)?;
+        Ok(PlacedSamples::all(t_vals_by_density(coarse, rays, &t_vals, sampling, &u)?))
+    }
 }
 
 /// Returns the fine pass's `t_vals` at `u` from the density of the coarse field at `t_vals` only. It needs no colours,

@@ -13,9 +13,9 @@ pub mod settings;
 pub mod volume;
 
 pub use cast::{gaussians_at, points_at, positions_at, ray_parts, sample_count};
-pub use image::{evaluation_samples, render_rays, resample, t_vals_by_density, t_vals_per_ray};
-pub use occupancy::{Intervals, Occupancy, OccupiedDensity, PlacedSamples};
-pub use pass::{Pass, PassOutput, Perturbation, clean_pass, noiseless_acc, perturbed_pass, search};
+pub use image::{Evaluation, resample, t_vals_by_density, t_vals_per_ray};
+pub use occupancy::{Intervals, Occupancy, OccupiedDensity};
+pub use pass::{Pass, PassOutput, Perturbation, PlacedSamples, clean_pass, noiseless_acc, perturbed_pass, search};
 pub use volume::Composite;
 
 /// Returns the mean squared error over rays and channels between colours `[rays, 3]`.

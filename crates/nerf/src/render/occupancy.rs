@@ -2,7 +2,7 @@
 //! appendix E).
 //!
 //! A grid of cells over the hash grid's cube keeps the largest optical depth that an interval lately had in each. What it calls empty
-//! is not asked about. The field's own density then says where the light ends.
+//! is not queried. The field's own density then says where the light ends.
 
 use std::sync::{Arc, PoisonError, RwLock};
 
@@ -13,20 +13,13 @@ use crate::base::Result;
 use crate::base::rng::Random;
 use crate::data::Rays;
 use crate::field::hash::{Contraction, Domain};
-use crate::field::{Asked, Density, Field, FieldDensity};
+use crate::field::{Density, Field, FieldDensity, Queried};
 use crate::render::settings::OccupancyConfig;
 
-/// Points of a look at cells that are asked about at once.
-const AT_ONCE: usize = 4096;
+use super::pass::PlacedSamples;
 
-/// The samples of a pass, and those of them that are asked about.
-#[derive(Clone)]
-pub struct PlacedSamples {
-    /// See [`Pass`](super::Pass).
-    pub t_vals: Tensor,
-    /// `None`: all.
-    pub asked: Option<Asked>,
-}
+/// Points of an update that are queried at once.
+const AT_ONCE: usize = 4096;
 
 /// The occupied cells of a hash grid's cube.
 #[derive(Clone)]
@@ -68,21 +61,22 @@ impl Occupancy {
         (far - near) / self.config.intervals as f64
     }
 
-    /// Looks at cells: at a sixteenth of them and as many occupied ones, or at `all`, as always if nothing is known of any. Each is asked about at a point of its own.
+    /// Updates a sixteenth of the cells and as many occupied ones, or `all`, as always if nothing is known of any. The field is queried
+    /// at a random point of each.
     ///
     /// # Errors
     /// Those of candle.
-    pub fn look(&self, field: &Field, bounds: (f64, f64), all: bool, random: &mut Random) -> Result<()> {
+    pub fn update(&self, field: &Field, bounds: (f64, f64), all: bool, random: &mut Random) -> Result<()> {
         let mut depths = host(self.depths.as_tensor())?;
         let is_first = depths.iter().all(|depth| *depth == 0.0);
-        let looked_at = self.cells_to_look_at(all || is_first, random);
-        let points: Vec<f32> = looked_at.iter().flat_map(|cell| self.point_in(*cell, random)).collect();
+        let updated = self.cells_to_update(all || is_first, random);
+        let points: Vec<f32> = updated.iter().flat_map(|cell| self.point_in(*cell, random)).collect();
         let interval = self.interval(bounds) as f32;
         let parts: Vec<&[f32]> = points.chunks(3 * AT_ONCE).collect();
         let densities: Vec<Vec<f32>> =
             parts.into_par_iter().map(|points| densities(field, points)).collect::<Result<_>>()?;
         let decay = self.config.decay as f32;
-        for (cell, density) in looked_at.iter().zip(densities.iter().flatten()) {
+        for (cell, density) in updated.iter().zip(densities.iter().flatten()) {
             let depth = &mut depths[*cell as usize];
             *depth = (*depth * decay).max(density * interval);
         }
@@ -95,7 +89,7 @@ impl Occupancy {
         Ok(())
     }
 
-    fn cells_to_look_at(&self, all: bool, random: &mut Random) -> Vec<u32> {
+    fn cells_to_update(&self, all: bool, random: &mut Random) -> Vec<u32> {
         let count = Occupancy::cells(&self.config);
         if all {
             return (0..count as u32).collect();
@@ -176,7 +170,7 @@ impl Occupancy {
         }
         // A pass has a sample, if only one that is empty.
         let columns = 1 + seen.iter().copied().max().unwrap_or(0).max(1);
-        let (mut t_vals, mut asked) = (Vec::with_capacity(seen.len() * columns), Vec::with_capacity(densities.len()));
+        let (mut t_vals, mut queried) = (Vec::with_capacity(seen.len() * columns), Vec::with_capacity(densities.len()));
         for (ray, (intervals, seen)) in intervals.iter().zip(&seen).enumerate() {
             let edges = &intervals.edges[..intervals.edges.len().min(seen + 1)];
             t_vals.extend_from_slice(edges);
@@ -188,14 +182,14 @@ impl Occupancy {
             let added = (ray + 1) * columns - t_vals.len();
             t_vals.extend((1..=added).map(|i| last + i as f32 * gap));
             let first = (ray * (columns - 1)) as u32;
-            asked.extend(
-                (first..).zip(&intervals.asked[..*seen]).filter(|(_, asked)| **asked).map(|(sample, _)| sample),
+            queried.extend(
+                (first..).zip(&intervals.queried[..*seen]).filter(|(_, queried)| **queried).map(|(sample, _)| sample),
             );
         }
         let like = &rays.origins;
         let t_vals = Tensor::from_vec(t_vals, (seen.len(), columns), &Device::Cpu)?;
         let t_vals = t_vals.to_dtype(like.dtype())?.to_device(like.device())?;
-        Ok(PlacedSamples { t_vals, asked: Some(Asked::new(asked, seen.len() * (columns - 1))) })
+        Ok(PlacedSamples { t_vals, queried: Some(Queried::new(queried, seen.len() * (columns - 1))) })
     }
 }
 
@@ -204,7 +198,7 @@ impl Occupancy {
 pub struct Intervals {
     edges: Vec<f32>,
     /// Which are in occupied cells.
-    asked: Vec<bool>,
+    queried: Vec<bool>,
 }
 
 impl Intervals {
@@ -214,36 +208,36 @@ impl Intervals {
             None => self.edges.push(start),
             Some(last) if *last != start => {
                 self.edges.push(start);
-                self.asked.push(false);
+                self.queried.push(false);
             }
             Some(_) => {}
         }
         self.edges.push(end);
-        self.asked.push(true);
+        self.queried.push(true);
     }
 
     /// Returns how many are in occupied cells.
     pub fn count(&self) -> usize {
-        self.asked.iter().filter(|asked| **asked).count()
+        self.queried.iter().filter(|queried| **queried).count()
     }
 
     /// Iterates over the middles of those in occupied cells.
     fn middles(&self) -> impl Iterator<Item = f32> {
-        let intervals = self.edges.windows(2).zip(&self.asked);
-        intervals.filter(|(_, asked)| **asked).map(|(edges, _)| 0.5 * (edges[0] + edges[1]))
+        let intervals = self.edges.windows(2).zip(&self.queried);
+        intervals.filter(|(_, queried)| **queried).map(|(edges, _)| 0.5 * (edges[0] + edges[1]))
     }
 
     /// Returns the number of intervals before less than `least` of the light is left. `densities` are those in occupied cells.
     fn seen(&self, densities: &[f32], norm: f32, least: f32) -> usize {
         let (mut densities, mut optical) = (densities.iter(), 0.0);
-        let is_last = |(k, asked): (usize, &bool)| {
-            if *asked {
+        let is_last = |(k, queried): (usize, &bool)| {
+            if *queried {
                 let density = densities.next().expect("one for each");
                 optical += density * (self.edges[k + 1] - self.edges[k]) * norm;
             }
             f32::exp(-optical) < least
         };
-        self.asked.iter().enumerate().position(is_last).map_or(self.asked.len(), |last| last + 1)
+        self.queried.iter().enumerate().position(is_last).map_or(self.queried.len(), |last| last + 1)
     }
 }
 

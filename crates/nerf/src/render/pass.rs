@@ -5,7 +5,7 @@ use candle_core::{D, Tensor};
 
 use crate::base::Result;
 use crate::data::Rays;
-use crate::field::{Asked, FeatureDelta, Field, QueryPoints, RawOutput};
+use crate::field::{FeatureDelta, Field, Queried, QueryPoints, RawOutput};
 use crate::perturb::settings::OutputPlace;
 use crate::perturb::{Deltas, PaperSite, Sets, UsedDeltas, output_range, tilt, worst_case};
 
@@ -13,16 +13,30 @@ use super::cast::{positions_at, sample_count};
 use super::photometric_loss;
 use super::volume::{self, Composite};
 
+/// The samples of a pass along its rays.
+#[derive(Clone)]
+pub struct PlacedSamples {
+    /// Distances of samples along the ray, `[rays, samples]`. With an integrated encoding or a hash grid, edges of
+    /// intervals, `[rays, samples + 1]`.
+    pub t_vals: Tensor,
+    /// The samples at which the field is queried, ray after ray. The others are empty. `None`: all.
+    pub queried: Option<Queried>,
+}
+
+impl PlacedSamples {
+    /// Returns samples that are all queried.
+    pub fn all(t_vals: Tensor) -> PlacedSamples {
+        PlacedSamples { t_vals, queried: None }
+    }
+}
+
 /// The inputs of a pass, except its field and its deltas.
 #[derive(Clone, Copy)]
 pub struct Pass<'a> {
     /// Origins and directions, `[rays, 3]`, with the other parts that the method needs.
     pub rays: &'a Rays,
-    /// Distances of samples along the ray, `[rays, samples]`. With an integrated encoding or a hash grid, edges of
-    /// intervals, `[rays, samples + 1]`.
-    pub t_vals: &'a Tensor,
-    /// The samples that the field is asked about, ray after ray. The others are empty. `None`: all.
-    pub asked: Option<&'a Asked>,
+    /// Where its samples are.
+    pub samples: &'a PlacedSamples,
     /// Added to raw density, `[rays, samples]`.
     pub density_noise: Option<&'a Tensor>,
     /// The colour behind missing accumulation.
@@ -30,6 +44,13 @@ pub struct Pass<'a> {
     /// Gradients of samples near the camera are multiplied by min(1, distance^2) (Floaters No More: Philip and Deschaintre
     /// 2023, equation 5).
     pub scales_gradients: bool,
+}
+
+impl<'a> Pass<'a> {
+    /// Returns a pass as evaluations have it.
+    pub fn noiseless(rays: &'a Rays, samples: &'a PlacedSamples, background: Option<[f32; 3]>) -> Pass<'a> {
+        Pass { rays, samples, density_noise: None, background, scales_gradients: false }
+    }
 }
 
 /// Deltas of a perturbed pass, and how they are added.
@@ -84,7 +105,7 @@ pub fn clean_pass(field: &Field, pass: Pass) -> Result<PassOutput> {
 /// Those of candle, if shapes do not fit.
 pub fn perturbed_pass(field: &Field, pass: Pass, perturbation: Perturbation) -> Result<PassOutput> {
     let (t_vals, positions) = moved_samples(field, pass, perturbation)?;
-    render_samples(pass, perturbation, &t_vals, &field.query_points(&positions, pass.asked)?)
+    render_samples(pass, perturbation, &t_vals, &field.query_points(&positions, pass.samples.queried.as_ref())?)
 }
 
 /// Runs PGD ([`worst_case`]) from the deltas of `start`, on `sign` times the photometric loss against `target` `[rays, 3]`.
@@ -99,7 +120,8 @@ pub fn search(field: &Field, pass: Pass, start: Perturbation, target: &Tensor, s
         let perturbation = Perturbation { deltas, ..start };
         if samples_stay && fixed_samples.is_none() {
             let (t_vals, positions) = moved_samples(field, pass, perturbation)?;
-            fixed_samples = Some((t_vals, field.query_points(&positions.detach(), pass.asked)?.kept()));
+            fixed_samples =
+                Some((t_vals, field.query_points(&positions.detach(), pass.samples.queried.as_ref())?.kept()));
         }
         let out = match &fixed_samples {
             Some((t_vals, points)) => render_samples(pass, perturbation, t_vals, points)?,
@@ -114,8 +136,8 @@ pub fn search(field: &Field, pass: Pass, start: Perturbation, target: &Tensor, s
 /// `[rays * samples, 3]`, or Gaussians `[rays * samples, 6]` whose means move.
 fn moved_samples(field: &Field, pass: Pass, perturbation: Perturbation) -> Result<(Tensor, Tensor)> {
     let t_vals = match perturbation.at(PaperSite::T)? {
-        Some(delta) => (pass.t_vals + delta)?,
-        None => pass.t_vals.clone(),
+        Some(delta) => (&pass.samples.t_vals + delta)?,
+        None => pass.samples.t_vals.clone(),
     };
     let positions = positions_at(field, pass.rays, &t_vals)?;
     let positions = match perturbation.at(PaperSite::Xyz)? {
@@ -149,7 +171,7 @@ fn render_samples(pass: Pass, perturbation: Perturbation, t_vals: &Tensor, point
             let range = |site| Some(output_range(site, field.config().rgb_padding));
             let rgb = used.add_to(rgb, PaperSite::Rgb, range(PaperSite::Rgb))?;
             let density = used.add_to(density, PaperSite::Density, range(PaperSite::Density))?;
-            (rgb, only_asked(density, pass.asked)?)
+            (rgb, only_queried(density, pass.samples.queried.as_ref())?)
         }
         OutputPlace::Before => {
             let rgb = used.add_to(raw.rgb.clone(), PaperSite::Rgb, None)?;
@@ -163,9 +185,9 @@ fn render_samples(pass: Pass, perturbation: Perturbation, t_vals: &Tensor, point
 }
 
 /// Leaves what is empty without density, whatever its delta.
-fn only_asked(density: Tensor, asked: Option<&Asked>) -> Result<Tensor> {
-    let Some(asked) = asked else { return Ok(density) };
-    let mask = asked.mask(&density)?.reshape(density.shape())?;
+fn only_queried(density: Tensor, queried: Option<&Queried>) -> Result<Tensor> {
+    let Some(queried) = queried else { return Ok(density) };
+    let mask = queried.mask(&density)?.reshape(density.shape())?;
     Ok((density * mask)?)
 }
 
@@ -203,7 +225,7 @@ pub fn noiseless_acc(field: &Field, out: &PassOutput, pass: Pass) -> Result<Tens
     if pass.density_noise.is_none() {
         return Ok(out.composite.acc.detach());
     }
-    let intervals = volume::intervals(pass.t_vals, &pass.rays.direction_norm, out.raw_density.dim(1)?)?;
+    let intervals = volume::intervals(&pass.samples.t_vals, &pass.rays.direction_norm, out.raw_density.dim(1)?)?;
     let optical = (field.activate_density(&out.raw_density)? * intervals)?;
     Ok((1.0 - optical.sum(D::Minus1)?.neg()?.exp()?)?)
 }
@@ -262,9 +284,8 @@ mod tests {
                 raw_density: raw_density.clone(),
                 used: UsedDeltas::default(),
             };
-            let (density_noise, background) = (Some(&noise), None);
-            let pass =
-                Pass { rays: &rays, t_vals: &t_vals, asked: None, density_noise, background, scales_gradients: false };
+            let samples = PlacedSamples::all(t_vals.clone());
+            let pass = Pass { density_noise: Some(&noise), ..Pass::noiseless(&rays, &samples, None) };
             let noiseless: Vec<f32> = noiseless_acc(&field, &out, pass).unwrap().to_vec1().unwrap();
             let is_same = |(acc, expected): (&f32, &f32)| (acc - expected).abs() < 1e-6 && *acc > 0.0;
             assert!(noiseless.iter().zip(&expected).all(is_same), "{density_activation:?}: {noiseless:?} {expected:?}");

@@ -36,7 +36,7 @@ pub enum Placing {
     /// By the weights of a coarse pass (NeRF).
     #[default]
     Resampled,
-    /// Even intervals, of which those are asked about that are neither empty nor hidden (Instant-NGP).
+    /// Even intervals, of which those are queried that are neither empty nor hidden (Instant-NGP).
     Occupancy,
 }
 
@@ -46,7 +46,7 @@ section! {
     /// Samples along a ray.
     pub struct SamplingConfig {
         /// How the samples of the pass that is rendered are chosen: `resampled`, by the weights of a coarse pass, or
-        /// `occupancy`, which asks a hash grid only where a grid of occupied cells and the light that is left say that it counts
+        /// `occupancy`, which queries a hash grid only where a grid of occupied cells and the light that is left say that it counts
         /// (section `sampling.occupancy`; Instant-NGP).
         pub kind: Placing = Placing::Resampled, numbers().columns(&["occupancy"]);
         /// Stratified samples of the coarse pass (MipNeRF and hash grids: intervals).
@@ -91,15 +91,16 @@ impl SamplingConfig {
         }
     }
 
-    /// Returns the rays of the step after `step` finished ones, of `rays` in later ones. Where all cells still count as occupied,
-    /// a ray has so many samples that fewer rays must do.
+    /// Returns the numbers of rays of first steps that are below `rays`, one for each update of the cells. Where all cells still
+    /// count as occupied, a ray has so many samples that fewer rays must do.
+    pub fn first_rays(&self, rays: usize) -> impl Iterator<Item = usize> {
+        let first = (self.kind == Placing::Occupancy).then_some(self.occupancy.first_rays);
+        std::iter::successors(first, |before| Some(2 * before)).take_while(move |first| *first < rays)
+    }
+
+    /// Returns the rays of the step after `step` finished ones, of `rays` in later ones.
     pub fn rays_at(&self, rays: usize, step: u64) -> usize {
-        let OccupancyConfig { first_rays, refresh, .. } = self.occupancy;
-        match self.kind {
-            Placing::Resampled => rays,
-            Placing::Occupancy if step / refresh < 32 => rays.min(first_rays << (step / refresh)),
-            Placing::Occupancy => rays,
-        }
+        self.first_rays(rays).nth((step / self.occupancy.refresh) as usize).unwrap_or(rays)
     }
 
     /// Returns the ends of the rays' part that the step after `step` finished ones samples, of the `bounds` near and far.

@@ -165,15 +165,13 @@ impl Config {
 
     /// Returns the rays of this many first steps together.
     pub fn rays_of_steps(&self, steps: u64) -> f64 {
-        let (rays, refresh) = (self.rays_per_step(), self.sampling.occupancy.refresh);
-        // Between two looks all steps have the same number.
-        let first: f64 = (0..32)
-            .map(|look| {
-                let steps = steps.saturating_sub(look * refresh).min(refresh);
-                steps as f64 * self.sampling.rays_at(rays, look * refresh) as f64
-            })
-            .sum();
-        first + steps.saturating_sub(32 * refresh) as f64 * rays as f64
+        let (rays, mut left, mut sum) = (self.rays_per_step(), steps, 0.0);
+        for first in self.sampling.first_rays(rays) {
+            let steps = left.min(self.sampling.occupancy.refresh);
+            sum += steps as f64 * first as f64;
+            left -= steps;
+        }
+        sum + left as f64 * rays as f64
     }
 
     /// Returns the number of samples of the coarse and of the fine pass. The second is 0 if there is no fine pass.

@@ -207,9 +207,7 @@ impl Config {
         let on_grid = self.field.encoding == Encoding::Hash;
         let separable = on_grid && self.field.core == Core::Fused && perturb.field == PerturbField::Shared;
         let permutes = perturb.second == SecondPass::Permuted;
-        // The first steps with occupied cells have fewer rays.
-        let refresh = self.sampling.occupancy.refresh;
-        let alone = (0..32).map(|look| self.sampling.rays_at(rays, look * refresh)).find(|rays| rays % chunk == 1);
+        let alone = self.sampling.first_rays(rays).chain([rays]).find(|rays| rays % chunk == 1);
         let still = !self.sampling.jitter && self.sampling.density_noise == Some(0.0);
         refuse_first([
             (

@@ -11,10 +11,9 @@ use super::run_view::RunView;
 use crate::base::files::{write_atomic, write_json};
 use crate::base::{Error, Result};
 use crate::data::{Camera, RayBuffer, Rays};
-use crate::field::Asked;
 use crate::render::sampling::stratified;
 use crate::render::volume::{middles, transmittance};
-use crate::render::{Pass, PassOutput, clean_pass, evaluation_samples, points_at, ray_parts, t_vals_per_ray};
+use crate::render::{Pass, PassOutput, PlacedSamples, clean_pass, points_at, ray_parts, t_vals_per_ray};
 use crate::run::Viewer;
 use crate::settings::{Capability, Config, Spacing};
 
@@ -88,29 +87,17 @@ impl Profile {
         let parts = ray_parts(fields.evaluated());
         let ray = RayBuffer::new(&pixel, scene.ndc.as_ref(), config.data.origin_of_pixels(), parts)
             .to_tensors(DType::F32, runtime.device())?;
-        let pass = |field, t_vals: &Tensor, asked: Option<&Asked>| {
-            clean_pass(
-                field,
-                Pass {
-                    rays: &ray,
-                    t_vals,
-                    asked,
-                    density_noise: None,
-                    background: scene.background,
-                    scales_gradients: false,
-                },
-            )
-        };
+        let pass = |field, samples: &PlacedSamples| clean_pass(field, Pass::noiseless(&ray, samples, scene.background));
         let sampling = &config.sampling;
         let (coarse_columns, _) = t_vals_per_ray(coarse, sampling);
         let t_vals = stratified(bounds, sampling.spacing, 1, coarse_columns, None, &ray.origins)?;
-        let coarse_pass = pass(coarse, &t_vals, None)?;
-        let placed = evaluation_samples(coarse, fine, fields.occupancy(), &ray, bounds, sampling)?;
-        let fine_pass = fine.map(|fine| pass(fine, &placed.t_vals, placed.asked.as_ref())).transpose()?;
+        let coarse_pass = pass(coarse, &PlacedSamples::all(t_vals))?;
+        let placed = fields.evaluation(sampling, bounds, scene.background).samples(&ray)?;
+        let fine_pass = fine.map(|fine| pass(fine, &placed)).transpose()?;
         // MipNeRF's intervals have one edge more.
         let even_columns = EVEN + coarse_columns - sampling.coarse;
         let t_vals = stratified(bounds, Spacing::Depth, 1, even_columns, None, &ray.origins)?;
-        let even = samples(&ray, &pass(fields.evaluated(), &t_vals, None)?)?;
+        let even = samples(&ray, &pass(fields.evaluated(), &PlacedSamples::all(t_vals))?)?;
         let shown = &fine_pass.as_ref().unwrap_or(&coarse_pass).composite;
         let depth = shown.depth.to_vec1::<f32>()?[0] / shown.acc.to_vec1::<f32>()?[0];
         let rgb = shown.rgb.to_vec2::<f32>()?.remove(0);

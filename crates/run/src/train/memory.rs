@@ -121,7 +121,7 @@ fn needs(config: &Resolved, scene: &Scene, threads: usize) -> Vec<Need> {
         mib: mib(copies * (tables + layers)),
     }];
     needs.extend(cells.iter().map(|cells| Need {
-        what: "occupied cells, and a look at all of them,",
+        what: "occupied cells, and an update of all of them,",
         settings: format!("sampling.occupancy.cells = {}", config.sampling.occupancy.cells),
         mib: mib((COPIES + OF_A_LOOK) * size(cells)),
     }));

@@ -177,7 +177,7 @@ mod tests {
     use crate::field::settings::{Contraction, HashConfig};
     use candle_core::{DType, Device};
 
-    /// What is not asked about points outside the box is what masking it afterwards leaves, to the bit.
+    /// What is not queried points outside the box is what masking it afterwards leaves, to the bit.
     #[test]
     fn points_outside_the_box_are_not_asked_about() {
         let hash = HashConfig {

@@ -68,7 +68,7 @@ impl FastField {
         // After a ReLU only positive raw density has derivatives.
         let positive_alone = config.density_activation == DensityActivation::Relu;
         let slope = Slope::new(self.network.clone(), &values, positive_alone)?;
-        let raw = only_inside(&Inputs { values, inside, asked: None }, slope.raw.clone())?;
+        let raw = only_inside(&Inputs { values, inside, queried: None }, slope.raw.clone())?;
         let raw_gradient = match order {
             Order::Density => not_requested(&raw, &[3])?,
             Order::Gradient | Order::Laplacian => slopes.gradient(&slope.slope)?,

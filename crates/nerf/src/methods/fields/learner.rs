@@ -17,8 +17,8 @@ use crate::methods::diagnostics::site_columns;
 use crate::methods::learner::{Learner, LogColumns, StepResult, StopCheck};
 use crate::perturb::settings::{ChangedEntries, SecondPass};
 use crate::perturb::{AttackGeometry, PaperSite, Site};
+use crate::render::ray_parts;
 use crate::render::settings::OccupancyConfig;
-use crate::render::{ray_parts, render_rays};
 use crate::settings::Resolved;
 
 use super::networks::Fields;
@@ -183,12 +183,11 @@ impl Learner for FieldLearner {
     fn colours(&mut self, step: u64) -> Result<Option<Tensor>> {
         let fields = self.fields.at_step(&self.config, step)?.frozen()?;
         let rays = self.batches.batch(step).rays.to_tensors(self.dtype, &self.device)?;
-        let (sampling, size) = (&self.config.sampling, self.config.train.chunk);
+        let size = self.config.train.chunk;
+        let evaluation = fields.evaluation(&self.config.sampling, self.geometry.bounds, self.background);
         let starts: Vec<usize> = (0..rays.len()).step_by(size).collect();
         let colours_of_part = |starts: &[usize]| -> Result<Tensor> {
-            let part = rays.narrow(starts[0], size.min(rays.len() - starts[0]))?;
-            let (coarse, fine, occupancy) = (fields.coarse(), fields.fine(), fields.occupancy());
-            Ok(render_rays(coarse, fine, occupancy, &part, self.geometry.bounds, sampling, self.background)?.rgb)
+            Ok(evaluation.render(&rays.narrow(starts[0], size.min(rays.len() - starts[0]))?)?.rgb)
         };
         Ok(Some(Tensor::cat(&over_parts(&self.device, &starts, 1, colours_of_part)?, 0)?))
     }
@@ -200,7 +199,7 @@ impl Learner for FieldLearner {
         };
         let field = self.fields.at_step(&self.config, finished)?.evaluated().frozen()?;
         let mut random = Random::new(self.config.seed, Stream::Occupancy, finished);
-        occupancy.look(&field, self.geometry.bounds, finished < warmup, &mut random)
+        occupancy.update(&field, self.geometry.bounds, finished < warmup, &mut random)
     }
 
     fn step(&mut self, step: u64, log: bool, stop_check: &StopCheck) -> Result<StepResult> {

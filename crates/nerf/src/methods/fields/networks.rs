@@ -5,8 +5,8 @@ use candle_core::{DType, Device, Tensor, Var};
 use crate::base::Result;
 use crate::field::{Field, TableRecord};
 use crate::perturb::settings::PerturbField;
-use crate::render::Occupancy;
-use crate::render::settings::Placing;
+use crate::render::settings::{Placing, SamplingConfig};
+use crate::render::{Evaluation, Occupancy};
 use crate::settings::Config;
 
 /// The name of [`Occupancy::depths`] among the parameters.
@@ -78,6 +78,17 @@ impl Fields {
         let has_occupancy = sampling.kind == Placing::Occupancy;
         let occupancy = has_occupancy.then(|| Occupancy::new(&sampling.occupancy, domain, &depths()?)).transpose()?;
         Ok(Fields { fields, has_fine_pass: sampling.fine > 0, occupancy })
+    }
+
+    /// Returns how the fields are rendered for evaluation.
+    pub fn evaluation<'a>(
+        &'a self,
+        sampling: &'a SamplingConfig,
+        bounds: (f64, f64),
+        background: Option<[f32; 3]>,
+    ) -> Evaluation<'a> {
+        let (coarse, fine, occupancy) = (self.coarse(), self.fine(), self.occupancy());
+        Evaluation { coarse, fine, occupancy, sampling, bounds, background }
     }
 
     /// Returns the cells that place samples, if they do.

@@ -183,8 +183,7 @@ impl StepRays {
         let noise = if plan.is_coarse { &self.noise_coarse } else { &self.noise_fine };
         Pass {
             rays: &self.rays,
-            t_vals: &samples.t_vals,
-            asked: samples.asked.as_ref(),
+            samples,
             density_noise: noise.as_ref(),
             background: learner.background,
             scales_gradients: learner.config.train.gradient_scaling,

@@ -3,8 +3,8 @@
 use crate::base::Result;
 use crate::data::{RayParts, Rays, Scene};
 use crate::methods::renderer::{RenderedRays, Renderer};
+use crate::render::ray_parts;
 use crate::render::settings::SamplingConfig;
-use crate::render::{ray_parts, render_rays};
 use crate::settings::Config;
 
 use super::networks::Fields;
@@ -35,9 +35,7 @@ impl Renderer for FieldRenderer {
     }
 
     fn render(&self, rays: &Rays) -> Result<RenderedRays> {
-        let (coarse, fine) = (self.fields.coarse(), self.fields.fine());
-        let composite =
-            render_rays(coarse, fine, self.fields.occupancy(), rays, self.bounds, &self.sampling, self.background)?;
+        let composite = self.fields.evaluation(&self.sampling, self.bounds, self.background).render(rays)?;
         Ok(RenderedRays { rgb: composite.rgb, depth: composite.depth, acc: composite.acc })
     }
 }

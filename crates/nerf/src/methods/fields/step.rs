@@ -233,7 +233,7 @@ impl<'a> StepPasses<'a> {
             }
             SampleSource::OfCleanPass => return Ok(clean.expect("clean passes come first").samples.clone()),
         };
-        Ok(PlacedSamples { t_vals, asked: None })
+        Ok(PlacedSamples::all(t_vals))
     }
 
     fn field<'b>(&self, fields: &'b Fields, plan: &PassPlan) -> &'b Field {
@@ -291,7 +291,7 @@ impl<'a> StepPasses<'a> {
     ) -> Result<SampleWeights> {
         let (learner, field) = (self.learner, self.field(fields, plan));
         let pass = chunk.pass(learner, plan, &samples);
-        let (t_vals, count, is_coarse) = (pass.t_vals, sample_count(field, pass.t_vals)?, plan.is_coarse);
+        let (t_vals, count, is_coarse) = (&samples.t_vals, sample_count(field, &samples.t_vals)?, plan.is_coarse);
         let direction_norm = &pass.rays.direction_norm;
         let geometry = PassGeometry { run: learner.geometry, is_coarse, t_vals, samples: count, direction_norm };
         let sets = Sets::new(delta_plan.sites.iter().cloned(), &geometry)?;
@@ -307,7 +307,7 @@ impl<'a> StepPasses<'a> {
         sums.gradients.add(&learner.variables, &(&loss * (self.loss_weights.1 * weight))?.backward()?)?;
         let loss = loss.to_dtype(DType::F64)?.to_scalar::<f64>()? * weight;
         sums.losses.perturbed = plus(sums.losses.perturbed, Some(loss));
-        let samples = PlacedSamples { t_vals: out.t_vals, asked: samples.asked.clone() };
+        let samples = PlacedSamples { t_vals: out.t_vals, queried: samples.queried.clone() };
         Ok(SampleWeights { samples, weights: out.composite.weights.detach() })
     }
 }

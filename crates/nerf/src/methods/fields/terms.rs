@@ -96,7 +96,7 @@ struct SampleSlopes<'a> {
 
 impl SampleSlopes<'_> {
     fn of<'a>(field: &'a Field, pass: Pass) -> Result<SampleSlopes<'a>> {
-        let positions = positions_at(field, pass.rays, pass.t_vals)?;
+        let positions = positions_at(field, pass.rays, &pass.samples.t_vals)?;
         let spatial = field.spatial_up_to(Order::Gradient, &positions.flatten(0, 1)?)?;
         let at_samples = Var::from_tensor(&spatial.at.gradient.reshape(positions.shape())?)?;
         Ok(SampleSlopes { spatial, at_samples })
