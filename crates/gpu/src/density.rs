@@ -3,7 +3,7 @@
 use std::sync::{Mutex, PoisonError};
 
 use augnerf_base::Result;
-use augnerf_nerf::field::{Density, Field};
+use augnerf_nerf::field::{Density, Field, Order};
 use candle_core::{DType, Device, Tensor};
 use wgpu::Buffer;
 
@@ -55,13 +55,13 @@ impl GpuDensity {
         let (points, rays, at) = (gpu.numbers(3 * chunk), gpu.numbers(RAY * chunk), gpu.numbers(4 * chunk));
         let (t_vals, out, flags) = (gpu.numbers(2 * chunk), gpu.numbers(OUT * chunk), gpu.numbers(1));
         let recorder = || Recorder::new(gpu, &shape, field.config(), &scratch, &rays, &flags);
-        let space = |count: usize, has_gradient: bool| {
+        let space = |count: usize, order: Order| {
             let mut recorder = recorder();
             let points = &points;
-            recorder.space(&SpaceAt { field: &field_buffers, points, count, has_gradient, out: &at });
+            recorder.space(&SpaceAt { field: &field_buffers, points, count, order, out: &at });
             recorder.dispatches
         };
-        let (density, gradient) = (space(chunk, false), space(chunk / 4, true));
+        let (density, gradient) = (space(chunk, Order::Density), space(chunk / 4, Order::Gradient));
         // A point is a sample at the start of a ray.
         let mut recorder = recorder();
         let pass = PassAt {

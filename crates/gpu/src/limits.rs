@@ -24,7 +24,7 @@ pub fn check(config: &Resolved) -> Result<()> {
     let refuse = |what: &str| Err(Error::Config(format!("device gpu does not train {what} yet; use --device cpu")));
     for (term, _) in config.regularizer.terms() {
         let on_rays = ON_RAYS.iter().any(|(known, _)| *known == term);
-        if !on_rays && !matches!(term, Regularizer::L1 | Regularizer::Tv) {
+        if !on_rays && !matches!(term, Regularizer::L1 | Regularizer::Tv | Regularizer::Laplacian) {
             return refuse(&format!("with regularizer {}", term.name()));
         }
     }

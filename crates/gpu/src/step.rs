@@ -334,10 +334,11 @@ impl Steps {
             let weights = self.config.regularizer.terms().filter(|(term, _)| *term == wanted).map(|(_, weight)| weight);
             volume * weights.sum::<f64>()
         };
-        let integrand = Integrand { l1: weight_of(Regularizer::L1), tv: weight_of(Regularizer::Tv) };
+        let [l1, tv, laplacian] = [Regularizer::L1, Regularizer::Tv, Regularizer::Laplacian].map(weight_of);
+        let integrand = Integrand { l1, tv, laplacian };
         for (index, field) in self.regularized() {
             for (part, (points, count)) in space.parts.iter().enumerate() {
-                let at = SpaceAt { field, points, count: *count, has_gradient: space.has_gradient, out: &space.at };
+                let at = SpaceAt { field, points, count: *count, order: space.order, out: &space.at };
                 recorder.space(&at);
                 recorder.space_back(&at, integrand);
                 recorder.integrals(&at, part == 0, volume, SPACE + index, &self.buffers.results);

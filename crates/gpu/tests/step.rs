@@ -162,6 +162,15 @@ steps! {
         "field.hash.bounds=[[-0.5,-0.4,-0.3],[0.5,0.6,0.7]]", "regularizer.kind=tv", "regularizer.weight=0.1";
     hash_with_tv_in_a_small_box: "method=nerf", "field.encoding=hash", "regularizer.kind=tv", "regularizer.weight=0.1",
         "field.hash.contraction=none", "field.hash.bounds=[[-0.5,-0.4,-0.3],[0.5,0.6,0.7]]";
+    nerf_with_laplacian: "method=nerf", "field.density_activation=relu", "regularizer.kind=laplacian", "regularizer.weight=0.001",
+        "regularizer.points_per_step=500", "field.depth=6", "field.skips=[2,4]";
+    nerf_with_laplacian_and_tv_of_softplus: "method=nerf", "regularizer.kind=[\"tv\",\"laplacian\",\"l1\"]",
+        "regularizer.weight=[0.1,0.001,0.2]", "regularizer.fields=fine";
+    hash_with_laplacian: "method=nerf", "field.encoding=hash", "field.hash.interpolation=smoothstep", "regularizer.kind=laplacian",
+        "regularizer.weight=0.001", "field.density_activation=exp";
+    hash_with_laplacian_in_a_ball: "method=nerf", "field.encoding=hash", "field.hash.interpolation=smoothstep",
+        "field.hash.contraction=ball", "field.hash.bounds=[[-0.5,-0.4,-0.3],[0.5,0.6,0.7]]", "regularizer.kind=laplacian",
+        "regularizer.weight=0.001";
     aug_with_tv: "method=aug-nerf", "perturb.attack=calibrated", "regularizer.kind=tv", "regularizer.weight=0.1";
     aug: "method=aug-nerf", "perturb.attack=calibrated";
     aug_paper: "method=aug-nerf", "perturb.attack=paper";
@@ -323,7 +332,6 @@ fn the_first_of_many_waiting_steps_that_is_not_finite_is_named() {
 fn what_is_not_there_is_refused_by_name() {
     for (settings, named) in [
         (["method=mip-nerf", "field.encoding=integrated"], "method mip-nerf"),
-        (["method=nerf", "regularizer.kind=laplacian"], "regularizer laplacian"),
         (["method=nerf", "regularizer.kind=orientation"], "regularizer orientation"),
         (["regularizer.kind=tv", "regularizer.schedule=halved every 9 steps"], "regularizer.schedule"),
         (["method=nerf", "train.sam_radius=0.1"], "train.sam_radius"),

@@ -35,7 +35,7 @@ impl<'a> Recorder<'a> {
         let (n, scratch) = (rows.points(), self.scratch);
         let Some(grid) = &self.shape.grid else {
             let words = Words::default().u(n).u(self.shape.octaves).u(self.shape.channels).u(0);
-            let kernel = Kernel::new("frequency").with("JETS", rows.are_jets());
+            let kernel = rows.chosen(Kernel::new("frequency"));
             self.run(kernel, words, &[(1, points), (2, &scratch.encoded)], groups(3 * n));
             return;
         };
@@ -46,7 +46,7 @@ impl<'a> Recorder<'a> {
         let domain = rows.are_jets().then(|| self.gpu.uniform(self.domain(n).words()));
         let mut buffers = vec![(1, &scratch.unit), (2, tables), (3, &scratch.encoded)];
         buffers.extend(domain.iter().flat_map(|domain| [(4, domain), (5, points)]));
-        let kernel = of_grid(grid, "encode").with("JETS", rows.are_jets());
+        let kernel = rows.chosen(of_grid(grid, "encode"));
         self.run(kernel, self.grid(n), &buffers, groups(n * grid.levels().len()));
     }
 
@@ -67,7 +67,7 @@ impl<'a> Recorder<'a> {
         let domain = rows.are_jets().then(|| self.gpu.uniform(self.domain(n).words()));
         let mut buffers = vec![(1, &scratch.unit), (2, &scratch.d_encoded), (3, gradient), (4, self.flags)];
         buffers.extend(domain.iter().flat_map(|domain| [(5, domain), (6, points)]));
-        let kernel = of_grid(grid, "scatter").with("JETS", rows.are_jets());
+        let kernel = rows.chosen(of_grid(grid, "scatter"));
         self.run(kernel, self.grid(n), &buffers, groups(n * grid.levels().len()));
     }
 

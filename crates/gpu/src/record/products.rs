@@ -23,6 +23,9 @@ pub(crate) enum Rows {
     /// Four rows a point: its value, and its derivatives along x, y and z. Layers are linear in derivatives, without
     /// biases, and the value's ReLU is that of its derivatives.
     Jets(usize),
+    /// The jets of all points, and then a second one of each: its value again, its Laplacian, and two rows of 0. A ReLU has no
+    /// second derivative, so that layers treat a Laplacian as a derivative.
+    JetsWithLaplacians(usize),
 }
 
 impl Rows {
@@ -31,18 +34,25 @@ impl Rows {
         match self {
             Rows::Samples(samples) => samples,
             Rows::Jets(points) => 4 * points,
+            Rows::JetsWithLaplacians(points) => 8 * points,
         }
     }
 
     /// Returns the number of samples or points.
     pub(super) fn points(self) -> usize {
         match self {
-            Rows::Samples(points) | Rows::Jets(points) => points,
+            Rows::Samples(points) | Rows::Jets(points) | Rows::JetsWithLaplacians(points) => points,
         }
     }
 
     pub(super) fn are_jets(self) -> bool {
-        matches!(self, Rows::Jets(_))
+        !matches!(self, Rows::Samples(_))
+    }
+
+    /// Switches on what a kernel does with such rows.
+    pub(super) fn chosen(self, kernel: Kernel) -> Kernel {
+        let with_laplacians = matches!(self, Rows::JetsWithLaplacians(_));
+        kernel.with("JETS", self.are_jets()).with("LAPLACIAN", with_laplacians)
     }
 }
 

@@ -56,8 +56,8 @@ impl Scratch {
 
     /// Makes the buffers of so many rays, those of the way back if `trains`.
     pub(crate) fn new(gpu: &Gpu, shape: &Shape, rays: usize, samples: usize, trains: bool) -> Scratch {
-        // Four rows are a point with its derivatives.
-        let n = (rays * samples).max(4);
+        // Eight rows are a point with its derivatives and its Laplacian.
+        let n = (rays * samples).max(8);
         let f = |numbers: usize| gpu.numbers(numbers);
         let back = |numbers: usize| gpu.numbers(if trains { numbers } else { 1 });
         let hidden = n * shape.width.max(shape.view_width);

@@ -1,5 +1,6 @@
 //! Density and its gradient at points in space, and the gradients of what is integrated there.
 
+use augnerf_nerf::field::Order;
 use wgpu::Buffer;
 
 use crate::device::groups;
@@ -15,28 +16,34 @@ pub(crate) struct SpaceAt<'a> {
     pub(crate) field: &'a FieldBuffers,
     pub(crate) points: &'a Buffer,
     pub(crate) count: usize,
-    pub(crate) has_gradient: bool,
-    /// Density and its gradient, `[count, 4]`.
+    pub(crate) order: Order,
+    /// Density and its gradient, `[count, 4]`, and its Laplacian, `[count, 4]`.
     pub(crate) out: &'a Buffer,
 }
 
-/// Weights of density and of its gradient's length at one point.
+/// Weights of density, of its gradient's length and of its Laplacian's magnitude at one point.
 #[derive(Clone, Copy, Default)]
 pub(crate) struct Integrand {
     pub(crate) l1: f64,
     pub(crate) tv: f64,
+    pub(crate) laplacian: f64,
 }
 
 impl SpaceAt<'_> {
     fn rows(&self) -> Rows {
-        if self.has_gradient { Rows::Jets(self.count) } else { Rows::Samples(self.count) }
+        match self.order {
+            Order::Density => Rows::Samples(self.count),
+            Order::Gradient => Rows::Jets(self.count),
+            Order::Laplacian => Rows::JetsWithLaplacians(self.count),
+        }
     }
 }
 
 impl Recorder<'_> {
     fn space_words(&self, at: &SpaceAt, integrand: Integrand) -> Words {
         let words = Words::default().u(at.count).u(self.shape.width + 4).u(self.outputs.activation).u(0);
-        words.f(integrand.l1 * self.loss_scale).f(integrand.tv * self.loss_scale).u(0).u(0)
+        let Integrand { l1, tv, laplacian } = integrand;
+        [l1, tv, laplacian].into_iter().fold(words, |words, weight| words.f(weight * self.loss_scale)).u(0)
     }
 
     fn space_kernel(&mut self, name: &'static str, at: &SpaceAt, words: Words, to: &Buffer, threads: usize) {
@@ -44,11 +51,11 @@ impl Recorder<'_> {
         if self.has_outside() {
             buffers.push((3, &self.scratch.inside));
         }
-        let kernel = Kernel::new(name).with("INSIDE", self.has_outside()).with("JETS", at.has_gradient);
+        let kernel = at.rows().chosen(Kernel::new(name)).with("INSIDE", self.has_outside());
         self.run(kernel, words, &buffers, groups(threads));
     }
 
-    /// Records density at points, and its gradient if asked.
+    /// Records density at points, and its derivatives if asked.
     pub(crate) fn space(&mut self, at: &SpaceAt) {
         self.encode(at.rows(), at.points, at.field);
         self.raw_density(at.rows(), at.field);
@@ -71,10 +78,10 @@ impl Recorder<'_> {
         }
     }
 
-    /// Records the integrals of density and of its gradient's length over the points, into a slot of results: those of the
-    /// first points, or added to what is there.
+    /// Records the integrals of an integrand's parts over the points, into a slot of results: those of the first points, or added to
+    /// what is there.
     pub(crate) fn integrals(&mut self, at: &SpaceAt, are_first: bool, volume: f64, slot: usize, results: &Buffer) {
         let words = Words::default().u(at.count).u(slot).f(volume).flag(are_first);
-        self.run(Kernel::new("integrals"), words, &[(1, at.out), (2, results)], [1, 1, 1]);
+        self.run(at.rows().chosen(Kernel::new("integrals")), words, &[(1, at.out), (2, results)], [1, 1, 1]);
     }
 }

@@ -1,6 +1,7 @@
 //! The buffers of a step.
 
 use augnerf_base::Result;
+use augnerf_nerf::field::Order;
 use augnerf_nerf::settings::{LatticePoints, Regularizer, Resolved};
 use augnerf_nerf::space::Quadrature;
 use augnerf_scenes::Scene;
@@ -93,9 +94,9 @@ impl StepBuffers {
 pub(super) struct SpaceBuffers {
     /// Points that are queried at once, and their number.
     pub(super) parts: Vec<(Buffer, usize)>,
-    /// Density and its gradient at a part of them.
+    /// Density and its derivatives at a part of them.
     pub(super) at: Buffer,
-    pub(super) has_gradient: bool,
+    pub(super) order: Order,
     /// The volume that a point stands for.
     pub(super) volume_each: f64,
 }
@@ -106,17 +107,27 @@ impl SpaceBuffers {
         if !config.regularizer.has_space_terms() {
             return Ok(None);
         }
-        let has_gradient = config.regularizer.terms().any(|(term, _)| term == Regularizer::Tv);
+        let order_of = |(term, _)| match term {
+            Regularizer::Laplacian => Order::Laplacian,
+            Regularizer::Tv => Order::Gradient,
+            _ => Order::Density,
+        };
+        let order = config.regularizer.terms().map(order_of).max().unwrap_or(Order::Density);
+        let (rows_each, numbers_each) = match order {
+            Order::Density => (1, 4),
+            Order::Gradient => (4, 4),
+            Order::Laplacian => (8, 8),
+        };
         let points = config.regularizer.quadrature(config.seed, 0);
-        let most = if has_gradient { (rows / 4).max(1) } else { rows };
+        let most = (rows / rows_each).max(1);
         let part = |first: usize| {
             let count = most.min(points.count() - first);
             (gpu.numbers(3 * count), count)
         };
         let space = SpaceBuffers {
             parts: (0..points.count()).step_by(most).map(part).collect(),
-            at: gpu.numbers(4 * most.min(points.count())),
-            has_gradient,
+            at: gpu.numbers(numbers_each * most.min(points.count())),
+            order,
             volume_each: points.volume_each(),
         };
         space.write(gpu, &points)?;

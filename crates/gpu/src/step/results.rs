@@ -15,6 +15,7 @@ const MSE: usize = 0;
 /// In the slot of a field's terms in space; `integrals.wgsl` says which.
 const L1: usize = 0;
 const TV: usize = 1;
+const LAPLACIAN: usize = FIRST_TERM;
 
 /// Slots: clean passes, perturbed passes, terms in space of the coarse and the fine field, diagnostics.
 pub(super) const SPACE: usize = 4;
@@ -132,6 +133,7 @@ impl Steps {
         match term {
             Regularizer::L1 => in_space(L1),
             Regularizer::Tv => in_space(TV),
+            Regularizer::Laplacian => in_space(LAPLACIAN),
             _ => {
                 let index = ON_RAYS.iter().position(|(known, _)| *known == term).expect("others are refused");
                 let counting = self.plan.clean.iter().filter(|pass| pass.counts(term.is_of_evaluated_pass()));

@@ -1,4 +1,5 @@
-// The positional encoding of points, and of JETS its derivatives along x, y and z in the rows after it. A thread a component.
+// The positional encoding of points, and of JETS its derivatives along x, y and z in the rows after it. With LAPLACIAN a second jet of
+// each point comes after all first ones: the encoding again, its Laplacian, and two rows of 0. A thread a component.
 struct Frequency { points: u32, octaves: u32, channels: u32, pad0: u32 }
 @group(0) @binding(0) var<uniform> p: Frequency;
 @group(0) @binding(1) var<storage, read> points: array<f32>;
@@ -27,6 +28,19 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>) {
             encoded[to + cosine] = -own * frequency * encoded[at + sine];
             frequency *= 2.0;
         }
+    }
+    //#end
+    //#if LAPLACIAN
+    let second = at + 4u * p.channels * p.points;
+    for (var wave = 0u; wave <= 2u * p.octaves; wave++) {
+        let channel = 3u * wave + axis;
+        let value = encoded[at + channel];
+        // The octaves have a sine and a cosine each. The point itself, which comes before them, has no second derivative.
+        let frequency = select(exp2(f32((wave - 1u) / 2u)), 0.0, wave == 0u);
+        encoded[second + channel] = value;
+        encoded[second + p.channels + channel] = -frequency * frequency * value;
+        encoded[second + 2u * p.channels + channel] = 0.0;
+        encoded[second + 3u * p.channels + channel] = 0.0;
     }
     //#end
 }

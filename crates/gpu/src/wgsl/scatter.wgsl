@@ -32,6 +32,10 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>) {
     // The gradients of a feature's derivatives along x, y and z come after its own.
     let at_point = 4u * g.stride * point + F * (i % g.levels);
     var slope: array<vec3<f32>, {FEATURES}>;
+    //#if LAPLACIAN
+    // That of its Laplacian is in the second jet.
+    var curve: array<f32, {FEATURES}>;
+    //#end
     //#else
     let at_point = g.stride * point + F * (i % g.levels);
     //#end
@@ -43,6 +47,10 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>) {
             slope[f][axis] = d_encoded[at_point + (1u + axis) * g.stride + f];
             largest = max(largest, abs(slope[f][axis]));
         }
+        //#if LAPLACIAN
+        curve[f] = d_encoded[at_point + (4u * g.points + 1u) * g.stride + f];
+        largest = max(largest, abs(curve[f]));
+        //#end
         //#end
     }
     // Not a number is not 0.
@@ -57,6 +65,9 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>) {
         slope[f] = of_cube * cube_slope(domain, place, slope[f] / (domain.high - domain.low));
     }
     //#end
+    //#if LAPLACIAN
+    let curves = curves_of(domain, place);
+    //#end
     for (var k = 0u; k < 8u; k++) {
         let c = corner(k);
         let w = shares(c, share);
@@ -66,6 +77,9 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>) {
             //#if JETS
             let sign = select(vec3<f32>(-1.0), vec3<f32>(1.0), c == vec3<u32>(1u));
             value += dot(sign * vec3<f32>(w.y * w.z, w.x * w.z, w.x * w.y), slope[f]);
+            //#end
+            //#if LAPLACIAN
+            value += curve[f] * laplacian_of(curves, cell.f, f32(level.x), sign, w);
             //#end
             add_fixed(at + f, value);
         }

@@ -81,22 +81,38 @@ fn hash_grids() {
     }
 }
 
-/// Derivatives along x, y and z in the rows after each point's encoding, against central differences.
+/// Derivatives along x, y and z in the rows after each point's encoding, and Laplacians in second jets, against central differences.
 #[test]
 fn jets_of_waves() {
     let gpu = gpu();
     let (n, octaves, channels, h) = (40, 6, 40, 1e-6);
     let points = numbers(3 * n, 2.0, 41);
-    let (points_buffer, encoded) = (gpu.storage(&points), gpu.numbers(4 * n * channels));
+    let (points_buffer, encoded) = (gpu.storage(&points), gpu.numbers(8 * n * channels));
     let words = Words::default().u(n).u(octaves).u(channels).u(0);
     let buffers = [(1, &points_buffer), (2, &encoded)];
-    run(&gpu, Kernel::new("frequency").with("JETS", true), words, &buffers, groups(3 * n));
+    run(&gpu, Kernel::new("frequency").with("JETS", true).with("LAPLACIAN", true), words, &buffers, groups(3 * n));
     let of = |shift: [f64; 3]| -> Vec<f64> {
         let shift = Tensor::new(&shift, &Device::Cpu).unwrap();
         let points = wide(&points, &[n, 3]).broadcast_add(&shift).unwrap();
         flat(&encode(&points, octaves).unwrap().pad_with_zeros(1, 0, 1).unwrap())
     };
-    near("frequency, jets", &gpu.read_f32(&encoded, 4 * n * channels).unwrap(), &jets(of, n, channels, h), 1e-5);
+    let found = gpu.read_f32(&encoded, 8 * n * channels).unwrap();
+    let (first, second) = found.split_at(4 * n * channels);
+    near("frequency, jets", first, &jets(of, n, channels, h), 1e-5);
+    let (value, wide) = (of([0.0; 3]), 100.0 * h);
+    let mut laplacians = vec![0.0; n * channels];
+    for (axis, by) in (0..3).flat_map(|axis| [(axis, wide), (axis, -wide)]) {
+        let moved = of(std::array::from_fn(|i| if i == axis { by } else { 0.0 }));
+        laplacians.iter_mut().zip(moved.iter().zip(&value)).for_each(|(sum, (a, b))| *sum += (a - b) / (wide * wide));
+    }
+    near("frequency, Laplacians", second, &second_jets(&value, &laplacians, channels), 1e-5);
+}
+
+/// The rows of second jets: values, Laplacians, and two of 0.
+fn second_jets(values: &[f64], laplacians: &[f64], channels: usize) -> Vec<f64> {
+    let zeros = vec![0.0; 2 * channels];
+    let points = values.chunks(channels).zip(laplacians.chunks(channels));
+    points.flat_map(|(value, laplacian)| [value, laplacian, &zeros].concat()).collect()
 }
 
 /// The rows of points' jets: `[points, 4, channels]` from what a shift of all points makes of `[points, channels]`.
@@ -110,7 +126,8 @@ fn jets(of: impl Fn([f64; 3]) -> Vec<f64>, points: usize, channels: usize, h: f6
     rows.flat_map(|(point, row)| row[channels * point..channels * (point + 1)].to_vec()).collect()
 }
 
-/// Features' derivatives in space, and what they give to tables, against central differences.
+/// Features' derivatives in space, and what they give to tables, against central differences. Laplacians, where linear interpolation has
+/// none, against the host's operators.
 #[test]
 fn jets_of_hash_grids() {
     let gpu = gpu();
@@ -118,37 +135,29 @@ fn jets_of_hash_grids() {
     for (contraction, interpolation) in [
         (Contraction::None, Interpolation::Smoothstep),
         (Contraction::Axes, Interpolation::Linear),
+        (Contraction::Axes, Interpolation::Smoothstep),
         (Contraction::Ball, Interpolation::Smoothstep),
     ] {
+        let bends = interpolation == Interpolation::Smoothstep;
         let grid = HashGrid::new(levels, features, 9, (4, 30), interpolation);
         let domain = Domain::new([-1.0, -0.9, -0.8], [0.8, 0.9, 1.0], contraction);
         let (own, channels) = (grid.channels(), grid.channels().next_multiple_of(4));
         let size = if contraction == Contraction::None { 0.7 } else { 1.3 };
         let points = numbers(3 * n, size, 42);
-        let (tables, d) = (numbers(grid.entries() * features, 1.0, 43), numbers(4 * n * channels, 1.0, 44));
+        // Second derivatives are large, and sums end at 128.
+        let (first, second) = (numbers(4 * n * channels, 1.0, 44), numbers(4 * n * channels, 1e-4, 45));
+        let (tables, d) = (numbers(grid.entries() * features, 1.0, 43), [first, second].concat());
         let [points_buffer, tables_buffer, d_buffer] = [&points, &tables, &d].map(|values| gpu.storage(values));
-        let [unit, inside, encoded] = [3 * n, n, 4 * n * channels].map(|count| gpu.numbers(count));
+        let [unit, inside, encoded] = [3 * n, n, 8 * n * channels].map(|count| gpu.numbers(count));
         let [sums, flags] = [2 * tables.len(), 8].map(|count| gpu.numbers(count));
         let domain_words = domain_words(&domain, n);
         let domain_uniform = gpu.uniform(domain_words.words());
         run(&gpu, Kernel::new("domain"), domain_words, &[(1, &points_buffer), (2, &unit), (3, &inside)], groups(n));
-        let kernel = |name| Kernel::new(name).set("FEATURES", features);
+        let kernel = |name| Kernel::new(name).set("FEATURES", features).with("JETS", true).with("LAPLACIAN", bends);
         let buffers = [(1, &unit), (2, &tables_buffer), (3, &encoded), (4, &domain_uniform), (5, &points_buffer)];
-        run(
-            &gpu,
-            kernel("encode").with("JETS", true),
-            grid_words(&grid, n, channels, FIXED_SCALE),
-            &buffers,
-            groups(n * levels),
-        );
+        run(&gpu, kernel("encode"), grid_words(&grid, n, channels, FIXED_SCALE), &buffers, groups(n * levels));
         let buffers = [(1, &unit), (2, &d_buffer), (3, &sums), (4, &flags), (5, &domain_uniform), (6, &points_buffer)];
-        run(
-            &gpu,
-            kernel("scatter").with("JETS", true),
-            grid_words(&grid, n, channels, FIXED_SCALE),
-            &buffers,
-            groups(n * levels),
-        );
+        run(&gpu, kernel("scatter"), grid_words(&grid, n, channels, FIXED_SCALE), &buffers, groups(n * levels));
 
         let doubles = |values: &[f32]| values.iter().map(|x| f64::from(*x)).collect::<Vec<f64>>();
         let (points, tables) = (doubles(&points), doubles(&tables));
@@ -162,8 +171,15 @@ fn jets_of_hash_grids() {
         let features_at = |shift: [f64; 3]| hash_reference::encode(&grid, &tables, &unit_at(shift), None);
         let narrow =
             |values: Vec<f32>| values.chunks(channels).flat_map(|row| row[..own].to_vec()).collect::<Vec<f32>>();
-        let found = narrow(gpu.read_f32(&encoded, 4 * n * channels).unwrap());
-        near("encode, jets", &found, &jets(features_at, n, own, h), 1e-4);
+        let found = narrow(gpu.read_f32(&encoded, 8 * n * channels).unwrap());
+        let (first, second) = found.split_at(4 * n * own);
+        near("encode, jets", first, &jets(features_at, n, own, h), 1e-4);
+        let of_point = |point: &[f64]| domain.operator([point[0], point[1], point[2]], 0.0, [0.0; 3], 1.0);
+        let operators: Vec<[f64; 10]> = points.chunks(3).map(of_point).collect();
+        if bends {
+            let laplacians = hash_reference::encode(&grid, &tables, &unit_at([0.0; 3]), Some(&operators));
+            near("encode, Laplacians", second, &second_jets(&features_at([0.0; 3]), &laplacians, own), 1e-4);
+        }
 
         // The gradient of d . jets in the tables, in which jets are linear.
         let d = doubles(&narrow(d));
@@ -177,6 +193,11 @@ fn jets_of_hash_grids() {
             for (sum, (above, below)) in expected.iter_mut().zip(above.iter().zip(below)) {
                 *sum += (above - below) / (2.0 * h);
             }
+        }
+        if bends {
+            let d = (0..n).flat_map(|point| d[own * (4 * (n + point) + 1)..][..own].to_vec()).collect::<Vec<f64>>();
+            let of_laplacians = hash_reference::table_gradient(&grid, &unit_at([0.0; 3]), Some(&operators), &d);
+            expected.iter_mut().zip(of_laplacians).for_each(|(sum, more)| *sum += more);
         }
         near("scatter, jets", &fixed_sums(&gpu, &sums, tables.len()), &expected, 1e-4);
     }

@@ -193,68 +193,86 @@ fn density_alone(gpu: &Gpu, case: Case, head: &[f32], inside: &[u32], columns: u
     near("density", &gpu.read_f32(&out, n).unwrap(), &expected, 1e-6);
 }
 
-/// Density and its gradient at points, what is integrated of them, and the way back, against central differences of
-/// l1 density + tv |gradient of density| in the raw density and its three derivatives.
+/// Density, its gradient and its Laplacian at points, what is integrated of them, and the way back, against central differences of
+/// l1 density + tv |gradient of density| + bends |Laplacian of density| in the raw density, its three derivatives and its Laplacian.
 #[test]
 fn density_in_space() {
     let gpu = gpu();
     let (n, columns, l1, tv, volume) = (300, 12, 0.7, 0.4, 0.05);
-    for activation in 0..3 {
-        let head = numbers(4 * n * columns, 2.0, 90);
+    for (activation, bends) in (0..3).flat_map(|activation| [(activation, 0.0), (activation, 0.3)]) {
+        let has_laplacian = bends > 0.0;
+        let jets = if has_laplacian { 2 * n } else { n };
+        let head = numbers(4 * jets * columns, 2.0, 90);
         let inside: Vec<u32> = (0..n).map(|i| u32::from(i % 4 > 0)).collect();
         let (head_buffer, inside_buffer) = (gpu.storage(&head), gpu.numbers(n));
         gpu.write(&inside_buffer, bytemuck::cast_slice(&inside));
-        let [out, d_head, results] = [4 * n, 4 * n * columns, 2 * SLOT].map(|count| gpu.numbers(count));
-        let words = || Words::default().u(n).u(columns).u(activation).u(0).f(l1).f(tv).u(0).u(0);
-        let kernel = |name| Kernel::new(name).with("INSIDE", true).with("JETS", true);
+        let [out, d_head, results] = [4 * jets, 4 * jets * columns, 2 * SLOT].map(|count| gpu.numbers(count));
+        let words = || Words::default().u(n).u(columns).u(activation).u(0).f(l1).f(tv).f(bends).u(0);
+        let kernel = |name| Kernel::new(name).with("INSIDE", true).with("JETS", true).with("LAPLACIAN", has_laplacian);
         let buffers = |to| [(1, &head_buffer), (2, to), (3, &inside_buffer)];
         run(&gpu, kernel("space"), words(), &buffers(&out), groups(n));
-        run(&gpu, kernel("space_back"), words(), &buffers(&d_head), groups(4 * n * columns));
+        run(&gpu, kernel("space_back"), words(), &buffers(&d_head), groups(4 * jets * columns));
         // In two calls: the second adds to the first.
         for are_first in [1, 0] {
             let words = Words::default().u(n).u(1).f(volume).u(are_first);
-            run(&gpu, Kernel::new("integrals"), words, &[(1, &out), (2, &results)], [1, 1, 1]);
+            run(&gpu, kernel("integrals"), words, &[(1, &out), (2, &results)], [1, 1, 1]);
         }
-        let jet = |i: usize| -> [f64; 4] {
-            std::array::from_fn(|row| f64::from(head[columns * (4 * i + row) + columns - 4]))
+        // Raw density, its gradient, and its Laplacian in the second jet.
+        let place = |i: usize, row: usize| if row < 4 { 4 * i + row } else { 4 * (n + i) + 1 };
+        let number = |values: &[f32], i: usize, row: usize| f64::from(values[columns * place(i, row) + columns - 4]);
+        let rows = if has_laplacian { 5 } else { 4 };
+        let jet =
+            |i: usize| -> [f64; 5] { std::array::from_fn(|row| if row < rows { number(&head, i, row) } else { 0.0 }) };
+        let density = |[raw, x, y, z, laplacian]: [f64; 5]| -> [f64; 5] {
+            let of = |raw: f64| density_of(activation, raw);
+            let slope = if activation == 0 && raw <= 0.0 { 0.0 } else { slope(of, raw) };
+            let curve = match activation {
+                0 => 0.0,
+                1 => slope * (1.0 - slope),
+                _ => of(raw),
+            };
+            let squared = x * x + y * y + z * z;
+            [of(raw), slope * x, slope * y, slope * z, slope * laplacian + curve * squared]
         };
-        let density = |[raw, along @ ..]: [f64; 4]| -> [f64; 4] {
-            let slope = if activation == 0 && raw <= 0.0 { 0.0 } else { slope(|raw| density_of(activation, raw), raw) };
-            let [x, y, z] = along.map(|raw| slope * raw);
-            [density_of(activation, raw), x, y, z]
+        let empty = [density_of(activation, -1e4), 0.0, 0.0, 0.0, 0.0];
+        let expected: Vec<[f64; 5]> = (0..n).map(|i| if inside[i] == 1 { density(jet(i)) } else { empty }).collect();
+        let mut out_rows: Vec<f64> = expected.iter().flat_map(|at| at[..4].to_vec()).collect();
+        if has_laplacian {
+            out_rows.extend(expected.iter().flat_map(|at| [at[4], 0.0, 0.0, 0.0]));
+        }
+        near("space", &gpu.read_f32(&out, 4 * jets).unwrap(), &out_rows, 1e-6);
+        let parts = |at: [f64; 5]| {
+            let length = at[1..4].iter().map(|x| x * x).sum::<f64>().sqrt();
+            [at[0], length, if has_laplacian { at[4].abs() } else { 0.0 }]
         };
-        let at =
-            |i: usize| if inside[i] == 1 { density(jet(i)) } else { [density_of(activation, -1e4), 0.0, 0.0, 0.0] };
-        let expected: Vec<f64> = (0..n).flat_map(at).collect();
-        near("space", &gpu.read_f32(&out, 4 * n).unwrap(), &expected, 1e-6);
-        let norm = |at: [f64; 4]| at[1..].iter().map(|x| x * x).sum::<f64>().sqrt();
-        let sums = expected
-            .chunks(4)
-            .fold([0.0; 2], |[density, length], at| [density + at[0], length + norm([at[0], at[1], at[2], at[3]])]);
+        let sum = |part: usize| 2.0 * volume * expected.iter().map(|at| parts(*at)[part]).sum::<f64>();
         let found = gpu.read_f32(&results, 2 * SLOT).unwrap();
-        near("integrals", &found[SLOT..SLOT + 2], &sums.map(|sum| 2.0 * volume * sum), 1e-5);
+        let found = [found[SLOT], found[SLOT + 1], found[SLOT + FIRST_TERM]];
+        near("integrals", &found, &[sum(0), sum(1), sum(2)], 1e-5);
 
         // Slopes of density by differences need wider ones here.
         let h = 1e-3;
-        let integrand = |jet: [f64; 4]| {
-            let at = density(jet);
-            l1 * at[0] + tv * norm(at)
+        let integrand = |jet: [f64; 5]| {
+            let [density, length, laplacian] = parts(density(jet));
+            l1 * density + tv * length + bends * laplacian
         };
         let expected: Vec<f64> = (0..n)
             .flat_map(|i| {
                 let jet = jet(i);
-                std::array::from_fn::<f64, 4, _>(|row| {
+                let slope = |row: usize| {
                     let moved =
                         |by: f64| integrand(std::array::from_fn(|j| if j == row { jet[j] + by } else { jet[j] }));
                     let is_flat = inside[i] == 0 || activation == 0 && jet[0] <= 0.0;
                     if is_flat { 0.0 } else { (moved(h) - moved(-h)) / (2.0 * h) }
-                })
+                };
+                (0..rows).map(slope).collect::<Vec<f64>>()
             })
             .collect();
-        let d = gpu.read_f32(&d_head, 4 * n * columns).unwrap();
-        let found: Vec<f32> = d.chunks(columns).map(|row| row[columns - 4]).collect();
+        let d = gpu.read_f32(&d_head, 4 * jets * columns).unwrap();
+        let found: Vec<f32> =
+            (0..n).flat_map(|i| (0..rows).map(move |row| (i, row))).map(|(i, row)| number(&d, i, row) as f32).collect();
         near("space_back", &found, &expected, 1e-4);
-        let others = d.chunks(columns).flat_map(|row| row[..columns - 4].iter().chain(&row[columns - 3..]));
-        assert!(others.copied().all(|d| d == 0.0), "the other columns have no gradient");
+        let gradients = d.iter().filter(|d| **d != 0.0).count();
+        assert!(gradients <= rows * n, "the other columns and rows have no gradient: {gradients} numbers");
     }
 }
