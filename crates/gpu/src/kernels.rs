@@ -65,7 +65,9 @@ texts! {
     "reduce": "common", "reduce";
     "check": "sizes", "common", "finite", "check";
     "adam_weights": "common", "finite", "adam", "adam_weights";
-    "adam_tables": "common", "finite", "adam", "adam_tables";
+    "adam_tables": "common", "finite", "fixed", "adam", "adam_tables";
+    "norm": "fixed", "norm";
+    "norm_factor": "norm_factor";
 }
 
 impl Kernel {

@@ -3,7 +3,6 @@
 use augnerf_base::{Error, Result};
 use augnerf_nerf::settings::{
     ChangedEntries, Config, Encoding, FieldConfig, Placing, Precision, Regularizer, Resolved, SecondPass,
-    WeightSchedule,
 };
 
 use crate::device::Gpu;
@@ -31,21 +30,11 @@ pub fn check(config: &Resolved) -> Result<()> {
     let (train, perturb, regularizer) = (&config.train, &config.perturb, &config.regularizer);
     let unsupported = [
         (!regularizer.unseen_groups().is_empty(), "with terms on unseen rays (regularizer.rays)"),
-        (!regularizer.schedule.is_empty(), "with scheduled weights (regularizer.schedule)"),
         (perturb.second == SecondPass::BestCase, "with perturb.kind = \"best-case\""),
         (perturb.second == SecondPass::Permuted, "with perturb.kind = \"permuted\""),
         (perturb.entries == ChangedEntries::Clean, "with perturb.entries = \"clean\""),
         (train.gradient_scaling, "with scaled gradients (train.gradient_scaling)"),
-        (
-            perturb.lambda_schedule != WeightSchedule::Constant,
-            "with a weight of the perturbed pass that moves (perturb.lambda_schedule)",
-        ),
         (train.sam_radius > 0.0, "with sharpness-aware steps (train.sam_radius)"),
-        (train.weight_decay > 0.0, "with weights that decay (train.weight_decay)"),
-        (
-            train.clip_value > 0.0 || train.clip_norm > 0.0,
-            "with limits of gradients (train.clip_value, train.clip_norm)",
-        ),
         (config.field.precision == Precision::Bf16, "in field.precision = \"bf16\""),
         (!train.chunk.is_multiple_of(2) && train.chunk < train.rays, "an odd train.chunk"),
     ];

@@ -180,6 +180,15 @@ impl Shape {
         Ok(values)
     }
 
+    /// Returns 1 for weights, which can decay, and 0 for biases.
+    pub(crate) fn decays(&self) -> Vec<f32> {
+        let mut values = vec![0f32; self.weights()];
+        for host in self.host_layers() {
+            host.places().take(host.outputs * host.all_inputs()).for_each(|place| values[place] = 1.0);
+        }
+        values
+    }
+
     /// Returns the host's weights and biases, in the order of its parameters.
     pub(crate) fn to_host(&self, values: &[f32]) -> Result<Vec<Tensor>> {
         let mut parameters = Vec::new();
@@ -251,6 +260,11 @@ impl FieldBuffers {
             _ => None,
         };
         Ok(FieldBuffers { weights: Learned::new(gpu, &weights, of_weights, 1), tables })
+    }
+
+    /// Iterates over its weights and its tables.
+    pub(crate) fn learned(&self) -> impl Iterator<Item = &Learned> {
+        std::iter::once(&self.weights).chain(&self.tables)
     }
 
     /// Returns the same field with weights of its own, which are those that passes read. Gradients and the rest are shared.

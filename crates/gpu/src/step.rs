@@ -14,7 +14,7 @@ use wgpu::Buffer;
 use crate::device::{Dispatch, Gpu, groups};
 use crate::kernels::Kernel;
 use crate::limits::{check, check_precision, rays_of_chunk};
-use crate::network::{FieldBuffers, Shape};
+use crate::network::{FieldBuffers, Learned, Shape};
 use crate::rays::{bins, of_batch};
 use crate::record::{FIXED_SCALE, Integrand, Recorder, SpaceAt, Words};
 use crate::sets::PassSets;
@@ -28,6 +28,10 @@ mod chunk;
 mod results;
 
 const BETA1: f64 = 0.9;
+/// A limit that no gradient reaches.
+const NO_LIMIT: f64 = 3e38;
+/// Numbers whose squares a group adds.
+const OF_NORM: usize = 4096;
 
 /// Steps whose reports the device keeps.
 pub(crate) const MOST_REPORTS: usize = 16;
@@ -57,6 +61,8 @@ pub struct Steps {
     update: Vec<Dispatch>,
     /// Steps whose reports are on the device, and whether they were diagnosed.
     waiting: Vec<(u64, bool)>,
+    /// The weights that these steps have. Others are recorded anew.
+    weights: LossWeights,
     /// Reports that were read and not asked for.
     reports: Vec<StepReport>,
 }
@@ -103,7 +109,6 @@ impl Steps {
         let mut steps = Steps {
             gpu: gpu.clone(),
             config: config.clone(),
-            plan,
             scene_bounds: scene.bounds(),
             background: scene.background,
             fields: fields.clone(),
@@ -119,6 +124,8 @@ impl Steps {
             logged: None,
             update: Vec::new(),
             waiting: Vec::new(),
+            weights: LossWeights::at(config, &plan, 0),
+            plan,
             reports: Vec::new(),
         };
         gpu.write(&steps.buffers.flags, bytemuck::cast_slice(&no_flags()));
@@ -141,7 +148,7 @@ impl Steps {
         let read = self.gpu.read(&kept.iter().collect::<Vec<&Buffer>>())?;
         for ((step, diagnosed), bytes) in std::mem::take(&mut self.waiting).into_iter().zip(read) {
             let left = Left::of(&bytes, diagnosed);
-            let report = self.report(&left);
+            let report = self.report(&left, step);
             if let Some(what) = self.broken(&report, &left.flags) {
                 return Err(not_finite(step + 1, &what, self.config.train.learning_rate));
             }
@@ -153,6 +160,11 @@ impl Steps {
     fn compute(&mut self, step: u64, updates: u64, rate: f64, log: bool, moves: bool) -> Result<()> {
         self.send(step, updates, rate)?;
         let gpu = self.gpu.clone();
+        let weights = LossWeights::at(&self.config, &self.plan, step);
+        if weights != self.weights {
+            (self.weights, self.logged) = (weights, None);
+            self.plain = gpu.checked("compiling the kernels", || self.record(false))?;
+        }
         let diagnoses = log && self.sets.iter().any(Option::is_some);
         if diagnoses && self.logged.is_none() {
             self.logged = Some(gpu.checked("compiling the kernels", || self.record(true))?);
@@ -171,7 +183,7 @@ impl Steps {
 
     fn clear_gradients(&self) {
         for field in &self.learned {
-            for learned in std::iter::once(&field.weights).chain(&field.tables) {
+            for learned in field.learned() {
                 self.gpu.clear(&learned.gradient);
             }
         }
@@ -185,7 +197,7 @@ impl Steps {
         let [seed0, seed1] = halves(self.config.seed);
         let [step0, step1] = halves(step);
         let words = Words::default().u(seed0 as usize).u(seed1 as usize).u(step0 as usize).u(step1 as usize);
-        let words = words.f(learning_rate / correction1).f(correction2).u(0).u(0);
+        let words = words.f(learning_rate / correction1).f(correction2).f(learning_rate).u(0);
         let rays = of_batch(&self.batches.batch(step), has_tangents(&self.config));
         self.gpu.write(&self.buffers.now, bytemuck::cast_slice(words.words()));
         self.gpu.write(&self.buffers.rays, bytemuck::cast_slice(&rays));
@@ -330,10 +342,7 @@ impl Steps {
     fn record_space<'a>(&'a self, recorder: &mut Recorder<'a>) {
         let Some(space) = &self.buffers.space else { return };
         let volume = space.volume_each;
-        let weight_of = |wanted: Regularizer| {
-            let weights = self.config.regularizer.terms().filter(|(term, _)| *term == wanted).map(|(_, weight)| weight);
-            volume * weights.sum::<f64>()
-        };
+        let weight_of = |term: Regularizer| volume * self.weights.of_term(term);
         let [l1, tv, laplacian] = [Regularizer::L1, Regularizer::Tv, Regularizer::Laplacian].map(weight_of);
         let integrand = Integrand { l1, tv, laplacian };
         for (index, field) in self.regularized() {
@@ -368,17 +377,20 @@ impl Steps {
             let buffers = [(1, &weights.gradient), (2, &self.buffers.results), (3, &self.buffers.flags)];
             recorder.run(Kernel::new("check"), words, &buffers, groups(weights.count));
         }
+        let limit = if train.clip_value > 0.0 { train.clip_value } else { NO_LIMIT };
+        let unit_of = |part: usize| 1.0 / if part == 0 { loss_scale(&self.config) } else { FIXED_SCALE };
+        let factor = (train.clip_norm > 0.0).then(|| self.record_norm(&mut recorder, limit, unit_of));
+        let decays = (train.weight_decay > 0.0).then(|| self.gpu.storage(&self.shape.decays()));
         for (index, field) in self.learned.iter().enumerate() {
-            for (part, learned) in std::iter::once(&field.weights).chain(&field.tables).enumerate() {
+            for (part, learned) in field.learned().enumerate() {
                 let words = Words::default().u(learned.count).f(BETA1).f(train.adam_beta2).f(train.adam_epsilon);
-                let unit = if part == 0 { loss_scale(&self.config) } else { FIXED_SCALE };
-                let words = words.f(1.0 / unit).u(2 * index + part).u(0).u(0);
+                let words = words.f(unit_of(part)).u(2 * index + part).f(limit).f(train.weight_decay);
                 let features = self.shape.grid.as_ref().map_or(1, |grid| grid.features());
                 let (kernel, threads) = match part {
-                    0 => (Kernel::new("adam_weights"), learned.count),
+                    0 => (Kernel::new("adam_weights").with("DECAY", decays.is_some()), learned.count),
                     _ => (Kernel::new("adam_tables").set("FEATURES", features), learned.count / features),
                 };
-                let buffers = [
+                let mut buffers = vec![
                     (1, &self.buffers.now),
                     (2, &learned.values),
                     (3, &learned.first),
@@ -386,10 +398,48 @@ impl Steps {
                     (5, &self.buffers.flags),
                     (6, &learned.gradient),
                 ];
-                recorder.run(kernel, words, &buffers, groups(threads));
+                buffers.extend(factor.as_ref().map(|factor| (7, factor)));
+                buffers.extend(decays.as_ref().filter(|_| part == 0).map(|decays| (8, decays)));
+                recorder.run(kernel.with("NORM", factor.is_some()), words, &buffers, groups(threads));
             }
         }
         recorder.dispatches
+    }
+
+    /// Records the norm of all gradients, and returns the factor that limits it.
+    fn record_norm(&self, recorder: &mut Recorder, limit: f64, unit_of: impl Fn(usize) -> f64) -> Buffer {
+        let all = || self.learned.iter().flat_map(|field| field.learned().enumerate());
+        let groups_of = |learned: &Learned| learned.count.div_ceil(OF_NORM);
+        let count = all().map(|(_, learned)| groups_of(learned)).sum();
+        let (sums, factor) = (self.gpu.numbers(count), self.gpu.numbers(1));
+        let mut first = 0;
+        for (part, learned) in all() {
+            let words = Words::default().u(learned.count).u(first).f(unit_of(part)).f(limit);
+            let kernel = Kernel::new("norm").with("TABLES", part == 1);
+            recorder.run(kernel, words, &[(1, &learned.gradient), (2, &sums)], [groups_of(learned) as u32, 1, 1]);
+            first += groups_of(learned);
+        }
+        let words = Words::default().u(count).f(self.config.train.clip_norm).u(0).u(0);
+        recorder.run(Kernel::new("norm_factor"), words, &[(1, &sums), (2, &factor)], [1, 1, 1]);
+        factor
+    }
+}
+
+/// The weights of a step's losses.
+#[derive(Clone, PartialEq)]
+struct LossWeights {
+    /// Factors of the photometric losses of the clean and of the second passes.
+    passes: (f64, f64),
+    terms: Vec<(Regularizer, f64)>,
+}
+
+impl LossWeights {
+    fn at(config: &Resolved, plan: &Plan, step: u64) -> LossWeights {
+        LossWeights { passes: plan.loss_weights(step), terms: config.regularizer.terms_at(step) }
+    }
+
+    fn of_term(&self, wanted: Regularizer) -> f64 {
+        self.terms.iter().filter(|(term, _)| *term == wanted).map(|(_, weight)| weight).sum()
     }
 }
 

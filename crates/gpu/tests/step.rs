@@ -4,6 +4,7 @@ mod common;
 
 use augnerf_gpu::{Gpu, Steps};
 use augnerf_nerf::methods::{DeviceSteps, FieldLearner, Learner, StepAt};
+use augnerf_nerf::optimizer::{Adam, AdamSettings};
 use augnerf_nerf::runtime::Accelerator;
 use augnerf_nerf::settings::DensityActivation;
 use candle_core::{DType, Device, Tensor};
@@ -162,6 +163,9 @@ steps! {
         "field.hash.bounds=[[-0.5,-0.4,-0.3],[0.5,0.6,0.7]]", "regularizer.kind=tv", "regularizer.weight=0.1";
     hash_with_tv_in_a_small_box: "method=nerf", "field.encoding=hash", "regularizer.kind=tv", "regularizer.weight=0.1",
         "field.hash.contraction=none", "field.hash.bounds=[[-0.5,-0.4,-0.3],[0.5,0.6,0.7]]";
+    nerf_with_weights_of_terms_that_move: "method=nerf", "regularizer.kind=[\"tv\",\"entropy\"]", "regularizer.weight=[0.2,0.1]",
+        "regularizer.schedule=[\"halved every 3 steps\",\"from 2 in 20 steps\"]";
+    aug_with_a_lambda_that_moves: "method=aug-nerf", "perturb.attack=calibrated", "perturb.lambda_schedule=from 0 in 20 steps";
     nerf_with_laplacian: "method=nerf", "field.density_activation=relu", "regularizer.kind=laplacian", "regularizer.weight=0.001",
         "regularizer.points_per_step=500", "field.depth=6", "field.skips=[2,4]";
     nerf_with_laplacian_and_tv_of_softplus: "method=nerf", "regularizer.kind=[\"tv\",\"laplacian\",\"l1\"]",
@@ -285,6 +289,54 @@ fn the_same_bytes_twice_and_after_a_fetch() {
     }
 }
 
+/// Limits of gradients, decay of weights and weights of losses that move, over some steps.
+#[test]
+fn updates_are_the_hosts() {
+    let moving = [
+        "method=nerf",
+        "field.encoding=hash",
+        "train.clip_value=0.002",
+        "train.clip_norm=0.01",
+        "train.weight_decay=2",
+    ];
+    let settings =
+        [&moving[..], &["regularizer.kind=l1", "regularizer.weight=0.1", "regularizer.schedule=halved every 1 steps"]]
+            .concat();
+    let (config, scene) = (config(&settings), scene());
+    let learner = start(&config, &scene);
+    let mut steps = Steps::new(gpu(), &config, &scene, learner.fields(), None).unwrap();
+    let (mut reference, _) = FieldLearner::start(&config, &scene, DType::F64, &Device::Cpu).unwrap();
+    let variables = reference.fields().variables();
+    for ((_, to), (_, from)) in variables.iter().zip(learner.fields().variables()) {
+        to.set(&from.to_dtype(DType::F64).unwrap()).unwrap();
+    }
+    let before: Vec<Vec<f64>> = variables.iter().map(|(_, var)| flat(var.as_tensor())).collect();
+    let mut adam = Adam::new(AdamSettings::of(&config.train), variables.clone()).unwrap();
+    let (mut limited, rate) = (0, 1e-3);
+    for step in 0..3 {
+        let gradients = reference.step(step, false, &|| Ok(())).unwrap().gradients.0;
+        let clamped = gradients.into_iter().map(|part| part.map(|part| part.clamp(-0.002, 0.002).unwrap()));
+        let clamped: Vec<Option<Tensor>> = clamped.collect();
+        let found = norm(clamped.iter().flatten().flat_map(flat));
+        limited += usize::from(found > 0.01);
+        let factor = (0.01 / found).min(1.0);
+        let clipped: Vec<_> = clamped.into_iter().map(|part| part.map(|part| (part * factor).unwrap())).collect();
+        adam.update(&clipped, rate, step + 1).unwrap();
+        steps.step(at(step, rate, false)).unwrap();
+    }
+    assert_eq!(limited, 3, "the norm is limited");
+    let weights: Vec<f64> = steps.reports().unwrap().iter().map(|report| report.terms.last().unwrap().weight).collect();
+    assert_eq!(weights, [0.1, 0.05, 0.025]);
+    steps.fetch().unwrap();
+    for (((name, expected), (_, found)), before) in variables.iter().zip(learner.fields().variables()).zip(before) {
+        let (expected, found) = (flat(expected.as_tensor()), flat(found.as_tensor()));
+        let moved = norm(expected.iter().zip(&before).map(|(a, b)| a - b));
+        let off = norm(expected.iter().zip(&found).map(|(a, b)| a - b));
+        println!("{name:28} moved by {moved:.1e}, off by {off:.1e}");
+        assert!(off < 1e-4 * moved, "{name}: {off:.1e} of {moved:.1e}");
+    }
+}
+
 /// Drivers may take comparisons with what is not a number as they like: the loss or a parameter tells.
 #[test]
 fn what_is_not_finite_is_reported() {
@@ -333,9 +385,7 @@ fn what_is_not_there_is_refused_by_name() {
     for (settings, named) in [
         (["method=mip-nerf", "field.encoding=integrated"], "method mip-nerf"),
         (["method=nerf", "regularizer.kind=orientation"], "regularizer orientation"),
-        (["regularizer.kind=tv", "regularizer.schedule=halved every 9 steps"], "regularizer.schedule"),
         (["method=nerf", "train.sam_radius=0.1"], "train.sam_radius"),
-        (["method=nerf", "train.clip_norm=0.1"], "train.clip_norm"),
         (["method=nerf", "field.precision=bf16"], "bf16"),
         (["method=nerf", "field.width=30"], "width 30"),
         (["method=nerf", "sampling.fine=4000"], "4012 samples"),

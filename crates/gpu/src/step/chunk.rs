@@ -35,7 +35,7 @@ impl<'a> ChunkRecorder<'a> {
     /// Records the passes of the plan.
     pub(super) fn record(&self, recorder: &mut Recorder<'a>) {
         let plan = &self.steps.plan;
-        let (clean_weight, second_weight) = plan.loss_weights(0);
+        let (clean_weight, second_weight) = self.steps.weights.passes;
         for pass in &plan.clean {
             self.clean(recorder, Randoms::OfStep, pass, clean_weight);
         }
@@ -188,10 +188,9 @@ impl<'a> ChunkRecorder<'a> {
         let t_vals = self.samples(recorder, which, plan);
         let noise = self.noise(recorder, which, plan.is_coarse);
         let pass = self.pass(plan, which == Randoms::Redrawn, t_vals, noise);
-        let weight_of = |wanted: Regularizer| {
-            let known = config.regularizer.terms().find(|(term, _)| *term == wanted);
-            let counted = known.filter(|(term, _)| plan.counts(term.is_of_evaluated_pass()));
-            counted.map_or(0.0, |(_, weight)| weight / config.train.rays as f64)
+        let weight_of = |term: Regularizer| match plan.counts(term.is_of_evaluated_pass()) {
+            true => self.steps.weights.of_term(term) / config.train.rays as f64,
+            false => 0.0,
         };
         let loss = PassLoss {
             weight: self.weight(weight * plan.weight),

@@ -106,8 +106,8 @@ impl Steps {
         slots
     }
 
-    /// Makes the report of a step from its results.
-    pub(super) fn report(&self, Left { results, counts, .. }: &Left) -> StepReport {
+    /// Makes the report of the step after `step` finished ones from its results.
+    pub(super) fn report(&self, Left { results, counts, .. }: &Left, step: u64) -> StepReport {
         let (config, plan) = (&self.config, &self.plan);
         let value = |slot: usize, what: usize| f64::from(results[slot * SLOT + what]);
         let mse = |pass: &PassPlan, is_second: bool| value(slot(pass, is_second), MSE);
@@ -118,13 +118,13 @@ impl Steps {
             fine: clean(false).map(|pass| mse(pass, false)),
             perturbed: (!plan.second.is_empty()).then(|| of_second.sum()),
         };
-        let terms = config.regularizer.terms();
+        let terms = config.regularizer.terms_at(step).into_iter();
         let further: Vec<(&str, f64, f64)> =
             terms.map(|(term, weight)| (term.name(), weight, self.value_of(term, &value))).collect();
         let evaluated = plan.clean.iter().find(|pass| pass.is_evaluated).expect("a pass is evaluated");
         let extremes: Vec<f64> = (1..FIRST_TERM).map(|what| value(slot(evaluated, false), what)).collect();
         let sites = |clean| counts.as_ref().map_or_else(Vec::new, |counts| self.diagnose(&value, counts, clean));
-        losses.report(plan, 0, &further, Extremes::read(&extremes), sites)
+        losses.report(plan, step, &further, Extremes::read(&extremes), sites)
     }
 
     /// The value of a regularizer, summed over its fields.

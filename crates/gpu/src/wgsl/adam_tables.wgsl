@@ -10,15 +10,9 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>) {
     if (any == 0u) { return; }
     for (var f = 0u; f < F; f++) {
         let i = F * entry + f;
-        // Two's complement in two words to f32, by its magnitude.
-        var low = sums[2u * i];
-        var high = sums[2u * i + 1u];
-        let negative = (high >> 31u) == 1u;
-        if (negative) { low = ~low + 1u; high = ~high + select(0u, 1u, low == 0u); }
-        var g = (f32(high) + f32(low) * (1.0 / 4294967296.0)) * p.unit;
+        let g = of_fixed(sums[2u * i], sums[2u * i + 1u]) * p.unit;
         // Half of the range: larger sums may have run over.
         if (abs(g) >= 64.0) { atomicOr(&flags[0], 2u); }
-        if (negative) { g = -g; }
         sums[2u * i] = 0u;
         sums[2u * i + 1u] = 0u;
         move_by(i, g);

@@ -184,6 +184,12 @@ impl RegularizerConfig {
         self.kind.iter().copied().zip(self.weight.iter().copied())
     }
 
+    /// Returns the same with their weights in the step after `step` finished ones.
+    pub fn terms_at(&self, step: u64) -> Vec<(Regularizer, f64)> {
+        let terms = self.terms().zip(self.schedules());
+        terms.map(|((term, weight), schedule)| (term, schedule.at(weight, step))).collect()
+    }
+
     /// Returns what comes after the method's name: ` + tv 8e-5`, and nothing without terms.
     pub fn added(&self) -> String {
         let weight = |weight: f64| if weight < 1e-3 { format!("{weight:e}") } else { weight.to_string() };

@@ -22,16 +22,24 @@ fn random_numbers_have_the_hosts_bits() {
     assert_eq!(gpu.read_f32(&out, chunks * count).unwrap(), expected.collect::<Vec<f32>>());
 }
 
+/// Numbers, and those of tables, whose gradients are limited, and weights that decay.
 #[test]
 fn adam() {
     let gpu = gpu();
     let (count, features, steps) = (60, 3, 4);
-    let settings = AdamSettings { beta2: 0.99, epsilon: 1e-15, weight_decay: 0.0 };
     let start = numbers(count, 1.0, 15);
-    for (name, kernel) in [
-        ("fine.weight", Kernel::new("adam_weights")),
-        ("fine.table", Kernel::new("adam_tables").set("FEATURES", features)),
+    let weights = || Kernel::new("adam_weights");
+    let tables = || Kernel::new("adam_tables").set("FEATURES", features);
+    const NONE: f64 = 3e38;
+    for (name, kernel, decay, limit, factor) in [
+        ("fine.weight", weights(), 0.0, NONE, None),
+        ("fine.table", tables(), 0.0, NONE, None),
+        ("fine.weight", weights().with("DECAY", true), 0.3, 0.05, None),
+        ("fine.weight", weights().with("NORM", true), 0.0, NONE, Some(0.3f32)),
+        ("fine.table", tables().with("NORM", true), 0.0, 0.05, Some(0.3)),
     ] {
+        let settings = AdamSettings { beta2: 0.99, epsilon: 1e-15, weight_decay: decay };
+        let (factor_buffer, ones) = (gpu.storage(&[factor.unwrap_or(1.0)]), gpu.storage(&vec![1.0; count]));
         let is_table = name == "fine.table";
         let var = Var::from_tensor(&wide(&start, &[count / features, features])).unwrap();
         let mut reference = Adam::new(settings, vec![(name.to_string(), var.clone())]).unwrap();
@@ -52,14 +60,18 @@ fn adam() {
             gpu.write(&sums_buffer, bytemuck::cast_slice(&sums));
             let corrections = [0.9, settings.beta2].map(|beta: f64| 1.0 - beta.powi(step as i32));
             let now = gpu.uniform(
-                &[0.0, 0.0, 0.0, 0.0, (0.01 / corrections[0]) as f32, corrections[1] as f32, 0.0, 0.0]
+                &[0.0, 0.0, 0.0, 0.0, (0.01 / corrections[0]) as f32, corrections[1] as f32, 0.01, 0.0]
                     .map(f32::to_bits),
             );
             let unit = if is_table { 1.0 / FIXED_SCALE } else { 1.0 };
-            let words = Words::default().u(count).f(0.9).f(settings.beta2).f(settings.epsilon).f(unit).u(0).u(0).u(0);
-            let buffers = [(1, &now), (2, &values), (3, &first), (4, &second), (5, &flags), (6, &sums_buffer)];
+            let words =
+                Words::default().u(count).f(0.9).f(settings.beta2).f(settings.epsilon).f(unit).u(0).f(limit).f(decay);
+            let mut buffers = vec![(1, &now), (2, &values), (3, &first), (4, &second), (5, &flags), (6, &sums_buffer)];
+            buffers.extend(factor.map(|_| (7, &factor_buffer)));
+            buffers.extend((decay > 0.0).then_some((8, &ones)));
             run(&gpu, kernel.clone(), words, &buffers, groups(count));
-            let of_host = wide(&gradient, &[count / features, features]);
+            let of_host = wide(&gradient, &[count / features, features]).clamp(-limit, limit).unwrap();
+            let of_host = (of_host * f64::from(factor.unwrap_or(1.0))).unwrap();
             reference.update(&[Some(of_host)], 0.01, step).unwrap();
             let left: Vec<u32> = bytemuck::pod_collect_to_vec(&gpu.read(&[&sums_buffer]).unwrap()[0]);
             assert!(left.iter().all(|word| *word == 0), "sums are made 0");
@@ -67,6 +79,29 @@ fn adam() {
         near(&format!("adam, {name}"), &gpu.read_f32(&values, count).unwrap(), &flat(var.as_tensor()), 1e-6);
         let moments = &reference.moments()[0];
         near(&format!("adam, {name}, second"), &gpu.read_f32(&second, count).unwrap(), &flat(&moments.second), 1e-5);
+    }
+}
+
+/// The factor that limits the norm of gradients of weights and of tables.
+#[test]
+fn norms_are_limited() {
+    let gpu = gpu();
+    let (weights, tables, limit) = (numbers(9000, 1.0, 170), numbers(500, 1.0, 171), 0.6);
+    let fixed = tables.iter().map(|g| (f64::from(*g) * 2f64.powi(56)) as i64 as u64);
+    let fixed: Vec<u32> = fixed.flat_map(|sum| [sum as u32, (sum >> 32) as u32]).collect();
+    let fixed_buffer = gpu.numbers(fixed.len());
+    gpu.write(&fixed_buffer, bytemuck::cast_slice(&fixed));
+    let (sums, factor) = (gpu.numbers(4), gpu.numbers(1));
+    let words = Words::default().u(weights.len()).u(0).f(0.5).f(limit);
+    run(&gpu, Kernel::new("norm"), words, &[(1, &gpu.storage(&weights)), (2, &sums)], [3, 1, 1]);
+    let words = Words::default().u(tables.len()).u(3).f(1.0 / FIXED_SCALE).f(limit);
+    run(&gpu, Kernel::new("norm").with("TABLES", true), words, &[(1, &fixed_buffer), (2, &sums)], [1, 1, 1]);
+    let all = weights.iter().map(|g| 0.5 * f64::from(*g)).chain(tables.iter().map(|g| f64::from(*g)));
+    let found = all.map(|g| g.clamp(-limit, limit).powi(2)).sum::<f64>().sqrt();
+    for norm in [0.5 * found, 2.0 * found] {
+        let words = Words::default().u(4).f(norm).u(0).u(0);
+        run(&gpu, Kernel::new("norm_factor"), words, &[(1, &sums), (2, &factor)], [1, 1, 1]);
+        near("norm_factor", &gpu.read_f32(&factor, 1).unwrap(), &[(norm / found).min(1.0)], 1e-6);
     }
 }
 
