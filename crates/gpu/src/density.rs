@@ -8,7 +8,7 @@ use candle_core::{DType, Device, Tensor};
 use wgpu::Buffer;
 
 use crate::device::{Dispatch, Gpu};
-use crate::limits::{check_field, samples_at_once};
+use crate::limits::{check_density, samples_at_once};
 use crate::network::{FieldBuffers, Shape};
 use crate::rays::{RAY, packed};
 use crate::record::{DeltaBuffers, OUT, PassAt, Recorder, Scratch, SpaceAt};
@@ -42,7 +42,7 @@ impl GpuDensity {
     /// # Errors
     /// The device does not render such a field, or has too little memory.
     pub(crate) fn new(gpu: &Gpu, field: &Field) -> Result<GpuDensity> {
-        check_field(field.config())?;
+        check_density(field.config())?;
         gpu.checked("making what queries density", || GpuDensity::record(gpu, field))?
     }
 
@@ -124,7 +124,7 @@ impl Density for GpuDensity {
 
     fn rgb(&self, points: &Tensor, _variance: [f64; 3], viewdirs: &Tensor) -> Result<Tensor> {
         let (points, views) = (numbers(points)?, numbers(viewdirs)?);
-        let rays = packed(&points, &vec![0.0; points.len()], &views);
+        let rays = packed(&points, &vec![0.0; points.len()], &views, &[]);
         let found = self.query(&self.rgb, (&self.rays, &self.values), &rays, RAY, self.chunk)?;
         let rgb: Vec<f32> = found.chunks_exact(4).flat_map(|at| [at[0], at[1], at[2]]).collect();
         Ok(Tensor::from_vec(rgb, (points.len() / 3, 3), &Device::Cpu)?)

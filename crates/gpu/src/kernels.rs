@@ -40,6 +40,10 @@ texts! {
     "points": "common", "rays", "points";
     "frequency": "common", "waves", "frequency";
     "frequency_back": "common", "waves_back", "frequency_back";
+    "integrated": "common", "integrated";
+    "integrated_back": "common", "integrated_back";
+    "gaussians": "common", "rays", "cone", "gaussians";
+    "gaussians_back": "common", "rays", "cone", "gaussians_back";
     "view": "common", "rays", "waves", "view";
     "view_back": "common", "rays", "waves_back", "view_back";
     "t_back": "common", "rays", "t_back";

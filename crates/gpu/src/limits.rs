@@ -2,7 +2,7 @@
 
 use augnerf_base::{Error, Result};
 use augnerf_nerf::settings::{
-    ChangedEntries, Config, Encoding, FieldConfig, Placing, Precision, Regularizer, Resolved, SecondPass,
+    ChangedEntries, Config, FieldConfig, Placing, Precision, Regularizer, Resolved, SecondPass,
 };
 
 use crate::device::Gpu;
@@ -55,7 +55,7 @@ pub(crate) fn check_precision(gpu: &Gpu, config: &Config) -> Result<()> {
 
 /// Returns an error for fields that the device neither trains nor renders.
 pub(crate) fn check_fields(config: &Config) -> Result<()> {
-    if !config.method.has_fields() || config.field.encoding.queries_gaussians() {
+    if !config.method.has_fields() {
         return Err(refused(&format!("method {}", config.method.name())));
     }
     check_field(&config.field)?;
@@ -73,12 +73,15 @@ pub(crate) fn check_fields(config: &Config) -> Result<()> {
     Ok(())
 }
 
-/// Returns an error for a field that the device does not query.
-pub(crate) fn check_field(config: &FieldConfig) -> Result<()> {
-    match config.encoding {
-        Encoding::Positional | Encoding::Hash => {}
-        Encoding::Integrated => return Err(refused("fields that are queried at Gaussians")),
+/// Returns an error for a field whose density in space the device does not query.
+pub(crate) fn check_density(config: &FieldConfig) -> Result<()> {
+    if config.encoding.queries_gaussians() {
+        return Err(refused("density in space of fields that are queried at Gaussians"));
     }
+    check_field(config)
+}
+
+fn check_field(config: &FieldConfig) -> Result<()> {
     if !config.width.is_multiple_of(4) {
         return Err(refused(&format!("networks of width {}, which is no multiple of 4,", config.width)));
     }

@@ -65,6 +65,8 @@ pub(crate) struct Shape {
     /// Of a position's encoding.
     pub(crate) channels: usize,
     pub(crate) octaves: usize,
+    /// The field is queried at Gaussians.
+    pub(crate) is_integrated: bool,
     /// Of a view direction's encoding.
     pub(crate) view_channels: usize,
     pub(crate) view_octaves: usize,
@@ -102,6 +104,7 @@ impl Shape {
         Shape {
             channels,
             octaves: config.position_octaves,
+            is_integrated: config.encoding.queries_gaussians(),
             view_channels,
             view_octaves: config.view_octaves,
             width,

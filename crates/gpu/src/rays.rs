@@ -7,21 +7,23 @@ use augnerf_scenes::tangents;
 /// Numbers of a ray in the rays' buffer; `rays.wgsl` says which.
 pub(crate) const RAY: usize = 20;
 
-/// Returns rays as the kernels read them, from `[rays, 3]` each, without tangents and true colours.
-pub(crate) fn packed(origins: &[f32], directions: &[f32], views: &[f32]) -> Vec<f32> {
+/// Returns rays as the kernels read them, from `[rays, 3]` each and radii `[rays]`, which may be missing, without tangents and true
+/// colours.
+pub(crate) fn packed(origins: &[f32], directions: &[f32], views: &[f32], radii: &[f32]) -> Vec<f32> {
     let mut packed = vec![0.0; origins.len() / 3 * RAY];
     for (i, ray) in packed.chunks_exact_mut(RAY).enumerate() {
         for (at, from) in [origins, directions, views].into_iter().enumerate() {
             ray[3 * at..][..3].copy_from_slice(&from[3 * i..][..3]);
         }
         ray[RAY - 2] = ray[3..6].iter().map(|x| x * x).sum::<f32>().sqrt();
+        ray[RAY - 1] = radii.get(i).copied().unwrap_or_default();
     }
     packed
 }
 
 /// Returns the rays of a batch, with what tilts view directions if it is needed.
 pub(crate) fn of_batch(Batch { rays, target }: &Batch, has_tangents: bool) -> Vec<f32> {
-    let mut packed = packed(&rays.origins, &rays.directions, &rays.viewdirs);
+    let mut packed = packed(&rays.origins, &rays.directions, &rays.viewdirs, &rays.radii);
     for (ray, target) in packed.chunks_exact_mut(RAY).zip(target.chunks_exact(3)) {
         if has_tangents {
             let (u, w) = tangents([ray[6], ray[7], ray[8]].map(f64::from));

@@ -174,6 +174,8 @@ pub(crate) struct Recorder<'a> {
     pub(crate) flags: &'a Buffer,
     pub(crate) bounds: (f64, f64),
     pub(crate) background: Option<[f32; 3]>,
+    /// Rays are in NDC, where pixels have cylinders in place of cones.
+    pub(crate) has_cylinders: bool,
     pub(crate) tiles: Tiles,
     /// Tiles of derivatives, which are computed in f32.
     pub(crate) jet_tiles: Tiles,
@@ -202,6 +204,7 @@ impl<'a> Recorder<'a> {
             flags,
             bounds: (0.0, 1.0),
             background: None,
+            has_cylinders: false,
             tiles,
             jet_tiles: tiles,
             loss_scale: 1.0,

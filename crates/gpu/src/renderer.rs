@@ -4,8 +4,9 @@ use std::sync::{Mutex, PoisonError};
 
 use augnerf_base::Result;
 use augnerf_nerf::methods::{Fields, RenderedRays, Renderer};
+use augnerf_nerf::render::ray_parts;
 use augnerf_nerf::settings::Config;
-use augnerf_scenes::{Rays, Scene};
+use augnerf_scenes::{RayParts, Rays, Scene};
 use candle_core::{DType, Device, Tensor};
 use wgpu::Buffer;
 
@@ -27,6 +28,7 @@ pub struct GpuRenderer {
     rays: Buffer,
     out: Buffer,
     work: Vec<Dispatch>,
+    parts: RayParts,
     chunk: usize,
     /// One thread at a time has the buffers.
     turn: Mutex<()>,
@@ -67,6 +69,7 @@ impl GpuRenderer {
         let mut recorder = Recorder {
             bounds: scene.bounds(),
             background: scene.background,
+            has_cylinders: scene.ndc.is_some(),
             ..Recorder::new(gpu, shape, &config.field, &scratch, &rays, &flags)
         };
         let words = Words::default().u(chunk).u(columns).u(0).u(0);
@@ -104,7 +107,8 @@ impl GpuRenderer {
             recorder.forward(&fine, None);
         }
         let work = recorder.dispatches;
-        Ok(GpuRenderer { gpu: gpu.clone(), rays, out, work, chunk, turn: Mutex::default() })
+        let parts = ray_parts(fields.coarse());
+        Ok(GpuRenderer { gpu: gpu.clone(), rays, out, work, parts, chunk, turn: Mutex::default() })
     }
 
     /// Renders at most a chunk of rays: their colours, depths and accumulations, `OUT` numbers each.
@@ -121,9 +125,15 @@ impl Renderer for GpuRenderer {
         Some(self.chunk)
     }
 
+    fn ray_parts(&self) -> RayParts {
+        self.parts
+    }
+
     fn render(&self, rays: &Rays) -> Result<RenderedRays> {
         let host = |tensor: &Tensor| tensor.to_dtype(DType::F32)?.flatten_all()?.to_vec1::<f32>();
-        let packed = packed(&host(&rays.origins)?, &host(&rays.directions)?, &host(&rays.viewdirs)?);
+        let radii = rays.footprint.as_ref().map(|footprint| host(&footprint.radii)).transpose()?;
+        let [origins, directions, views] = [&rays.origins, &rays.directions, &rays.viewdirs].map(host);
+        let packed = packed(&origins?, &directions?, &views?, &radii.unwrap_or_default());
         let mut out = Vec::with_capacity(rays.len() * OUT);
         for part in packed.chunks(self.chunk * RAY) {
             out.extend(self.render_chunk(part)?);

@@ -43,6 +43,7 @@ pub struct Steps {
     plan: Plan,
     scene_bounds: (f64, f64),
     background: Option<[f32; 3]>,
+    has_cylinders: bool,
     fields: Fields,
     shape: Shape,
     batches: Batches,
@@ -83,7 +84,8 @@ impl Steps {
         check(config)?;
         check_precision(gpu, config)?;
         let shape = Shape::of(&config.field);
-        let parts = RayParts { tangents: has_tangents(config), ..RayParts::default() };
+        let footprint = config.field.encoding.queries_gaussians();
+        let parts = RayParts { tangents: has_tangents(config), footprint };
         let batches = Batches::new(config, scene, parts)?;
         let (learned, opened, opening) = gpu.checked("copying the parameters", || -> Result<_> {
             let learned = copied(gpu, &shape, fields, moments)?;
@@ -111,6 +113,7 @@ impl Steps {
             config: config.clone(),
             scene_bounds: scene.bounds(),
             background: scene.background,
+            has_cylinders: scene.ndc.is_some(),
             fields: fields.clone(),
             shape,
             batches,
@@ -287,6 +290,7 @@ impl Steps {
         Recorder {
             bounds: self.scene_bounds,
             background: self.background,
+            has_cylinders: self.has_cylinders,
             tiles: self.gpu.tiles(self.config.field.precision),
             loss_scale: loss_scale(&self.config),
             ..Recorder::new(&self.gpu, &self.shape, &self.config.field, scratch, rays, flags)

@@ -5,7 +5,7 @@ mod common;
 use augnerf_nerf::methods::{FieldRenderer, Renderer};
 use augnerf_nerf::runtime::Accelerator;
 use augnerf_nerf::settings::PixelOrigin;
-use augnerf_scenes::{RayBuffer, RayParts};
+use augnerf_scenes::RayBuffer;
 use candle_core::{DType, Device, Tensor};
 use common::{config, flat, gpu, scene, start};
 
@@ -16,10 +16,10 @@ fn differences(settings: &[&str]) -> [f64; 3] {
     let fields = learner.fields().at_step(&config, 3).unwrap();
     let camera = &scene.train[0].camera;
     let pixels: Vec<_> = (0..16).flat_map(|y| (0..16).map(move |x| (camera, x, y))).collect();
-    let rays = RayBuffer::new(&pixels, None, PixelOrigin::Corner, RayParts::default());
+    let renderer = gpu().renderer(&fields, &config, &scene).unwrap();
+    let rays = RayBuffer::new(&pixels, None, PixelOrigin::Corner, renderer.ray_parts());
     let rays = rays.to_tensors(DType::F32, &Device::Cpu).unwrap();
     let on_host = FieldRenderer::new(&fields, &config, &scene).unwrap().render(&rays).unwrap();
-    let renderer = gpu().renderer(&fields, &config, &scene).unwrap();
     let found = renderer.render(&rays).unwrap();
     let largest = |a: &Tensor, b: &Tensor| {
         let pairs = flat(a).into_iter().zip(flat(b));
@@ -51,6 +51,12 @@ fn views_of_fields_that_open_are_the_hosts() {
         let [rgb, depth, acc] = differences(&settings);
         assert!(rgb < 2e-4 && depth < 2e-3 && acc < 2e-4, "{encoding}: {rgb:.1e} {depth:.1e} {acc:.1e}");
     }
+}
+
+#[test]
+fn views_of_mip_nerf_are_the_hosts() {
+    let [rgb, depth, acc] = differences(&["method=mip-nerf"]);
+    assert!(rgb < 2e-4 && depth < 2e-3 && acc < 2e-4, "{rgb:.1e} {depth:.1e} {acc:.1e}");
 }
 
 #[test]

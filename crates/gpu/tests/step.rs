@@ -175,6 +175,11 @@ steps! {
     hash_with_laplacian_in_a_ball: "method=nerf", "field.encoding=hash", "field.hash.interpolation=smoothstep",
         "field.hash.contraction=ball", "field.hash.bounds=[[-0.5,-0.4,-0.3],[0.5,0.6,0.7]]", "regularizer.kind=laplacian",
         "regularizer.weight=0.001";
+    mip_nerf: "method=mip-nerf";
+    mip_nerf_with_noise_and_terms: "method=mip-nerf", "sampling.density_noise=0.5", "regularizer.kind=[\"distortion\",\"entropy\"]",
+        "regularizer.weight=[0.1,0.1]";
+    aug_mip_nerf: "method=aug-mip-nerf", "perturb.attack=calibrated";
+    aug_mip_nerf_paper: "method=aug-mip-nerf", "perturb.attack=paper", "perturb.geometry=paper";
     aug_with_tv: "method=aug-nerf", "perturb.attack=calibrated", "regularizer.kind=tv", "regularizer.weight=0.1";
     aug: "method=aug-nerf", "perturb.attack=calibrated";
     aug_paper: "method=aug-nerf", "perturb.attack=paper";
@@ -383,7 +388,7 @@ fn the_first_of_many_waiting_steps_that_is_not_finite_is_named() {
 #[test]
 fn what_is_not_there_is_refused_by_name() {
     for (settings, named) in [
-        (["method=mip-nerf", "field.encoding=integrated"], "method mip-nerf"),
+        (["method=srn", "field.width=16"], "method srn"),
         (["method=nerf", "regularizer.kind=orientation"], "regularizer orientation"),
         (["method=nerf", "train.sam_radius=0.1"], "train.sam_radius"),
         (["method=nerf", "field.precision=bf16"], "bf16"),

@@ -25,16 +25,30 @@ impl<'a> Recorder<'a> {
         let words = Words::default().u(pass.rays).u(pass.samples).u(pass.columns).u(pass.ray0);
         let mut buffers = vec![(1, self.rays), (2, t_vals), (3, &scratch.points)];
         buffers.extend(pass.deltas.xyz.map(|shift| (4, shift)));
-        self.run(Kernel::new("points").with("SHIFT", pass.deltas.xyz.is_some()), words, &buffers, groups(n));
+        let kernel = match self.shape.is_integrated {
+            true => self.of_solids("gaussians"),
+            false => Kernel::new("points"),
+        };
+        buffers.extend(self.shape.is_integrated.then_some((5, &scratch.variances)));
+        self.run(kernel.with("SHIFT", pass.deltas.xyz.is_some()), words, &buffers, groups(n));
         self.encode(Rows::Samples(n), &scratch.points, pass.field);
         t_vals
     }
 
-    /// Records the encoding of points, with its derivatives in jets.
+    /// Chooses between cones and the cylinders of rays in NDC.
+    fn of_solids(&self, name: &'static str) -> Kernel {
+        Kernel::new(name).with("CYLINDERS", self.has_cylinders)
+    }
+
+    /// Records the encoding of points, with its derivatives in jets, or that of Gaussians.
     pub(super) fn encode(&mut self, rows: Rows, points: &Buffer, field: &FieldBuffers) {
         let (n, scratch) = (rows.points(), self.scratch);
         let Some(grid) = &self.shape.grid else {
             let words = Words::default().u(n).u(self.shape.octaves).u(self.shape.channels).u(0);
+            if self.shape.is_integrated {
+                let buffers = [(1, points), (2, &scratch.variances), (3, &scratch.encoded)];
+                return self.run(Kernel::new("integrated"), words, &buffers, groups(3 * n));
+            }
             let kernel = rows.chosen(Kernel::new("frequency"));
             self.run(kernel, words, &[(1, points), (2, &scratch.encoded)], groups(3 * n));
             return;
@@ -85,13 +99,28 @@ impl<'a> Recorder<'a> {
             self.run(Kernel::new("domain_back"), self.domain(n), &buffers, groups(n));
         } else if wanted.points() {
             let words = Words::default().u(n).u(shape.octaves).u(shape.channels).u(0);
-            let buffers = [(1, &scratch.encoded), (2, &scratch.d_encoded), (3, &scratch.d_points)];
-            self.run(Kernel::new("frequency_back"), words, &buffers, groups(3 * n));
+            let mut buffers = vec![(1, &scratch.encoded), (2, &scratch.d_encoded), (3, &scratch.d_points)];
+            buffers.extend(shape.is_integrated.then_some((4, &scratch.d_variances)));
+            let name = if shape.is_integrated { "integrated_back" } else { "frequency_back" };
+            self.run(Kernel::new(name), words, &buffers, groups(3 * n));
         }
         if wanted.t {
             let words = Words::default().u(pass.rays).u(pass.samples).u(pass.columns).u(pass.ray0);
-            let buffers = [(1, self.rays), (2, &scratch.d_points), (3, &scratch.d_t)];
-            self.run(Kernel::new("t_back"), words, &buffers, groups(pass.rays * pass.columns));
+            let t_vals = if pass.deltas.t.is_some() { &scratch.t_moved } else { pass.t_vals };
+            let (kernel, buffers) = match shape.is_integrated {
+                true => (
+                    self.of_solids("gaussians_back"),
+                    vec![
+                        (1, self.rays),
+                        (2, t_vals),
+                        (3, &scratch.d_points),
+                        (4, &scratch.d_variances),
+                        (5, &scratch.d_t),
+                    ],
+                ),
+                false => (Kernel::new("t_back"), vec![(1, self.rays), (2, &scratch.d_points), (3, &scratch.d_t)]),
+            };
+            self.run(kernel, words, &buffers, groups(pass.rays * pass.columns));
         }
     }
 }

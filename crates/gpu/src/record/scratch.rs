@@ -10,6 +10,8 @@ use super::products::most_parts;
 /// Buffers of the samples of a chunk of rays, used by one pass after another.
 pub(crate) struct Scratch {
     pub(super) points: Buffer,
+    /// Of Gaussians.
+    pub(super) variances: Buffer,
     pub(super) unit: Buffer,
     pub(super) inside: Buffer,
     pub(super) encoded: Buffer,
@@ -31,6 +33,7 @@ pub(crate) struct Scratch {
     pub(super) d_feature: Buffer,
     pub(super) d_view: Buffer,
     pub(super) d_points: Buffer,
+    pub(super) d_variances: Buffer,
     pub(super) d_t: Buffer,
     pub(super) d_tilt: Buffer,
     pub(super) t_moved: Buffer,
@@ -50,7 +53,7 @@ impl Scratch {
             + 2 * (shape.width + 4)
             + shape.view.len() * shape.view_width
             + shape.view_channels
-            + 34;
+            + 40;
         4 * numbers
     }
 
@@ -60,9 +63,11 @@ impl Scratch {
         let n = (rays * samples).max(8);
         let f = |numbers: usize| gpu.numbers(numbers);
         let back = |numbers: usize| gpu.numbers(if trains { numbers } else { 1 });
+        let of_variances = if shape.is_integrated { 3 * n } else { 1 };
         let hidden = n * shape.width.max(shape.view_width);
         Scratch {
             points: f(3 * n),
+            variances: f(of_variances),
             unit: f(3 * n),
             inside: f(n),
             encoded: f(n * shape.channels),
@@ -83,6 +88,7 @@ impl Scratch {
             d_feature: back(n * shape.width),
             d_view: back(n * shape.view_channels),
             d_points: back(3 * n),
+            d_variances: back(of_variances),
             d_t: back(rays * (samples + 1)),
             d_tilt: back(2 * rays),
             t_moved: back(rays * (samples + 1)),

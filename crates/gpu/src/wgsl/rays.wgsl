@@ -1,4 +1,5 @@
-// A ray of the step: origin, direction, view direction, its two tangents, true colour, length of the direction.
+// A ray of the step: origin, direction, view direction, its two tangents, true colour, length of the direction, radius of its
+// cone at t = 1.
 const RAY: u32 = 20u;
 fn ray_vector(ray: u32, at: u32) -> vec3<f32> {
     let i = RAY * ray + at;
@@ -11,3 +12,4 @@ const TANGENT_U: u32 = 9u;
 const TANGENT_W: u32 = 12u;
 const TARGET: u32 = 15u;
 const NORM: u32 = 18u;
+const RADIUS: u32 = 19u;

@@ -23,6 +23,60 @@ fn waves() {
     near("frequency_back", &gpu.read_f32(&d_points, 3 * n).unwrap(), &gradient, 1e-5);
 }
 
+/// Gaussians of intervals along rays, of cones and of cylinders, their expected encoding, and the way back to shifts and edges.
+#[test]
+fn gaussians() {
+    let gpu = gpu();
+    let (all, rays, ray0, samples, octaves, channels) = (12, 9, 3, 5, 8, 48);
+    let n = rays * samples;
+    for cylinders in [false, true] {
+        let packed: Vec<f32> = numbers(all * RAY, 1.0, 180).iter().map(|x| x.abs() + 0.01).collect();
+        let widths: Vec<f32> = numbers(rays * samples, 0.2, 181).iter().map(|x| x.abs() + 0.05).collect();
+        let edges: Vec<f32> = widths
+            .chunks(samples)
+            .flat_map(|widths| (0..=samples).map(|i| 2.0 + widths[..i].iter().sum::<f32>()))
+            .collect();
+        let [shift, d_encoded, d_edges] = [(3 * n, 0.1, 182), (n * channels, 1.0, 183), (edges.len(), 1.0, 184)]
+            .map(|(n, size, seed)| numbers(n, size, seed));
+        let [rays_buffer, edges_buffer, shift_buffer, d_buffer, d_t] =
+            [&packed, &edges, &shift, &d_encoded, &d_edges].map(|values| gpu.storage(values));
+        let [points, variances, encoded, d_points, d_variances] =
+            [3 * n, 3 * n, n * channels, 3 * n, 3 * n].map(|count| gpu.numbers(count));
+        let of_rays = || Words::default().u(rays).u(samples).u(samples + 1).u(ray0);
+        let of_points = || Words::default().u(n).u(octaves).u(channels).u(0);
+        let solids = |kernel: Kernel| kernel.with("CYLINDERS", cylinders);
+        let buffers = [(1, &rays_buffer), (2, &edges_buffer), (3, &points), (4, &shift_buffer), (5, &variances)];
+        run(&gpu, solids(Kernel::new("gaussians")).with("SHIFT", true), of_rays(), &buffers, groups(n));
+        let buffers = [(1, &points), (2, &variances), (3, &encoded)];
+        run(&gpu, Kernel::new("integrated"), of_points(), &buffers, groups(3 * n));
+        let buffers = [(1, &encoded), (2, &d_buffer), (3, &d_points), (4, &d_variances)];
+        run(&gpu, Kernel::new("integrated_back"), of_points(), &buffers, groups(3 * n));
+        let buffers = [(1, &rays_buffer), (2, &edges_buffer), (3, &d_points), (4, &d_variances), (5, &d_t)];
+        run(&gpu, solids(Kernel::new("gaussians_back")), of_rays(), &buffers, groups(edges.len()));
+
+        let part = |at: usize, count: usize| -> Tensor {
+            let of_chunk = packed[RAY * ray0..RAY * (ray0 + rays)].chunks(RAY);
+            wide(&of_chunk.flat_map(|ray| ray[at..at + count].to_vec()).collect::<Vec<f32>>(), &[rays, count])
+        };
+        let footprint = Some(Footprint { radii: part(RAY - 1, 1), cylinders });
+        let of_host = Rays { footprint, ..Rays::new(part(0, 3), part(3, 3), part(6, 3)).unwrap() };
+        let (edges_var, shift_var) = (var(&edges, &[rays, samples + 1]), var(&shift, &[n, 3]));
+        let still = gaussians_at(&of_host, &edges_var).unwrap().flatten(0, 1).unwrap();
+        let moved = (&still + shift_var.pad_with_zeros(1, 0, 3).unwrap()).unwrap();
+        let expected = encode_integrated(&moved, octaves).unwrap();
+        let [mean, variance] = [0, 3].map(|first| flat(&moved.narrow(1, first, 3).unwrap()));
+        near("gaussians, means", &gpu.read_f32(&points, 3 * n).unwrap(), &mean, 1e-6);
+        near("gaussians, variances", &gpu.read_f32(&variances, 3 * n).unwrap(), &variance, 1e-6);
+        near("integrated", &gpu.read_f32(&encoded, n * channels).unwrap(), &flat(&expected), 1e-5);
+        let loss = (expected * wide(&d_encoded, &[n, channels])).unwrap().sum_all().unwrap();
+        let gradients = loss.backward().unwrap();
+        let of_shift = flat(gradients.get(&shift_var).unwrap());
+        near("integrated_back", &gpu.read_f32(&d_points, 3 * n).unwrap(), &of_shift, 1e-4);
+        let of_edges = (gradients.get(&edges_var).unwrap() + wide(&d_edges, &[rays, samples + 1])).unwrap();
+        near("gaussians_back", &gpu.read_f32(&d_t, edges.len()).unwrap(), &flat(&of_edges), 1e-4);
+    }
+}
+
 /// The sums of tables in 64-bit fixed point.
 fn fixed_sums(gpu: &Gpu, sums: &Buffer, count: usize) -> Vec<f32> {
     let bytes = gpu.read(&[sums]).unwrap().remove(0);

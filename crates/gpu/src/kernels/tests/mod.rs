@@ -1,12 +1,14 @@
 //! Each kernel against the same in f64. A table of differences is printed with `--nocapture`.
 
 use augnerf_base::rng::{Random, Stream};
-use augnerf_nerf::field::encode;
 use augnerf_nerf::field::hash::{Domain, HashGrid, Vertex};
+use augnerf_nerf::field::{encode, encode_integrated};
 use augnerf_nerf::optimizer::{Adam, AdamSettings};
+use augnerf_nerf::render::gaussians_at;
 use augnerf_nerf::render::sampling::importance;
 use augnerf_nerf::render::volume::composite_reference;
 use augnerf_nerf::settings::{Contraction, Interpolation};
+use augnerf_scenes::{Footprint, Rays};
 use candle_core::{DType, Device, Tensor, Var};
 use wgpu::Buffer;
 
