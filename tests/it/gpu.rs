@@ -6,8 +6,8 @@ use crate::common::files::{number, rows};
 use crate::common::program::{Place, set};
 
 /// A hash grid on small views of the built-in scene.
-const SMALL: &str =
-    "data.width=32 train.rays=64 field.hash.log2_table=11 train.steps=80 train.log_every=20 eval.pictures=1";
+const SMALL: &str = "data.width=32 train.rays=64 sampling.kind=resampled \
+     field.hash.log2_table=11 train.steps=80 train.log_every=20 eval.pictures=1";
 
 fn train(out: &str, device: &str, more: &str) -> String {
     format!("train --quiet --overwrite --out {out} --device {device}{}{}", set(SMALL), set(more))
@@ -35,6 +35,24 @@ fn a_training_ends_where_the_processor_s_does() {
         assert!(!state["adapters"][0].as_str().unwrap().is_empty());
         let device = &place.json("gpu/metrics.json")["protocol"]["device"];
         assert!(device.as_str().unwrap().starts_with("gpu ("), "{device}");
+    }
+}
+
+/// Rows of the paper's tables on a small network.
+#[test]
+fn networks_end_where_the_processor_s_do() {
+    let place = Place::new();
+    let small = "data.width=24 train.rays=64 field.width=32 field.depth=2 field.skips=[] perturb.injection_layer=1 train.steps=200 \
+                 train.decay_steps=200 train.learning_rate=5e-3 eval.train_views=0 eval.pictures=0 data.test_skip=4";
+    let laplacian = "method=nerf regularizer.kind=laplacian regularizer.weight=1e-6";
+    for method in ["method=mip-nerf", "method=aug-mip-nerf", laplacian] {
+        let [on_gpu, on_cpu] = ["gpu", "cpu"].map(|device| {
+            let train = format!("train --preset smoke --quiet --overwrite --out {device} --device {device}");
+            place.run(&format!("{train}{}{}", set(small), set(method)), 0);
+            psnr(&place, device)
+        });
+        println!("{method}: {on_gpu} dB and {on_cpu} dB");
+        assert!((on_gpu - on_cpu).abs() < 0.3 && on_cpu > 13.0, "{method}: {on_gpu} dB and {on_cpu} dB");
     }
 }
 
@@ -71,6 +89,32 @@ fn a_run_goes_on_on_another_device() {
     }
 }
 
+/// A row that the device refuses runs on the processor, and the table says so.
+#[test]
+fn rows_of_a_sweep_can_stay_on_the_processor() {
+    let place = Place::new();
+    let sweep = |device: &str| {
+        format!(
+            "title = 'Two devices'\npreset = 'smoke'\nscenes = ['builtin']\nseeds = [0]\nmetrics = ['psnr']\nbaseline = 'NeRF'\n\
+             set = {{ data.width = 16, train.rays = 32, train.steps = 4, eval.train_views = 0 }}\n\
+             [[row]]\nname = 'NeRF'\n[[row]]\nname = 'SRN'\nset = {{ method = 'srn' }}\n{device}"
+        )
+    };
+    place.write("refused.toml", &sweep(""));
+    place.says(
+        "sweep run refused.toml --device gpu",
+        2,
+        &["SRN (builtin)", "method srn", "device = \"cpu\" in the sweep's file"],
+    );
+    place.write("two.toml", &sweep("device = 'cpu'"));
+    place.run("sweep run two.toml --device gpu --quiet", 0);
+    let table = place.text("results/two/table.md");
+    assert!(table.contains("rows differ in device: gpu (") && table.contains("(NeRF); cpu (SRN)"), "{table}");
+    let budget = "device = 'cpu'\nbudget = { kind = 'seconds', like = 'NeRF' }";
+    place.write("budget.toml", &sweep(budget));
+    place.says("sweep run budget.toml --device gpu", 2, &["row 'SRN' names its device", "seconds of two devices"]);
+}
+
 #[test]
 fn devices_are_listed_and_timed() {
     let place = Place::new();
@@ -85,8 +129,8 @@ fn devices_are_listed_and_timed() {
 fn what_it_does_not_do_is_refused() {
     let place = Place::new();
     for (settings, words) in [
-        ("method=mip-nerf", "method mip-nerf"),
-        ("field.encoding=positional regularizer.kind=laplacian", "regularizer laplacian"),
+        ("method=srn", "method srn"),
+        ("regularizer.kind=orientation", "regularizer orientation"),
         ("field.width=30", "width 30"),
     ] {
         place.says(&train("run", "gpu", settings), 2, &[words, "--device cpu"]);

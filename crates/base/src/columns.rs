@@ -205,7 +205,7 @@ pub const COLUMNS: &[Column] = &[
     column("corruption_hash").per_seed(),
     column("program").in_caption().always(),
     column("code_revision").in_caption().always(),
-    column("device").always(),
+    column("device").where_differing().always(),
     column("mesh").in_caption().always(),
     column("lpips_weights").for_lpips(),
     // Newer than the first results, whose points lack these columns.

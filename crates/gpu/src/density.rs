@@ -8,7 +8,7 @@ use candle_core::{DType, Device, Tensor};
 use wgpu::Buffer;
 
 use crate::device::{Dispatch, Gpu};
-use crate::limits::{check_density, samples_at_once};
+use crate::limits::{check_buffers, check_density, samples_at_once};
 use crate::network::{FieldBuffers, Shape};
 use crate::rays::{RAY, packed};
 use crate::record::{DeltaBuffers, OUT, PassAt, Recorder, Scratch, SpaceAt};
@@ -48,8 +48,9 @@ impl GpuDensity {
 
     fn record(gpu: &Gpu, field: &Field) -> Result<GpuDensity> {
         let shape = Shape::of(field.config());
+        check_buffers(gpu, field.config(), &shape)?;
         let most = if gpu.adapter().is_software { MOST_POINTS_IN_SOFTWARE } else { MOST_POINTS };
-        let chunk = samples_at_once(gpu, &shape, 0, 0).clamp(4, most) / 4 * 4;
+        let chunk = samples_at_once(gpu, &shape, 0, false).clamp(4, most) / 4 * 4;
         let field_buffers = FieldBuffers::of(gpu, &shape, field)?;
         let scratch = Scratch::new(gpu, &shape, chunk, 1, false);
         let (points, rays, at) = (gpu.numbers(3 * chunk), gpu.numbers(RAY * chunk), gpu.numbers(4 * chunk));

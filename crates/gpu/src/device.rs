@@ -114,6 +114,35 @@ fn has_matrices(adapter: &wgpu::Adapter) -> bool {
         && adapter.cooperative_matrix_properties().iter().any(is_wanted)
 }
 
+/// The variable that sets the memory of a step, in GiB.
+const MEMORY: &str = "AUGNERF_GPU_MEMORY";
+
+/// Returns the bytes that the user lets a step have.
+fn chosen_memory() -> Result<Option<usize>> {
+    let Some(text) = std::env::var_os(MEMORY).filter(|text| !text.is_empty()) else { return Ok(None) };
+    let gib = text.to_str().and_then(|text| text.trim().parse::<f64>().ok()).filter(|gib| *gib > 0.0 && *gib < 1e6);
+    let wrong = || Error::Config(format!("{MEMORY} = {text:?}: give the GiB of a step, a number above 0 such as 4"));
+    Ok(Some((gib.ok_or_else(wrong)? * f64::from(1 << 30)) as usize))
+}
+
+/// Returns the bytes of a card's own memory, which Vulkan alone tells.
+#[cfg(not(target_vendor = "apple"))]
+fn memory_of(adapter: &wgpu::Adapter) -> Option<usize> {
+    const OF_DEVICE: u32 = 1;
+    // SAFETY: neither handle is kept or destroyed.
+    let properties = unsafe {
+        let vulkan = adapter.as_hal::<wgpu::hal::api::Vulkan>()?;
+        vulkan.shared_instance().raw_instance().get_physical_device_memory_properties(vulkan.raw_physical_device())
+    };
+    let heaps = properties.memory_heaps_as_slice().iter().filter(|heap| heap.flags.as_raw() & OF_DEVICE != 0);
+    heaps.map(|heap| heap.size as usize).max()
+}
+
+#[cfg(target_vendor = "apple")]
+fn memory_of(_adapter: &wgpu::Adapter) -> Option<usize> {
+    None
+}
+
 /// A dispatch that is recorded once and submitted many times.
 pub(crate) struct Dispatch {
     pipeline: ComputePipeline,
@@ -186,11 +215,12 @@ impl Gpu {
         device.set_device_lost_callback(move |_, found| drop(of_loss[0].set(format!("was lost: {found}"))));
         device.on_uncaptured_error(Arc::new(move |error| drop(of_error[1].set(failure_of(&error)))));
         // Large tiles need the registers of a card; an H200's step of NeRF takes two thirds of the time with them.
-        let (budget, tiles) = match info.device_type {
-            DeviceType::DiscreteGpu => (6 << 30, Tiles::Large),
+        let (memory, tiles) = match info.device_type {
+            DeviceType::DiscreteGpu => (memory_of(&adapter).map_or(6 << 30, |bytes| bytes / 4 * 3), Tiles::Large),
             DeviceType::Cpu => (1 << 28, Tiles::Small),
             _ => (1 << 30, Tiles::Small),
         };
+        let budget = chosen_memory()?.unwrap_or(memory);
         Ok(Gpu(
             Arc::new(Opened { device, queue, adapter: known, limits: required, pipelines, failures, tiles }),
             budget,
@@ -426,7 +456,8 @@ impl Gpu {
 }
 
 /// What helps where memory is short.
-const SMALLER: &str = "lower train.rays, field.width, field.hash.log2_table or regularizer.lattice";
+const SMALLER: &str = "let a step have less memory, as with AUGNERF_GPU_MEMORY=2 (GiB), or lower train.rays, field.width, \
+     field.hash.log2_table or regularizer.lattice";
 
 /// Returns the failure that an error outside of [`Gpu::checked`] is.
 fn failure_of(error: &wgpu::Error) -> String {

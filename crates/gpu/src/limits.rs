@@ -7,7 +7,7 @@ use augnerf_nerf::settings::{
 
 use crate::device::Gpu;
 use crate::network::Shape;
-use crate::record::{ON_RAYS, Scratch, most_rows};
+use crate::record::{ON_RAYS, Scratch, most_parts};
 
 /// Samples that the groups of one dispatch of a product reach.
 const MOST_POINTS: usize = 64 * 65_535;
@@ -92,12 +92,32 @@ fn refused(what: &str) -> Error {
     Error::Config(format!("device gpu does not compute {what} yet; use --device cpu"))
 }
 
-/// Returns the samples whose numbers fit into the device's memory at once: those of [`Scratch`], `more` bytes beside them,
-/// and the parts of gradients of `weights`.
-pub(crate) fn samples_at_once(gpu: &Gpu, shape: &Shape, more: usize, weights: usize) -> usize {
+/// Returns the samples whose numbers fit into the device's memory at once: those of [`Scratch`], and `more` bytes beside them.
+pub(crate) fn samples_at_once(gpu: &Gpu, shape: &Shape, more: usize, trains: bool) -> usize {
     let (bytes, widest) = (Scratch::bytes_per_sample(shape) + more, 4 * (shape.width + 4).max(shape.channels));
-    let of_buffer = most_rows(gpu.largest_buffer(), widest, 4 * weights);
-    most_rows(gpu.budget(), bytes, 4 * weights).min(of_buffer).min(MOST_POINTS)
+    let parts = if trains { 4 * shape.weights() * most_parts(gpu, shape.weights()) } else { 0 };
+    (gpu.budget().saturating_sub(parts) / bytes).min(gpu.largest_buffer() / widest).min(MOST_POINTS)
+}
+
+/// Returns an error for parameters that no buffer of the device holds.
+pub(crate) fn check_buffers(gpu: &Gpu, config: &FieldConfig, shape: &Shape) -> Result<()> {
+    // A number of a table has two words of its gradient.
+    let table = shape.grid.as_ref().map_or(0, |grid| 8 * grid.entries() * grid.features());
+    for (bytes, what, lower) in [
+        (table, "the gradient of a hash table", format!("field.hash.log2_table ({})", config.hash.log2_table)),
+        (4 * shape.weights(), "a network", format!("field.width ({})", config.width)),
+    ] {
+        if bytes > gpu.largest_buffer() {
+            let mib = |bytes: usize| bytes.div_ceil(1 << 20);
+            return Err(Error::Config(format!(
+                "device gpu ({}) has buffers of {} MiB at most, and {what} needs {}; lower {lower}, or use --device cpu",
+                gpu.adapter().name,
+                mib(gpu.largest_buffer()),
+                mib(bytes),
+            )));
+        }
+    }
+    Ok(())
 }
 
 /// Returns the rays whose samples fit into the device's memory at once: whole chunks of the host, an even number.
@@ -107,14 +127,15 @@ pub(crate) fn samples_at_once(gpu: &Gpu, shape: &Shape, more: usize, weights: us
 pub(crate) fn rays_of_chunk(gpu: &Gpu, config: &Resolved, shape: &Shape, samples: usize) -> Result<usize> {
     // Deltas of both passes, random ones, and the numbers that they are drawn from.
     let deltas = 4 * 5 * (shape.width + 8) * usize::from(config.method.is_augmented());
-    let fits = samples_at_once(gpu, shape, deltas, shape.weights()) / samples;
+    let fits = samples_at_once(gpu, shape, deltas, true) / samples;
     let unit = config.train.chunk.min(config.train.rays).next_multiple_of(2);
     if fits < unit {
         return Err(Error::Config(format!(
             "device gpu ({}) has memory for {fits} rays of {samples} samples at once, which is less than a chunk; lower \
-             train.chunk ({}) or field.width",
+             train.chunk ({}) or field.width, or give a step more than its {} MiB with AUGNERF_GPU_MEMORY (in GiB)",
             gpu.adapter().name,
-            config.train.chunk
+            config.train.chunk,
+            gpu.budget() >> 20,
         )));
     }
     Ok((fits / unit * unit).min(config.train.rays))

@@ -17,7 +17,7 @@ mod space;
 
 #[cfg(test)]
 pub(crate) use encoding::{domain_words, grid_words};
-pub(crate) use products::most_rows;
+pub(crate) use products::most_parts;
 pub(crate) use scratch::Scratch;
 pub(crate) use space::{Integrand, SpaceAt};
 

@@ -12,7 +12,7 @@ use wgpu::Buffer;
 
 use crate::device::{Dispatch, Gpu, groups};
 use crate::kernels::Kernel;
-use crate::limits::{check_fields, samples_at_once};
+use crate::limits::{check_buffers, check_fields, samples_at_once};
 use crate::network::{FieldBuffers, Shape};
 use crate::rays::{RAY, bins, packed};
 use crate::record::{DeltaBuffers, OUT, PassAt, Recorder, Resampling, Scratch, Words};
@@ -42,10 +42,11 @@ impl GpuRenderer {
     pub fn new(gpu: &Gpu, fields: &Fields, config: &Config, scene: &Scene) -> Result<GpuRenderer> {
         check_fields(config)?;
         let shape = Shape::of(&config.field);
+        check_buffers(gpu, &config.field, &shape)?;
         let (coarse, fine) = config.samples();
         let samples = coarse.max(fine);
         let most = if gpu.adapter().is_software { MOST_RAYS_IN_SOFTWARE } else { MOST_RAYS };
-        let fits = samples_at_once(gpu, &shape, 0, 0);
+        let fits = samples_at_once(gpu, &shape, 0, false);
         let chunk = (fits / samples).clamp(1, most);
         gpu.checked("making a renderer", || GpuRenderer::record(gpu, fields, config, scene, &shape, chunk))?
     }

@@ -13,7 +13,7 @@ use wgpu::Buffer;
 
 use crate::device::{Dispatch, Gpu, groups};
 use crate::kernels::Kernel;
-use crate::limits::{check, check_precision, rays_of_chunk};
+use crate::limits::{check, check_buffers, check_precision, rays_of_chunk};
 use crate::network::{FieldBuffers, Learned, Shape};
 use crate::rays::{bins, of_batch};
 use crate::record::{FIXED_SCALE, Integrand, Recorder, SpaceAt, Words};
@@ -84,6 +84,7 @@ impl Steps {
         check(config)?;
         check_precision(gpu, config)?;
         let shape = Shape::of(&config.field);
+        check_buffers(gpu, &config.field, &shape)?;
         let footprint = config.field.encoding.queries_gaussians();
         let parts = RayParts { tangents: has_tangents(config), footprint };
         let batches = Batches::new(config, scene, parts)?;

@@ -134,6 +134,7 @@ steps! {
     nerf_coarse_only_with_entropy: "method=nerf", "sampling.fine=0", "regularizer.kind=entropy", "regularizer.weight=0.1";
     nerf_deep_with_two_skips: "method=nerf", "field.depth=6", "field.skips=[2,4]", "field.view_depth=3", "field.width=40";
     nerf_wide: "method=nerf", "field.width=136";
+    nerf_whose_gradients_have_few_parts: "method=nerf", "field.width=1024", "field.depth=2", "field.skips=[]";
     hash: "method=nerf", "field.encoding=hash";
     hash_smoothstep_in_a_ball: "method=nerf", "field.encoding=hash", "field.hash.interpolation=smoothstep",
         "field.hash.contraction=ball", "field.hash.bounds=[[-0.5,-0.4,1.0],[0.5,0.6,2.0]]", "field.hash.features=4";
@@ -236,6 +237,47 @@ fn rays_in_parts_have_the_numbers_of_all_at_once() {
         let refused = Steps::new(&gpu().with_budget(budget), &config, &scene, learner.fields(), None);
         let error = refused.err().unwrap().to_string();
         assert!(error.contains(&format!("lower train.chunk ({chunk}) or field.width")), "{error}");
+    }
+}
+
+/// With memory for fewer and fewer rays a step has the same loss, until the error says what to do.
+#[test]
+fn with_less_memory_it_takes_parts_or_says_what_is_needed() {
+    let (config, scene) = (config(&["method=aug-nerf", "perturb.attack=calibrated", "field.encoding=hash"]), scene());
+    let learner = start(&config, &scene);
+    let losses = (14..24).rev().map(|power| {
+        let gpu = gpu().with_budget(1 << power);
+        let steps = Steps::new(&gpu, &config, &scene, learner.fields(), None);
+        steps
+            .map(|mut steps| (steps.dispatches(), steps.gradients(3).unwrap().0.loss))
+            .map_err(|error| error.to_string())
+    });
+    let losses: Vec<Result<(usize, f64), String>> = losses.collect();
+    let fits = losses.iter().take_while(|found| found.is_ok()).count();
+    assert!((2..10).contains(&fits), "{losses:?}");
+    let at = |i: usize| losses[i].clone().unwrap();
+    assert!((1..fits).all(|i| (at(i).1 / at(0).1 - 1.0).abs() < 1e-6 && at(i).0 >= at(i - 1).0), "{losses:?}");
+    assert!(at(fits - 1).0 > at(0).0, "{losses:?}");
+    for refused in &losses[fits..] {
+        let error = refused.clone().unwrap_err();
+        assert!(
+            error.contains("lower train.chunk (16) or field.width") && error.contains("AUGNERF_GPU_MEMORY"),
+            "{error}"
+        );
+    }
+    // A table that no buffer holds.
+    let tables = [
+        "method=nerf",
+        "field.encoding=hash",
+        "field.hash.levels=16",
+        "field.hash.log2_table=20",
+        "field.hash.finest=2048",
+    ];
+    if gpu().adapter().largest_buffer.unwrap() < 1 << 28 {
+        let config = common::config(&tables);
+        let (learner, _) = FieldLearner::start(&config, &scene, DType::F32, &Device::Cpu).unwrap();
+        let error = Steps::new(gpu(), &config, &scene, learner.fields(), None).err().unwrap().to_string();
+        assert!(error.contains("lower field.hash.log2_table (20)"), "{error}");
     }
 }
 

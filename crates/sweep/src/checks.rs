@@ -6,7 +6,7 @@ use std::hash::Hash;
 use super::axes::Axis;
 use toml::{Table, Value};
 
-use super::definition::{Combine, Definition, Row, is_named, scene_name};
+use super::definition::{Budget, BudgetKind, Combine, Definition, Row, is_named, scene_name};
 use super::words::quoted;
 use crate::metrics::Metric;
 use crate::settings::Method;
@@ -122,6 +122,17 @@ impl Definition {
             }
             if let Some(budget) = &row.budget {
                 known(&format!("budget.like of row '{}'", row.name), &budget.like)?;
+            }
+            let budget = row.budget.as_ref().or(self.budget.as_ref()).filter(|budget| budget.like != row.name);
+            if let Some(Budget { kind: BudgetKind::Seconds, like }) = budget
+                && let Some(other) =
+                    self.row.iter().find(|other| [&row.name, like].contains(&&other.name) && other.device.is_some())
+            {
+                return Err(format!(
+                    "row '{}' gets the seconds of row '{like}', but row '{}' names its device, and seconds of two devices are \
+                     not the same cost; remove that device or the budget",
+                    row.name, other.name
+                ));
             }
         }
         Ok(())

@@ -146,6 +146,17 @@ pub struct Row {
     /// Budget of this row, in place of the sweep's.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub budget: Option<Budget>,
+    /// The device of this row, whatever the command line says.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub device: Option<RowDevice>,
+}
+
+/// A device that a row can name.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum RowDevice {
+    /// The processor, which trains all methods.
+    Cpu,
 }
 
 fn yes() -> bool {
@@ -156,7 +167,7 @@ fn is_true(value: &bool) -> bool {
     *value
 }
 
-fn is_false(value: &bool) -> bool {
+pub(super) fn is_false(value: &bool) -> bool {
     !*value
 }
 

@@ -110,7 +110,16 @@ impl RunsTable {
         self.outputs.records.push(record);
         let places = vec![TablePosition { row, axes: Vec::new() }];
         let source = scene.clone();
-        self.points.push(Point { id, scene, source, config, places, without_budget: false, no_data: None });
+        self.points.push(Point {
+            id,
+            scene,
+            source,
+            config,
+            places,
+            on_cpu: false,
+            without_budget: false,
+            no_data: None,
+        });
     }
 
     /// Sets rows, metrics and title after reading.

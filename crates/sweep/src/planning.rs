@@ -96,14 +96,18 @@ pub fn plan_costs(
     mut each: impl FnMut(CostGroup) -> Result<()>,
 ) -> Result<()> {
     let begun = Instant::now();
-    let mut groups: BTreeMap<(String, u64), Vec<&Point>> = BTreeMap::new();
+    let mut groups: BTreeMap<(bool, String, u64), Vec<&Point>> = BTreeMap::new();
     for point in points {
-        groups.entry((point.config.step_shape(), point.config.train.steps)).or_default().push(point);
+        groups.entry((point.on_cpu, point.config.step_shape(), point.config.train.steps)).or_default().push(point);
     }
     let mut known: Option<(&str, &Config, Cost)> = None;
     let mut estimated: Option<&str> = None;
-    // Groups of one shape are adjacent.
-    for ((shape, steps), points) in &groups {
+    // Groups of one shape are adjacent. Nothing that is known of one device tells of the other.
+    let mut device = None;
+    for ((on_cpu, shape, steps), points) in &groups {
+        if device.replace(on_cpu) != Some(on_cpu) {
+            (known, estimated) = (None, None);
+        }
         let mut config = &points[0].config;
         let cost = match known {
             Some((same, _, cost)) if same == shape => cost,
@@ -135,7 +139,7 @@ fn first_cost<'a>(points: &[&'a Point], trainings: &Trainings) -> Result<Option<
         if unreadable.contains(&point.scene) {
             continue;
         }
-        match trainings.cost(&point.config) {
+        match trainings.cost(point) {
             Ok(cost) => return Ok(Some((&point.config, cost))),
             Err(Error::Data(_)) => _ = unreadable.insert(&point.scene),
             Err(error) => return Err(error),

@@ -10,7 +10,7 @@ use crate::report::label;
 use crate::settings::Config;
 
 use super::budget::steps_within;
-use super::definition::{BudgetKind, Definition};
+use super::definition::{BudgetKind, Definition, is_false};
 use super::layout::{Layout, PlannedRun, Refused, TablePosition, missing, scene_folder};
 use super::step_seconds::{MeasureSteps, StepSeconds};
 
@@ -30,6 +30,9 @@ pub struct Point {
     pub config: Config,
     /// Its positions in the table; at least one.
     pub places: Vec<TablePosition>,
+    /// It runs on the processor, whatever device others run on.
+    #[serde(default, skip_serializing_if = "is_false")]
+    pub on_cpu: bool,
     /// The budget needs the scene, which is missing; the steps are the row's own.
     pub without_budget: bool,
     /// Why its scene cannot be read, or `None` if it can.
@@ -125,6 +128,7 @@ impl Layout {
                 Some((index, others)) => {
                     others.push(planned);
                     points[*index].places.extend(point.places);
+                    points[*index].on_cpu |= point.on_cpu;
                 }
                 None => {
                     known.insert(point.id.clone(), (points.len(), vec![planned]));

@@ -123,7 +123,7 @@ impl<'a> Trainings<'a> {
         for point in points.iter().filter(|point| point.no_data.is_none()) {
             let mut config = point.config.clone();
             (config.seed, config.train.dead_start_share) = (0, 0.0);
-            if known.insert(config.hash()) {
+            if known.insert((config.hash(), point.on_cpu)) {
                 configs.push((point, config));
             }
         }
@@ -140,7 +140,7 @@ impl<'a> Trainings<'a> {
         for (point, config) in configs {
             let rows: Vec<String> = point.places.iter().map(|place| label(&place.row, &place.axes)).collect();
             let rows: Vec<&str> = rows.iter().map(String::as_str).collect();
-            match refused.unless(self.check(config), &rows, &point.scene) {
+            match refused.unless(self.check(config, point.on_cpu), &rows, &point.scene) {
                 Ok(_) => readable = true,
                 Err(error @ Error::Data(_)) => _ = unreadable.entry(point.scene.clone()).or_insert(error),
                 Err(error) => self.events.on(Event::Note(&format!("{} cannot start here: {error}", point.cell()))),
@@ -156,18 +156,30 @@ impl<'a> Trainings<'a> {
         Ok(())
     }
 
-    /// Checks that a point can start. Colours are none of the checks, so that images are not corrupted for them.
-    fn check(&self, config: Config) -> Result<()> {
+    /// Checks that a configuration can start on its device. Colours are none of the checks, so that images are not corrupted for
+    /// them. The error says so if the processor could train the row.
+    fn check(&self, config: Config, on_cpu: bool) -> Result<()> {
         let moved = config.data.corruption.kind == CorruptionKind::Poses;
         let (config, scene) = if moved { self.scene(config) } else { self.clean_scene(config) }?;
-        Trainer::check(&config, &scene, DType::F32, &self.runtime)
+        let check = |runtime: &Runtime| Trainer::check(&config, &scene, DType::F32, runtime);
+        check(&on_device(&self.runtime, on_cpu)).map_err(|error| match error {
+            Error::Config(text) if !self.runtime.is_cpu() && check(&self.runtime.on_cpu()).is_ok() => {
+                Error::Config(format!("{text}, or give the row device = \"cpu\" in the sweep's file"))
+            }
+            other => other,
+        })
     }
 
     /// Returns a trainer at step 0, for measurements.
-    pub fn trainer(&self, config: &Config) -> Result<(Trainer, Arc<Scene>, Resolved)> {
+    fn trainer(&self, config: &Config, runtime: &Runtime) -> Result<(Trainer, Arc<Scene>, Resolved)> {
         let (config, scene) = self.scene(config.clone())?;
-        Ok((Trainer::new(&config, &scene, DType::F32, &self.runtime)?, scene, config))
+        Ok((Trainer::new(&config, &scene, DType::F32, runtime)?, scene, config))
     }
+}
+
+/// Returns the runtime of a point beside others on `runtime`.
+fn on_device(runtime: &Runtime, on_cpu: bool) -> Runtime {
+    if on_cpu { runtime.on_cpu() } else { runtime.clone() }
 }
 
 /// Cost of a point on this machine.
@@ -200,17 +212,18 @@ impl Cost {
 
 impl Trainings<'_> {
     /// Measures a few real steps and part of a held-out view, and scales to the views of an evaluation.
-    pub fn cost(&self, config: &Config) -> Result<Cost> {
-        let memory = watch_memory(&self.runtime);
-        let seconds_per_step = self.estimated_step(config)?;
-        let (trainer, scene, config) = self.trainer(config)?;
+    pub fn cost(&self, point: &Point) -> Result<Cost> {
+        let runtime = &on_device(&self.runtime, point.on_cpu);
+        let memory = watch_memory(runtime);
+        let seconds_per_step = self.estimated_step(&point.config, runtime)?;
+        let (trainer, scene, config) = self.trainer(&point.config, runtime)?;
         let mut seconds_evaluation = 0.0;
         if let Some(view) = scene.test.first() {
             // Each thread gets some rows of the image, as in the complete image.
             let mut camera = view.camera;
-            let rows = (2 * self.runtime.threads() * config.eval.chunk).div_ceil(camera.width);
+            let rows = (2 * runtime.threads() * config.eval.chunk).div_ceil(camera.width);
             camera.height = rows.min(view.camera.height);
-            let viewer = Viewer { model: trainer.model()?, config: &config, scene: &scene, runtime: &self.runtime };
+            let viewer = Viewer { model: trainer.model()?, config: &config, scene: &scene, runtime };
             let renderer = viewer.renderer()?;
             let timed = || -> Result<f64> {
                 let started = Instant::now();
@@ -233,14 +246,15 @@ impl Trainings<'_> {
 
 impl Trainings<'_> {
     /// Returns the seconds of the first steps of each training, as many steps as take `least` seconds.
-    fn time_steps(&self, configs: &[&Config], least: f64) -> Result<Vec<Vec<f64>>> {
-        let trainers: Result<Vec<Trainer>> = configs.iter().map(|config| Ok(self.trainer(config)?.0)).collect();
+    fn time_steps(&self, configs: &[&Config], least: f64, runtime: &Runtime) -> Result<Vec<Vec<f64>>> {
+        let trainers: Result<Vec<Trainer>> =
+            configs.iter().map(|config| Ok(self.trainer(config, runtime)?.0)).collect();
         let mut trainers = trainers?;
         let steps: Vec<usize> = configs.iter().map(|config| config.train.steps as usize).collect();
         let timed = |index: usize| {
             let started = Instant::now();
             trainers[index].step(false)?;
-            self.runtime.synchronize()?;
+            runtime.synchronize()?;
             Ok(started.elapsed().as_secs_f64())
         };
         time_in_turns(&steps, timed, least)
@@ -256,7 +270,7 @@ impl Trainings<'_> {
              {LEAST_STEPS} steps of a training take longer",
             configs.len()
         )));
-        let seconds = self.time_steps(configs, CALIBRATION)?;
+        let seconds = self.time_steps(configs, CALIBRATION, &self.runtime)?;
         let clock = Clock {
             processor: Host::current().cpu.unwrap_or_else(|| "unknown".into()),
             device: self.runtime.name().to_string(),
@@ -271,12 +285,12 @@ impl Trainings<'_> {
 
     /// Estimates the same from a few steps, for numbers that are only printed.
     pub fn estimated_step_seconds(&self, configs: &[&Config]) -> Result<StepSeconds> {
-        configs.iter().map(|config| Ok((*config, self.estimated_step(config)?))).collect()
+        configs.iter().map(|config| Ok((*config, self.estimated_step(config, &self.runtime)?))).collect()
     }
 
     /// Returns the median of a few steps, of which the first are slow.
-    fn estimated_step(&self, config: &Config) -> Result<f64> {
-        Ok(median(&self.time_steps(&[config], ESTIMATE)?[0]))
+    fn estimated_step(&self, config: &Config, runtime: &Runtime) -> Result<f64> {
+        Ok(median(&self.time_steps(&[config], ESTIMATE, runtime)?[0]))
     }
 }
 
@@ -331,6 +345,7 @@ impl Work for Trainings<'_> {
         progress: &Progress,
         stop: &AtomicUsize,
     ) -> Result<PointResult> {
+        let runtime = &on_device(runtime, point.on_cpu);
         let mut config = point.config.clone();
         config.eval.lpips_weights.clone_from(&self.lpips_weights);
         let (config, scene) = self.scene(config)?;

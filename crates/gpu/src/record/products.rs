@@ -4,7 +4,7 @@ use std::ops::Range;
 
 use wgpu::Buffer;
 
-use crate::device::groups;
+use crate::device::{Gpu, groups};
 use crate::kernels::{Kernel, Tile};
 use crate::network::{FieldBuffers, Layer};
 
@@ -90,21 +90,20 @@ pub(super) struct Through<'a> {
     pub(super) open: Option<&'a Buffer>,
 }
 
-/// Returns the rows of a part of a gradient of weights over `rows` rows, and the number of parts.
-pub(super) fn parts(rows: usize) -> (usize, usize) {
-    let of_part = rows.div_ceil(MOST_PARTS).max(PART).next_multiple_of(16);
+/// Returns the rows of a part of a gradient of weights over `rows` rows, and the number of parts, at most `most`.
+fn parts(rows: usize, most: usize) -> (usize, usize) {
+    let of_part = rows.div_ceil(most).max(PART).next_multiple_of(16);
     (of_part, rows.div_ceil(of_part))
 }
 
-/// Returns the most parts of up to `rows` rows. Fewer rows may have more parts than `rows` have.
-pub(super) fn most_parts(rows: usize) -> usize {
-    rows.div_ceil(PART).min(MOST_PARTS)
+/// Returns the most parts of a gradient of so many weights: in one buffer, and in an eighth of a step's memory.
+pub(crate) fn most_parts(gpu: &Gpu, weights: usize) -> usize {
+    (gpu.largest_buffer().min(gpu.budget() / 8) / (4 * weights)).clamp(1, MOST_PARTS)
 }
 
-/// Returns the most rows of `bytes` each that fit into so much `memory` together with their parts of `part` bytes.
-pub(crate) fn most_rows(memory: usize, bytes: usize, part: usize) -> usize {
-    let with_all_parts = memory.saturating_sub(MOST_PARTS * part) / bytes;
-    with_all_parts.max(memory.saturating_sub(part) / (bytes + part.div_ceil(PART)))
+/// Returns the most parts of up to `rows` rows, at most `most`. Fewer rows may have more parts than `rows` have.
+pub(super) fn parts_of(rows: usize, most: usize) -> usize {
+    rows.div_ceil(PART).min(most)
 }
 
 impl<'a> Recorder<'a> {
@@ -176,7 +175,7 @@ impl<'a> Recorder<'a> {
     /// Records the parts of a layer's gradient.
     pub(super) fn dense_weights(&mut self, rows: Rows, layer: Layer, (a, second): (Matrix, Option<Matrix>), d: Matrix) {
         let (tile, kernel) = self.tiled("weights", layer.outputs, rows);
-        let (part_rows, parts) = parts(rows.count());
+        let (part_rows, parts) = parts(rows.count(), self.scratch.most_parts);
         let kernel = kernel.with("SECOND", second.is_some());
         let words = Recorder::product_words(rows, layer.outputs, a, second).u(d.stride).u(0).u(0).u(0).u(0).u(0);
         let words = words.u(part_rows).u(self.shape.weights()).u(layer.offset).u(0);
@@ -189,7 +188,8 @@ impl<'a> Recorder<'a> {
 
     /// Records the sum of the parts of a field's gradient, up to this number of weights.
     pub(super) fn reduce(&mut self, rows: Rows, field: &FieldBuffers, weights: usize) {
-        let words = Words::default().u(weights).u(parts(rows.count()).1).u(self.shape.weights()).u(0);
+        let (_, parts) = parts(rows.count(), self.scratch.most_parts);
+        let words = Words::default().u(weights).u(parts).u(self.shape.weights()).u(0);
         let buffers = [(1, &self.scratch.parts), (2, &field.weights.gradient)];
         self.run(Kernel::new("reduce"), words, &buffers, groups(weights));
     }
@@ -203,20 +203,12 @@ mod tests {
     fn parts_of_fewer_rows_have_room() {
         for most in [4, 600, 65_536, 76_800, 131_840, 1_000_000] {
             for rows in (1..=most).step_by(most / 500 + 1).chain([most, most.min(65_536)]) {
-                let (of_part, count) = parts(rows);
-                assert!(count <= most_parts(most) && of_part * count >= rows && of_part % 16 == 0, "{rows} of {most}");
+                for at_most in [MOST_PARTS, 3, 1] {
+                    let (of_part, count) = parts(rows, at_most);
+                    let fits = count <= parts_of(most, at_most);
+                    assert!(fits && of_part * count >= rows && of_part % 16 == 0, "{rows} of {most}");
+                }
             }
         }
-    }
-
-    #[test]
-    fn rows_fit_with_their_parts() {
-        let (small, large) = (2_400_000, 37_000_000);
-        for (memory, bytes, part) in [(6 << 30, 15_700, small), (1 << 28, 60_000, large), (1 << 31, 1, large)] {
-            let takes = |rows: usize| rows * bytes + most_parts(rows) * part;
-            let rows = most_rows(memory, bytes, part);
-            assert!(takes(rows) <= memory && takes(rows + rows / 4) > memory, "{rows}");
-        }
-        assert_eq!([most_rows(100, 7, 0), most_rows(100, 7, 200)], [14, 0]);
     }
 }

@@ -5,7 +5,7 @@ use wgpu::Buffer;
 use crate::device::Gpu;
 use crate::network::Shape;
 
-use super::products::most_parts;
+use super::products::{most_parts, parts_of};
 
 /// Buffers of the samples of a chunk of rays, used by one pass after another.
 pub(crate) struct Scratch {
@@ -39,6 +39,8 @@ pub(crate) struct Scratch {
     pub(super) t_moved: Buffer,
     pub(super) view_encoded: Buffer,
     pub(super) parts: Buffer,
+    /// Parts of a gradient of weights, at most.
+    pub(super) most_parts: usize,
     pub(super) used_rgb: Buffer,
     pub(super) used_density: Buffer,
 }
@@ -63,6 +65,7 @@ impl Scratch {
         let n = (rays * samples).max(8);
         let f = |numbers: usize| gpu.numbers(numbers);
         let back = |numbers: usize| gpu.numbers(if trains { numbers } else { 1 });
+        let most_parts = most_parts(gpu, shape.weights());
         let of_variances = if shape.is_integrated { 3 * n } else { 1 };
         let hidden = n * shape.width.max(shape.view_width);
         Scratch {
@@ -93,7 +96,8 @@ impl Scratch {
             d_tilt: back(2 * rays),
             t_moved: back(rays * (samples + 1)),
             view_encoded: f(rays * shape.view_channels),
-            parts: back(most_parts(n) * shape.weights()),
+            parts: back(parts_of(n, most_parts) * shape.weights()),
+            most_parts,
             used_rgb: back(3 * n),
             used_density: back(n),
         }

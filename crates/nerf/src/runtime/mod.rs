@@ -118,6 +118,14 @@ impl Runtime {
         Ok(Runtime { alone: jobs == 1, accelerator: self.accelerator.clone(), ..own })
     }
 
+    /// Returns a runtime on the processor, on the same threads.
+    pub fn on_cpu(&self) -> Runtime {
+        match self.is_cpu() {
+            true => self.clone(),
+            false => Runtime { device: Device::Cpu, accelerator: None, name: "cpu".into(), ..self.clone() },
+        }
+    }
+
     /// Returns whether no other job shares these threads, so that the process's memory is this job's.
     pub fn is_alone(&self) -> bool {
         self.alone
