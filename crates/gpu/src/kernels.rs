@@ -49,8 +49,8 @@ texts! {
     "t_back": "common", "rays", "t_back";
     "domain": "common", "contraction", "domain";
     "domain_back": "common", "contraction", "domain_back";
-    "encode": "common", "cell", "contraction", "encode";
-    "scatter": "common", "cell", "contraction", "scatter";
+    "encode": "common", "cell", "contraction", "laplacian", "encode";
+    "scatter": "common", "cell", "contraction", "laplacian", "scatter";
     "slope": "common", "cell", "slope";
     "activate": "common", "output", "activation", "activate";
     "activate_back": "common", "output", "activation", "activate_back";

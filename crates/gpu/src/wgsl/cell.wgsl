@@ -19,12 +19,3 @@ fn corner(k: u32) -> vec3<u32> { return vec3<u32>(k & 1u, (k >> 1u) & 1u, k >> 2
 fn upper(f: vec3<f32>) -> vec3<f32> { return select(f, f * f * (3.0 - 2.0 * f), g.smooth_step == 1u); }
 fn slope_of(f: vec3<f32>) -> vec3<f32> { return select(vec3<f32>(1.0), 6.0 * f * (1.0 - f), g.smooth_step == 1u); }
 fn shares(c: vec3<u32>, share: vec3<f32>) -> vec3<f32> { return select(1.0 - share, share, c == vec3<u32>(1u)); }
-//#if LAPLACIAN
-// The Laplacian in space of a corner's share. `sign` says on which side of the cell it is, and `w` its shares along the axes.
-fn laplacian_of(curves: Curves, f: vec3<f32>, resolution: f32, sign: vec3<f32>, w: vec3<f32>) -> f32 {
-    let others = vec3<f32>(w.y * w.z, w.x * w.z, w.x * w.y);
-    let slope = sign * slope_of(f) * resolution;
-    let curve = sign * (6.0 - 12.0 * f) * (resolution * resolution);
-    return dot(curves.along * curve + curves.bend * slope, others) + dot(curves.mixed, w * slope.yxx * slope.zzy);
-}
-//#end

@@ -1,5 +1,7 @@
 //! Products of layers.
 
+use std::collections::BTreeSet;
+
 use naga::valid::{Capabilities, ValidationFlags, Validator};
 
 use super::*;
@@ -44,15 +46,38 @@ fn products() {
     }
 }
 
-/// Compiles a text to SPIR-V, as for Vulkan. Returns its words.
+/// Compiles a text to SPIR-V, as for Vulkan, to Metal's language and, without matrix units, to DirectX's. Returns the words of the first.
 fn compile(kernel: &Kernel) -> usize {
     let text = kernel.text();
     let module = naga::front::wgsl::parse_str(&text).unwrap_or_else(|e| panic!("{}", e.emit_to_string(&text)));
     let info = Validator::new(ValidationFlags::all(), Capabilities::all())
         .validate(&module)
         .unwrap_or_else(|e| panic!("{:?}: {}", kernel, e.emit_to_string(&text)));
+    let options = naga::back::msl::Options { fake_missing_bindings: true, lang_version: (2, 4), ..Default::default() };
+    naga::back::msl::write_string(&module, &info, &options, &Default::default()).unwrap();
+    if !kernel.has("F16") {
+        let (mut text, options, pipeline) = (String::new(), Default::default(), Default::default());
+        naga::back::hlsl::Writer::new(&mut text, &options, &pipeline).write(&module, &info, None).unwrap();
+    }
     let options = naga::back::spv::Options { lang_version: (1, 6), ..naga::back::spv::Options::default() };
     naga::back::spv::write_vec(&module, &info, &options, None).unwrap().len()
+}
+
+/// Every kernel, without its parts, with each of them, and with all.
+#[test]
+fn all_texts_are_translated() {
+    for name in NAMES {
+        let lines = parts(name).iter().flat_map(|part| part.lines());
+        let flags: BTreeSet<&'static str> = lines.filter_map(|line| line.trim().strip_prefix("//#if ")).collect();
+        let kernel = |chosen: &dyn Fn(&str) -> bool| {
+            // Laplacians are parts of jets.
+            let is_on = |flag: &str| chosen(flag) || flag == "JETS" && chosen("LAPLACIAN");
+            let kernel = Kernel::new(name).set("FEATURES", 2).set("MOST", 64);
+            flags.iter().fold(kernel, |kernel, flag| kernel.with(flag, is_on(flag)))
+        };
+        assert!(compile(&kernel(&|_| false)) > 100 && compile(&kernel(&|_| true)) > 100, "{name}");
+        flags.iter().for_each(|alone| assert!(compile(&kernel(&|flag| flag == *alone)) > 100, "{name} {alone}"));
+    }
 }
 
 /// Matrix units are not on the machines that run the tests.
