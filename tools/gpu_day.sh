@@ -104,13 +104,17 @@ speed() {
   local bench="--rays $rays --coarse 64 --fine 128 --steps $steps"
   local hash="--rays $rays --coarse 48 --fine 32 --width 64 --steps $steps --set field.encoding=hash"
   local method as device
+  # As many queries as NeRF's.
+  for method in mip-nerf aug-mip-nerf; do
+    try 20 "2-$method" ./augnerf bench --device gpu --method $method --rays $rays --coarse 128 --fine 128 --steps $steps
+  done
   for method in nerf aug-nerf; do
     try 20 "2-$method" ./augnerf bench --device gpu --method $method $bench
     try 20 "2-$method-f16" ./augnerf bench --device gpu --method $method $bench --set field.precision=f16
     try 20 "2-$method-hash" ./augnerf bench --device gpu --method $method $hash
     [[ " ${WITHOUT_PEERS:-} " == *" $method "* ]] && continue
-    for as in "" --tf32 --bf16; do
-      try 20 "2-$method-torch$as" python3 torch_peer.py --device cuda --method ${method%-nerf} --rays 1024 --coarse 64 --fine 128 \
+    for as in "" --tf32 --bf16 "--bf16 --compile"; do
+      try 30 "2-$method-torch${as// /}" python3 torch_peer.py --device cuda --method ${method%-nerf} --rays 1024 --coarse 64 --fine 128 \
         --steps 10 $as
     done
     for device in cuda cuda-tf32; do
@@ -123,12 +127,12 @@ speed() {
 terms() {
   local field term
   local -A sizes=(
-    [hash]="--rays $rays --coarse 48 --fine 32 --width 64 --steps $steps --set field.encoding=hash"
+    [hash]="--rays $rays --coarse 48 --fine 32 --width 64 --steps $steps --set field.encoding=hash --set field.hash.interpolation=smoothstep"
     [network]="--rays $rays --coarse 64 --fine 64 --steps $steps"
   )
   for field in hash network; do
     # [] is no term.
-    for term in [] l1 tv distortion occlusion entropy cauchy opacity-prior; do
+    for term in [] l1 tv laplacian distortion occlusion entropy cauchy opacity-prior; do
       try 20 "2-term-$field-${term/\[\]/none}" ./augnerf bench --device gpu ${sizes[$field]} --set regularizer.kind=$term
     done
     try 20 "2-term-$field-frequencies" ./augnerf bench --device gpu ${sizes[$field]} --set field.frequency_steps=100

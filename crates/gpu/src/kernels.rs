@@ -171,6 +171,12 @@ impl Tile {
         }
     }
 
+    /// Returns the groups of a product of so many rows and columns. Those with the same rows are neighbours, so that they find them in
+    /// the card's cache.
+    pub(crate) fn groups(self, rows: usize, columns: usize, parts: usize) -> [u32; 3] {
+        [columns.div_ceil(self.columns) as u32, rows.div_ceil(self.rows) as u32, parts as u32]
+    }
+
     /// Returns the kernel of products in such tiles.
     pub(crate) fn kernel(self, name: &'static str) -> Kernel {
         Kernel::new(name).set("ROWS", self.rows).set("COLUMNS", self.columns).set("SIDE", self.of_thread)

@@ -1,5 +1,7 @@
 //! A field's parameters on the device: matrices `[inputs + 1, outputs]` whose last row is the bias, one after another.
 
+use std::ops::Range;
+
 use augnerf_base::Result;
 use augnerf_nerf::field::hash::{Domain, HashGrid};
 use augnerf_nerf::field::{Field, encoded_channels, opening_factors, position_channels};
@@ -23,6 +25,16 @@ pub(crate) struct Layer {
 }
 
 impl Layer {
+    /// Returns its columns in products: those of wide layers apart from the four that come after the head's feature, which would fill a
+    /// tile with nothing.
+    pub(crate) fn products(&self) -> impl Iterator<Item = Range<usize>> {
+        let wide = match self.outputs / 64 * 64 {
+            wide if wide > 0 && self.outputs - wide == 4 => wide,
+            _ => self.outputs,
+        };
+        [0..wide, wide..self.outputs].into_iter().filter(|columns| !columns.is_empty())
+    }
+
     /// Returns the place after its last number.
     pub(crate) fn end(&self) -> usize {
         self.offset + (self.inputs + 1) * self.outputs

@@ -26,7 +26,7 @@ var<workgroup> {{ tile.name }}: array<f16, {{ tile.numbers }}>;
 var<workgroup> stage: array<f32, 2560>;
 @compute @workgroup_size(256)
 fn main(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index) thread: u32) {
-    let row0 = group.x * {{ product.rows }}u; let col0 = group.y * {{ product.columns }}u; let part = group.z;
+    let row0 = group.y * {{ product.rows }}u; let col0 = group.x * {{ product.columns }}u; let part = group.z;
     let subgroup = thread / 32u; let lane = thread % 32u;
     let r0 = (subgroup / 2u) * 32u; let c0 = (subgroup % 2u) * {{ product.columns / 2 }}u;
     {%- for i in 0..2 %}{% for j in 0..across %}
@@ -76,7 +76,7 @@ fn main(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index
     {#- The sums of D, which all threads have parts of. #}
     for (var j = 0u; j < 4u; j++) { stage[4u * thread + j] = sums[j]; }
     workgroupBarrier();
-    if (thread < {{ product.columns / 4 }}u && group.x == 0u) {
+    if (thread < {{ product.columns / 4 }}u && group.y == 0u) {
         var total = vec4<f32>(0.0);
         for (var i = thread; i < 256u; i += {{ product.columns / 4 }}u) {
             total += vec4<f32>(stage[4u * i], stage[4u * i + 1u], stage[4u * i + 2u], stage[4u * i + 3u]);

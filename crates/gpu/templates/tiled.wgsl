@@ -43,7 +43,7 @@ var<workgroup> {{ tile.name }}: array<vec4<f32>, {{ tile.numbers }}>;
 @compute @workgroup_size({{ threads }})
 fn main(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index) thread: u32) {
     let across = {{ product.columns / side }}u; let ty = thread / across; let tx = thread % across;
-    let row0 = group.x * {{ product.rows }}u; let col0 = group.y * {{ product.columns }}u; let part = group.z;
+    let row0 = group.y * {{ product.rows }}u; let col0 = group.x * {{ product.columns }}u; let part = group.z;
     {%- for i in 0..side %}{% for q in 0..fours %}
     var s{{ i }}_{{ q }} = vec4<f32>(0.0);
     {%- endfor %}{% endfor %}
@@ -84,7 +84,7 @@ fn main(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index
     {%- endif %}
     {%- endfor %}{% endfor %}
     {%- if biases > 0 %}
-    if (ty == 0u && group.x == 0u) {
+    if (ty == 0u && group.y == 0u) {
         {%- for q in 0..biases %}
         store_bias(col0 + {{ side }}u * tx + {{ 4 * q }}u, b{{ q }}, part);
         {%- endfor %}

@@ -101,8 +101,10 @@ impl<'a> Recorder<'a> {
         self.trunk(rows, pass.field, pass.deltas.feature);
         let injection = pass.deltas.feature.map(|(_, layer)| layer);
         let last = self.trunk_input(shape.trunk.len(), injection).0;
-        let head = Output { buffer: &scratch.head, stride: shape.width + 4, first: 0 };
-        self.dense(rows, pass.field, shape.head, 0..shape.width + 4, (last, None), head, false, None);
+        for columns in shape.head.products() {
+            let head = Output { buffer: &scratch.head, stride: shape.width + 4, first: columns.start };
+            self.dense(rows, pass.field, shape.head, columns, (last, None), head, false, None);
+        }
         for (i, layer) in shape.view.iter().enumerate() {
             let input = self.view_input(i, pass.samples);
             let c = Output { buffer: &scratch.view[i], stride: shape.view_width, first: 0 };

@@ -143,8 +143,7 @@ impl<'a> Recorder<'a> {
         if let Some((delta, moved)) = delta {
             buffers.extend([(5, delta), (6, moved)]);
         }
-        let size = [rows.count().div_ceil(tile.rows) as u32, n.div_ceil(tile.columns) as u32, 1];
-        self.run(kernel, words, &buffers, size);
+        self.run(kernel, words, &buffers, tile.groups(rows.count(), n, 1));
     }
 
     /// Records C = D W^T over some of a layer's inputs.
@@ -168,22 +167,34 @@ impl<'a> Recorder<'a> {
         let mut buffers = vec![(1, d.buffer), (3, &field.weights.values), (4, c.0)];
         buffers.extend(mask.map(|mask| (5, mask)));
         buffers.extend(open.map(|open| (6, open)));
-        let size = [rows.count().div_ceil(tile.rows) as u32, n.div_ceil(tile.columns) as u32, 1];
-        self.run(kernel, words, &buffers, size);
+        self.run(kernel, words, &buffers, tile.groups(rows.count(), n, 1));
     }
 
     /// Records the parts of a layer's gradient.
     pub(super) fn dense_weights(&mut self, rows: Rows, layer: Layer, (a, second): (Matrix, Option<Matrix>), d: Matrix) {
-        let (tile, kernel) = self.tiled("weights", layer.outputs, rows);
+        for columns in layer.products() {
+            self.dense_weights_of(columns, rows, layer, (a, second), d);
+        }
+    }
+
+    /// Records the parts of the gradient of some of a layer's columns.
+    fn dense_weights_of(
+        &mut self,
+        columns: Range<usize>,
+        rows: Rows,
+        layer: Layer,
+        (a, second): (Matrix, Option<Matrix>),
+        d: Matrix,
+    ) {
+        let n = columns.len();
+        let (tile, kernel) = self.tiled("weights", n, rows);
         let (part_rows, parts) = parts(rows.count(), self.scratch.most_parts);
         let kernel = kernel.with("SECOND", second.is_some());
-        let words = Recorder::product_words(rows, layer.outputs, a, second).u(d.stride).u(0).u(0).u(0).u(0).u(0);
-        let words = words.u(part_rows).u(self.shape.weights()).u(layer.offset).u(0);
+        let words = Recorder::product_words(rows, n, a, second).u(d.stride).u(columns.start).u(layer.outputs);
+        let words = words.u(0).u(0).u(0).u(part_rows).u(self.shape.weights()).u(layer.offset + columns.start).u(0);
         let mut buffers = vec![(1, a.buffer), (3, d.buffer), (4, &self.scratch.parts)];
         buffers.extend(second.map(|second| (2, second.buffer)));
-        let tiles = |size: usize, tile: usize| size.div_ceil(tile) as u32;
-        let size = [tiles(layer.inputs, tile.rows), tiles(layer.outputs, tile.columns), parts as u32];
-        self.run(kernel, words, &buffers, size);
+        self.run(kernel, words, &buffers, tile.groups(layer.inputs, n, parts));
     }
 
     /// Records the sum of the parts of a field's gradient, up to this number of weights.

@@ -20,13 +20,13 @@ fn products() {
         let (weights, bias) = (w.narrow(0, 0, k).unwrap(), w.narrow(0, k, 1).unwrap());
         let words = || Words::default().u(m).u(n).u(k).u(0).u(k).u(1).u(1);
         let c = of(m * n);
-        let size = [m.div_ceil(tile.rows) as u32, n.div_ceil(tile.columns) as u32, 1];
+        let size = tile.groups(m, n, 1);
         let rest = words().u(n).u(0).u(n).u(0).u(1).u(n).u(0).u(0).u(0);
         run(&gpu, tile.kernel("product"), rest, &[(1, &a_buffer), (3, &w_buffer), (4, &c)], size);
         let expected = a.matmul(&weights).unwrap().broadcast_add(&bias).unwrap().relu().unwrap();
         near(&format!("product, {n} columns"), &gpu.read_f32(&c, m * n).unwrap(), &flat(&expected), 1e-6);
         let tile = Tile::of(k, Tiles::Small);
-        let (c, size) = (of(m * k), [m.div_ceil(tile.rows) as u32, k.div_ceil(tile.columns) as u32, 1]);
+        let (c, size) = (of(m * k), tile.groups(m, k, 1));
         let rest = Words::default().u(m).u(k).u(n).u(0).u(n).u(1).u(1).u(n).u(0).u(k).u(0).u(0).u(k).u(0).u(0).u(0);
         run(&gpu, tile.kernel("product_back"), rest, &[(1, &d_buffer), (3, &w_buffer), (4, &c)], size);
         let expected = d.matmul(&weights.t().unwrap()).unwrap();
@@ -35,8 +35,8 @@ fn products() {
         // Three parts of 32 rows, which `reduce` adds.
         let (parts, parameters) = (3, (k + 1) * n);
         let (c, sum) = (of(parts * parameters), of(parameters));
-        let rest = words().u(n).u(0).u(0).u(0).u(0).u(0).u(32).u(parameters).u(0).u(0);
-        let size = [k.div_ceil(tile.rows) as u32, n.div_ceil(tile.columns) as u32, parts as u32];
+        let rest = words().u(n).u(0).u(n).u(0).u(0).u(0).u(32).u(parameters).u(0).u(0);
+        let size = tile.groups(k, n, parts);
         run(&gpu, tile.kernel("weights"), rest, &[(1, &a_buffer), (3, &d_buffer), (4, &c)], size);
         let reduce = Words::default().u(parameters).u(parts).u(parameters).u(0);
         run(&gpu, Kernel::new("reduce"), reduce, &[(1, &c), (2, &sum)], groups(parameters));
@@ -111,7 +111,7 @@ fn all_tiles_of_f32_have_the_same_bits() {
     let [small, large] = [Tiles::Small, Tiles::Large].map(|tiles| {
         let (tile, c) = (Tile::of(n, tiles), gpu.numbers(m * n));
         let words = Words::default().u(m).u(n).u(k).u(0).u(k).u(1).u(1).u(n).u(0).u(n).u(0).u(1).u(n).u(0).u(0).u(0);
-        let size = [m.div_ceil(tile.rows) as u32, n.div_ceil(tile.columns) as u32, 1];
+        let size = tile.groups(m, n, 1);
         run(&gpu, tile.kernel("product"), words, &[(1, &a), (3, &w), (4, &c)], size);
         gpu.read_f32(&c, m * n).unwrap()
     });
@@ -132,7 +132,7 @@ fn products_in_parts() {
         let [a1_buffer, a2_buffer, w_buffer, delta_buffer] = [&a1, &a2, &w, &delta].map(|values| gpu.storage(values));
         let (c, moved) = (gpu.numbers(m * n), gpu.numbers(m * n));
         let words = || Words::default().u(m).u(n).u(k1).u(k2).u(k1).u(k2).u(every);
-        let size = [m.div_ceil(tile.rows) as u32, n.div_ceil(tile.columns) as u32, 1];
+        let size = tile.groups(m, n, 1);
         let buffers = [(1, &a1_buffer), (2, &a2_buffer), (3, &w_buffer), (4, &c), (5, &delta_buffer), (6, &moved)];
         let kernel = tile.kernel("product").with("SECOND", true).with("DELTA", true);
         run(&gpu, kernel, words().u(n).u(0).u(n).u(0).u(1).u(n).u(0).u(0).u(0), &buffers, size);
@@ -149,9 +149,9 @@ fn products_in_parts() {
         let d_buffer = gpu.storage(&d);
         let (parts, parameters) = (3, (k1 + k2 + 1) * n);
         let (of_parts, sum) = (gpu.numbers(parts * parameters), gpu.numbers(parameters));
-        let size = [(k1 + k2).div_ceil(tile.rows) as u32, n.div_ceil(tile.columns) as u32, parts as u32];
+        let size = tile.groups(k1 + k2, n, parts);
         let buffers = [(1, &a1_buffer), (2, &a2_buffer), (3, &d_buffer), (4, &of_parts)];
-        let rest = words().u(n).u(0).u(0).u(0).u(0).u(0).u(32).u(parameters).u(0).u(0);
+        let rest = words().u(n).u(0).u(n).u(0).u(0).u(0).u(32).u(parameters).u(0).u(0);
         run(&gpu, tile.kernel("weights").with("SECOND", true), rest, &buffers, size);
         let reduce = Words::default().u(parameters).u(parts).u(parameters).u(0);
         run(&gpu, Kernel::new("reduce"), reduce, &[(1, &of_parts), (2, &sum)], groups(parameters));
@@ -169,7 +169,7 @@ fn products_in_parts() {
         let rest = rest.u(0).u(0).u(inputs).u(0).u(0).u(0);
         let kernel = tile.kernel("product_back").with("MASK", true).with("ADD", true).with("OPEN", true);
         let buffers = [(1, &d_buffer), (3, &w_buffer), (4, &c), (5, &made_buffer), (6, &open)];
-        let size = [m.div_ceil(tile.rows) as u32, inputs.div_ceil(tile.columns) as u32, 1];
+        let size = tile.groups(m, inputs, 1);
         run(&gpu, kernel, rest, &buffers, size);
         let back = d.matmul(&w.narrow(0, from, inputs).unwrap().t().unwrap()).unwrap();
         let added = flat(&(back + wide(&there, &[m, inputs])).unwrap());
@@ -192,7 +192,7 @@ fn products_of_jets() {
         let [a_buffer, w_buffer, d_buffer] = [&a, &w, &d].map(|values| gpu.storage(values));
         let words = || Words::default().u(m).u(n).u(k).u(0).u(k).u(1).u(1);
         let c = gpu.numbers(m * n);
-        let size = [m.div_ceil(tile.rows) as u32, n.div_ceil(tile.columns) as u32, 1];
+        let size = tile.groups(m, n, 1);
         let rest = words().u(n).u(0).u(n).u(0).u(1).u(n).u(0).u(0).u(0);
         let buffers = [(1, &a_buffer), (3, &w_buffer), (4, &c)];
         run(&gpu, tile.kernel("product").with("JETS", true), rest, &buffers, size);
@@ -224,8 +224,8 @@ fn products_of_jets() {
         // Biases belong to values alone.
         let parameters = (k + 1) * n;
         let (of_parts, sum) = (gpu.numbers(parameters), gpu.numbers(parameters));
-        let size = [k.div_ceil(tile.rows) as u32, n.div_ceil(tile.columns) as u32, 1];
-        let rest = words().u(n).u(0).u(0).u(0).u(0).u(0).u(m.next_multiple_of(16)).u(parameters).u(0).u(0);
+        let size = tile.groups(k, n, 1);
+        let rest = words().u(n).u(0).u(n).u(0).u(0).u(0).u(m.next_multiple_of(16)).u(parameters).u(0).u(0);
         let buffers = [(1, &a_buffer), (3, &d_buffer), (4, &of_parts)];
         run(&gpu, tile.kernel("weights").with("JETS", true), rest, &buffers, size);
         let reduce = Words::default().u(parameters).u(1).u(parameters).u(0);
