@@ -47,6 +47,19 @@ enum SiteRadius {
 }
 
 impl SiteSet {
+    fn is_box(&self) -> bool {
+        self.numbers.norm != Norm::L2
+    }
+
+    /// Returns the threads of a ray that draw or ascend: one a vector, or one a number of boxes.
+    fn threads_of_ray(&self) -> usize {
+        self.per_ray * if self.is_box() { self.size } else { 1 }
+    }
+
+    fn each(&self, kernel: Kernel) -> Kernel {
+        kernel.with("EACH", self.is_box())
+    }
+
     fn has_pixel(&self) -> bool {
         matches!(self.radius, SiteRadius::Pixel { .. })
     }
@@ -329,8 +342,7 @@ impl<'a> Recorder<'a> {
             let delta = to[set.site].as_ref().expect("a site that is on");
             let mut bound = self.set_buffers(set, delta, pass);
             bound.push((4, numbers));
-            let threads = groups(pass.rays * set.per_ray);
-            self.run(self.set_kernel("draw", set), words, &bound, threads);
+            self.run(set.each(self.set_kernel("draw", set)), words, &bound, groups(pass.rays * set.threads_of_ray()));
         }
     }
 
@@ -350,8 +362,8 @@ impl<'a> Recorder<'a> {
         bound.push((4, gradient));
         let used = self.used(site);
         bound.extend(used.map(|used| (5, used)));
-        let kernel = self.set_kernel("ascend", set).with("USED", used.is_some());
-        self.run(kernel, words, &bound, groups(pass.rays * set.per_ray));
+        let kernel = set.each(self.set_kernel("ascend", set).with("USED", used.is_some()));
+        self.run(kernel, words, &bound, groups(pass.rays * set.threads_of_ray()));
     }
 
     /// Keeps the deltas of the output level as the last pass used them.

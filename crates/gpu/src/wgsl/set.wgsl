@@ -71,8 +71,18 @@ fn high_of(v: u32) -> f32 {
     //#end
 }
 fn masked(v: u32) -> bool { return p.masks_last > 0u && v % p.masks_last == p.masks_last - 1u; }
+// What a thread has of the vectors: one, or of boxes (EACH) one number, so that neighbours read neighbours.
+struct Own { v: u32, begin: u32, end: u32 }
+fn own_of(thread: u32) -> Own {
+    //#if EACH
+    return Own(thread / p.size, thread % p.size, thread % p.size + 1u);
+    //#else
+    return Own(thread, 0u, p.size);
+    //#end
+}
 // The nearest point of the set, in place.
-fn project(v: u32) {
+fn project(own: Own) {
+    let v = own.v;
     let radius = radius_of(v);
     if (p.ball == 1u) {
         var sum = 0.0;
@@ -80,10 +90,10 @@ fn project(v: u32) {
         let norm = sqrt(sum);
         if (norm > radius) { for (var c = 0u; c < p.size; c++) { delta[v * p.size + c] *= radius / norm; } }
     } else {
-        for (var c = 0u; c < p.size; c++) { delta[v * p.size + c] = clamp(delta[v * p.size + c], -radius, radius); }
+        for (var c = own.begin; c < own.end; c++) { delta[v * p.size + c] = clamp(delta[v * p.size + c], -radius, radius); }
     }
     //#if BOUNDED
-    for (var c = 0u; c < p.size; c++) { delta[v * p.size + c] = max(min(delta[v * p.size + c], high_of(v)), low_of(v)); }
+    for (var c = own.begin; c < own.end; c++) { delta[v * p.size + c] = max(min(delta[v * p.size + c], high_of(v)), low_of(v)); }
     //#end
-    if (masked(v)) { for (var c = 0u; c < p.size; c++) { delta[v * p.size + c] = 0.0; } }
+    if (masked(v)) { for (var c = own.begin; c < own.end; c++) { delta[v * p.size + c] = 0.0; } }
 }

@@ -127,7 +127,9 @@ impl Case {
     }
 
     fn kernel(self, name: &'static str) -> Kernel {
-        Kernel::new(name).with("PIXEL", self.radius == Radius::Pixel).with("BOUNDED", self.is_bounded())
+        let each = self.norm == Norm::Linf && name != "at_bound";
+        let kernel = Kernel::new(name).with("PIXEL", self.radius == Radius::Pixel);
+        kernel.with("BOUNDED", self.is_bounded()).with("EACH", each)
     }
 
     /// Runs a kernel on a delta, with the rays, the positions and more buffers.
@@ -137,7 +139,7 @@ impl Case {
         buffers.extend((self.radius == Radius::Pixel).then_some((2, &rays)));
         buffers.extend(self.is_bounded().then_some((3, &t_vals)));
         buffers.extend_from_slice(more);
-        run(gpu, kernel, words, &buffers, groups(self.vectors()));
+        run(gpu, kernel, words, &buffers, groups(self.vectors() * self.size));
     }
 }
 
