@@ -100,18 +100,18 @@ fn rows_of_a_sweep_can_stay_on_the_processor() {
              [[row]]\nname = 'NeRF'\n[[row]]\nname = 'SRN'\nset = {{ method = 'srn' }}\n{device}"
         )
     };
-    place.write("refused.toml", &sweep(""));
+    place.write("refused.toml", sweep(""));
     place.says(
         "sweep run refused.toml --device gpu",
         2,
         &["SRN (builtin)", "method srn", "device = \"cpu\" in the sweep's file"],
     );
-    place.write("two.toml", &sweep("device = 'cpu'"));
+    place.write("two.toml", sweep("device = 'cpu'"));
     place.run("sweep run two.toml --device gpu --quiet", 0);
     let table = place.text("results/two/table.md");
     assert!(table.contains("rows differ in device: gpu (") && table.contains("(NeRF); cpu (SRN)"), "{table}");
     let budget = "device = 'cpu'\nbudget = { kind = 'seconds', like = 'NeRF' }";
-    place.write("budget.toml", &sweep(budget));
+    place.write("budget.toml", sweep(budget));
     place.says("sweep run budget.toml --device gpu", 2, &["row 'SRN' names its device", "seconds of two devices"]);
 }
 
