@@ -112,7 +112,7 @@ fn rows_of_a_sweep_can_stay_on_the_processor() {
     assert!(table.contains("rows differ in device: gpu (") && table.contains("(NeRF); cpu (SRN)"), "{table}");
     let budget = "device = 'cpu'\nbudget = { kind = 'seconds', like = 'NeRF' }";
     place.write("budget.toml", sweep(budget));
-    place.says("sweep run budget.toml --device gpu", 2, &["row 'SRN' names its device", "seconds of two devices"]);
+    place.says("sweep run budget.toml --device gpu", 2, &["names its own", "remove that device or the budget"]);
 }
 
 #[test]

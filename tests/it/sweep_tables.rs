@@ -18,8 +18,8 @@ fn row(name: &str, baseline: Option<&str>, method: &str) -> RowSpec {
         name: name.into(),
         baseline: baseline.map(str::to_string),
         ours: method.is_empty(),
-        quoted: false,
         published: (!method.is_empty()).then_some(key),
+        ..RowSpec::default()
     }
 }
 
@@ -205,6 +205,25 @@ fn settings_by_seed_are_controlled_seed_by_seed() {
     let other = records("every-8");
     assert!(matches!(Table::new(&by_seed, &other, false), Err(Error::NotComparable(_))));
     assert_eq!(Table::new(&by_seed, &other, true).unwrap().lines[1].mixed, ["split"]);
+}
+
+/// A row that names its device may have another than the rest, which have one.
+#[test]
+fn devices_of_rows_that_name_none_are_the_same() {
+    let on = |row: &str, seed: u64, device: &str| {
+        let mut record = point("fern", row, seed, 25.0);
+        record.result.protocol.push(("device".into(), device.into()));
+        record
+    };
+    let mut spec = TableSpec { must_match: vec!["device".into()], ..spec() };
+    spec.rows[0].names_device = true;
+    let of =
+        |last: &str| [on("NeRF", 0, "cpu"), on("Aug-NeRF", 0, "gpu"), on("NeRF", 1, "cpu"), on("Aug-NeRF", 1, last)];
+    let table = table_of(&spec, &of("gpu"));
+    assert_says(&table_markdown(&table), &["rows differ in device: cpu (NeRF); gpu (Aug-NeRF)"]);
+    assert!(matches!(Table::new(&spec, &of("cpu"), false), Err(Error::NotComparable(_))), "a row on two devices");
+    spec.rows[0].names_device = false;
+    assert!(matches!(Table::new(&spec, &of("gpu"), false), Err(Error::NotComparable(_))));
 }
 
 #[test]

@@ -1,6 +1,7 @@
 //! The adapter, its buffers and its pipelines.
 
 use std::collections::HashMap;
+use std::ffi::OsString;
 use std::fmt;
 use std::sync::{Arc, Mutex, OnceLock, PoisonError, mpsc};
 use std::time::Duration;
@@ -117,9 +118,9 @@ fn has_matrices(adapter: &wgpu::Adapter) -> bool {
 /// The variable that sets the memory of a step, in GiB.
 const MEMORY: &str = "AUGNERF_GPU_MEMORY";
 
-/// Returns the bytes that the user lets a step have.
-fn chosen_memory() -> Result<Option<usize>> {
-    let Some(text) = std::env::var_os(MEMORY).filter(|text| !text.is_empty()) else { return Ok(None) };
+/// Returns the bytes that the user lets a step have, by the text of the variable.
+fn chosen_memory(text: Option<OsString>) -> Result<Option<usize>> {
+    let Some(text) = text.filter(|text| !text.is_empty()) else { return Ok(None) };
     let gib = text.to_str().and_then(|text| text.trim().parse::<f64>().ok()).filter(|gib| *gib > 0.0 && *gib < 1e6);
     let wrong = || Error::Config(format!("{MEMORY} = {text:?}: give the GiB of a step, a number above 0 such as 4"));
     Ok(Some((gib.ok_or_else(wrong)? * f64::from(1 << 30)) as usize))
@@ -216,11 +217,11 @@ impl Gpu {
         device.on_uncaptured_error(Arc::new(move |error| drop(of_error[1].set(failure_of(&error)))));
         // Large tiles need the registers of a card; an H200's step of NeRF takes two thirds of the time with them.
         let (memory, tiles) = match info.device_type {
-            DeviceType::DiscreteGpu => (memory_of(&adapter).map_or(6 << 30, |bytes| bytes / 4 * 3), Tiles::Large),
+            DeviceType::DiscreteGpu => (memory_of(&adapter).map_or(6 << 30, |bytes| bytes / 2), Tiles::Large),
             DeviceType::Cpu => (1 << 28, Tiles::Small),
             _ => (1 << 30, Tiles::Small),
         };
-        let budget = chosen_memory()?.unwrap_or(memory);
+        let budget = chosen_memory(std::env::var_os(MEMORY))?.unwrap_or(memory);
         Ok(Gpu(
             Arc::new(Opened { device, queue, adapter: known, limits: required, pipelines, failures, tiles }),
             budget,
@@ -472,5 +473,20 @@ fn copy(encoder: &mut CommandEncoder, from: &[&Buffer], to: &Buffer) {
     for buffer in from {
         encoder.copy_buffer_to_buffer(buffer, 0, to, at, buffer.size());
         at += buffer.size();
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn memory_is_a_number_of_gib() {
+        let of = |text: &str| chosen_memory(Some(text.into()));
+        assert_eq!((of("0.5").unwrap(), of(" 4 ").unwrap(), of("").unwrap()), (Some(1 << 29), Some(4 << 30), None));
+        for wrong in ["0", "-1", "abc", "NaN", "4GB"] {
+            let error = of(wrong).unwrap_err().to_string();
+            assert!(error.contains("AUGNERF_GPU_MEMORY = ") && error.contains(wrong), "{error}");
+        }
     }
 }

@@ -1,4 +1,4 @@
-//! Training and rendering of NeRF and Aug-NeRF on any GPU, by WGSL kernels through wgpu.
+//! Training and rendering of NeRF, MipNeRF and their augmented forms on any GPU, by WGSL kernels through wgpu.
 //!
 //! A run's parameters, moments, samples and gradients stay on the device. A step sends its rays and reads its losses.
 
@@ -38,7 +38,7 @@ impl Accelerator for Gpu {
     }
 
     fn check(&self, config: &Resolved) -> Result<()> {
-        limits::check(config)
+        limits::check_on(self, config)
     }
 
     fn steps(

@@ -41,6 +41,15 @@ pub fn check(config: &Resolved) -> Result<()> {
     unsupported.iter().find(|(found, _)| *found).map_or(Ok(()), |(_, what)| refuse(what))
 }
 
+/// Returns the same error, and one for what this device lacks: a precision, large buffers, memory for a chunk of rays.
+pub(crate) fn check_on(gpu: &Gpu, config: &Resolved) -> Result<()> {
+    check(config)?;
+    check_precision(gpu, config)?;
+    let (shape, (coarse, fine)) = (Shape::of(&config.field), config.samples());
+    check_buffers(gpu, &config.field, &shape)?;
+    rays_of_chunk(gpu, config, &shape, coarse.max(fine)).map(|_| ())
+}
+
 /// Returns an error for an adapter that lacks a configuration's precision.
 pub(crate) fn check_precision(gpu: &Gpu, config: &Config) -> Result<()> {
     if config.field.precision != Precision::F16 || gpu.adapter().has_f16 {
@@ -94,7 +103,8 @@ fn refused(what: &str) -> Error {
 
 /// Returns the samples whose numbers fit into the device's memory at once: those of [`Scratch`], and `more` bytes beside them.
 pub(crate) fn samples_at_once(gpu: &Gpu, shape: &Shape, more: usize, trains: bool) -> usize {
-    let (bytes, widest) = (Scratch::bytes_per_sample(shape) + more, 4 * (shape.width + 4).max(shape.channels));
+    let (bytes, widest) =
+        (Scratch::bytes_per_sample(shape) + more, 4 * (shape.width + 4).max(shape.channels).max(shape.view_width));
     let parts = if trains { 4 * shape.weights() * most_parts(gpu, shape.weights()) } else { 0 };
     (gpu.budget().saturating_sub(parts) / bytes).min(gpu.largest_buffer() / widest).min(MOST_POINTS)
 }
@@ -129,6 +139,9 @@ pub(crate) fn rays_of_chunk(gpu: &Gpu, config: &Resolved, shape: &Shape, samples
     let deltas = 4 * 5 * (shape.width + 8) * usize::from(config.method.is_augmented());
     let fits = samples_at_once(gpu, shape, deltas, true) / samples;
     let unit = config.train.chunk.min(config.train.rays).next_multiple_of(2);
+    // The draws of features are in one buffer, with a chunk more.
+    let drawn = (gpu.largest_buffer() / (4 * (shape.width + 1) * samples)).saturating_sub(unit);
+    let fits = if config.method.is_augmented() { fits.min(drawn) } else { fits };
     if fits < unit {
         return Err(Error::Config(format!(
             "device gpu ({}) has memory for {fits} rays of {samples} samples at once, which is less than a chunk; lower \

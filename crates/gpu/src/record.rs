@@ -155,8 +155,8 @@ impl PassAt<'_> {
 pub(crate) struct PassLoss {
     /// Weight of the squared error of one channel of one ray.
     pub(crate) weight: f64,
-    /// Weights of the terms of one ray, as [`ON_RAYS`].
-    pub(crate) terms: [f64; ON_RAYS.len()],
+    /// Weights of the terms of one ray, as [`ON_RAYS`]. `None`: the term does not count.
+    pub(crate) terms: [Option<f64>; ON_RAYS.len()],
     /// The share of near..far in which occlusion counts density.
     pub(crate) occlusion_share: f64,
 }

@@ -2,7 +2,7 @@
 
 use std::sync::{Mutex, PoisonError};
 
-use augnerf_base::Result;
+use augnerf_base::{Error, Result};
 use augnerf_nerf::methods::{Fields, RenderedRays, Renderer};
 use augnerf_nerf::render::ray_parts;
 use augnerf_nerf::settings::Config;
@@ -132,6 +132,9 @@ impl Renderer for GpuRenderer {
 
     fn render(&self, rays: &Rays) -> Result<RenderedRays> {
         let host = |tensor: &Tensor| tensor.to_dtype(DType::F32)?.flatten_all()?.to_vec1::<f32>();
+        if self.parts.footprint && rays.footprint.is_none() {
+            return Err(Error::Config("these rays have no footprint to cast".into()));
+        }
         let radii = rays.footprint.as_ref().map(|footprint| host(&footprint.radii)).transpose()?;
         let [origins, directions, views] = [&rays.origins, &rays.directions, &rays.viewdirs].map(host);
         let packed = packed(&origins?, &directions?, &views?, &radii.unwrap_or_default());

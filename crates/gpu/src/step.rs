@@ -1,4 +1,4 @@
-//! Training steps of NeRF and Aug-NeRF on the device.
+//! Training steps of fields on the device.
 
 use augnerf_base::Result;
 use augnerf_nerf::methods::{
@@ -11,9 +11,9 @@ use augnerf_scenes::{RayParts, Scene};
 use candle_core::Tensor;
 use wgpu::Buffer;
 
-use crate::device::{Dispatch, Gpu, groups};
+use crate::device::{Dispatch, Gpu, groups, rows};
 use crate::kernels::Kernel;
-use crate::limits::{check, check_buffers, check_precision, rays_of_chunk};
+use crate::limits::{check_on, rays_of_chunk};
 use crate::network::{FieldBuffers, Learned, Shape};
 use crate::rays::{bins, of_batch};
 use crate::record::{FIXED_SCALE, Integrand, Recorder, SpaceAt, Words};
@@ -81,10 +81,8 @@ impl Steps {
         fields: &Fields,
         moments: Option<&[Moments]>,
     ) -> Result<Steps> {
-        check(config)?;
-        check_precision(gpu, config)?;
+        check_on(gpu, config)?;
         let shape = Shape::of(&config.field);
-        check_buffers(gpu, &config.field, &shape)?;
         let footprint = config.field.encoding.queries_gaussians();
         let parts = RayParts { tangents: has_tangents(config), footprint };
         let batches = Batches::new(config, scene, parts)?;
@@ -421,7 +419,7 @@ impl Steps {
         for (part, learned) in all() {
             let words = Words::default().u(learned.count).u(first).f(unit_of(part)).f(limit);
             let kernel = Kernel::new("norm").with("TABLES", part == 1);
-            recorder.run(kernel, words, &[(1, &learned.gradient), (2, &sums)], [groups_of(learned) as u32, 1, 1]);
+            recorder.run(kernel, words, &[(1, &learned.gradient), (2, &sums)], rows(groups_of(learned)));
             first += groups_of(learned);
         }
         let words = Words::default().u(count).f(self.config.train.clip_norm).u(0).u(0);
@@ -441,6 +439,10 @@ struct LossWeights {
 impl LossWeights {
     fn at(config: &Resolved, plan: &Plan, step: u64) -> LossWeights {
         LossWeights { passes: plan.loss_weights(step), terms: config.regularizer.terms_at(step) }
+    }
+
+    fn has(&self, wanted: Regularizer) -> bool {
+        self.terms.iter().any(|(term, _)| *term == wanted)
     }
 
     fn of_term(&self, wanted: Regularizer) -> f64 {

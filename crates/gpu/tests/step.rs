@@ -171,6 +171,10 @@ steps! {
         "regularizer.points_per_step=500", "field.depth=6", "field.skips=[2,4]";
     nerf_with_laplacian_and_tv_of_softplus: "method=nerf", "regularizer.kind=[\"tv\",\"laplacian\",\"l1\"]",
         "regularizer.weight=[0.1,0.001,0.2]", "regularizer.fields=fine";
+    nerf_with_laplacian_and_frequencies_that_open: "method=nerf", "field.frequency_steps=9", "regularizer.kind=laplacian",
+        "regularizer.weight=0.001";
+    nerf_with_a_term_that_begins_at_0: "method=nerf", "regularizer.kind=[\"entropy\",\"occlusion\"]", "regularizer.weight=[0.1,0]",
+        "regularizer.schedule=[\"constant\",\"from 2 in 5 steps\"]";
     hash_with_laplacian: "method=nerf", "field.encoding=hash", "field.hash.interpolation=smoothstep", "regularizer.kind=laplacian",
         "regularizer.weight=0.001", "field.density_activation=exp";
     hash_with_laplacian_in_a_ball: "method=nerf", "field.encoding=hash", "field.hash.interpolation=smoothstep",

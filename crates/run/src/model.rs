@@ -196,11 +196,11 @@ impl Model {
     }
 }
 
-/// Returns the density of a field, on the runtime's accelerator where it has one.
+/// Returns the density of a field, on the runtime's accelerator where it has one. The processor alone has that of Gaussians.
 pub(crate) fn density(runtime: &Runtime, field: &Field) -> Result<Box<dyn Density>> {
     match runtime.accelerator() {
-        Some(accelerator) => accelerator.density(field),
-        None => Ok(Box::new(FieldDensity::new(field)?)),
+        Some(accelerator) if !field.config().encoding.queries_gaussians() => accelerator.density(field),
+        _ => Ok(Box::new(FieldDensity::new(field)?)),
     }
 }
 

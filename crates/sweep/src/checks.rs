@@ -129,8 +129,8 @@ impl Definition {
                     self.row.iter().find(|other| [&row.name, like].contains(&&other.name) && other.device.is_some())
             {
                 return Err(format!(
-                    "row '{}' gets the seconds of row '{like}', but row '{}' names its device, and seconds of two devices are \
-                     not the same cost; remove that device or the budget",
+                    "row '{}' gets the seconds of row '{like}', which are measured on the device of the command line, but row \
+                     '{}' names its own; remove that device or the budget",
                     row.name, other.name
                 ));
             }

@@ -14,9 +14,6 @@ use crate::settings::columns::{Agreement, COLUMNS, Column};
 use crate::settings::registry::REGISTRY;
 use crate::settings::value_at;
 
-/// The column of the device.
-const DEVICE: &str = "device";
-
 impl Definition {
     /// Returns what tables and plots of these points need to know.
     pub fn table(&self, name: &str, points: &[Point]) -> TableSpec {
@@ -42,8 +39,7 @@ impl Definition {
 pub(super) fn must_match(metrics: &[String], points: &[Point]) -> Vec<String> {
     let varied = varied(points, |point| (point.scene.as_str(), point.config.seed));
     let must_agree = COLUMNS.iter().filter(|column| match column.agreement {
-        // Where rows name their device, the others have the command line's.
-        Agreement::Always => column.name != DEVICE || points.iter().all(|point| !point.on_cpu),
+        Agreement::Always => true,
         Agreement::UnlessVaried => !varied.contains(column.name),
         Agreement::ForLpips => metrics.iter().any(|key| needs_lpips(key)),
         Agreement::Free => false,

@@ -328,6 +328,7 @@ impl Definition {
             baseline: self.baseline_of(row),
             ours: row.ours,
             quoted: false,
+            names_device: row.device.is_some(),
             published: key(row.condition.as_ref(), row.published.as_ref().unwrap_or(&row.name)).filter(|_| !row.ours),
         });
         quoted.chain(rows).collect()

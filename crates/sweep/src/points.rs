@@ -111,8 +111,15 @@ impl Layout {
         for planned in &self.planned {
             let valid = |point: Point| {
                 point.config.validate()?;
-                let others = known.get(&point.id).into_iter().flat_map(|(_, others)| others);
-                match others.into_iter().find(|other| is_same_row(other, planned)) {
+                let others = || known.get(&point.id).into_iter().flat_map(|(_, others)| others);
+                if let Some(other) = others().find(|other| other.point.on_cpu != point.on_cpu) {
+                    return Err(Error::Config(format!(
+                        "rows '{}' and '{}' share a training, but only one of them names its device; name it in both or in none",
+                        other.place().row,
+                        planned.place().row
+                    )));
+                }
+                match others().find(|other| is_same_row(other, planned)) {
                     Some(same) => Err(Error::Config(format!(
                         "rows '{}' and '{}' have the same configuration; change or remove one",
                         same.place().row,
@@ -128,7 +135,6 @@ impl Layout {
                 Some((index, others)) => {
                     others.push(planned);
                     points[*index].places.extend(point.places);
-                    points[*index].on_cpu |= point.on_cpu;
                 }
                 None => {
                     known.insert(point.id.clone(), (points.len(), vec![planned]));
@@ -136,6 +142,8 @@ impl Layout {
                 }
             }
         }
+        // What does not need the device comes last.
+        points.sort_by_key(|point| point.on_cpu);
         Ok((points, refused))
     }
 

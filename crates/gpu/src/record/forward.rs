@@ -158,14 +158,15 @@ impl<'a> Recorder<'a> {
         let words = Words::default().u(pass.rays).u(pass.samples).u(pass.columns).u(pass.ray0);
         let words = background.into_iter().fold(words, Words::f).flag(self.background.is_some());
         let words = words.f(weight * self.loss_scale).f(self.bounds.0).f(self.bounds.1).f(occlusion_share);
-        let words = terms.iter().fold(words, |words, weight| words.f(weight * self.loss_scale)).f(0.0).f(0.0).f(0.0);
+        let weights = terms.iter().map(|weight| weight.unwrap_or(0.0) * self.loss_scale);
+        let words = weights.fold(words, Words::f).f(0.0).f(0.0).f(0.0);
         let mut buffers = vec![(1, self.rays), (2, t_vals), (3, &scratch.values), (4, &scratch.weights), (5, pass.out)];
         if loss.is_some() {
             buffers.extend([(6, &scratch.before), (7, &scratch.d_values), (8, &scratch.d_t)]);
         }
         let kernel = Kernel::new("composite").with("BACK", loss.is_some());
         let kernel =
-            ON_RAYS.iter().zip(terms).fold(kernel, |kernel, ((_, part), weight)| kernel.with(part, weight != 0.0));
+            ON_RAYS.iter().zip(terms).fold(kernel, |kernel, ((_, part), weight)| kernel.with(part, weight.is_some()));
         self.run(kernel, words, &buffers, [pass.rays.div_ceil(32) as u32, 1, 1]);
     }
 }

@@ -188,9 +188,9 @@ impl<'a> ChunkRecorder<'a> {
         let t_vals = self.samples(recorder, which, plan);
         let noise = self.noise(recorder, which, plan.is_coarse);
         let pass = self.pass(plan, which == Randoms::Redrawn, t_vals, noise);
-        let weight_of = |term: Regularizer| match plan.counts(term.is_of_evaluated_pass()) {
-            true => self.steps.weights.of_term(term) / config.train.rays as f64,
-            false => 0.0,
+        let weight_of = |term: Regularizer| {
+            let counts = plan.counts(term.is_of_evaluated_pass()) && self.steps.weights.has(term);
+            counts.then(|| self.steps.weights.of_term(term) / config.train.rays as f64)
         };
         let loss = PassLoss {
             weight: self.weight(weight * plan.weight),

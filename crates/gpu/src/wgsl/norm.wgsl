@@ -13,8 +13,10 @@ fn gradient_at(i: u32) -> f32 {
 }
 @compute @workgroup_size(256)
 fn main(@builtin(local_invocation_index) thread: u32, @builtin(workgroup_id) group: vec3<u32>) {
+    let part = group.x + 65535u * group.y;
+    if (part >= (p.numbers + 4095u) / 4096u) { return; }
     var sum = 0.0;
-    for (var i = 4096u * group.x + thread; i < min(p.numbers, 4096u * (group.x + 1u)); i += 256u) {
+    for (var i = 4096u * part + thread; i < min(p.numbers, 4096u * (part + 1u)); i += 256u) {
         let g = clamp(gradient_at(i) * p.unit, -p.limit, p.limit);
         sum += g * g;
     }
@@ -24,5 +26,5 @@ fn main(@builtin(local_invocation_index) thread: u32, @builtin(workgroup_id) gro
         if (thread < half) { shared_sums[thread] += shared_sums[thread + half]; }
         workgroupBarrier();
     }
-    if (thread == 0u) { sums[p.first + group.x] = shared_sums[0]; }
+    if (thread == 0u) { sums[p.first + part] = shared_sums[0]; }
 }

@@ -216,6 +216,8 @@ pub struct RowSpec {
     pub ours: bool,
     /// Not run here: only the paper's numbers.
     pub quoted: bool,
+    /// It names its device. Other rows may have another.
+    pub names_device: bool,
     /// Key of the paper's numbers: table, condition and method of `published.csv`; the scene is the record's.
     pub published: Option<PublishedKey>,
 }

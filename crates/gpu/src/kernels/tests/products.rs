@@ -94,11 +94,22 @@ fn products_by_matrix_units_compile() {
 }
 
 #[test]
-fn large_tiles_compile() {
-    for name in ["product", "product_back", "weights"] {
-        let kernel = Tile::of(256, Tiles::Large).kernel(name).with("SECOND", true);
-        assert!(compile(&kernel) > 1000);
-        assert!(compile(&kernel.with("JETS", true).with("MASK", name == "product_back")) > 1000);
+fn tiles_of_f32_are_translated() {
+    for (name, flags) in [
+        ("product", &["SECOND", "DELTA", "JETS"][..]),
+        ("product_back", &["MASK", "ADD", "OPEN", "JETS"]),
+        ("weights", &["SECOND", "JETS"]),
+    ] {
+        for (columns, tiles) in [4, 16, 32, 64].map(|n| (n, Tiles::Small)).into_iter().chain([(256, Tiles::Large)]) {
+            let kernel = Tile::of(columns, tiles).kernel(name);
+            assert!(compile(&kernel) > 1000);
+            // Deltas are of samples, not of jets.
+            let of = |left_out: &str| {
+                let on = flags.iter().filter(|flag| **flag != left_out);
+                on.fold(kernel.clone(), |kernel, flag| kernel.with(flag, true))
+            };
+            assert!(compile(&of("JETS")) > 1000 && compile(&of("DELTA")) > 1000);
+        }
     }
 }
 

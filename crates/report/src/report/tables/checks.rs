@@ -58,8 +58,10 @@ fn row_names(spec: &TableSpec) -> String {
 
 /// Returns an error if measured points of one scene differ in a field of `must_match`.
 pub(super) fn check_controlled(spec: &TableSpec, groups: &[Group]) -> Result<()> {
-    let pairs =
-        groups.iter().flat_map(Group::done).flat_map(|point| firsts(groups, point).map(move |first| (point, first)));
+    let pairs = groups
+        .iter()
+        .flat_map(Group::done)
+        .flat_map(|point| firsts(spec, groups, point).map(move |first| (point, first)));
     for (point, first) in pairs {
         let differing = disagreements(spec, point, first);
         if let Some((field, others)) = differing.split_first() {
@@ -88,21 +90,31 @@ pub fn disagreements(spec: &TableSpec, point: &Record, first: &Record) -> Vec<St
     let differs = |field: &&String| {
         let own = point.protocol(field);
         let goes_with_seed = point.seed != first.seed && spec.by_seed.contains(field);
-        !goes_with_seed && disagree(field, own, first.protocol(field))
+        let goes_with_row = *field == DEVICE && names_device(spec, point) != names_device(spec, first);
+        !goes_with_seed && !goes_with_row && disagree(field, own, first.protocol(field))
     };
     spec.must_match.iter().filter(differs).cloned().collect()
 }
 
 /// Returns the fields of `must_match` in which a point of the group differs from the scene's first.
 pub(super) fn mixed_fields(spec: &TableSpec, group: &Group, groups: &[Group]) -> Vec<String> {
-    let of_point = |point| firsts(groups, point).flat_map(|first| disagreements(spec, point, first));
+    let of_point = |point| firsts(spec, groups, point).flat_map(|first| disagreements(spec, point, first));
     let differing: Vec<String> = group.done().flat_map(of_point).collect();
     spec.must_match.iter().filter(|field| differing.contains(field)).cloned().collect()
 }
 
-/// Returns the first points, in the table's order: of the point's scene, and of its scene with its seed.
-fn firsts<'a>(groups: &[Group<'a>], point: &Record) -> impl Iterator<Item = &'a Record> {
+/// The field of the device.
+const DEVICE: &str = "device";
+
+fn names_device(spec: &TableSpec, point: &Record) -> bool {
+    spec.rows.iter().any(|row| row.name == point.row && row.names_device)
+}
+
+/// Returns the first points, in the table's order: of the point's scene, of its scene with its seed, and of those rows of its scene
+/// that name their device as its own does.
+fn firsts<'a>(spec: &TableSpec, groups: &[Group<'a>], point: &Record) -> impl Iterator<Item = &'a Record> {
     let of_scene = || groups.iter().filter(|group| group.scene == point.scene).flat_map(Group::done);
     let of_seed = of_scene().find(|other| other.seed == point.seed);
-    of_scene().next().into_iter().chain(of_seed)
+    let of_device = of_scene().find(|other| names_device(spec, other) == names_device(spec, point));
+    of_scene().next().into_iter().chain(of_seed).chain(of_device)
 }
