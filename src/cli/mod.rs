@@ -238,8 +238,15 @@ impl Compute {
 
     /// Does the same with another default device.
     fn run_or<T: Send>(&self, default: &str, work: impl FnOnce(&Runtime, &Console) -> Result<T> + Send) -> Result<T> {
-        let runtime = self.runtime_or(default)?;
-        runtime.install(|| work(&runtime, &Console::new(self.quiet)))
+        let (runtime, console) = (self.runtime_or(default)?, Console::new(self.quiet));
+        if let Some(accelerator) = runtime.accelerator().filter(|accelerator| accelerator.is_software()) {
+            let name = accelerator.description();
+            console.say(&format!(
+                "device {} is {name}, which the CPU emulates: far slower than --device cpu",
+                runtime.name()
+            ));
+        }
+        runtime.install(|| work(&runtime, &console))
     }
 
     /// Returns the runtime of the named device and threads, with another default device.

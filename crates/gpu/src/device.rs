@@ -122,7 +122,11 @@ const MEMORY: &str = "AUGNERF_GPU_MEMORY";
 fn chosen_memory(text: Option<OsString>) -> Result<Option<usize>> {
     let Some(text) = text.filter(|text| !text.is_empty()) else { return Ok(None) };
     let gib = text.to_str().and_then(|text| text.trim().parse::<f64>().ok()).filter(|gib| *gib > 0.0 && *gib < 1e6);
-    let wrong = || Error::Config(format!("{MEMORY} = {text:?}: give the GiB of a step, a number above 0 such as 4"));
+    let wrong = || {
+        Error::Config(format!(
+            "device gpu: {MEMORY} = {text:?}: give the GiB of a step, above 0 and below 1e6, such as 4"
+        ))
+    };
     Ok(Some((gib.ok_or_else(wrong)? * f64::from(1 << 30)) as usize))
 }
 

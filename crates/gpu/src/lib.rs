@@ -33,6 +33,10 @@ impl Accelerator for Gpu {
         format!("{name}, {driver}")
     }
 
+    fn is_software(&self) -> bool {
+        self.adapter().is_software
+    }
+
     fn synchronize(&self) -> Result<()> {
         self.wait()
     }

@@ -6,7 +6,7 @@ use std::hash::Hash;
 use super::axes::Axis;
 use toml::{Table, Value};
 
-use super::definition::{Budget, BudgetKind, Combine, Definition, Row, is_named, scene_name};
+use super::definition::{Budget, BudgetKind, CPU, Combine, Definition, Row, is_named, scene_name};
 use super::words::quoted;
 use crate::metrics::Metric;
 use crate::settings::Method;
@@ -122,6 +122,12 @@ impl Definition {
             }
             if let Some(budget) = &row.budget {
                 known(&format!("budget.like of row '{}'", row.name), &budget.like)?;
+            }
+            if let Some(device) = row.device.as_ref().filter(|device| *device != CPU) {
+                return Err(format!(
+                    "row '{}': device = \"{device}\": a row can only name \"{CPU}\"; --device chooses that of the others",
+                    row.name
+                ));
             }
             let budget = row.budget.as_ref().or(self.budget.as_ref()).filter(|budget| budget.like != row.name);
             if let Some(Budget { kind: BudgetKind::Seconds, like }) = budget

@@ -146,18 +146,13 @@ pub struct Row {
     /// Budget of this row, in place of the sweep's.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub budget: Option<Budget>,
-    /// The device of this row, whatever the command line says.
+    /// [`CPU`]: the row runs on the processor, which trains all methods, whatever the command line says.
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub device: Option<RowDevice>,
+    pub device: Option<String>,
 }
 
-/// A device that a row can name.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "kebab-case")]
-pub enum RowDevice {
-    /// The processor, which trains all methods.
-    Cpu,
-}
+/// The device that a row can name.
+pub(super) const CPU: &str = "cpu";
 
 fn yes() -> bool {
     true

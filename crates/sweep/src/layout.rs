@@ -15,7 +15,7 @@ use crate::run::locate_scene;
 use crate::settings::{BuiltinScene, Config, DataKind, Preset, build, check_assignment, leaves};
 
 use super::axes::{Axis, AxisPoint};
-use super::definition::{BudgetKind, Combine, Definition, Row, RowDevice, scene_name};
+use super::definition::{BudgetKind, Combine, Definition, Row, scene_name};
 use super::points::Point;
 
 /// A row of the table with its values on axes.
@@ -225,7 +225,7 @@ impl Builder<'_> {
             source: self.scene.to_string(),
             config,
             places: vec![TablePosition { row: row.name.clone(), axes: named(axes) }],
-            on_cpu: row.device == Some(RowDevice::Cpu),
+            on_cpu: row.device.is_some(),
             without_budget: budget.is_some() && decay_steps.is_none(),
             no_data,
         };

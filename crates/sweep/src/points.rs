@@ -114,7 +114,8 @@ impl Layout {
                 let others = || known.get(&point.id).into_iter().flat_map(|(_, others)| others);
                 if let Some(other) = others().find(|other| other.point.on_cpu != point.on_cpu) {
                     return Err(Error::Config(format!(
-                        "rows '{}' and '{}' share a training, but only one of them names its device; name it in both or in none",
+                        "rows '{}' and '{}' have the same configuration, so they share one training on one device; name the device in both \
+                         or in none",
                         other.place().row,
                         planned.place().row
                     )));

@@ -36,6 +36,11 @@ pub trait Accelerator: Debug + Send + Sync {
     /// Returns adapter and driver, for a run's provenance: `NVIDIA H200, Vulkan, driver 580.159`.
     fn description(&self) -> String;
 
+    /// Returns whether the CPU emulates it.
+    fn is_software(&self) -> bool {
+        false
+    }
+
     /// Waits until its work is done.
     ///
     /// # Errors

@@ -96,7 +96,7 @@ fn measure_fields(
     let has_laplacian = fields[0].1.config().has_laplacian();
     let on_accelerator = runtime.accelerator().is_some() && !has_laplacian;
     if runtime.accelerator().is_some() && has_laplacian {
-        events.on(Event::Note("the field has a Laplacian, which the processor computes: this is measured there"));
+        events.on(Event::Note("measured on the CPU: the GPU does not measure this field's Laplacian"));
     }
     if model.fields()?.occupancy().is_some() {
         events.on(Event::Note(
