@@ -153,21 +153,21 @@ pub struct Base<'a> {
     pub last: Assignments,
     /// Maps the preset that suits the scene, if `--preset` names none.
     pub preset: fn(Preset) -> Preset,
-    /// Whether preset `fast` samples objects in occupied cells.
-    pub occupied: bool,
+    /// Of a training that starts: whether its device samples occupied cells, which preset `fast` uses for objects.
+    pub occupied: Option<bool>,
 }
 
 impl Default for Base<'_> {
     /// Returns a base that adds nothing.
     fn default() -> Self {
-        Base { file: None, first: Vec::new(), last: Vec::new(), preset: |preset| preset, occupied: false }
+        Base { file: None, first: Vec::new(), last: Vec::new(), preset: |preset| preset, occupied: None }
     }
 }
 
 impl Base<'_> {
     /// Returns a base for a training on a device. No accelerator trains with occupied cells.
     pub fn of_training(runtime: &Runtime) -> Self {
-        Base { occupied: runtime.is_cpu(), ..Base::default() }
+        Base { occupied: Some(runtime.is_cpu()), ..Base::default() }
     }
 }
 
@@ -236,10 +236,15 @@ impl Experiment {
         }
         let config = build(preset, None, &assignments)?;
         let is_object = format.is_some_and(|format| format.object_half.is_some());
-        if !(base.occupied && is_object && preset == Some(Preset::Fast) && config.on_hash_grid()) {
-            return Ok(config);
+        match base.occupied.filter(|_| is_object && preset == Some(Preset::Fast) && config.on_hash_grid()) {
+            Some(true) => Ok(in_occupied_cells(config, assignments, console)),
+            Some(false) => {
+                console
+                    .say("preset fast samples this object as other scenes, because this device has no occupied cells");
+                Ok(config)
+            }
+            None => Ok(config),
         }
-        Ok(in_occupied_cells(config, assignments, console))
     }
 }
 

@@ -66,6 +66,13 @@ impl SlurmArguments {
             begin_folder(&self.location, &definition, self.extend, (&trainings, &measured_elsewhere), &console)?;
         say_what_is_missing(&definition, &trainings, &console);
         script.points = self.left(&points, &folder)?;
+        let of_cpu = points.iter().filter(|point| point.on_cpu && script.points.contains(&point.id.as_str())).count();
+        if of_cpu > 0 && !runtime.is_cpu() {
+            console.say(&format!(
+                "{of_cpu} of these points are of rows with device = \"cpu\": they wait for a GPU like the others, but compute on the CPU; \
+                 to keep GPUs free, leave the rows out by remove = true in a file that extends this one"
+            ));
+        }
         script.command = self.command(&path)?;
         self.write(&script, &folder, points.len(), &console)
     }
