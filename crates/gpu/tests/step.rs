@@ -7,6 +7,7 @@ use augnerf_nerf::methods::{DeviceSteps, FieldLearner, Learner, StepAt};
 use augnerf_nerf::optimizer::{Adam, AdamSettings};
 use augnerf_nerf::runtime::Accelerator;
 use augnerf_nerf::settings::DensityActivation;
+use augnerf_scenes::{Ndc, Scene};
 use candle_core::{DType, Device, Tensor};
 use common::{config, flat, gpu, scene, start};
 
@@ -34,7 +35,11 @@ fn compare(settings: &[&str]) {
 }
 
 fn compare_within(settings: &[&str], allowed: Allowed) {
-    let (config, scene) = (config(settings), scene());
+    compare_on(scene(), settings, allowed);
+}
+
+fn compare_on(scene: Scene, settings: &[&str], allowed: Allowed) {
+    let config = config(settings);
     let learner = start(&config, &scene);
     for (name, var) in learner.fields().variables() {
         // A ReLU that is open at some points.
@@ -207,6 +212,15 @@ steps! {
         "perturb.xyz_radius=released";
     aug_of_features_alone: "method=aug-nerf", "perturb.attack=calibrated", "perturb.levels=[\"feature\"]", "perturb.injection_layer=1";
     aug_of_output_alone: "method=aug-nerf", "perturb.attack=calibrated", "perturb.levels=[\"output\"]", "field.encoding=hash";
+}
+
+/// Rays in NDC, where pixels have cylinders.
+#[test]
+fn mip_nerf_in_ndc() {
+    let ndc = Some(Ndc { width: 16.0, height: 16.0, focal: 20.0 });
+    for settings in [&["method=mip-nerf"][..], &["method=aug-mip-nerf", "perturb.attack=calibrated"]] {
+        compare_on(Scene { ndc, near: 0.0, far: 1.0, ..scene() }, settings, F32);
+    }
 }
 
 /// A device with little memory takes the rays in parts, with the same random numbers.
