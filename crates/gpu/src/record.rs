@@ -41,7 +41,7 @@ pub(crate) const SLOT: usize = 20;
 pub(crate) const FIRST_TERM: usize = 14;
 
 /// The words of a kernel's parameters.
-#[derive(Default)]
+#[derive(Clone, Default)]
 pub(crate) struct Words(Vec<u32>);
 
 impl Words {
