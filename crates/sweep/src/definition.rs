@@ -146,7 +146,7 @@ pub struct Row {
     /// Budget of this row, in place of the sweep's.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub budget: Option<Budget>,
-    /// [`CPU`]: the row runs on the processor, which trains all methods, whatever the command line says.
+    /// `cpu`: the row runs on the processor, which trains all methods, whatever the command line says.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub device: Option<String>,
 }
