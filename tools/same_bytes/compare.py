@@ -66,7 +66,7 @@ class Normaliser:
 
     def __init__(self, revisions, workplaces):
         names = b"|".join(re.escape(revision.encode()) for revision in revisions)
-        self.revision = re.compile(rb"\b(" + names + rb")(-dirty)?\b")
+        self.revision = re.compile(rb"\bh?(" + names + rb")(-dirty)?\b")
         self.workplace = re.compile(b"|".join(re.escape(str(place).encode()) for place in workplaces))
 
     def content(self, file):

@@ -18,6 +18,7 @@ use wgpu::{
 };
 
 use crate::kernels::{Kernel, Tiles};
+use crate::params::{Layouts, Params, layouts};
 
 /// After a wait a device answers at once.
 const ANSWERS_WITHIN: Duration = Duration::from_secs(60);
@@ -35,7 +36,7 @@ struct Opened {
     queue: Queue,
     adapter: ListedDevice,
     limits: Limits,
-    pipelines: Mutex<HashMap<Kernel, ComputePipeline>>,
+    pipelines: Mutex<HashMap<Kernel, Compiled>>,
     /// How the device was lost, and what first went wrong outside of [`Gpu::checked`].
     failures: Arc<[OnceLock<String>; 2]>,
     /// Tiles of wide layers in f32.
@@ -147,6 +148,9 @@ fn memory_of(adapter: &wgpu::Adapter) -> Option<usize> {
 fn memory_of(_adapter: &wgpu::Adapter) -> Option<usize> {
     None
 }
+
+/// A kernel's pipeline, and where its parameters are.
+type Compiled = (ComputePipeline, Arc<Layouts>);
 
 /// A dispatch that is recorded once and submitted many times.
 pub(crate) struct Dispatch {
@@ -318,12 +322,14 @@ impl Gpu {
         self.0.queue.submit([encoder.finish()]);
     }
 
-    fn pipeline(&self, kernel: &Kernel) -> ComputePipeline {
+    /// Returns a kernel's pipeline, and where its parameters are.
+    fn compiled(&self, kernel: &Kernel) -> Compiled {
         let mut known = self.0.pipelines.lock().unwrap_or_else(PoisonError::into_inner);
-        if let Some(pipeline) = known.get(kernel) {
-            return pipeline.clone();
+        if let Some(compiled) = known.get(kernel) {
+            return compiled.clone();
         }
         let text = kernel.text();
+        let layouts = Arc::new(layouts(&text));
         let source = ShaderModuleDescriptor { label: Some(kernel.name), source: ShaderSource::Wgsl(text.into()) };
         // lavapipe compiles some kernels without bounds checks for minutes.
         let module = if self.0.adapter.is_software {
@@ -344,17 +350,33 @@ impl Gpu {
             },
             cache: None,
         });
-        known.insert(kernel.clone(), pipeline.clone());
-        pipeline
+        let compiled = (pipeline, layouts);
+        known.insert(kernel.clone(), compiled.clone());
+        compiled
     }
 
-    /// Records a dispatch of so many groups with these buffers at their bindings.
-    pub(crate) fn dispatch(&self, kernel: &Kernel, buffers: &[(u32, &Buffer)], size: [u32; 3]) -> Dispatch {
-        let pipeline = self.pipeline(kernel);
-        let entries: Vec<BindGroupEntry> = buffers
-            .iter()
-            .map(|(binding, buffer)| BindGroupEntry { binding: *binding, resource: buffer.as_entire_binding() })
-            .collect();
+    /// Returns the words of a kernel's parameters at a binding.
+    pub(crate) fn words(&self, kernel: &Kernel, binding: u32, params: &Params) -> Vec<u32> {
+        let (_, layouts) = self.compiled(kernel);
+        let layout = layouts.get(&binding);
+        layout
+            .unwrap_or_else(|| panic!("kernel {} has no parameters at {binding}", kernel.name))
+            .words(kernel.name, params)
+    }
+
+    /// Records a dispatch of so many groups with its parameters at binding 0, and these buffers at theirs.
+    pub(crate) fn dispatch(
+        &self,
+        kernel: &Kernel,
+        params: &Params,
+        buffers: &[(u32, &Buffer)],
+        size: [u32; 3],
+    ) -> Dispatch {
+        let (pipeline, _) = self.compiled(kernel);
+        let uniform = self.uniform(&self.words(kernel, 0, params));
+        let bound = std::iter::once((0, &uniform)).chain(buffers.iter().copied());
+        let entries: Vec<BindGroupEntry> =
+            bound.map(|(binding, buffer)| BindGroupEntry { binding, resource: buffer.as_entire_binding() }).collect();
         let layout = pipeline.get_bind_group_layout(0);
         let descriptor = BindGroupDescriptor { label: Some(kernel.name), layout: &layout, entries: &entries };
         let group = self.0.device.create_bind_group(&descriptor);

@@ -12,6 +12,8 @@ use augnerf_nerf::runtime::{Accelerator, ListedDevice};
 use augnerf_nerf::settings::{Config, Resolved};
 use augnerf_scenes::Scene;
 
+#[macro_use]
+mod params;
 mod density;
 mod device;
 mod kernels;

@@ -7,6 +7,7 @@ use wgpu::Buffer;
 use crate::device::{Dispatch, Gpu, rows};
 use crate::kernels::{Kernel, Tiles};
 use crate::network::{FieldBuffers, Shape};
+use crate::params::Params;
 
 mod back;
 mod encoding;
@@ -16,7 +17,7 @@ mod scratch;
 mod space;
 
 #[cfg(test)]
-pub(crate) use encoding::{domain_words, grid_words};
+pub(crate) use encoding::{domain_params, grid_params};
 pub(crate) use products::most_parts;
 pub(crate) use scratch::Scratch;
 pub(crate) use space::{Integrand, SpaceAt};
@@ -39,30 +40,6 @@ pub(crate) const SLOT: usize = 20;
 
 /// The numbers of a slot of results before those of terms on rays; `loss.wgsl` says which they are.
 pub(crate) const FIRST_TERM: usize = 14;
-
-/// The words of a kernel's parameters.
-#[derive(Clone, Default)]
-pub(crate) struct Words(Vec<u32>);
-
-impl Words {
-    pub(crate) fn u(mut self, value: usize) -> Words {
-        self.0.push(value as u32);
-        self
-    }
-
-    pub(crate) fn f(mut self, value: f64) -> Words {
-        self.0.push((value as f32).to_bits());
-        self
-    }
-
-    pub(crate) fn words(&self) -> &[u32] {
-        &self.0
-    }
-
-    fn flag(self, value: bool) -> Words {
-        self.u(usize::from(value))
-    }
-}
 
 /// The numbers of a field's outputs that kernels need.
 #[derive(Clone, Copy)]
@@ -213,16 +190,14 @@ impl<'a> Recorder<'a> {
     }
 
     /// Records a kernel with parameters at binding 0.
-    pub(crate) fn run(&mut self, kernel: Kernel, words: Words, buffers: &[(u32, &Buffer)], size: [u32; 3]) {
-        let uniform = self.gpu.uniform(&words.0);
-        let bound: Vec<(u32, &Buffer)> = std::iter::once((0, &uniform)).chain(buffers.iter().copied()).collect();
-        self.dispatches.push(self.gpu.dispatch(&kernel, &bound, size));
+    pub(crate) fn run(&mut self, kernel: Kernel, params: Params, buffers: &[(u32, &Buffer)], size: [u32; 3]) {
+        self.dispatches.push(self.gpu.dispatch(&kernel, &params, buffers, size));
     }
 
     /// Records the sums over all rays of a pass.
     pub(crate) fn sums(&mut self, rays: usize, out: &Buffer, slot: usize, results: &Buffer) {
-        let words = Words::default().u(rays).u(slot).u(FIRST_TERM + ON_RAYS.len()).u(0);
-        self.run(Kernel::new("loss"), words, &[(1, self.rays), (2, out), (3, results)], [1, 1, 1]);
+        let params = params! { rays, slot, numbers: FIRST_TERM + ON_RAYS.len() };
+        self.run(Kernel::new("loss"), params, &[(1, self.rays), (2, out), (3, results)], [1, 1, 1]);
     }
 
     /// Records the inverse of the CDF of the weights that the last pass left.
@@ -230,11 +205,10 @@ impl<'a> Recorder<'a> {
         let Resampling { rays, coarse, columns, fine, intervals, padding, mode } = at;
         let narrowest = if intervals { 0.0 } else { FLOOR };
         let padding = if intervals { padding } else { FLOOR };
-        let words = Words::default().u(coarse).u(columns).u(fine).flag(intervals).f(padding).f(narrowest);
-        let words = words.u(mode).u(rays);
+        let params = params! { coarse, columns, fine, intervals, padding, narrowest, mode, rays };
         let most = (coarse + 1).max(if intervals { fine } else { coarse + fine }).next_power_of_two();
         let buffers = [(1, t_vals), (2, &self.scratch.weights), (3, u), (4, out)];
-        self.run(Kernel::new("resample").set("MOST", most), words, &buffers, rows(rays));
+        self.run(Kernel::new("resample").set("MOST", most), params, &buffers, rows(rays));
     }
 }
 

@@ -15,7 +15,7 @@ use crate::kernels::Kernel;
 use crate::limits::{check_buffers, check_fields, samples_at_once};
 use crate::network::{FieldBuffers, Shape};
 use crate::rays::{RAY, bins, packed};
-use crate::record::{DeltaBuffers, OUT, PassAt, Recorder, Resampling, Scratch, Words};
+use crate::record::{DeltaBuffers, OUT, PassAt, Recorder, Resampling, Scratch};
 
 /// Rays that are rendered at once, at most.
 const MOST_RAYS: usize = 2048;
@@ -73,9 +73,9 @@ impl GpuRenderer {
             has_cylinders: scene.ndc.is_some(),
             ..Recorder::new(gpu, shape, &config.field, &scratch, &rays, &flags)
         };
-        let words = Words::default().u(chunk).u(columns).u(0).u(0);
+        let params = params! { rays: chunk, columns };
         let buffers = [(1, &rows), (2, &jitter), (3, &t_coarse)];
-        recorder.run(Kernel::new("sample"), words, &buffers, groups(chunk * columns));
+        recorder.run(Kernel::new("sample"), params, &buffers, groups(chunk * columns));
         let deltas = DeltaBuffers::default();
         let field = &coarse_field;
         let pass = PassAt {

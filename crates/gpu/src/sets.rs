@@ -14,7 +14,8 @@ use wgpu::Buffer;
 
 use crate::device::{Gpu, groups};
 use crate::kernels::Kernel;
-use crate::record::{DeltaBuffers, GradientAt, PassAt, Recorder, Words};
+use crate::params::Params;
+use crate::record::{DeltaBuffers, GradientAt, PassAt, Recorder};
 
 /// A length of direction at which no cap shortens a pixel.
 const FAR: f64 = 1e30;
@@ -238,50 +239,36 @@ impl<'a> Recorder<'a> {
             return;
         }
         let blocks = (offset % 16 + count).div_ceil(16);
-        let words = Words::default().u(stream as usize).u(part).u(part_step).u(chunks);
-        let words = words.u(count).u(offset).u(blocks).u(first);
-        self.run(Kernel::new("random"), words, &[(1, now), (2, numbers)], groups(chunks * blocks));
+        let params = params! { stream: stream as usize, part, part_step, chunks, count, offset, blocks, first };
+        self.run(Kernel::new("random"), params, &[(1, now), (2, numbers)], groups(chunks * blocks));
     }
 
     /// Records the map of uniform numbers to normal ones: `count` (even) of each of `chunks`.
     pub(crate) fn normal(&mut self, numbers: &Buffer, chunks: usize, count: usize, scale: f64, first: usize) {
         if count * chunks > 0 {
-            let words = Words::default().u(chunks).u(count).f(scale).u(first);
-            self.run(Kernel::new("normal"), words, &[(1, numbers)], groups(chunks * count / 2));
+            let params = params! { chunks, count, scale, first };
+            self.run(Kernel::new("normal"), params, &[(1, numbers)], groups(chunks * count / 2));
         }
     }
 
     /// The parameters of a set's kernels.
-    fn set_words(&self, set: &SiteSet, pass: &PassAt, rest: SetWords) -> Words {
-        let (mut of_all, mut of_pixel, mut of_gaps) = (0.0, [0.0; 2], (0, [0.0; 5]));
+    fn set_params(&self, set: &SiteSet, pass: &PassAt, rest: SetParams) -> Params {
+        let (mut radius, [mut pixel, mut cap], mut of_gaps) = (0.0, [0.0; 2], (0, [0.0; 5]));
         match set.radius {
-            SiteRadius::One(radius) => of_all = radius,
-            SiteRadius::Pixel { pixel, cap } => of_pixel = [pixel, cap],
+            SiteRadius::One(of_all) => radius = of_all,
+            SiteRadius::Pixel { pixel: of_pixel, cap: of_ray } => (pixel, cap) = (of_pixel, of_ray),
             SiteRadius::OfGaps(kind, numbers) => of_gaps = (kind, numbers),
         }
+        let (kind, [share, coarse, drawn, coarse_gap, reach]) = of_gaps;
         let (near, far) = rest.range.unwrap_or(self.bounds);
-        let is = |on: bool| usize::from(on);
-        let words = Words::default()
-            .u(pass.rays * set.per_ray)
-            .u(set.size)
-            .u(is(set.numbers.norm == Norm::L2))
-            .u(set.per_ray)
-            .f(of_all)
-            .f(near)
-            .f(far)
-            .u(if set.masks { pass.samples } else { 0 })
-            .f(set.numbers.pgd.step_size)
-            .u(is(set.numbers.pgd.unit == StepUnit::Relative))
-            .u(rest.stride)
-            .u(rest.offset)
-            .u(is(rest.gaussian))
-            .u(rest.chunk)
-            .u(rest.normals)
-            .u(rest.first)
-            .u(rest.first_distance)
-            .u(pass.ray0);
-        let words = of_pixel.into_iter().fold(words, Words::f).u(of_gaps.0);
-        of_gaps.1.into_iter().fold(words, Words::f).u(0).u(0)
+        let SetParams { stride, offset, gaussian, chunk, normals, first, first_distance, .. } = rest;
+        let (vectors, pgd) = (pass.rays * set.per_ray, &set.numbers.pgd);
+        let masks_last = if set.masks { pass.samples } else { 0 };
+        let ball = set.numbers.norm == Norm::L2;
+        params! { vectors, size: set.size, ball, per_ray: set.per_ray, radius, near, far, masks_last }
+            .and(params! { step: pgd.step_size, relative: pgd.unit == StepUnit::Relative, stride, offset, gaussian })
+            .and(params! { chunk, normals, first, first_distance, ray0: pass.ray0, pixel, cap })
+            .and(params! { kind, share, coarse, drawn, coarse_gap, reach })
     }
 
     fn set_kernel(&self, name: &'static str, set: &SiteSet) -> Kernel {
@@ -335,14 +322,14 @@ impl<'a> Recorder<'a> {
                 let first = distances + whole * vectors;
                 self.random(now, numbers, stretch(1, whole, rest * set.per_ray, of_rest, first));
             }
-            let words =
-                SetWords { gaussian, chunk: vectors, normals, first_distance: distances, ..SetWords::default() };
-            let words = self.set_words(set, pass, words);
+            let params =
+                SetParams { gaussian, chunk: vectors, normals, first_distance: distances, ..SetParams::default() };
+            let params = self.set_params(set, pass, params);
             let to = if at.random { &buffers.random } else { &buffers.deltas };
             let delta = to[set.site].as_ref().expect("a site that is on");
             let mut bound = self.set_buffers(set, delta, pass);
             bound.push((4, numbers));
-            self.run(set.each(self.set_kernel("draw", set)), words, &bound, groups(pass.rays * set.threads_of_ray()));
+            self.run(set.each(self.set_kernel("draw", set)), params, &bound, groups(pass.rays * set.threads_of_ray()));
         }
     }
 
@@ -356,14 +343,14 @@ impl<'a> Recorder<'a> {
         (gradient, stride, offset): GradientAt,
     ) {
         let set = sets.set(site);
-        let words = self.set_words(set, pass, SetWords { stride, offset, ..SetWords::default() });
+        let params = self.set_params(set, pass, SetParams { stride, offset, ..SetParams::default() });
         let delta = buffers.deltas[site].as_ref().expect("a site that is on");
         let mut bound = self.set_buffers(set, delta, pass);
         bound.push((4, gradient));
         let used = self.used(site);
         bound.extend(used.map(|used| (5, used)));
         let kernel = set.each(self.set_kernel("ascend", set).with("USED", used.is_some()));
-        self.run(kernel, words, &bound, groups(pass.rays * set.threads_of_ray()));
+        self.run(kernel, params, &bound, groups(pass.rays * set.threads_of_ray()));
     }
 
     /// Keeps the deltas of the output level as the last pass used them.
@@ -371,8 +358,8 @@ impl<'a> Recorder<'a> {
         for set in &sets.sites {
             if let (Some(from), Some(to)) = (self.used(set.site), &buffers.used[set.site]) {
                 let count = pass.rays * set.per_ray * set.size;
-                let words = Words::default().u(count).u(0).u(0).u(0);
-                self.run(Kernel::new("copy"), words, &[(1, from), (2, to)], groups(count));
+                let params = params! { numbers: count };
+                self.run(Kernel::new("copy"), params, &[(1, from), (2, to)], groups(count));
             }
         }
     }
@@ -393,7 +380,7 @@ impl<'a> Recorder<'a> {
         let range = is_output.then(|| output_range(site, padding));
         // Values lie as their gradients do.
         let offset = if is_output { self.gradient_of(site, OutputPlace::After).2 } else { 0 };
-        let words = self.set_words(set, pass, SetWords { offset, first, range, ..SetWords::default() });
+        let params = self.set_params(set, pass, SetParams { offset, first, range, ..SetParams::default() });
         let delta = match self.used(site) {
             Some(used) => used,
             None => buffers.deltas[site].as_ref().expect("a site that is on"),
@@ -404,7 +391,7 @@ impl<'a> Recorder<'a> {
             bound.push((5, &self.scratch.values));
         }
         let kernel = self.set_kernel("at_bound", set).with("OUTPUT", is_output);
-        self.run(kernel, words, &bound, groups(pass.rays * set.per_ray));
+        self.run(kernel, params, &bound, groups(pass.rays * set.per_ray));
     }
 }
 
@@ -438,7 +425,7 @@ pub(crate) struct DrawAt<'a> {
 
 /// Parameters that only some of the sets' kernels read.
 #[derive(Clone, Copy, Default)]
-struct SetWords {
+struct SetParams {
     stride: usize,
     offset: usize,
     gaussian: bool,

@@ -16,7 +16,7 @@ use crate::kernels::Kernel;
 use crate::limits::{check_on, rays_of_chunk};
 use crate::network::{FieldBuffers, Learned, Shape};
 use crate::rays::{bins, of_batch};
-use crate::record::{FIXED_SCALE, Integrand, Recorder, SpaceAt, Words};
+use crate::record::{FIXED_SCALE, Integrand, Recorder, SpaceAt};
 use crate::sets::PassSets;
 
 use self::buffers::StepBuffers;
@@ -195,13 +195,11 @@ impl Steps {
     fn send(&mut self, step: u64, updates: u64, learning_rate: f64) -> Result<()> {
         let train = &self.config.train;
         let [correction1, correction2] = [BETA1, train.adam_beta2].map(|beta| 1.0 - beta.powf(updates as f64));
-        let halves = |value: u64| [value as u32, (value >> 32) as u32];
-        let [seed0, seed1] = halves(self.config.seed);
-        let [step0, step1] = halves(step);
-        let words = Words::default().u(seed0 as usize).u(seed1 as usize).u(step0 as usize).u(step1 as usize);
-        let words = words.f(learning_rate / correction1).f(correction2).f(learning_rate).u(0);
+        let halves = |value: u64| [value as u32, (value >> 32) as u32].map(|half| half as usize);
+        let (rate, adam) = (learning_rate / correction1, Kernel::new("adam_weights"));
+        let now = params! { seed: halves(self.config.seed), step: halves(step), rate, correction2, learning_rate };
         let rays = of_batch(&self.batches.batch(step), has_tangents(&self.config));
-        self.gpu.write(&self.buffers.now, bytemuck::cast_slice(words.words()));
+        self.gpu.write(&self.buffers.now, bytemuck::cast_slice(&self.gpu.words(&adam, 1, &now)));
         self.gpu.write(&self.buffers.rays, bytemuck::cast_slice(&rays));
         if let Some(space) = &self.buffers.space {
             space.send(&self.gpu, &self.config, step)?;
@@ -330,8 +328,8 @@ impl Steps {
             let to = if before { &opened.values } else { &learned.gradient };
             let mut buffers = vec![(1, factors), (2, to)];
             buffers.extend(before.then_some((3, &learned.values)));
-            let words = Words::default().u(learned.count).u(0).u(0).u(0);
-            recorder.run(Kernel::new("multiply").with("FROM", before), words, &buffers, groups(learned.count));
+            let params = params! { numbers: learned.count };
+            recorder.run(Kernel::new("multiply").with("FROM", before), params, &buffers, groups(learned.count));
         }
     }
 
@@ -363,9 +361,9 @@ impl Steps {
         for (pass, sets) in self.sets.iter().enumerate() {
             let first = first_of(pass);
             for site in sets.iter().flat_map(PassSets::sites) {
-                let words = Words::default().u(self.config.train.rays).u(shift_of(first, site)).u(0).u(0);
+                let params = params! { rays: self.config.train.rays, slot: shift_of(first, site) };
                 let buffers = [(1, &outs[first]), (2, &outs[alone(first, site)]), (3, &self.buffers.results)];
-                recorder.run(Kernel::new("shift"), words, &buffers, [1, 1, 1]);
+                recorder.run(Kernel::new("shift"), params, &buffers, [1, 1, 1]);
             }
         }
     }
@@ -376,9 +374,9 @@ impl Steps {
         let train = &self.config.train;
         for (index, field) in self.learned.iter().enumerate() {
             let weights = &field.weights;
-            let words = Words::default().u(weights.count).u(DIAGNOSED).u(2 * index).u(0);
+            let params = params! { numbers: weights.count, slots: DIAGNOSED, field: 2 * index };
             let buffers = [(1, &weights.gradient), (2, &self.buffers.results), (3, &self.buffers.flags)];
-            recorder.run(Kernel::new("check"), words, &buffers, groups(weights.count));
+            recorder.run(Kernel::new("check"), params, &buffers, groups(weights.count));
         }
         let limit = if train.clip_value > 0.0 { train.clip_value } else { NO_LIMIT };
         let unit_of = |part: usize| 1.0 / if part == 0 { loss_scale(&self.config) } else { FIXED_SCALE };
@@ -386,8 +384,9 @@ impl Steps {
         let decays = (train.weight_decay > 0.0).then(|| self.gpu.storage(&self.shape.decays()));
         for (index, field) in self.learned.iter().enumerate() {
             for (part, learned) in field.learned().enumerate() {
-                let words = Words::default().u(learned.count).f(BETA1).f(train.adam_beta2).f(train.adam_epsilon);
-                let words = words.f(unit_of(part)).u(2 * index + part).f(limit).f(train.weight_decay);
+                let (numbers, beta2, epsilon) = (learned.count, train.adam_beta2, train.adam_epsilon);
+                let params = params! { numbers, beta1: BETA1, beta2, epsilon, unit: unit_of(part) };
+                let params = params.and(params! { field: 2 * index + part, limit, decay: train.weight_decay });
                 let features = self.shape.grid.as_ref().map_or(1, |grid| grid.features());
                 let (kernel, threads) = match part {
                     0 => (Kernel::new("adam_weights").with("DECAY", decays.is_some()), learned.count),
@@ -403,7 +402,7 @@ impl Steps {
                 ];
                 buffers.extend(factor.as_ref().map(|factor| (7, factor)));
                 buffers.extend(decays.as_ref().filter(|_| part == 0).map(|decays| (8, decays)));
-                recorder.run(kernel.with("NORM", factor.is_some()), words, &buffers, groups(threads));
+                recorder.run(kernel.with("NORM", factor.is_some()), params, &buffers, groups(threads));
             }
         }
         recorder.dispatches
@@ -417,13 +416,13 @@ impl Steps {
         let (sums, factor) = (self.gpu.numbers(count), self.gpu.numbers(1));
         let mut first = 0;
         for (part, learned) in all() {
-            let words = Words::default().u(learned.count).u(first).f(unit_of(part)).f(limit);
+            let params = params! { numbers: learned.count, first, unit: unit_of(part), limit };
             let kernel = Kernel::new("norm").with("TABLES", part == 1);
-            recorder.run(kernel, words, &[(1, &learned.gradient), (2, &sums)], rows(groups_of(learned)));
+            recorder.run(kernel, params, &[(1, &learned.gradient), (2, &sums)], rows(groups_of(learned)));
             first += groups_of(learned);
         }
-        let words = Words::default().u(count).f(self.config.train.clip_norm).u(0).u(0);
-        recorder.run(Kernel::new("norm_factor"), words, &[(1, &sums), (2, &factor)], [1, 1, 1]);
+        let params = params! { sums: count, norm: self.config.train.clip_norm };
+        recorder.run(Kernel::new("norm_factor"), params, &[(1, &sums), (2, &factor)], [1, 1, 1]);
         factor
     }
 }

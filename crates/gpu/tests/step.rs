@@ -439,10 +439,12 @@ fn the_first_of_many_waiting_steps_that_is_not_finite_is_named() {
     let reports = steps.reports().unwrap();
     assert_eq!(reports.len(), 20);
     assert!(reports[19].loss < reports[0].loss, "{} {}", reports[0].loss, reports[19].loss);
-    // A rate that leaves no finite loss: step 24 moves, and step 25 says so.
+    // A rate that leaves no finite loss: step 24 moves, and step 25 says so. Some drivers' minimum and maximum hide what is not a number
+    // from the loss, but not from gradients.
     (20..28).for_each(|step| steps.step(at(step, if step == 23 { 1e30 } else { 0.001 }, false)).unwrap());
     let error = steps.reports().unwrap_err().to_string();
-    assert!(error.contains("diverged at step 25: the loss"), "{error}");
+    let names = |what: &str| error.contains(&format!("diverged at step 25: the {what}"));
+    assert!(names("loss") || names("gradient of coarse"), "{error}");
 }
 
 #[test]

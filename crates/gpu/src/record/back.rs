@@ -9,7 +9,7 @@ use crate::kernels::Kernel;
 use crate::network::FieldBuffers;
 
 use super::products::{Matrix, Rows, Through};
-use super::{GradientAt, PassAt, Recorder, Wanted, Words};
+use super::{GradientAt, PassAt, Recorder, Wanted};
 
 impl<'a> Recorder<'a> {
     /// Records the way back of the pass that was just recorded forward.
@@ -37,7 +37,7 @@ impl<'a> Recorder<'a> {
 
     fn activate_back(&mut self, pass: &PassAt<'a>) {
         let (scratch, deltas) = (self.scratch, pass.deltas);
-        let words = self.output_words(pass);
+        let params = self.output_params(pass);
         let mut buffers = vec![
             (1, &scratch.raw),
             (2, &scratch.head),
@@ -58,7 +58,7 @@ impl<'a> Recorder<'a> {
         }
         let kernel = Kernel::new("activate_back").with("INSIDE", self.has_outside());
         let kernel = kernel.with("NOISE", pass.noise.is_some()).with("BEFORE_RGB", rgb).with("BEFORE_DENSITY", density);
-        self.run(kernel, words, &buffers, groups(pass.points()));
+        self.run(kernel, params, &buffers, groups(pass.points()));
     }
 
     /// From the raw colour to the head, and to the encoding of view directions.
@@ -90,12 +90,12 @@ impl<'a> Recorder<'a> {
             let inputs = shape.width..shape.width + shape.view_channels;
             let c = (&scratch.d_view, shape.view_channels);
             self.dense_back(rows, pass.field, layer, inputs, d, c, Through::default());
-            let words = Words::default().u(pass.rays).u(shape.view_octaves).u(shape.view_channels);
-            let words = words.u(pass.ray0).u(pass.samples).u(0).u(0).u(0);
+            let (octaves, channels) = (shape.view_octaves, shape.view_channels);
+            let params = params! { rays: pass.rays, octaves, channels, ray0: pass.ray0, samples: pass.samples };
             let tilt = pass.deltas.view.expect("a gradient of a delta that is there");
             let buffers =
                 [(1, self.rays), (2, &scratch.view_encoded), (3, &scratch.d_view), (4, tilt), (5, &scratch.d_tilt)];
-            self.run(Kernel::new("view_back"), words, &buffers, groups(pass.rays));
+            self.run(Kernel::new("view_back"), params, &buffers, groups(pass.rays));
         }
     }
 

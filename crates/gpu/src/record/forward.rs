@@ -6,9 +6,10 @@ use wgpu::Buffer;
 use crate::device::groups;
 use crate::kernels::Kernel;
 use crate::network::FieldBuffers;
+use crate::params::Params;
 
 use super::products::{Matrix, Output, Rows};
-use super::{ON_RAYS, Outputs, PassAt, PassLoss, Recorder, Words};
+use super::{ON_RAYS, Outputs, PassAt, PassLoss, Recorder};
 
 impl<'a> Recorder<'a> {
     /// Whether points can be outside of where density is.
@@ -58,46 +59,47 @@ impl<'a> Recorder<'a> {
         self.march(pass, t_vals, None);
     }
 
-    pub(super) fn output_words(&self, pass: &PassAt) -> Words {
+    pub(super) fn output_params(&self, pass: &PassAt) -> Params {
         let Outputs { activation, padding, limit } = self.outputs;
         let deltas = &pass.deltas;
-        let (rgb, ball) = deltas.rgb.map_or((0.0, false), |(_, radius, ball)| (radius, ball));
-        let (density, masks) = deltas.density.map_or((0.0, false), |(_, radius, masks)| (radius, masks));
-        let words = Words::default().u(pass.points()).u(pass.samples).u(self.shape.width + 4).u(activation);
-        let words = words.f(padding).f(limit).f(rgb).f(density).flag(ball).flag(masks).flag(deltas.before);
-        words.u(0)
+        let (rgb_radius, rgb_ball) = deltas.rgb.map_or((0.0, false), |(_, radius, ball)| (radius, ball));
+        let (density_radius, masks_last) = deltas.density.map_or((0.0, false), |(_, radius, masks)| (radius, masks));
+        let (points, samples, columns, before) = (pass.points(), pass.samples, self.shape.width + 4, deltas.before);
+        let of_field = params! { columns, activation, padding, limit };
+        of_field.and(params! { points, samples, rgb_radius, rgb_ball, density_radius, masks_last, before })
     }
 
     /// Records density without noise and deltas.
     pub(super) fn density_of_head(&mut self, points: usize) {
         let scratch = self.scratch;
-        let words = Words::default().u(points).u(self.shape.width + 4).u(self.outputs.activation).u(0);
+        let params = params! { points, columns: self.shape.width + 4, activation: self.outputs.activation };
         let mut buffers = vec![(2, &scratch.head), (3, &scratch.density)];
         if self.has_outside() {
             buffers.push((4, &scratch.inside));
         }
         let kernel = Kernel::new("density").with("INSIDE", self.has_outside());
-        self.run(kernel, words, &buffers, groups(points));
+        self.run(kernel, params, &buffers, groups(points));
     }
 
     /// Records weights, or accumulation without noise into `out`.
     fn march(&mut self, pass: &PassAt<'a>, t_vals: &Buffer, out: Option<&Buffer>) {
         let scratch = self.scratch;
-        let words = Words::default().u(pass.rays).u(pass.samples).u(pass.columns).u(pass.ray0);
+        let params = params! { rays: pass.rays, samples: pass.samples, columns: pass.columns, ray0: pass.ray0 };
         let kernel = Kernel::new("march").with("WEIGHTS", out.is_none()).with("ACC", out.is_some());
         let mut buffers = vec![(1, self.rays), (2, t_vals), (3, &scratch.density)];
         buffers.push(out.map_or((4, &scratch.weights), |out| (5, out)));
-        self.run(kernel, words, &buffers, [pass.rays.div_ceil(32) as u32, 1, 1]);
+        self.run(kernel, params, &buffers, [pass.rays.div_ceil(32) as u32, 1, 1]);
     }
 
     /// Records a pass forward, and its loss with what the way back starts from.
     pub(crate) fn forward(&mut self, pass: &PassAt<'a>, loss: Option<PassLoss>) {
         let (shape, scratch, rows) = (self.shape, self.scratch, Rows::Samples(pass.points()));
         let t_vals = self.place(pass);
-        let words = Words::default().u(pass.rays).u(shape.view_octaves).u(shape.view_channels).u(pass.ray0);
+        let params =
+            params! { rays: pass.rays, octaves: shape.view_octaves, channels: shape.view_channels, ray0: pass.ray0 };
         let mut buffers = vec![(1, self.rays), (2, &scratch.view_encoded)];
         buffers.extend(pass.deltas.view.map(|tilt| (3, tilt)));
-        self.run(Kernel::new("view").with("TILT", pass.deltas.view.is_some()), words, &buffers, groups(pass.rays));
+        self.run(Kernel::new("view").with("TILT", pass.deltas.view.is_some()), params, &buffers, groups(pass.rays));
         self.trunk(rows, pass.field, pass.deltas.feature);
         let injection = pass.deltas.feature.map(|(_, layer)| layer);
         let last = self.trunk_input(shape.trunk.len(), injection).0;
@@ -134,7 +136,7 @@ impl<'a> Recorder<'a> {
 
     fn activate(&mut self, pass: &PassAt<'a>) {
         let (scratch, deltas) = (self.scratch, pass.deltas);
-        let words = self.output_words(pass);
+        let params = self.output_params(pass);
         let mut buffers = vec![(1, &scratch.raw), (2, &scratch.head), (3, &scratch.values)];
         if self.has_outside() {
             buffers.push((4, &scratch.inside));
@@ -148,18 +150,21 @@ impl<'a> Recorder<'a> {
         }
         let kernel = Kernel::new("activate").with("INSIDE", self.has_outside()).with("NOISE", pass.noise.is_some());
         let kernel = kernel.with("RGB", deltas.rgb.is_some()).with("DENSITY", deltas.density.is_some());
-        self.run(kernel, words, &buffers, groups(pass.points()));
+        self.run(kernel, params, &buffers, groups(pass.points()));
     }
 
     fn composite(&mut self, pass: &PassAt<'a>, t_vals: &Buffer, loss: Option<PassLoss>) {
         let scratch = self.scratch;
         let background = self.background.unwrap_or_default().map(f64::from);
         let PassLoss { weight, terms, occlusion_share } = loss.unwrap_or_default();
-        let words = Words::default().u(pass.rays).u(pass.samples).u(pass.columns).u(pass.ray0);
-        let words = background.into_iter().fold(words, Words::f).flag(self.background.is_some());
-        let words = words.f(weight * self.loss_scale).f(self.bounds.0).f(self.bounds.1).f(occlusion_share);
-        let weights = terms.iter().map(|weight| weight.unwrap_or(0.0) * self.loss_scale);
-        let words = weights.fold(words, Words::f).f(0.0).f(0.0).f(0.0);
+        let PassAt { rays, samples, columns, ray0, .. } = *pass;
+        let ((near, far), has_background) = (self.bounds, self.background.is_some());
+        let weight = weight * self.loss_scale;
+        let [distortion, occlusion, entropy, cauchy, opacity_prior] =
+            terms.map(|weight| weight.unwrap_or(0.0) * self.loss_scale);
+        let params = params! { rays, samples, columns, ray0, background, has_background, near, far, weight };
+        let params =
+            params.and(params! { distortion, occlusion, share: occlusion_share, entropy, cauchy, opacity_prior });
         let mut buffers = vec![(1, self.rays), (2, t_vals), (3, &scratch.values), (4, &scratch.weights), (5, pass.out)];
         if loss.is_some() {
             buffers.extend([(6, &scratch.before), (7, &scratch.d_values), (8, &scratch.d_t)]);
@@ -167,6 +172,6 @@ impl<'a> Recorder<'a> {
         let kernel = Kernel::new("composite").with("BACK", loss.is_some());
         let kernel =
             ON_RAYS.iter().zip(terms).fold(kernel, |kernel, ((_, part), weight)| kernel.with(part, weight.is_some()));
-        self.run(kernel, words, &buffers, [pass.rays.div_ceil(32) as u32, 1, 1]);
+        self.run(kernel, params, &buffers, [pass.rays.div_ceil(32) as u32, 1, 1]);
     }
 }

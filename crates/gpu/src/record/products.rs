@@ -7,8 +7,9 @@ use wgpu::Buffer;
 use crate::device::{Gpu, groups};
 use crate::kernels::{Kernel, Tile};
 use crate::network::{FieldBuffers, Layer};
+use crate::params::Params;
 
-use super::{Recorder, Words};
+use super::Recorder;
 
 /// Parts of a gradient of weights, at most.
 const MOST_PARTS: usize = 128;
@@ -114,9 +115,10 @@ impl<'a> Recorder<'a> {
         (tile, tile.kernel(name).with("F16", tile.in_f16).with("JETS", rows.are_jets()))
     }
 
-    fn product_words(rows: Rows, n: usize, a: Matrix, second: Option<Matrix>) -> Words {
+    fn product_params(rows: Rows, n: usize, a: Matrix, second: Option<Matrix>) -> Params {
         let b = second.unwrap_or(Matrix { columns: 0, stride: 1, every: 1, ..a });
-        Words::default().u(rows.count()).u(n).u(a.columns).u(b.columns).u(a.stride).u(b.stride).u(b.every)
+        let (m, k1, k2, every2) = (rows.count(), a.columns, b.columns, b.every);
+        params! { m, n, k1, k2, lda1: a.stride, lda2: b.stride, every2 }.rest_is_zero()
     }
 
     /// Records C = [A1 | A2] W + b over some columns of a layer, by ReLU if asked. A delta is added to what the next layer
@@ -136,14 +138,15 @@ impl<'a> Recorder<'a> {
         let n = columns.len();
         let (tile, kernel) = self.tiled("product", n, rows);
         let kernel = kernel.with("SECOND", second.is_some()).with("DELTA", delta.is_some());
-        let words = Recorder::product_words(rows, n, a, second).u(layer.outputs).u(layer.offset + columns.start);
-        let words = words.u(c.stride).u(c.first).flag(relu).u(n).u(0).u(0).u(0);
+        let params = Recorder::product_params(rows, n, a, second);
+        let w_from = layer.offset + columns.start;
+        let params = params.and(params! { ldw: layer.outputs, w_from, ldc: c.stride, c_from: c.first, relu, ldx: n });
         let mut buffers = vec![(1, a.buffer), (3, &field.weights.values), (4, c.buffer)];
         buffers.extend(second.map(|second| (2, second.buffer)));
         if let Some((delta, moved)) = delta {
             buffers.extend([(5, delta), (6, moved)]);
         }
-        self.run(kernel, words, &buffers, tile.groups(rows.count(), n, 1));
+        self.run(kernel, params, &buffers, tile.groups(rows.count(), n, 1));
     }
 
     /// Records C = D W^T over some of a layer's inputs.
@@ -162,12 +165,13 @@ impl<'a> Recorder<'a> {
         let (tile, kernel) = self.tiled("product_back", n, rows);
         let kernel = kernel.with("ADD", adds).with("MASK", mask.is_some());
         let kernel = kernel.with("OPEN", open.is_some());
-        let words = Recorder::product_words(rows, n, d, None).u(layer.outputs);
-        let words = words.u(layer.offset + inputs.start * layer.outputs).u(c.1).u(0).u(0).u(n).u(0).u(0).u(0);
+        let w_from = layer.offset + inputs.start * layer.outputs;
+        let params = Recorder::product_params(rows, n, d, None);
+        let params = params.and(params! { ldw: layer.outputs, w_from, ldc: c.1, ldx: n });
         let mut buffers = vec![(1, d.buffer), (3, &field.weights.values), (4, c.0)];
         buffers.extend(mask.map(|mask| (5, mask)));
         buffers.extend(open.map(|open| (6, open)));
-        self.run(kernel, words, &buffers, tile.groups(rows.count(), n, 1));
+        self.run(kernel, params, &buffers, tile.groups(rows.count(), n, 1));
     }
 
     /// Records the parts of a layer's gradient.
@@ -190,19 +194,21 @@ impl<'a> Recorder<'a> {
         let (tile, kernel) = self.tiled("weights", n, rows);
         let (part_rows, parts) = parts(rows.count(), self.scratch.most_parts);
         let kernel = kernel.with("SECOND", second.is_some());
-        let words = Recorder::product_words(rows, n, a, second).u(d.stride).u(columns.start).u(layer.outputs);
-        let words = words.u(0).u(0).u(0).u(part_rows).u(self.shape.weights()).u(layer.offset + columns.start).u(0);
+        let (parameters, to) = (self.shape.weights(), layer.offset + columns.start);
+        let params = Recorder::product_params(rows, n, a, second);
+        let params = params.and(params! { ldw: d.stride, w_from: columns.start, ldc: layer.outputs });
+        let params = params.and(params! { part_rows, parameters, to });
         let mut buffers = vec![(1, a.buffer), (3, d.buffer), (4, &self.scratch.parts)];
         buffers.extend(second.map(|second| (2, second.buffer)));
-        self.run(kernel, words, &buffers, tile.groups(layer.inputs, n, parts));
+        self.run(kernel, params, &buffers, tile.groups(layer.inputs, n, parts));
     }
 
     /// Records the sum of the parts of a field's gradient, up to this number of weights.
     pub(super) fn reduce(&mut self, rows: Rows, field: &FieldBuffers, weights: usize) {
         let (_, parts) = parts(rows.count(), self.scratch.most_parts);
-        let words = Words::default().u(weights).u(parts).u(self.shape.weights()).u(0);
+        let params = params! { numbers: weights, parts, of_part: self.shape.weights() };
         let buffers = [(1, &self.scratch.parts), (2, &field.weights.gradient)];
-        self.run(Kernel::new("reduce"), words, &buffers, groups(weights));
+        self.run(Kernel::new("reduce"), params, &buffers, groups(weights));
     }
 }
 

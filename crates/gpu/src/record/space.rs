@@ -6,9 +6,10 @@ use wgpu::Buffer;
 use crate::device::groups;
 use crate::kernels::Kernel;
 use crate::network::FieldBuffers;
+use crate::params::Params;
 
 use super::products::Rows;
-use super::{Recorder, Wanted, Words};
+use super::{Recorder, Wanted};
 
 /// Points at which a field is queried.
 #[derive(Clone, Copy)]
@@ -40,34 +41,35 @@ impl SpaceAt<'_> {
 }
 
 impl Recorder<'_> {
-    fn space_words(&self, at: &SpaceAt, integrand: Integrand) -> Words {
-        let words = Words::default().u(at.count).u(self.shape.width + 4).u(self.outputs.activation).u(0);
+    fn space_params(&self, at: &SpaceAt, integrand: Integrand) -> Params {
         let Integrand { l1, tv, laplacian } = integrand;
-        [l1, tv, laplacian].into_iter().fold(words, |words, weight| words.f(weight * self.loss_scale)).u(0)
+        let [l1, tv, laplacian] = [l1, tv, laplacian].map(|weight| weight * self.loss_scale);
+        let (columns, activation) = (self.shape.width + 4, self.outputs.activation);
+        params! { points: at.count, columns, activation, l1, tv, laplacian }
     }
 
-    fn space_kernel(&mut self, name: &'static str, at: &SpaceAt, words: Words, to: &Buffer, threads: usize) {
+    fn space_kernel(&mut self, name: &'static str, at: &SpaceAt, params: Params, to: &Buffer, threads: usize) {
         let mut buffers = vec![(1, &self.scratch.head), (2, to)];
         if self.has_outside() {
             buffers.push((3, &self.scratch.inside));
         }
         let kernel = at.rows().chosen(Kernel::new(name)).with("INSIDE", self.has_outside());
-        self.run(kernel, words, &buffers, groups(threads));
+        self.run(kernel, params, &buffers, groups(threads));
     }
 
     /// Records density at points, and its derivatives if asked.
     pub(crate) fn space(&mut self, at: &SpaceAt) {
         self.encode(at.rows(), at.points, at.field);
         self.raw_density(at.rows(), at.field);
-        let words = self.space_words(at, Integrand::default());
-        self.space_kernel("space", at, words, at.out, at.count);
+        let params = self.space_params(at, Integrand::default());
+        self.space_kernel("space", at, params, at.out, at.count);
     }
 
     /// Records the gradients of an integrand at the points that were just queried.
     pub(crate) fn space_back(&mut self, at: &SpaceAt, integrand: Integrand) {
         let (scratch, rows) = (self.scratch, at.rows());
-        let words = self.space_words(at, integrand);
-        self.space_kernel("space_back", at, words, &scratch.d_head, rows.count() * (self.shape.width + 4));
+        let params = self.space_params(at, integrand);
+        self.space_kernel("space_back", at, params, &scratch.d_head, rows.count() * (self.shape.width + 4));
         let wanted = Wanted { weights: true, ..Wanted::default() };
         let has_tables = self.shape.grid.is_some();
         self.trunk_back(rows, at.field, None, wanted, has_tables);
@@ -81,7 +83,7 @@ impl Recorder<'_> {
     /// Records the integrals of an integrand's parts over the points, into a slot of results: those of the first points, or added to
     /// what is there.
     pub(crate) fn integrals(&mut self, at: &SpaceAt, are_first: bool, volume: f64, slot: usize, results: &Buffer) {
-        let words = Words::default().u(at.count).u(slot).f(volume).flag(are_first);
-        self.run(at.rows().chosen(Kernel::new("integrals")), words, &[(1, at.out), (2, results)], [1, 1, 1]);
+        let params = params! { points: at.count, slot, volume, are_first };
+        self.run(at.rows().chosen(Kernel::new("integrals")), params, &[(1, at.out), (2, results)], [1, 1, 1]);
     }
 }

@@ -8,7 +8,7 @@ use wgpu::Buffer;
 
 use crate::device::groups;
 use crate::kernels::Kernel;
-use crate::record::{DeltaBuffers, ON_RAYS, PassAt, PassLoss, Recorder, Resampling, Wanted, Words};
+use crate::record::{DeltaBuffers, ON_RAYS, PassAt, PassLoss, Recorder, Resampling, Wanted};
 use crate::sets::{Deltas, DrawAt, HostChunks, PassSets, Stretch};
 
 use super::Steps;
@@ -162,9 +162,9 @@ impl<'a> ChunkRecorder<'a> {
         let (config, buffers) = (self.config(), &self.steps.buffers);
         self.numbers(recorder, which, &buffers.jitter, self.kinds()[0], &[]);
         let columns = config.field.encoding.t_vals(config.sampling.coarse);
-        let words = Words::default().u(self.rays).u(columns).u(0).u(0);
+        let params = params! { rays: self.rays, columns };
         let bound = [(1, &buffers.rows), (2, &buffers.jitter), (3, &buffers.t_coarse)];
-        recorder.run(Kernel::new("sample"), words, &bound, groups(self.rays * columns));
+        recorder.run(Kernel::new("sample"), params, &bound, groups(self.rays * columns));
         &buffers.t_coarse
     }
 

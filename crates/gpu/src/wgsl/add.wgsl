@@ -1,5 +1,5 @@
 // c = a + b. A thread a number.
-struct Add { numbers: u32, pad0: u32, pad1: u32, pad2: u32 }
+struct Add { numbers: u32 }
 @group(0) @binding(0) var<uniform> p: Add;
 @group(0) @binding(1) var<storage, read> a: array<f32>;
 @group(0) @binding(2) var<storage, read> b: array<f32>;

@@ -1,5 +1,5 @@
 // A level of a hash grid: resolution, entries, offset, 1 if each vertex has an entry of its own.
-struct Grid { points: u32, levels: u32, scale: f32, smooth_step: u32, stride: u32, pad0: u32, pad1: u32, pad2: u32, level: array<vec4<u32>, 32> }
+struct Grid { points: u32, levels: u32, scale: f32, smooth_step: u32, stride: u32, level: array<vec4<u32>, 32> }
 @group(0) @binding(0) var<uniform> g: Grid;
 @group(0) @binding(1) var<storage, read> unit: array<f32>;
 

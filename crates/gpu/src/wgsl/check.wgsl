@@ -1,5 +1,5 @@
 // Looks for what is not finite before Adam: gradients of a field's weights, and the losses. A thread a number.
-struct Check { numbers: u32, slots: u32, field: u32, pad0: u32 }
+struct Check { numbers: u32, slots: u32, field: u32 }
 @group(0) @binding(0) var<uniform> p: Check;
 @group(0) @binding(1) var<storage, read> gradient: array<f32>;
 @group(0) @binding(2) var<storage, read> results: array<f32>;          // [slots, SLOT]

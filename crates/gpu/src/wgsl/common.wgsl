@@ -1,5 +1,5 @@
 // What changes from step to step.
-struct Now { seed: vec2<u32>, step: vec2<u32>, rate: f32, correction2: f32, learning_rate: f32, pad0: u32 }
+struct Now { seed: vec2<u32>, step: vec2<u32>, rate: f32, correction2: f32, learning_rate: f32 }
 
 // Groups are laid out in two dimensions, as one holds 65,535 only.
 fn thread_of(id: vec3<u32>) -> u32 { return id.x + id.y * 65535u * 64u; }

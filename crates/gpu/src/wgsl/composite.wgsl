@@ -7,7 +7,7 @@ struct Composite {
     share: f32,         // of near..far, in which occlusion counts density
     // Weights of terms / rays.
     distortion: f32, occlusion: f32, entropy: f32, cauchy: f32,
-    opacity_prior: f32, pad0: f32, pad1: f32, pad2: f32,
+    opacity_prior: f32,
 }
 @group(0) @binding(0) var<uniform> p: Composite;
 @group(0) @binding(1) var<storage, read> rays: array<f32>;

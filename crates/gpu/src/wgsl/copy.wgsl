@@ -1,5 +1,5 @@
 // b = a. A thread a number.
-struct Copy { numbers: u32, pad0: u32, pad1: u32, pad2: u32 }
+struct Copy { numbers: u32 }
 @group(0) @binding(0) var<uniform> p: Copy;
 @group(0) @binding(1) var<storage, read> a: array<f32>;
 @group(0) @binding(2) var<storage, read_write> b: array<f32>;

@@ -1,5 +1,5 @@
 // Density alone, without noise and deltas. A thread a sample.
-struct Density { points: u32, columns: u32, activation: u32, pad0: u32 }
+struct Density { points: u32, columns: u32, activation: u32 }
 @group(0) @binding(0) var<uniform> p: Density;
 @group(0) @binding(2) var<storage, read> head: array<f32>;             // [points, columns]
 @group(0) @binding(3) var<storage, read_write> density: array<f32>;    // [points]

@@ -1,6 +1,6 @@
 // The positional encoding of points, and of JETS its derivatives along x, y and z in the rows after it. With LAPLACIAN a second jet of
 // each point comes after all first ones: the encoding again, its Laplacian, and two rows of 0. A thread a component.
-struct Frequency { points: u32, octaves: u32, channels: u32, pad0: u32 }
+struct Frequency { points: u32, octaves: u32, channels: u32 }
 @group(0) @binding(0) var<uniform> p: Frequency;
 @group(0) @binding(1) var<storage, read> points: array<f32>;
 @group(0) @binding(2) var<storage, read_write> encoded: array<f32>;    // [points, channels], of jets [4 points, channels]

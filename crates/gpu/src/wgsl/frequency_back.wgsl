@@ -1,5 +1,5 @@
 // The gradient in points of the positional encoding. A thread a component.
-struct Frequency { points: u32, octaves: u32, channels: u32, pad0: u32 }
+struct Frequency { points: u32, octaves: u32, channels: u32 }
 @group(0) @binding(0) var<uniform> p: Frequency;
 @group(0) @binding(1) var<storage, read> encoded: array<f32>;
 @group(0) @binding(2) var<storage, read> d_encoded: array<f32>;

@@ -1,6 +1,6 @@
 // The expected positional encoding of Gaussians: for each octave the sines and the cosines of their means, damped by their variances.
 // A thread a component.
-struct Frequency { points: u32, octaves: u32, channels: u32, pad0: u32 }
+struct Frequency { points: u32, octaves: u32, channels: u32 }
 @group(0) @binding(0) var<uniform> p: Frequency;
 @group(0) @binding(1) var<storage, read> points: array<f32>;
 @group(0) @binding(2) var<storage, read> variances: array<f32>;

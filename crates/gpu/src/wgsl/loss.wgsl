@@ -1,6 +1,6 @@
 // Sums and extremes over the rays of a pass: mean squared error, largest accumulation, the largest colours and minus the
 // smallest ones, rendered and true, and the means of terms. One group.
-struct Loss { rays: u32, slot: u32, numbers: u32, pad0: u32 }
+struct Loss { rays: u32, slot: u32, numbers: u32 }
 @group(0) @binding(0) var<uniform> p: Loss;
 @group(0) @binding(1) var<storage, read> rays: array<f32>;
 @group(0) @binding(2) var<storage, read> out: array<f32>;

@@ -1,5 +1,5 @@
 // b = a * factors, or b = b * factors. A thread a number.
-struct Multiply { numbers: u32, pad0: u32, pad1: u32, pad2: u32 }
+struct Multiply { numbers: u32 }
 @group(0) @binding(0) var<uniform> p: Multiply;
 @group(0) @binding(1) var<storage, read> factors: array<f32>;
 @group(0) @binding(2) var<storage, read_write> b: array<f32>;

@@ -1,5 +1,5 @@
 // What limits the norm of all gradients is a factor of each: from the sums of their squares, in their order. One group.
-struct Factor { sums: u32, norm: f32, pad0: u32, pad1: u32 }
+struct Factor { sums: u32, norm: f32 }
 @group(0) @binding(0) var<uniform> p: Factor;
 @group(0) @binding(1) var<storage, read> sums: array<f32>;
 @group(0) @binding(2) var<storage, read_write> factor: array<f32>;

@@ -11,7 +11,6 @@ struct Output {
     rgb_ball: u32,
     masks_last: u32,     // the last sample's density has no delta
     before: u32,         // deltas are added before the activations
-    pad0: u32,
 }
 @group(0) @binding(0) var<uniform> p: Output;
 @group(0) @binding(1) var<storage, read> raw: array<f32>;              // [points, 4]

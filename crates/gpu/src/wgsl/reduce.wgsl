@@ -1,5 +1,5 @@
 // Adds the parts of a gradient of weights, in their order. A thread a number.
-struct Reduce { numbers: u32, parts: u32, of_part: u32, pad0: u32 }
+struct Reduce { numbers: u32, parts: u32, of_part: u32 }
 @group(0) @binding(0) var<uniform> p: Reduce;
 @group(0) @binding(1) var<storage, read> parts: array<f32>;
 @group(0) @binding(2) var<storage, read_write> gradient: array<f32>;

@@ -1,5 +1,5 @@
 // Stratified positions: lower + jitter * width. A thread a position.
-struct Sample { rays: u32, columns: u32, pad0: u32, pad1: u32 }
+struct Sample { rays: u32, columns: u32 }
 @group(0) @binding(0) var<uniform> p: Sample;
 @group(0) @binding(1) var<storage, read> rows: array<f32>;       // [2, columns] widths, lower ends
 @group(0) @binding(2) var<storage, read> jitter: array<f32>;

@@ -23,7 +23,6 @@ struct Set {
     share: f32,         // 0: of the nearer gap; 1: epsilon; 2: the largest part
     coarse: f32, drawn: f32, coarse_gap: f32,
     reach: f32,
-    pad0: u32, pad1: u32,
 }
 @group(0) @binding(0) var<uniform> p: Set;
 @group(0) @binding(1) var<storage, read_write> delta: array<f32>;

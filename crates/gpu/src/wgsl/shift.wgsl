@@ -1,5 +1,5 @@
 // The mean absolute difference of two passes' colours. One group.
-struct Shift { rays: u32, slot: u32, pad0: u32, pad1: u32 }
+struct Shift { rays: u32, slot: u32 }
 @group(0) @binding(0) var<uniform> p: Shift;
 @group(0) @binding(1) var<storage, read> a: array<f32>;
 @group(0) @binding(2) var<storage, read> b: array<f32>;

@@ -3,9 +3,7 @@ struct Space {
     points: u32,
     columns: u32,          // of the head: the feature, density and what pads it to a multiple of 4
     activation: u32,
-    pad0: u32,
     l1: f32, tv: f32, laplacian: f32,      // weights of the integrand at a point
-    pad1: u32,
 }
 @group(0) @binding(0) var<uniform> p: Space;
 @group(0) @binding(1) var<storage, read> head: array<f32>;             // [rows, columns]

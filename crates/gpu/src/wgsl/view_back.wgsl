@@ -1,5 +1,5 @@
 // The gradient in the two angles, from that in the encoding of each of a ray's samples. A thread a ray.
-struct View { rays: u32, octaves: u32, channels: u32, ray0: u32, samples: u32, pad0: u32, pad1: u32, pad2: u32 }
+struct View { rays: u32, octaves: u32, channels: u32, ray0: u32, samples: u32 }
 @group(0) @binding(0) var<uniform> p: View;
 @group(0) @binding(1) var<storage, read> rays: array<f32>;
 @group(0) @binding(2) var<storage, read> encoded: array<f32>;

@@ -10,10 +10,10 @@ fn waves() {
     let d_encoded = numbers(n * channels, 1.0, 5);
     let [points_buffer, d_buffer] = [&points, &d_encoded].map(|values| gpu.storage(values));
     let (encoded, d_points) = (gpu.numbers(n * channels), gpu.numbers(3 * n));
-    let words = || Words::default().u(n).u(octaves).u(channels).u(0);
-    run(&gpu, Kernel::new("frequency"), words(), &[(1, &points_buffer), (2, &encoded)], groups(3 * n));
+    let params = || params! { points: n, octaves, channels };
+    run(&gpu, Kernel::new("frequency"), params(), &[(1, &points_buffer), (2, &encoded)], groups(3 * n));
     let buffers = [(1, &encoded), (2, &d_buffer), (3, &d_points)];
-    run(&gpu, Kernel::new("frequency_back"), words(), &buffers, groups(3 * n));
+    run(&gpu, Kernel::new("frequency_back"), params(), &buffers, groups(3 * n));
     let points = var(&points, &[n, 3]);
     let expected = encode(&points, octaves).unwrap();
     let padded = Tensor::cat(&[&expected, &Tensor::zeros((n, 1), DType::F64, &Device::Cpu).unwrap()], 1).unwrap();
@@ -42,8 +42,8 @@ fn gaussians() {
             [&packed, &edges, &shift, &d_encoded, &d_edges].map(|values| gpu.storage(values));
         let [points, variances, encoded, d_points, d_variances] =
             [3 * n, 3 * n, n * channels, 3 * n, 3 * n].map(|count| gpu.numbers(count));
-        let of_rays = || Words::default().u(rays).u(samples).u(samples + 1).u(ray0);
-        let of_points = || Words::default().u(n).u(octaves).u(channels).u(0);
+        let of_rays = || params! { rays, samples, columns: samples + 1, ray0 };
+        let of_points = || params! { points: n, octaves, channels };
         let solids = |kernel: Kernel| kernel.with("CYLINDERS", cylinders);
         let buffers = [(1, &rays_buffer), (2, &edges_buffer), (3, &points), (4, &shift_buffer), (5, &variances)];
         run(&gpu, solids(Kernel::new("gaussians")).with("SHIFT", true), of_rays(), &buffers, groups(n));
@@ -103,15 +103,15 @@ fn hash_grids() {
         let [d_points, sums, flags] = [3 * n, 2 * tables.len(), 8].map(|count| gpu.numbers(count));
         let of_grid = |name| Kernel::new(name).set("FEATURES", features);
         let buffers = [(1, &points_buffer), (2, &unit), (3, &inside)];
-        run(&gpu, Kernel::new("domain"), domain_words(&domain, n), &buffers, groups(n));
+        run(&gpu, Kernel::new("domain"), domain_params(&domain, n), &buffers, groups(n));
         let buffers = [(1, &unit), (2, &tables_buffer), (3, &encoded)];
-        run(&gpu, of_grid("encode"), grid_words(&grid, n, channels, FIXED_SCALE), &buffers, groups(n * levels));
+        run(&gpu, of_grid("encode"), grid_params(&grid, n, channels, FIXED_SCALE), &buffers, groups(n * levels));
         let buffers = [(1, &unit), (2, &d_buffer), (3, &sums), (4, &flags)];
-        run(&gpu, of_grid("scatter"), grid_words(&grid, n, channels, FIXED_SCALE), &buffers, groups(n * levels));
+        run(&gpu, of_grid("scatter"), grid_params(&grid, n, channels, FIXED_SCALE), &buffers, groups(n * levels));
         let buffers = [(1, &unit), (2, &tables_buffer), (3, &d_buffer), (4, &d_points)];
-        run(&gpu, of_grid("slope"), grid_words(&grid, n, channels, FIXED_SCALE), &buffers, groups(n));
+        run(&gpu, of_grid("slope"), grid_params(&grid, n, channels, FIXED_SCALE), &buffers, groups(n));
         let buffers = [(1, &points_buffer), (2, &inside), (3, &d_points)];
-        run(&gpu, Kernel::new("domain_back"), domain_words(&domain, n), &buffers, groups(n));
+        run(&gpu, Kernel::new("domain_back"), domain_params(&domain, n), &buffers, groups(n));
         let doubles = |values: &[f32]| values.iter().map(|x| f64::from(*x)).collect::<Vec<f64>>();
         let (points, tables) = (doubles(&points), doubles(&tables));
         let d_encoded: Vec<f64> =
@@ -142,9 +142,9 @@ fn jets_of_waves() {
     let (n, octaves, channels, h) = (40, 6, 40, 1e-6);
     let points = numbers(3 * n, 2.0, 41);
     let (points_buffer, encoded) = (gpu.storage(&points), gpu.numbers(8 * n * channels));
-    let words = Words::default().u(n).u(octaves).u(channels).u(0);
+    let params = params! { points: n, octaves, channels };
     let buffers = [(1, &points_buffer), (2, &encoded)];
-    run(&gpu, Kernel::new("frequency").with("JETS", true).with("LAPLACIAN", true), words, &buffers, groups(3 * n));
+    run(&gpu, Kernel::new("frequency").with("JETS", true).with("LAPLACIAN", true), params, &buffers, groups(3 * n));
     let of = |shift: [f64; 3]| -> Vec<f64> {
         let shift = Tensor::new(&shift, &Device::Cpu).unwrap();
         let points = wide(&points, &[n, 3]).broadcast_add(&shift).unwrap();
@@ -204,14 +204,14 @@ fn jets_of_hash_grids() {
         let [points_buffer, tables_buffer, d_buffer] = [&points, &tables, &d].map(|values| gpu.storage(values));
         let [unit, inside, encoded] = [3 * n, n, 8 * n * channels].map(|count| gpu.numbers(count));
         let [sums, flags] = [2 * tables.len(), 8].map(|count| gpu.numbers(count));
-        let domain_words = domain_words(&domain, n);
-        let domain_uniform = gpu.uniform(domain_words.words());
-        run(&gpu, Kernel::new("domain"), domain_words, &[(1, &points_buffer), (2, &unit), (3, &inside)], groups(n));
+        let domain_params = domain_params(&domain, n);
         let kernel = |name| Kernel::new(name).set("FEATURES", features).with("JETS", true).with("LAPLACIAN", bends);
+        let domain_uniform = gpu.uniform(&gpu.words(&kernel("encode"), 4, &domain_params));
+        run(&gpu, Kernel::new("domain"), domain_params, &[(1, &points_buffer), (2, &unit), (3, &inside)], groups(n));
         let buffers = [(1, &unit), (2, &tables_buffer), (3, &encoded), (4, &domain_uniform), (5, &points_buffer)];
-        run(&gpu, kernel("encode"), grid_words(&grid, n, channels, FIXED_SCALE), &buffers, groups(n * levels));
+        run(&gpu, kernel("encode"), grid_params(&grid, n, channels, FIXED_SCALE), &buffers, groups(n * levels));
         let buffers = [(1, &unit), (2, &d_buffer), (3, &sums), (4, &flags), (5, &domain_uniform), (6, &points_buffer)];
-        run(&gpu, kernel("scatter"), grid_words(&grid, n, channels, FIXED_SCALE), &buffers, groups(n * levels));
+        run(&gpu, kernel("scatter"), grid_params(&grid, n, channels, FIXED_SCALE), &buffers, groups(n * levels));
 
         let doubles = |values: &[f32]| values.iter().map(|x| f64::from(*x)).collect::<Vec<f64>>();
         let (points, tables) = (doubles(&points), doubles(&tables));
@@ -275,12 +275,12 @@ fn views() {
     let (tilt, d) = (numbers(2 * rays, 0.3, 46), numbers(rays * samples * channels, 1.0, 47));
     let [rays_buffer, tilt_buffer, d_buffer] = [&random_rays, &tilt, &d].map(|values| gpu.storage(values));
     let [plain, encoded, d_tilt] = [rays * channels, rays * channels, 2 * rays].map(|count| gpu.numbers(count));
-    let words = || Words::default().u(rays).u(octaves).u(channels).u(0);
-    run(&gpu, Kernel::new("view"), words(), &[(1, &rays_buffer), (2, &plain)], groups(rays));
+    let params = || params! { rays, octaves, channels, ray0: 0usize };
+    run(&gpu, Kernel::new("view"), params(), &[(1, &rays_buffer), (2, &plain)], groups(rays));
     let buffers = [(1, &rays_buffer), (2, &encoded), (3, &tilt_buffer)];
-    run(&gpu, Kernel::new("view").with("TILT", true), words(), &buffers, groups(rays));
+    run(&gpu, Kernel::new("view").with("TILT", true), params(), &buffers, groups(rays));
     let buffers = [(1, &rays_buffer), (2, &encoded), (3, &d_buffer), (4, &tilt_buffer), (5, &d_tilt)];
-    run(&gpu, Kernel::new("view_back"), words().u(samples).u(0).u(0).u(0), &buffers, groups(rays));
+    run(&gpu, Kernel::new("view_back"), params().and(params! { samples }), &buffers, groups(rays));
 
     let part = |at: usize| -> Tensor {
         let values: Vec<f32> = random_rays.chunks(RAY).flat_map(|ray| ray[at..at + 3].to_vec()).collect();

@@ -14,8 +14,9 @@ use wgpu::Buffer;
 
 use super::*;
 use crate::device::{Gpu, groups};
+use crate::params::Params;
 use crate::rays::RAY;
-use crate::record::{FIRST_TERM, FIXED_SCALE, ON_RAYS, OUT, SLOT, Words, domain_words, grid_words};
+use crate::record::{FIRST_TERM, FIXED_SCALE, ON_RAYS, OUT, SLOT, domain_params, grid_params};
 
 mod encodings;
 #[path = "../../../../fast/src/hash/tests/reference.rs"]
@@ -48,10 +49,8 @@ fn flat(tensor: &Tensor) -> Vec<f64> {
     tensor.flatten_all().unwrap().to_vec1().unwrap()
 }
 
-fn run(gpu: &Gpu, kernel: Kernel, words: Words, buffers: &[(u32, &Buffer)], size: [u32; 3]) {
-    let uniform = gpu.uniform(words.words());
-    let bound: Vec<(u32, &Buffer)> = std::iter::once((0, &uniform)).chain(buffers.iter().copied()).collect();
-    gpu.submit(&[gpu.dispatch(&kernel, &bound, size)]);
+fn run(gpu: &Gpu, kernel: Kernel, params: Params, buffers: &[(u32, &Buffer)], size: [u32; 3]) {
+    gpu.submit(&[gpu.dispatch(&kernel, &params, buffers, size)]);
 }
 
 /// Compares by the norm of the difference over that of the reference.

@@ -118,10 +118,10 @@ fn activations() {
         gpu.write(&inside_buffer, bytemuck::cast_slice(&inside));
         let [values, used_rgb, used_density, d_raw, d_head] =
             [4 * n, 3 * n, n, 4 * n, n * columns].map(|count| gpu.numbers(count));
-        let is = |on: bool| usize::from(on);
-        let words = || {
-            let words = Words::default().u(n).u(SAMPLES).u(columns).u(case.activation).f(PADDING).f(LIMIT);
-            words.f(RGB_RADIUS).f(DENSITY_RADIUS).u(is(case.ball)).u(1).u(is(case.before)).u(0)
+        let params = || {
+            let Case { activation, before, ball: rgb_ball, .. } = case;
+            params! { points: n, samples: SAMPLES, columns, activation, padding: PADDING, limit: LIMIT, rgb_ball, before }
+                .and(params! { rgb_radius: RGB_RADIUS, density_radius: DENSITY_RADIUS, masks_last: true })
         };
         let some = |on: bool, buffer| on.then_some(buffer);
         let mut buffers = vec![(1, &raw_buffer), (2, &head_buffer), (3, &values)];
@@ -132,7 +132,7 @@ fn activations() {
         }
         let kernel = Kernel::new("activate").with("INSIDE", case.inside).with("NOISE", case.noise);
         let kernel = kernel.with("RGB", case.deltas).with("DENSITY", case.deltas);
-        run(&gpu, kernel, words(), &buffers, groups(n));
+        run(&gpu, kernel, params(), &buffers, groups(n));
         let mut buffers = vec![(1, &raw_buffer), (2, &head_buffer), (3, &d_buffer), (4, &d_raw), (5, &d_head)];
         let deltas_count = case.deltas && case.before;
         buffers.extend(some(case.inside, (6, &inside_buffer)));
@@ -142,7 +142,7 @@ fn activations() {
         }
         let kernel = Kernel::new("activate_back").with("INSIDE", case.inside).with("NOISE", case.noise);
         let kernel = kernel.with("BEFORE_RGB", deltas_count).with("BEFORE_DENSITY", deltas_count);
-        run(&gpu, kernel, words(), &buffers, groups(n));
+        run(&gpu, kernel, params(), &buffers, groups(n));
 
         let samples: Vec<Sample> = (0..n)
             .map(|i| {
@@ -186,8 +186,8 @@ fn density_alone(gpu: &Gpu, case: Case, head: &[f32], inside: &[u32], columns: u
     gpu.write(&inside_buffer, bytemuck::cast_slice(inside));
     let mut buffers = vec![(2, &head_buffer), (3, &out)];
     buffers.extend(case.inside.then_some((4, &inside_buffer)));
-    let words = Words::default().u(n).u(columns).u(case.activation).u(0);
-    run(gpu, Kernel::new("density").with("INSIDE", case.inside), words, &buffers, groups(n));
+    let params = params! { points: n, columns, activation: case.activation };
+    run(gpu, Kernel::new("density").with("INSIDE", case.inside), params, &buffers, groups(n));
     let raw = |i: usize| if case.inside && inside[i] == 0 { -1e4 } else { f64::from(head[columns * i + columns - 4]) };
     let expected: Vec<f64> = (0..n).map(|i| density_of(case.activation, raw(i))).collect();
     near("density", &gpu.read_f32(&out, n).unwrap(), &expected, 1e-6);
@@ -207,15 +207,15 @@ fn density_in_space() {
         let (head_buffer, inside_buffer) = (gpu.storage(&head), gpu.numbers(n));
         gpu.write(&inside_buffer, bytemuck::cast_slice(&inside));
         let [out, d_head, results] = [4 * jets, 4 * jets * columns, 2 * SLOT].map(|count| gpu.numbers(count));
-        let words = || Words::default().u(n).u(columns).u(activation).u(0).f(l1).f(tv).f(bends).u(0);
+        let params = || params! { points: n, columns, activation, l1, tv, laplacian: bends };
         let kernel = |name| Kernel::new(name).with("INSIDE", true).with("JETS", true).with("LAPLACIAN", has_laplacian);
         let buffers = |to| [(1, &head_buffer), (2, to), (3, &inside_buffer)];
-        run(&gpu, kernel("space"), words(), &buffers(&out), groups(n));
-        run(&gpu, kernel("space_back"), words(), &buffers(&d_head), groups(4 * jets * columns));
+        run(&gpu, kernel("space"), params(), &buffers(&out), groups(n));
+        run(&gpu, kernel("space_back"), params(), &buffers(&d_head), groups(4 * jets * columns));
         // In two calls: the second adds to the first.
         for are_first in [1, 0] {
-            let words = Words::default().u(n).u(1).f(volume).u(are_first);
-            run(&gpu, kernel("integrals"), words, &[(1, &out), (2, &results)], [1, 1, 1]);
+            let params = params! { points: n, slot: 1usize, volume, are_first };
+            run(&gpu, kernel("integrals"), params, &[(1, &out), (2, &results)], [1, 1, 1]);
         }
         // Raw density, its gradient, and its Laplacian in the second jet.
         let place = |i: usize, row: usize| if row < 4 { 4 * i + row } else { 4 * (n + i) + 1 };

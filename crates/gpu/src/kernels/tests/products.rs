@@ -18,16 +18,16 @@ fn products() {
         let [a_buffer, w_buffer, d_buffer] = [&a, &w, &d].map(|values| gpu.storage(values));
         let (a, w, d) = (wide(&a, &[m, k]), wide(&w, &[k + 1, n]), wide(&d, &[m, n]));
         let (weights, bias) = (w.narrow(0, 0, k).unwrap(), w.narrow(0, k, 1).unwrap());
-        let words = || Words::default().u(m).u(n).u(k).u(0).u(k).u(1).u(1);
+        let params = || params! { m, n, k1: k, lda1: k, every2: 1usize }.rest_is_zero();
         let c = of(m * n);
         let size = tile.groups(m, n, 1);
-        let rest = words().u(n).u(0).u(n).u(0).u(1).u(n).u(0).u(0).u(0);
+        let rest = params().and(params! { ldw: n, ldc: n, relu: true, ldx: n });
         run(&gpu, tile.kernel("product"), rest, &[(1, &a_buffer), (3, &w_buffer), (4, &c)], size);
         let expected = a.matmul(&weights).unwrap().broadcast_add(&bias).unwrap().relu().unwrap();
         near(&format!("product, {n} columns"), &gpu.read_f32(&c, m * n).unwrap(), &flat(&expected), 1e-6);
         let tile = Tile::of(k, Tiles::Small);
         let (c, size) = (of(m * k), tile.groups(m, k, 1));
-        let rest = Words::default().u(m).u(k).u(n).u(0).u(n).u(1).u(1).u(n).u(0).u(k).u(0).u(0).u(k).u(0).u(0).u(0);
+        let rest = params! { m, n: k, k1: n, k2: 0usize, lda1: n, lda2: 1usize, every2: 1usize, ldw: n, w_from: 0usize, ldc: k, c_from: 0usize, relu: 0usize, ldx: k, part_rows: 0usize, parameters: 0usize, to: 0usize };
         run(&gpu, tile.kernel("product_back"), rest, &[(1, &d_buffer), (3, &w_buffer), (4, &c)], size);
         let expected = d.matmul(&weights.t().unwrap()).unwrap();
         near(&format!("product_back, {n} columns"), &gpu.read_f32(&c, m * k).unwrap(), &flat(&expected), 1e-6);
@@ -35,10 +35,10 @@ fn products() {
         // Three parts of 32 rows, which `reduce` adds.
         let (parts, parameters) = (3, (k + 1) * n);
         let (c, sum) = (of(parts * parameters), of(parameters));
-        let rest = words().u(n).u(0).u(n).u(0).u(0).u(0).u(32).u(parameters).u(0).u(0);
+        let rest = params().and(params! { ldw: n, ldc: n, part_rows: 32usize, parameters });
         let size = tile.groups(k, n, parts);
         run(&gpu, tile.kernel("weights"), rest, &[(1, &a_buffer), (3, &d_buffer), (4, &c)], size);
-        let reduce = Words::default().u(parameters).u(parts).u(parameters).u(0);
+        let reduce = params! { numbers: parameters, parts, of_part: parameters };
         run(&gpu, Kernel::new("reduce"), reduce, &[(1, &c), (2, &sum)], groups(parameters));
         let of_weights = a.t().unwrap().matmul(&d).unwrap();
         let expected = Tensor::cat(&[&of_weights, &d.sum_keepdim(0).unwrap()], 0).unwrap();
@@ -113,6 +113,19 @@ fn tiles_of_f32_are_translated() {
     }
 }
 
+/// A text of each kind as the templates write it, to be read. `AUGNERF_UPDATE_DOCS=1` writes the files anew.
+#[test]
+fn written_texts_are_those_of_the_files() {
+    for (tiles, file) in [(Tiles::Small, "tiled"), (Tiles::Matrices, "matrices")] {
+        let kernel = Tile::of(64, tiles).kernel("product").with("F16", tiles == Tiles::Matrices);
+        let file = format!("{}/templates/written/{file}_product.wgsl", env!("CARGO_MANIFEST_DIR"));
+        if std::env::var_os("AUGNERF_UPDATE_DOCS").is_some() {
+            std::fs::write(&file, kernel.text()).unwrap();
+        }
+        assert_eq!(std::fs::read_to_string(&file).unwrap(), kernel.text(), "{file}");
+    }
+}
+
 /// Large tiles are chosen on discrete cards alone.
 #[test]
 fn all_tiles_of_f32_have_the_same_bits() {
@@ -122,17 +135,17 @@ fn all_tiles_of_f32_have_the_same_bits() {
     let parameters = (n + 1) * n;
     let [a, w, d] =
         [(m * n, 177), (parameters, 178), (m * n, 179)].map(|(count, seed)| gpu.storage(&numbers(count, 1.0, seed)));
-    let sizes = || Words::default().u(m).u(n).u(n).u(0).u(n).u(1).u(1).u(n).u(0).u(n).u(0);
+    let sizes = || params! { m, n, k1: n, lda1: n, every2: 1usize, ldw: n, ldc: n }.rest_is_zero();
     let part_rows = m.next_multiple_of(16);
-    for (name, words, from, by, count, rows) in [
-        ("product", sizes().u(1).u(n).u(0).u(0).u(0), &a, &w, m * n, m),
-        ("product_back", sizes().u(0).u(n).u(0).u(0).u(0), &d, &w, m * n, m),
-        ("weights", sizes().u(0).u(0).u(part_rows).u(parameters).u(0), &a, &d, parameters, n),
+    for (name, params, from, by, count, rows) in [
+        ("product", sizes().and(params! { relu: true, ldx: n }), &a, &w, m * n, m),
+        ("product_back", sizes().and(params! { ldx: n }), &d, &w, m * n, m),
+        ("weights", sizes().and(params! { part_rows, parameters }), &a, &d, parameters, n),
     ] {
         let [small, large] = [Tiles::Small, Tiles::Large].map(|tiles| {
             let (tile, c) = (Tile::of(n, tiles), gpu.numbers(count));
             let buffers = [(1, from), (3, by), (4, &c)];
-            run(&gpu, tile.kernel(name), words.clone(), &buffers, tile.groups(rows, n, 1));
+            run(&gpu, tile.kernel(name), params.clone(), &buffers, tile.groups(rows, n, 1));
             gpu.read_f32(&c, count).unwrap()
         });
         assert_eq!(small, large, "{name}");
@@ -152,11 +165,11 @@ fn products_in_parts() {
         let (w, delta) = (numbers((k1 + k2 + 1) * n, 1.0, 172), numbers(m * n, 1.0, 173));
         let [a1_buffer, a2_buffer, w_buffer, delta_buffer] = [&a1, &a2, &w, &delta].map(|values| gpu.storage(values));
         let (c, moved) = (gpu.numbers(m * n), gpu.numbers(m * n));
-        let words = || Words::default().u(m).u(n).u(k1).u(k2).u(k1).u(k2).u(every);
+        let params = || params! { m, n, k1, k2, lda1: k1, lda2: k2, every2: every }.rest_is_zero();
         let size = tile.groups(m, n, 1);
         let buffers = [(1, &a1_buffer), (2, &a2_buffer), (3, &w_buffer), (4, &c), (5, &delta_buffer), (6, &moved)];
         let kernel = tile.kernel("product").with("SECOND", true).with("DELTA", true);
-        run(&gpu, kernel, words().u(n).u(0).u(n).u(0).u(1).u(n).u(0).u(0).u(0), &buffers, size);
+        run(&gpu, kernel, params().and(params! { ldw: n, ldc: n, relu: true, ldx: n }), &buffers, size);
         let shared: Vec<f32> = (0..m).flat_map(|row| a2[k2 * (row / every)..][..k2].to_vec()).collect();
         let a = Tensor::cat(&[&wide(&a1, &[m, k1]), &wide(&shared, &[m, k2])], 1).unwrap();
         let w = wide(&w, &[k1 + k2 + 1, n]);
@@ -172,9 +185,9 @@ fn products_in_parts() {
         let (of_parts, sum) = (gpu.numbers(parts * parameters), gpu.numbers(parameters));
         let size = tile.groups(k1 + k2, n, parts);
         let buffers = [(1, &a1_buffer), (2, &a2_buffer), (3, &d_buffer), (4, &of_parts)];
-        let rest = words().u(n).u(0).u(n).u(0).u(0).u(0).u(32).u(parameters).u(0).u(0);
+        let rest = params().and(params! { ldw: n, ldc: n, part_rows: 32usize, parameters });
         run(&gpu, tile.kernel("weights").with("SECOND", true), rest, &buffers, size);
-        let reduce = Words::default().u(parameters).u(parts).u(parameters).u(0);
+        let reduce = params! { numbers: parameters, parts, of_part: parameters };
         run(&gpu, Kernel::new("reduce"), reduce, &[(1, &of_parts), (2, &sum)], groups(parameters));
         let d = wide(&d, &[m, n]);
         let of_weights = a.t().unwrap().matmul(&d).unwrap();
@@ -186,8 +199,8 @@ fn products_in_parts() {
         let tile = Tile::of(inputs, Tiles::Small);
         let (made, there) = (numbers(m * inputs, 1.0, 175), numbers(m * inputs, 1.0, 176));
         let (made_buffer, c, open) = (gpu.storage(&made), gpu.storage(&there), gpu.numbers(m * inputs));
-        let rest = Words::default().u(m).u(inputs).u(n).u(0).u(n).u(1).u(1).u(n).u(from * n).u(inputs);
-        let rest = rest.u(0).u(0).u(inputs).u(0).u(0).u(0);
+        let rest = params! { m, n: inputs, k1: n, lda1: n, every2: 1usize, ldw: n, w_from: from * n };
+        let rest = rest.and(params! { ldc: inputs, ldx: inputs }.rest_is_zero());
         let kernel = tile.kernel("product_back").with("MASK", true).with("ADD", true).with("OPEN", true);
         let buffers = [(1, &d_buffer), (3, &w_buffer), (4, &c), (5, &made_buffer), (6, &open)];
         let size = tile.groups(m, inputs, 1);
@@ -211,10 +224,10 @@ fn products_of_jets() {
         let tile = Tile::of(n, Tiles::Small);
         let (a, w, d) = (numbers(m * k, 1.0, 180), numbers((k + 1) * n, 1.0, 181), numbers(m * n, 1.0, 182));
         let [a_buffer, w_buffer, d_buffer] = [&a, &w, &d].map(|values| gpu.storage(values));
-        let words = || Words::default().u(m).u(n).u(k).u(0).u(k).u(1).u(1);
+        let params = || params! { m, n, k1: k, lda1: k, every2: 1usize }.rest_is_zero();
         let c = gpu.numbers(m * n);
         let size = tile.groups(m, n, 1);
-        let rest = words().u(n).u(0).u(n).u(0).u(1).u(n).u(0).u(0).u(0);
+        let rest = params().and(params! { ldw: n, ldc: n, relu: true, ldx: n });
         let buffers = [(1, &a_buffer), (3, &w_buffer), (4, &c)];
         run(&gpu, tile.kernel("product").with("JETS", true), rest, &buffers, size);
         let (a, d) = (wide(&a, &[m, k]), wide(&d, &[m, n]));
@@ -235,7 +248,7 @@ fn products_of_jets() {
         let (next, back) = (numbers(n * n, 1.0, 183), gpu.numbers(m * n));
         let next_buffer = gpu.storage(&next);
         let kernel = tile.kernel("product_back").with("JETS", true).with("MASK", true);
-        let rest = Words::default().u(m).u(n).u(n).u(0).u(n).u(1).u(1).u(n).u(0).u(n).u(0).u(0).u(n).u(0).u(0).u(0);
+        let rest = params! { m, n, k1: n, k2: 0usize, lda1: n, lda2: 1usize, every2: 1usize, ldw: n, w_from: 0usize, ldc: n, c_from: 0usize, relu: 0usize, ldx: n, part_rows: 0usize, parameters: 0usize, to: 0usize };
         run(&gpu, kernel, rest, &[(1, &d_buffer), (3, &next_buffer), (4, &back), (5, &c)], size);
         let plain = flat(&d.matmul(&wide(&next, &[n, n]).t().unwrap()).unwrap());
         let masked = |i: usize| if value(i / n, i % n) > 0.0 { plain[i] } else { 0.0 };
@@ -246,10 +259,10 @@ fn products_of_jets() {
         let parameters = (k + 1) * n;
         let (of_parts, sum) = (gpu.numbers(parameters), gpu.numbers(parameters));
         let size = tile.groups(k, n, 1);
-        let rest = words().u(n).u(0).u(n).u(0).u(0).u(0).u(m.next_multiple_of(16)).u(parameters).u(0).u(0);
+        let rest = params().and(params! { ldw: n, ldc: n, part_rows: m.next_multiple_of(16), parameters });
         let buffers = [(1, &a_buffer), (3, &d_buffer), (4, &of_parts)];
         run(&gpu, tile.kernel("weights").with("JETS", true), rest, &buffers, size);
-        let reduce = Words::default().u(parameters).u(1).u(parameters).u(0);
+        let reduce = params! { numbers: parameters, parts: 1usize, of_part: parameters };
         run(&gpu, Kernel::new("reduce"), reduce, &[(1, &of_parts), (2, &sum)], groups(parameters));
         let mut expected = flat(&a.t().unwrap().matmul(&d).unwrap());
         let d = flat(&d);

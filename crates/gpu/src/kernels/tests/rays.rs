@@ -29,9 +29,8 @@ fn compositing() {
     let [rays_buffer, t_buffer, values_buffer] = [&rays, &t_vals, &values].map(|values| gpu.storage(values));
     let [weights, out, before, d_values, d_t] =
         [n * samples, n * OUT, n * samples, 4 * n * samples, n * samples].map(|count| gpu.numbers(count));
-    let words = Words::default().u(n).u(samples).u(samples).u(0).f(1.0).f(0.5).f(0.25).u(1);
-    let words = words.f(0.7).f(near_end).f(far_end).f(0.0);
-    let words = (0..8).fold(words, |words, _| words.f(0.0));
+    let params = params! { rays: n, samples, columns: samples, ray0: 0usize, background: [1.0, 0.5, 0.25], has_background: true };
+    let params = params.and(params! { weight: 0.7, near: near_end, far: far_end }.rest_is_zero());
     let buffers = [
         (1, &rays_buffer),
         (2, &t_buffer),
@@ -42,7 +41,7 @@ fn compositing() {
         (7, &d_values),
         (8, &d_t),
     ];
-    run(&gpu, Kernel::new("composite").with("BACK", true), words, &buffers, [n.div_ceil(32) as u32, 1, 1]);
+    run(&gpu, Kernel::new("composite").with("BACK", true), params, &buffers, [n.div_ceil(32) as u32, 1, 1]);
     let part =
         |from: usize, count: usize| values.chunks(4).flat_map(|v| v[from..from + count].to_vec()).collect::<Vec<f32>>();
     let (rgb, density, t) =
@@ -82,9 +81,9 @@ fn resampling() {
     let u: Vec<f32> = numbers(n * fine, 1.0, 14).iter().map(|x| x.abs().min(0.999)).collect();
     let [t_buffer, w_buffer, u_buffer] = [&t_vals, &weights, &u].map(|values| gpu.storage(values));
     let out = gpu.numbers(n * (coarse + fine));
-    let words = Words::default().u(coarse).u(coarse).u(fine).u(0).f(1e-5).f(1e-5).u(0).u(n);
+    let params = params! { coarse, columns: coarse, fine, intervals: 0usize, padding: 1e-5, narrowest: 1e-5, mode: 0usize, rays: n };
     let kernel = Kernel::new("resample").set("MOST", (coarse + fine).next_power_of_two());
-    run(&gpu, kernel, words, &[(1, &t_buffer), (2, &w_buffer), (3, &u_buffer), (4, &out)], crate::device::rows(n));
+    run(&gpu, kernel, params, &[(1, &t_buffer), (2, &w_buffer), (3, &u_buffer), (4, &out)], crate::device::rows(n));
     let expected =
         importance(&wide(&t_vals, &[n, coarse]), &wide(&weights, &[n, coarse]), &wide(&u, &[n, fine])).unwrap();
     near("resample", &gpu.read_f32(&out, n * (coarse + fine)).unwrap(), &flat(&expected), 1e-5);
@@ -121,9 +120,9 @@ fn positions_and_points() {
         let (jitter, rows) = (numbers(rays * columns, 1.0, 100), numbers(2 * columns, 1.0, 101));
         let [jitter_buffer, rows_buffer] = [&jitter, &rows].map(|values| gpu.storage(values));
         let found = gpu.numbers(rays * columns);
-        let words = Words::default().u(rays).u(columns).u(0).u(0);
+        let params = params! { rays, columns };
         let buffers = [(1, &rows_buffer), (2, &jitter_buffer), (3, &found)];
-        run(&gpu, Kernel::new("sample"), words, &buffers, groups(rays * columns));
+        run(&gpu, Kernel::new("sample"), params, &buffers, groups(rays * columns));
         let (widths, lower) = (wide(&rows[..columns], &[columns]), wide(&rows[columns..], &[columns]));
         let jitter = wide(&jitter, &[rays, columns]);
         let expected = jitter.broadcast_mul(&widths).unwrap().broadcast_add(&lower).unwrap();
@@ -135,13 +134,13 @@ fn positions_and_points() {
         let [rays_buffer, t_buffer, shift_buffer, d_buffer, d_t] =
             [&packed, &t_vals, &shift, &d, &d_t_before].map(|values| gpu.storage(values));
         let [plain, shifted] = [(); 2].map(|()| gpu.numbers(3 * rays * samples));
-        let words = || Words::default().u(rays).u(samples).u(columns).u(ray0);
+        let params = || params! { rays, samples, columns, ray0 };
         let buffers = [(1, &rays_buffer), (2, &t_buffer), (3, &plain)];
-        run(&gpu, Kernel::new("points"), words(), &buffers, groups(rays * samples));
+        run(&gpu, Kernel::new("points"), params(), &buffers, groups(rays * samples));
         let buffers = [(1, &rays_buffer), (2, &t_buffer), (3, &shifted), (4, &shift_buffer)];
-        run(&gpu, Kernel::new("points").with("SHIFT", true), words(), &buffers, groups(rays * samples));
+        run(&gpu, Kernel::new("points").with("SHIFT", true), params(), &buffers, groups(rays * samples));
         let buffers = [(1, &rays_buffer), (2, &d_buffer), (3, &d_t)];
-        run(&gpu, Kernel::new("t_back"), words(), &buffers, groups(rays * columns));
+        run(&gpu, Kernel::new("t_back"), params(), &buffers, groups(rays * columns));
 
         let part = |at: usize| {
             let of_rays = packed[RAY * ray0..RAY * (ray0 + rays)].chunks(RAY);
@@ -175,10 +174,10 @@ fn marches() {
         let density: Vec<f32> = numbers(rays * samples, 1.0, 112).iter().map(|x| x.abs()).collect();
         let [rays_buffer, t_buffer, density_buffer] = [&packed, &t_vals, &density].map(|values| gpu.storage(values));
         let (weights, out) = (gpu.numbers(rays * samples), gpu.numbers(all * OUT));
-        let words = Words::default().u(rays).u(samples).u(columns).u(ray0);
+        let params = params! { rays, samples, columns, ray0 };
         let buffers = [(1, &rays_buffer), (2, &t_buffer), (3, &density_buffer), (4, &weights), (5, &out)];
         let kernel = Kernel::new("march").with("WEIGHTS", true).with("ACC", true);
-        run(&gpu, kernel, words, &buffers, [rays.div_ceil(32) as u32, 1, 1]);
+        run(&gpu, kernel, params, &buffers, [rays.div_ceil(32) as u32, 1, 1]);
         let norms: Vec<f32> = packed.chunks(RAY).skip(ray0).take(rays).map(|ray| ray[18]).collect();
         let rgb = Tensor::zeros((rays, samples, 3), DType::F64, &Device::Cpu).unwrap();
         let (density, t_vals) = (wide(&density, &[rays, samples]), wide(&t_vals, &[rays, columns]));
@@ -202,13 +201,12 @@ fn distortion() {
         let n = rays * samples;
         let [weights, out, before, d_values, d_t] =
             [n, rays * OUT, n, 4 * n, rays * columns].map(|count| gpu.numbers(count));
-        let words = Words::default().u(rays).u(samples).u(columns).u(0).f(0.0).f(0.0).f(0.0).u(0);
-        let words = words.f(0.0).f(near_end).f(far_end).f(0.0).f(weight);
-        let words = (0..7).fold(words, |words, _| words.f(0.0));
+        let params = params! { rays, samples, columns, ray0: 0usize, background: [0.0; 3], has_background: false };
+        let params = params.and(params! { near: near_end, far: far_end, distortion: weight }.rest_is_zero());
         let to = [&rays_buffer, &t_buffer, &values_buffer, &weights, &out, &before, &d_values, &d_t];
         let buffers: Vec<(u32, &Buffer)> = (1..).zip(to).collect();
         let kernel = Kernel::new("composite").with("BACK", true).with("DISTORTION", true);
-        run(&gpu, kernel, words, &buffers, [rays.div_ceil(32) as u32, 1, 1]);
+        run(&gpu, kernel, params, &buffers, [rays.div_ceil(32) as u32, 1, 1]);
 
         let density: Vec<f32> = values.chunks(4).map(|value| value[3]).collect();
         let density = var(&density, &[rays, samples]);
@@ -256,15 +254,9 @@ fn sums_over_rays() {
     let [rays_buffer, a_buffer, b_buffer] = [&packed, &a, &b].map(|values| gpu.storage(values));
     let results = gpu.numbers(4 * SLOT);
     let buffers = [(1, &rays_buffer), (2, &a_buffer), (3, &results)];
-    run(
-        &gpu,
-        Kernel::new("loss"),
-        Words::default().u(rays).u(slot).u(FIRST_TERM + ON_RAYS.len()).u(0),
-        &buffers,
-        [1, 1, 1],
-    );
+    run(&gpu, Kernel::new("loss"), params! { rays, slot, numbers: FIRST_TERM + ON_RAYS.len() }, &buffers, [1, 1, 1]);
     let buffers = [(1, &a_buffer), (2, &b_buffer), (3, &results)];
-    run(&gpu, Kernel::new("shift"), Words::default().u(rays).u(3).u(0).u(0), &buffers, [1, 1, 1]);
+    run(&gpu, Kernel::new("shift"), params! { rays, slot: 3usize }, &buffers, [1, 1, 1]);
     let found = gpu.read_f32(&results, 4 * SLOT).unwrap();
 
     let of = |values: &[f32], every: usize, at: usize| -> Vec<f64> {

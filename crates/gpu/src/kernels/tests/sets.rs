@@ -4,7 +4,7 @@ use augnerf_nerf::perturb::{DeltaSet, Norm};
 
 use super::*;
 
-/// A set and its words: boxes or balls of `size` numbers, `per_ray` of them a ray.
+/// A set and its parameters: boxes or balls of `size` numbers, `per_ray` of them a ray.
 #[derive(Clone, Copy)]
 struct Case {
     norm: Norm,
@@ -114,16 +114,15 @@ impl Case {
         set
     }
 
-    /// The words that all kernels of sets have; `rest` are stride, offset, gaussian, chunk, normals, first and the place
-    /// of the first distance.
-    fn words(self, rest: [usize; 7], (near, far): (f64, f64)) -> Words {
-        let is = |on: bool| usize::from(on);
-        let words = Words::default().u(self.vectors()).u(self.size).u(is(self.norm == Norm::L2)).u(self.per_ray);
-        let words = words.f(RADIUS).f(near).f(far);
-        let words = words.u(if self.masks_last { self.per_ray } else { 0 }).f(STEP).u(is(self.relative));
+    /// The parameters that all kernels of sets have. `rest` are those that a test needs beside.
+    fn params(self, rest: Params, (near, far): (f64, f64)) -> Params {
         let kind = if let Radius::OfGaps(kind) = self.radius { kind } else { 0 };
-        let words = rest.into_iter().fold(words, Words::u).u(RAY0).f(PIXEL).f(CAP).u(kind);
-        GAPS.into_iter().fold(words, Words::f).u(0).u(0)
+        let [share, coarse, drawn, coarse_gap, reach] = GAPS;
+        let masks_last = if self.masks_last { self.per_ray } else { 0 };
+        let (vectors, size, ball, per_ray) = (self.vectors(), self.size, self.norm == Norm::L2, self.per_ray);
+        params! { vectors, size, ball, per_ray, radius: RADIUS, near, far, masks_last, step: STEP, relative: self.relative }
+            .and(params! { ray0: RAY0, pixel: PIXEL, cap: CAP, kind, share, coarse, drawn, coarse_gap, reach })
+            .and(rest.rest_is_zero())
     }
 
     fn kernel(self, name: &'static str) -> Kernel {
@@ -133,13 +132,13 @@ impl Case {
     }
 
     /// Runs a kernel on a delta, with the rays, the positions and more buffers.
-    fn run(self, gpu: &Gpu, kernel: Kernel, words: Words, delta: &Buffer, more: &[(u32, &Buffer)]) {
+    fn run(self, gpu: &Gpu, kernel: Kernel, params: Params, delta: &Buffer, more: &[(u32, &Buffer)]) {
         let (rays, t_vals) = (gpu.storage(&self.rays()), gpu.storage(&self.t_vals()));
         let mut buffers = vec![(1, delta)];
         buffers.extend((self.radius == Radius::Pixel).then_some((2, &rays)));
         buffers.extend(self.is_bounded().then_some((3, &t_vals)));
         buffers.extend_from_slice(more);
-        run(gpu, kernel, words, &buffers, groups(self.vectors() * self.size));
+        run(gpu, kernel, params, &buffers, groups(self.vectors() * self.size));
     }
 }
 
@@ -162,7 +161,7 @@ fn steps_of_the_search() {
             let mut more = vec![(4, &gradient_buffer)];
             more.extend(takes_used.then_some((5, &used)));
             let kernel = case.kernel("ascend").with("USED", takes_used);
-            case.run(&gpu, kernel, case.words([stride, offset, 0, 0, 0, 0, 0], BOUNDS), &delta, &more);
+            case.run(&gpu, kernel, case.params(params! { stride, offset }, BOUNDS), &delta, &more);
             let set = case.set();
             let along: Vec<f32> = gradient.chunks(stride).flat_map(|row| row[offset..offset + size].to_vec()).collect();
             let direction = set.direction(&wide(&along, &[vectors, size])).unwrap();
@@ -193,8 +192,8 @@ fn random_points() {
             let distances: Vec<f32> = numbers(vectors, 1.0, 145).iter().map(|x| x.abs()).collect();
             let all: Vec<f32> = values.iter().chain(&distances).copied().collect();
             let (delta, drawn) = (gpu.numbers(vectors * size), gpu.storage(&all));
-            let words = [0, 0, usize::from(gaussian), chunk, of_chunk, first, values.len()];
-            case.run(&gpu, case.kernel("draw"), case.words(words, BOUNDS), &delta, &[(4, &drawn)]);
+            let rest = params! { gaussian, chunk, normals: of_chunk, first, first_distance: values.len() };
+            case.run(&gpu, case.kernel("draw"), case.params(rest, BOUNDS), &delta, &[(4, &drawn)]);
             let own: Vec<f32> = (0..vectors * size)
                 .map(|i| values[first + i / (chunk * size) * of_chunk + i % (chunk * size)])
                 .collect();
@@ -230,13 +229,7 @@ fn counts_at_bounds() {
         let delta = flat(&set.project(&wide(&numbers(vectors * size, 0.5, 146), &[vectors, size])).unwrap());
         let delta: Vec<f32> = delta.iter().map(|x| *x as f32).collect();
         let (buffer, counts) = (gpu.storage(&delta), gpu.numbers(4));
-        case.run(
-            &gpu,
-            case.kernel("at_bound"),
-            case.words([0, 0, 0, 0, 0, first, 0], BOUNDS),
-            &buffer,
-            &[(4, &counts)],
-        );
+        case.run(&gpu, case.kernel("at_bound"), case.params(params! { first }, BOUNDS), &buffer, &[(4, &counts)]);
         let counted: Vec<u32> = bytemuck::pod_collect_to_vec(&gpu.read(&[&counts]).unwrap()[0]);
         let share = f64::from(counted[first]) / f64::from(counted[first + 1]);
         let masked = if case.masks_last { RAYS } else { 0 };
@@ -250,8 +243,8 @@ fn counts_at_bounds() {
     let (delta, values) = (numbers(vectors, 0.5, 147), numbers(4 * vectors, 1.0, 148));
     let (buffer, values_buffer, counts) = (gpu.storage(&delta), gpu.storage(&values), gpu.numbers(4));
     let kernel = case_of_output.kernel("at_bound").with("OUTPUT", true);
-    let words = case_of_output.words([0, 3, 0, 0, 0, 0, 0], range);
-    case_of_output.run(&gpu, kernel, words, &buffer, &[(4, &counts), (5, &values_buffer)]);
+    let params = case_of_output.params(params! { offset: 3usize }, range);
+    case_of_output.run(&gpu, kernel, params, &buffer, &[(4, &counts), (5, &values_buffer)]);
     let at = |i: &usize| {
         let (delta, value) = (f64::from(delta[*i]), f64::from(values[4 * i + 3]));
         delta.abs() >= 0.999 * RADIUS || value <= range.0 || value >= range.1

@@ -10,8 +10,8 @@ fn random_numbers_have_the_hosts_bits() {
     let (chunks, count, offset) = (3, 50, 21);
     let out = gpu.numbers(chunks * count);
     let blocks = (offset % 16 + count).div_ceil(16);
-    let words = Words::default().u(Stream::Search as usize).u(5).u(2).u(chunks).u(count).u(offset).u(blocks).u(0);
-    run(&gpu, Kernel::new("random"), words, &[(1, &now), (2, &out)], groups(chunks * blocks));
+    let params = params! { stream: Stream::Search as usize, part: 5usize, part_step: 2usize, chunks, count, offset, blocks, first: 0usize };
+    run(&gpu, Kernel::new("random"), params, &[(1, &now), (2, &out)], groups(chunks * blocks));
     let expected = (0..chunks).flat_map(|chunk| {
         let mut random = Random::part(seed, Stream::Search, step, 5 + 2 * chunk as u64);
         (0..offset).for_each(|_| {
@@ -64,12 +64,11 @@ fn adam() {
                     .map(f32::to_bits),
             );
             let unit = if is_table { 1.0 / FIXED_SCALE } else { 1.0 };
-            let words =
-                Words::default().u(count).f(0.9).f(settings.beta2).f(settings.epsilon).f(unit).u(0).f(limit).f(decay);
+            let params = params! { numbers: count, beta1: 0.9, beta2: settings.beta2, epsilon: settings.epsilon, unit, field: 0usize, limit, decay };
             let mut buffers = vec![(1, &now), (2, &values), (3, &first), (4, &second), (5, &flags), (6, &sums_buffer)];
             buffers.extend(factor.map(|_| (7, &factor_buffer)));
             buffers.extend((decay > 0.0).then_some((8, &ones)));
-            run(&gpu, kernel.clone(), words, &buffers, groups(count));
+            run(&gpu, kernel.clone(), params, &buffers, groups(count));
             let of_host = wide(&gradient, &[count / features, features]).clamp(-limit, limit).unwrap();
             let of_host = (of_host * f64::from(factor.unwrap_or(1.0))).unwrap();
             reference.update(&[Some(of_host)], 0.01, step).unwrap();
@@ -92,15 +91,15 @@ fn norms_are_limited() {
     let fixed_buffer = gpu.numbers(fixed.len());
     gpu.write(&fixed_buffer, bytemuck::cast_slice(&fixed));
     let (sums, factor) = (gpu.numbers(4), gpu.numbers(1));
-    let words = Words::default().u(weights.len()).u(0).f(0.5).f(limit);
-    run(&gpu, Kernel::new("norm"), words, &[(1, &gpu.storage(&weights)), (2, &sums)], [3, 1, 1]);
-    let words = Words::default().u(tables.len()).u(3).f(1.0 / FIXED_SCALE).f(limit);
-    run(&gpu, Kernel::new("norm").with("TABLES", true), words, &[(1, &fixed_buffer), (2, &sums)], [1, 1, 1]);
+    let params = params! { numbers: weights.len(), first: 0usize, unit: 0.5, limit };
+    run(&gpu, Kernel::new("norm"), params, &[(1, &gpu.storage(&weights)), (2, &sums)], [3, 1, 1]);
+    let params = params! { numbers: tables.len(), first: 3usize, unit: 1.0 / FIXED_SCALE, limit };
+    run(&gpu, Kernel::new("norm").with("TABLES", true), params, &[(1, &fixed_buffer), (2, &sums)], [1, 1, 1]);
     let all = weights.iter().map(|g| 0.5 * f64::from(*g)).chain(tables.iter().map(|g| f64::from(*g)));
     let found = all.map(|g| g.clamp(-limit, limit).powi(2)).sum::<f64>().sqrt();
     for norm in [0.5 * found, 2.0 * found] {
-        let words = Words::default().u(4).f(norm).u(0).u(0);
-        run(&gpu, Kernel::new("norm_factor"), words, &[(1, &sums), (2, &factor)], [1, 1, 1]);
+        let params = params! { sums: 4usize, norm };
+        run(&gpu, Kernel::new("norm_factor"), params, &[(1, &sums), (2, &factor)], [1, 1, 1]);
         near("norm_factor", &gpu.read_f32(&factor, 1).unwrap(), &[(norm / found).min(1.0)], 1e-6);
     }
 }
@@ -112,8 +111,8 @@ fn numbers_in_place() {
     let (first, count, scale) = (5, 60, 0.7);
     let uniform: Vec<f32> = numbers(first + count, 1.0, 160).iter().map(|x| x.abs()).collect();
     let buffer = gpu.storage(&uniform);
-    let words = Words::default().u(2).u(count / 2).f(scale).u(first);
-    run(&gpu, Kernel::new("normal"), words, &[(1, &buffer)], groups(count / 2));
+    let params = params! { chunks: 2usize, count: count / 2, scale, first };
+    run(&gpu, Kernel::new("normal"), params, &[(1, &buffer)], groups(count / 2));
     let expected: Vec<f64> = uniform[first..]
         .chunks(2)
         .flat_map(|pair| {
@@ -129,17 +128,17 @@ fn numbers_in_place() {
     let [a, b] = [161, 162].map(|seed| numbers(count, 1.0, seed));
     let [a_buffer, b_buffer] = [&a, &b].map(|values| gpu.storage(values));
     let [sum, copied] = [(); 2].map(|()| gpu.numbers(count));
-    let words = || Words::default().u(count).u(0).u(0).u(0);
-    run(&gpu, Kernel::new("add"), words(), &[(1, &a_buffer), (2, &b_buffer), (3, &sum)], groups(count));
-    run(&gpu, Kernel::new("copy"), words(), &[(1, &a_buffer), (2, &copied)], groups(count));
+    let params = || params! { numbers: count };
+    run(&gpu, Kernel::new("add"), params(), &[(1, &a_buffer), (2, &b_buffer), (3, &sum)], groups(count));
+    run(&gpu, Kernel::new("copy"), params(), &[(1, &a_buffer), (2, &copied)], groups(count));
     let expected: Vec<f64> = a.iter().zip(&b).map(|(a, b)| f64::from(*a) + f64::from(*b)).collect();
     near("add", &gpu.read_f32(&sum, count).unwrap(), &expected, 1e-6);
     assert_eq!(gpu.read_f32(&copied, count).unwrap(), a);
 
     // From one buffer to another, and in place.
     let buffers = [(1, &b_buffer), (2, &sum), (3, &a_buffer)];
-    run(&gpu, Kernel::new("multiply").with("FROM", true), words(), &buffers, groups(count));
-    run(&gpu, Kernel::new("multiply"), words(), &[(1, &b_buffer), (2, &copied)], groups(count));
+    run(&gpu, Kernel::new("multiply").with("FROM", true), params(), &buffers, groups(count));
+    run(&gpu, Kernel::new("multiply"), params(), &[(1, &b_buffer), (2, &copied)], groups(count));
     let expected: Vec<f64> = a.iter().zip(&b).map(|(a, b)| f64::from(*a) * f64::from(*b)).collect();
     near("multiply", &gpu.read_f32(&sum, count).unwrap(), &expected, 1e-6);
     near("multiply, in place", &gpu.read_f32(&copied, count).unwrap(), &expected, 1e-6);
@@ -153,9 +152,9 @@ fn what_is_not_finite_sets_flags() {
     let check = |gradient: &[f32], results: &[f32]| -> Vec<u32> {
         let (gradient, results, flags) = (gpu.storage(gradient), gpu.storage(results), gpu.numbers(8));
         gpu.write(&flags, bytemuck::cast_slice(&[0, u32::MAX, u32::MAX, u32::MAX, 0, 0, 0, 0]));
-        let words = Words::default().u(count).u(slots).u(field).u(0);
+        let params = params! { numbers: count, slots, field };
         let buffers = [(1, &gradient), (2, &results), (3, &flags)];
-        run(&gpu, Kernel::new("check"), words, &buffers, groups(count));
+        run(&gpu, Kernel::new("check"), params, &buffers, groups(count));
         bytemuck::pod_collect_to_vec(&gpu.read(&[&flags]).unwrap()[0][..16])
     };
     let (gradient, results) = (numbers(count, 1.0, 163), numbers(SLOT * slots, 1.0, 164));

@@ -1,0 +1,152 @@
+enable f16;
+enable wgpu_cooperative_matrix;
+// The operands of a product, in fours: all sizes and strides are multiples of 4, and what pads them is 0.
+struct Product {
+    m: u32, n: u32,             // rows and columns of C
+    k1: u32, k2: u32,           // columns of A1 and A2
+    lda1: u32, lda2: u32,       // numbers between their rows
+    every2: u32,                // rows that share a row of A2
+    ldw: u32, w_from: u32,
+    ldc: u32, c_from: u32,
+    relu: u32,
+    ldx: u32,
+    part_rows: u32,             // rows of a part of a gradient
+    parameters: u32,            // numbers of a part
+    to: u32,                    // the layer's first number in it
+}
+@group(0) @binding(0) var<uniform> p: Product;
+@group(0) @binding(1) var<storage, read> a1: array<vec4<f32>>;
+@group(0) @binding(3) var<storage, read> w: array<vec4<f32>>;
+@group(0) @binding(4) var<storage, read_write> c: array<vec4<f32>>;
+
+// Four numbers of a row of A.
+fn a_four(row: u32, k: u32) -> vec4<f32> {
+    if (k < p.k1) { return a1[(row * p.lda1 + k) / 4u]; }
+    return vec4<f32>(0.0);
+}
+// Along the depth.
+fn left_line(row: u32, k: u32, part: u32) -> vec4<f32> {
+    if (row < p.m) { return a_four(row, k); }
+    return vec4<f32>(0.0);
+}
+// Along the columns.
+fn right_line(col: u32, k: u32, part: u32) -> vec4<f32> {
+    if (k < p.k1 + p.k2 && col < p.n) { return w[(p.w_from + k * p.ldw + col) / 4u]; }
+    return vec4<f32>(0.0);
+}
+fn store_four(row: u32, col: u32, four: vec4<f32>, part: u32) {
+    if (row >= p.m || col >= p.n) { return; }
+    var value = four + w[(p.w_from + (p.k1 + p.k2) * p.ldw + col) / 4u];
+    // What is not a number stays.
+    if (p.relu == 1u) { value = select(value, vec4<f32>(0.0), value < vec4<f32>(0.0)); }
+    c[(p.c_from + row * p.ldc + col) / 4u] = value;
+}
+
+// f16 holds numbers to 65,504.
+fn halves(four: vec4<f32>) -> vec4<f16> {
+    // What is not a number stays.
+    let within = clamp(four, vec4<f32>(-65504.0), vec4<f32>(65504.0));
+    return vec4<f16>(select(four, within, abs(four) > vec4<f32>(65504.0)));
+}
+var<workgroup> left: array<f16, 5120>;
+var<workgroup> right: array<f16, 2304>;
+var<workgroup> stage: array<f32, 2560>;
+@compute @workgroup_size(256)
+fn main(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index) thread: u32) {
+    let row0 = group.y * 128u; let col0 = group.x * 64u; let part = group.z;
+    let subgroup = thread / 32u; let lane = thread % 32u;
+    let r0 = (subgroup / 2u) * 32u; let c0 = (subgroup % 2u) * 32u;
+    var s0_0 = coop_mat16x16<f32, C>();
+    var s0_1 = coop_mat16x16<f32, C>();
+    var s1_0 = coop_mat16x16<f32, C>();
+    var s1_1 = coop_mat16x16<f32, C>();
+    var sums = vec4<f32>(0.0);
+    var a0 = vec4<f32>(0.0);
+    var a1 = vec4<f32>(0.0);
+    var a2 = vec4<f32>(0.0);
+    var a3 = vec4<f32>(0.0);
+    var d0 = vec4<f32>(0.0);
+    var d1 = vec4<f32>(0.0);
+    { let line = (thread + 0u) / 8u; let place = 4u * ((thread + 0u) % 8u); a0 = left_line(row0 + line, 0u + place, part); }
+    { let line = (thread + 256u) / 8u; let place = 4u * ((thread + 256u) % 8u); a1 = left_line(row0 + line, 0u + place, part); }
+    { let line = (thread + 512u) / 8u; let place = 4u * ((thread + 512u) % 8u); a2 = left_line(row0 + line, 0u + place, part); }
+    { let line = (thread + 768u) / 8u; let place = 4u * ((thread + 768u) % 8u); a3 = left_line(row0 + line, 0u + place, part); }
+    { let line = (thread + 0u) / 16u; let place = 4u * ((thread + 0u) % 16u); d0 = right_line(col0 + place, 0u + line, part); }
+    { let line = (thread + 256u) / 16u; let place = 4u * ((thread + 256u) % 16u); d1 = right_line(col0 + place, 0u + line, part); }
+    for (var k0 = 0u; k0 < (p.k1 + p.k2); k0 += 32u) {
+        { let line = (thread + 0u) / 8u; let place = 4u * ((thread + 0u) % 8u); let h = halves(a0); let at = line * 40u + place;
+          left[at] = h.x; left[at + 1u] = h.y; left[at + 2u] = h.z; left[at + 3u] = h.w; }
+        { let line = (thread + 256u) / 8u; let place = 4u * ((thread + 256u) % 8u); let h = halves(a1); let at = line * 40u + place;
+          left[at] = h.x; left[at + 1u] = h.y; left[at + 2u] = h.z; left[at + 3u] = h.w; }
+        { let line = (thread + 512u) / 8u; let place = 4u * ((thread + 512u) % 8u); let h = halves(a2); let at = line * 40u + place;
+          left[at] = h.x; left[at + 1u] = h.y; left[at + 2u] = h.z; left[at + 3u] = h.w; }
+        { let line = (thread + 768u) / 8u; let place = 4u * ((thread + 768u) % 8u); let h = halves(a3); let at = line * 40u + place;
+          left[at] = h.x; left[at + 1u] = h.y; left[at + 2u] = h.z; left[at + 3u] = h.w; }
+        { let line = (thread + 0u) / 16u; let place = 4u * ((thread + 0u) % 16u); let h = halves(d0); let at = line * 72u + place;
+          right[at] = h.x; right[at + 1u] = h.y; right[at + 2u] = h.z; right[at + 3u] = h.w; }
+        { let line = (thread + 256u) / 16u; let place = 4u * ((thread + 256u) % 16u); let h = halves(d1); let at = line * 72u + place;
+          right[at] = h.x; right[at + 1u] = h.y; right[at + 2u] = h.z; right[at + 3u] = h.w; }
+        workgroupBarrier();
+        if (k0 + 32u < (p.k1 + p.k2)) {
+    { let line = (thread + 0u) / 8u; let place = 4u * ((thread + 0u) % 8u); a0 = left_line(row0 + line, k0 + 32u + place, part); }
+    { let line = (thread + 256u) / 8u; let place = 4u * ((thread + 256u) % 8u); a1 = left_line(row0 + line, k0 + 32u + place, part); }
+    { let line = (thread + 512u) / 8u; let place = 4u * ((thread + 512u) % 8u); a2 = left_line(row0 + line, k0 + 32u + place, part); }
+    { let line = (thread + 768u) / 8u; let place = 4u * ((thread + 768u) % 8u); a3 = left_line(row0 + line, k0 + 32u + place, part); }
+    { let line = (thread + 0u) / 16u; let place = 4u * ((thread + 0u) % 16u); d0 = right_line(col0 + place, k0 + 32u + line, part); }
+    { let line = (thread + 256u) / 16u; let place = 4u * ((thread + 256u) % 16u); d1 = right_line(col0 + place, k0 + 32u + line, part); }
+        }
+        let l0_0 = coopLoadT<coop_mat16x16<f16, A>>(&left[(r0 + 0u) * 40u + 0u], 40u);
+        let l0_1 = coopLoadT<coop_mat16x16<f16, A>>(&left[(r0 + 16u) * 40u + 0u], 40u);
+        let r0_0 = coopLoadT<coop_mat16x16<f16, B>>(&right[0u * 72u + c0 + 0u], 72u);
+        s0_0 = coopMultiplyAdd(l0_0, r0_0, s0_0);
+        s1_0 = coopMultiplyAdd(l0_1, r0_0, s1_0);
+        let r0_1 = coopLoadT<coop_mat16x16<f16, B>>(&right[0u * 72u + c0 + 16u], 72u);
+        s0_1 = coopMultiplyAdd(l0_0, r0_1, s0_1);
+        s1_1 = coopMultiplyAdd(l0_1, r0_1, s1_1);
+        let l16_0 = coopLoadT<coop_mat16x16<f16, A>>(&left[(r0 + 0u) * 40u + 16u], 40u);
+        let l16_1 = coopLoadT<coop_mat16x16<f16, A>>(&left[(r0 + 16u) * 40u + 16u], 40u);
+        let r16_0 = coopLoadT<coop_mat16x16<f16, B>>(&right[16u * 72u + c0 + 0u], 72u);
+        s0_0 = coopMultiplyAdd(l16_0, r16_0, s0_0);
+        s1_0 = coopMultiplyAdd(l16_1, r16_0, s1_0);
+        let r16_1 = coopLoadT<coop_mat16x16<f16, B>>(&right[16u * 72u + c0 + 16u], 72u);
+        s0_1 = coopMultiplyAdd(l16_0, r16_1, s0_1);
+        s1_1 = coopMultiplyAdd(l16_1, r16_1, s1_1);
+        workgroupBarrier();
+    }
+    coopStoreT(s0_0, &stage[subgroup * 320u], 20u);
+    workgroupBarrier();
+    {
+        let at = subgroup * 320u + (lane / 2u) * 20u + (lane % 2u) * 8u;
+        let row = row0 + r0 + 0u + lane / 2u; let col = col0 + c0 + 0u + (lane % 2u) * 8u;
+        store_four(row, col, vec4<f32>(stage[at], stage[at + 1u], stage[at + 2u], stage[at + 3u]), part);
+        store_four(row, col + 4u, vec4<f32>(stage[at + 4u], stage[at + 5u], stage[at + 6u], stage[at + 7u]), part);
+    }
+    workgroupBarrier();
+    coopStoreT(s0_1, &stage[subgroup * 320u], 20u);
+    workgroupBarrier();
+    {
+        let at = subgroup * 320u + (lane / 2u) * 20u + (lane % 2u) * 8u;
+        let row = row0 + r0 + 0u + lane / 2u; let col = col0 + c0 + 16u + (lane % 2u) * 8u;
+        store_four(row, col, vec4<f32>(stage[at], stage[at + 1u], stage[at + 2u], stage[at + 3u]), part);
+        store_four(row, col + 4u, vec4<f32>(stage[at + 4u], stage[at + 5u], stage[at + 6u], stage[at + 7u]), part);
+    }
+    workgroupBarrier();
+    coopStoreT(s1_0, &stage[subgroup * 320u], 20u);
+    workgroupBarrier();
+    {
+        let at = subgroup * 320u + (lane / 2u) * 20u + (lane % 2u) * 8u;
+        let row = row0 + r0 + 16u + lane / 2u; let col = col0 + c0 + 0u + (lane % 2u) * 8u;
+        store_four(row, col, vec4<f32>(stage[at], stage[at + 1u], stage[at + 2u], stage[at + 3u]), part);
+        store_four(row, col + 4u, vec4<f32>(stage[at + 4u], stage[at + 5u], stage[at + 6u], stage[at + 7u]), part);
+    }
+    workgroupBarrier();
+    coopStoreT(s1_1, &stage[subgroup * 320u], 20u);
+    workgroupBarrier();
+    {
+        let at = subgroup * 320u + (lane / 2u) * 20u + (lane % 2u) * 8u;
+        let row = row0 + r0 + 16u + lane / 2u; let col = col0 + c0 + 16u + (lane % 2u) * 8u;
+        store_four(row, col, vec4<f32>(stage[at], stage[at + 1u], stage[at + 2u], stage[at + 3u]), part);
+        store_four(row, col + 4u, vec4<f32>(stage[at + 4u], stage[at + 5u], stage[at + 6u], stage[at + 7u]), part);
+    }
+    workgroupBarrier();
+}
