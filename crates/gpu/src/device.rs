@@ -7,7 +7,7 @@ use std::sync::{Arc, Mutex, OnceLock, PoisonError, mpsc};
 use std::time::Duration;
 
 use augnerf_base::{Error, Result};
-use augnerf_nerf::runtime::{Accelerator, ListedDevice};
+use augnerf_nerf::runtime::{Accelerator, ListedDevice, Work};
 use augnerf_nerf::settings::Precision;
 use pollster::block_on;
 use wgpu::{
@@ -37,6 +37,7 @@ struct Opened {
     adapter: ListedDevice,
     limits: Limits,
     pipelines: Mutex<HashMap<Kernel, Compiled>>,
+    work: Mutex<Work>,
     /// How the device was lost, and what first went wrong outside of [`Gpu::checked`].
     failures: Arc<[OnceLock<String>; 2]>,
     /// Tiles of wide layers in f32.
@@ -157,6 +158,8 @@ pub(crate) struct Dispatch {
     pipeline: ComputePipeline,
     group: wgpu::BindGroup,
     size: [u32; 3],
+    /// What it adds to the device's work.
+    pub(crate) work: Work,
 }
 
 /// Groups after which a submission ends. With the tiles of integrated cards a group has at most a million multiply-adds, so that a
@@ -217,7 +220,7 @@ impl Gpu {
         };
         let (device, queue) = block_on(adapter.request_device(&descriptor))
             .map_err(|e| refuse(format!("{} cannot be opened: {e}", known.name)))?;
-        let pipelines = Mutex::default();
+        let (pipelines, work) = (Mutex::default(), Mutex::default());
         // wgpu's own handlers panic.
         let failures: Arc<[OnceLock<String>; 2]> = Arc::default();
         let (of_loss, of_error) = (failures.clone(), failures.clone());
@@ -231,7 +234,7 @@ impl Gpu {
         };
         let budget = chosen_memory(std::env::var_os(MEMORY))?.unwrap_or(memory);
         Ok(Gpu(
-            Arc::new(Opened { device, queue, adapter: known, limits: required, pipelines, failures, tiles }),
+            Arc::new(Opened { device, queue, adapter: known, limits: required, pipelines, work, failures, tiles }),
             budget,
         ))
     }
@@ -380,7 +383,7 @@ impl Gpu {
         let layout = pipeline.get_bind_group_layout(0);
         let descriptor = BindGroupDescriptor { label: Some(kernel.name), layout: &layout, entries: &entries };
         let group = self.0.device.create_bind_group(&descriptor);
-        Dispatch { pipeline, group, size }
+        Dispatch { pipeline, group, size, work: Work { dispatches: 1, ..Work::default() } }
     }
 
     fn encoder(&self) -> CommandEncoder {
@@ -389,15 +392,17 @@ impl Gpu {
 
     /// Submits dispatches in their order, in several submissions if they are many: drivers end one that takes seconds.
     pub(crate) fn submit<'a>(&self, work: impl IntoIterator<Item = &'a Dispatch>) {
-        let mut work = work.into_iter().peekable();
+        let (mut work, mut done) =
+            (work.into_iter().peekable(), self.0.work.lock().unwrap_or_else(PoisonError::into_inner));
         while work.peek().is_some() {
             let mut encoder = self.encoder();
             {
                 let mut pass = encoder.begin_compute_pass(&ComputePassDescriptor::default());
                 let mut groups = 0;
                 while groups < AT_ONCE
-                    && let Some(Dispatch { pipeline, group, size: [x, y, z] }) = work.next()
+                    && let Some(Dispatch { pipeline, group, size: [x, y, z], work }) = work.next()
                 {
+                    done.add(*work);
                     pass.set_pipeline(pipeline);
                     pass.set_bind_group(0, group, &[]);
                     pass.dispatch_workgroups(*x, *y, *z);
@@ -406,6 +411,11 @@ impl Gpu {
             }
             self.0.queue.submit([encoder.finish()]);
         }
+    }
+
+    /// Returns what was submitted so far.
+    pub(crate) fn counted(&self) -> Work {
+        *self.0.work.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
     /// Copies complete buffers, one after another, into another one, after the work that was submitted.

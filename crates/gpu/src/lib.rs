@@ -8,7 +8,7 @@ use augnerf_base::Result;
 use augnerf_nerf::field::{Density, Field};
 use augnerf_nerf::methods::{DeviceSteps, Fields, Renderer};
 use augnerf_nerf::optimizer::Moments;
-use augnerf_nerf::runtime::{Accelerator, ListedDevice};
+use augnerf_nerf::runtime::{Accelerator, ListedDevice, Work};
 use augnerf_nerf::settings::{Config, Resolved};
 use augnerf_scenes::Scene;
 
@@ -37,6 +37,10 @@ impl Accelerator for Gpu {
 
     fn is_software(&self) -> bool {
         self.adapter().is_software
+    }
+
+    fn work(&self) -> Work {
+        self.counted()
     }
 
     fn synchronize(&self) -> Result<()> {

@@ -68,11 +68,15 @@ pub struct Timed {
     pub rays_per_second: f64,
     /// Points (MipNeRF: intervals) of both clean passes, or `None` without fields.
     pub points_per_clean_pass: Option<usize>,
-    /// Multiply-adds of the fused core's matrix products in a step, or `None` if it does not apply.
+    /// Multiply-adds of the fused core's or a GPU's matrix products in a step, or `None` where they are not counted.
     pub multiply_adds_per_step: Option<f64>,
     /// Twice the multiply-adds divided by the time.
     pub gflops: Option<f64>,
-    /// The same for large matrix products alone, on all threads.
+    /// Kernels that a GPU runs in a step.
+    pub dispatches_per_step: Option<u64>,
+    /// Bytes of the operands and results of a GPU's matrix products in a step, each counted once a product.
+    pub product_bytes_per_step: Option<u64>,
+    /// Large matrix products alone, on all threads of the CPU.
     pub gemm_peak_gflops: Option<f64>,
     /// `gflops` divided by that.
     pub share_of_peak: Option<f64>,
@@ -223,7 +227,7 @@ impl Workload {
         for _ in 0..WARM_UP {
             trainer.step(false)?;
         }
-        let before = runtime.multiply_adds();
+        let before = runtime.work();
         let mut seconds = Vec::new();
         for _ in 0..self.steps {
             let started = Instant::now();
@@ -231,15 +235,17 @@ impl Workload {
             runtime.synchronize()?;
             seconds.push(started.elapsed().as_secs_f64());
         }
-        let done = runtime.multiply_adds() - before;
-        let fused = done > 0;
+        let done = runtime.work();
+        let (multiply_adds, of_step) = (done.multiply_adds - before.multiply_adds, self.steps as u64);
+        let is_counted = multiply_adds > 0;
+        let on_gpu = |after: u64, before: u64| (done.dispatches > 0).then(|| (after - before) / of_step);
         let memory = peak_memory_mib();
         let (coarse, fine) = config.samples();
         seconds.sort_by(f64::total_cmp);
         let median = 0.5 * (seconds[(self.steps - 1) / 2] + seconds[self.steps / 2]);
-        let multiply_adds = done as f64 / self.steps as f64;
+        let multiply_adds = multiply_adds as f64 / self.steps as f64;
         let gflops = 2e-9 * multiply_adds / median;
-        let peak = fused.then(peak_gflops);
+        let peak = (is_counted && done.dispatches == 0).then(peak_gflops);
         Ok(Timed {
             peer: format!("augnerf {}", revision()),
             workload,
@@ -248,8 +254,10 @@ impl Workload {
             seconds_per_step: median,
             rays_per_second: rays as f64 / median,
             points_per_clean_pass: config.method.has_fields().then_some(rays * (coarse + fine)),
-            multiply_adds_per_step: fused.then_some(multiply_adds),
-            gflops: fused.then_some(gflops),
+            multiply_adds_per_step: is_counted.then_some(multiply_adds),
+            gflops: is_counted.then_some(gflops),
+            dispatches_per_step: on_gpu(done.dispatches, before.dispatches),
+            product_bytes_per_step: on_gpu(done.product_bytes, before.product_bytes),
             gemm_peak_gflops: peak,
             share_of_peak: peak.map(|peak| gflops / peak),
             peak_memory_mib: memory,

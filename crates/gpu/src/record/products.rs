@@ -146,7 +146,24 @@ impl<'a> Recorder<'a> {
         if let Some((delta, moved)) = delta {
             buffers.extend([(5, delta), (6, moved)]);
         }
-        self.run(kernel, params, &buffers, tile.groups(rows.count(), n, 1));
+        let size = [rows.count(), a.columns + second.map_or(0, |second| second.columns), n];
+        self.product(kernel, params, &buffers, tile.groups(rows.count(), n, 1), size);
+    }
+
+    /// Records a product of two matrices, `size` = rows, depth and columns, and counts its work.
+    fn product(
+        &mut self,
+        kernel: Kernel,
+        params: Params,
+        buffers: &[(u32, &Buffer)],
+        groups: [u32; 3],
+        size: [usize; 3],
+    ) {
+        self.run(kernel, params, buffers, groups);
+        let [rows, depth, columns] = size.map(|size| size as u64);
+        let work = &mut self.dispatches.last_mut().expect("just recorded").work;
+        work.multiply_adds = rows * depth * columns;
+        work.product_bytes = 4 * (rows * depth + depth * columns + rows * columns);
     }
 
     /// Records C = D W^T over some of a layer's inputs.
@@ -171,7 +188,7 @@ impl<'a> Recorder<'a> {
         let mut buffers = vec![(1, d.buffer), (3, &field.weights.values), (4, c.0)];
         buffers.extend(mask.map(|mask| (5, mask)));
         buffers.extend(open.map(|open| (6, open)));
-        self.run(kernel, params, &buffers, tile.groups(rows.count(), n, 1));
+        self.product(kernel, params, &buffers, tile.groups(rows.count(), n, 1), [rows.count(), d.columns, n]);
     }
 
     /// Records the parts of a layer's gradient.
@@ -200,7 +217,7 @@ impl<'a> Recorder<'a> {
         let params = params.and(params! { part_rows, parameters, to });
         let mut buffers = vec![(1, a.buffer), (3, d.buffer), (4, &self.scratch.parts)];
         buffers.extend(second.map(|second| (2, second.buffer)));
-        self.run(kernel, params, &buffers, tile.groups(layer.inputs, n, parts));
+        self.product(kernel, params, &buffers, tile.groups(layer.inputs, n, parts), [layer.inputs, rows.count(), n]);
     }
 
     /// Records the sum of the parts of a field's gradient, up to this number of weights.

@@ -30,6 +30,26 @@ pub struct ListedDevice {
     pub lacks: Vec<String>,
 }
 
+/// What was counted of a device's work.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Work {
+    /// Multiply-adds of matrix products.
+    pub multiply_adds: u64,
+    /// Bytes of these products' operands and results, each counted once a product.
+    pub product_bytes: u64,
+    /// Kernels that an accelerator ran.
+    pub dispatches: u64,
+}
+
+impl Work {
+    /// Adds more work to it.
+    pub fn add(&mut self, more: Work) {
+        self.multiply_adds += more.multiply_adds;
+        self.product_bytes += more.product_bytes;
+        self.dispatches += more.dispatches;
+    }
+}
+
 /// A device that trains and renders fields with its own program, such as a GPU. candle computes on the CPU beside it. Methods that
 /// it does not implement return an error that names the device.
 pub trait Accelerator: Debug + Send + Sync {
@@ -39,6 +59,11 @@ pub trait Accelerator: Debug + Send + Sync {
     /// Returns whether the CPU emulates it.
     fn is_software(&self) -> bool {
         false
+    }
+
+    /// Returns its work so far.
+    fn work(&self) -> Work {
+        Work::default()
     }
 
     /// Waits until its work is done.

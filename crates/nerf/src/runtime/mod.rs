@@ -10,7 +10,7 @@ use crate::base::{Error, Result};
 mod accelerator;
 
 pub use crate::base::machine::*;
-pub use accelerator::{Accelerator, ListedDevice};
+pub use accelerator::{Accelerator, ListedDevice, Work};
 
 /// The kind of an accelerator's name.
 const GPU: &str = "gpu";
@@ -200,9 +200,10 @@ impl Runtime {
         self.pool.current_num_threads()
     }
 
-    /// Returns the multiply-adds of the fused core's matrix products on these threads so far.
-    pub fn multiply_adds(&self) -> u64 {
-        self.counter.read()
+    /// Returns the work of the accelerator so far, or the multiply-adds of the fused core on these threads.
+    pub fn work(&self) -> Work {
+        let of_threads = Work { multiply_adds: self.counter.read(), ..Work::default() };
+        self.accelerator.as_ref().map_or(of_threads, |accelerator| accelerator.work())
     }
 }
 
@@ -258,7 +259,7 @@ mod tests {
         one.install(|| count_multiply_adds(5));
         other.install(|| count_multiply_adds(3));
         count_multiply_adds(100);
-        assert_eq!((one.multiply_adds(), other.multiply_adds()), (5, 3));
+        assert_eq!((one.work().multiply_adds, other.work().multiply_adds), (5, 3));
     }
 
     #[derive(Debug)]
