@@ -379,9 +379,9 @@ fn a_search_that_leaves_the_points_alone_pays_for_the_trunk_once() {
         });
         let runtime = Runtime::new("cpu", Some(1)).unwrap();
         let mut trainer = Trainer::new(&config, &tiny_scene(), DType::F32, &runtime).unwrap();
-        let before = runtime.multiply_adds();
+        let before = runtime.work().multiply_adds;
         runtime.install(|| trainer.step(false).unwrap());
-        runtime.multiply_adds() - before
+        runtime.work().multiply_adds - before
     };
     // 64 rays of 8 coarse and 16 fine samples; layers 1 to 4.
     let trunk = 64 * (8 + 16) * (27 * 16 + 16 * 16 + (27 + 16) * 16 + 16 * 16);

@@ -24,7 +24,7 @@ fn train(folder: &Path, method: Method, threads: usize) -> u64 {
     });
     let setup = Setup { config, scene: &tiny_scene(), lpips: &[], runtime: runtime.clone() };
     Job::create(folder, Existing::Refuse, setup).unwrap().train(&(), &AtomicUsize::new(0)).unwrap();
-    runtime.multiply_adds()
+    runtime.work().multiply_adds
 }
 
 #[test]

@@ -233,9 +233,9 @@ fn the_newest_picture_of_a_page_wins() {
 fn a_closed_page_ends_its_pictures_and_holds_nobody_up() {
     let run = shown("a", Method::Nerf, 0);
     served(vec![run.clone()], |url, server| {
-        let before = run.runtime.multiply_adds();
+        let before = run.runtime.work().multiply_adds;
         assert_eq!(get(&format!("{url}picture?{VIEW}&page=x&turn=1")).status, 200);
-        let of_small = run.runtime.multiply_adds() - before;
+        let of_small = run.runtime.work().multiply_adds - before;
         let token = url.rsplit('/').nth(1).unwrap();
         // Pixels of a picture that takes long.
         let [width, height] = [4096u32, 1024];
@@ -258,7 +258,7 @@ fn a_closed_page_ends_its_pictures_and_holds_nobody_up() {
         drop(pages);
         until(0);
         let whole = of_small / 256 * u64::from(width * height);
-        let done = run.runtime.multiply_adds() - before;
+        let done = run.runtime.work().multiply_adds - before;
         assert!(done < whole, "{done} multiply-adds for dead pages, of {whole} for one picture");
         assert_eq!(get(&format!("{url}picture?{VIEW}&page=d&turn=1")).status, 200);
     });

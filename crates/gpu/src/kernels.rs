@@ -58,8 +58,8 @@ texts! {
     "space": "common", "activation", "space_point", "space";
     "space_back": "common", "activation", "space_point", "space_back";
     "integrals": "sizes", "integrals";
-    "march": "sizes", "common", "rays", "march";
-    "composite": "sizes", "common", "rays", "composite";
+    "march": "sizes", "rays", "along", "march";
+    "composite": "sizes", "rays", "along", "composite";
     "loss": "sizes", "rays", "loss";
     "shift": "sizes", "shift";
     "draw": "common", "rays", "set", "draw";

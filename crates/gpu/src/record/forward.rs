@@ -3,7 +3,7 @@
 use augnerf_nerf::settings::Contraction;
 use wgpu::Buffer;
 
-use crate::device::groups;
+use crate::device::{groups, rows};
 use crate::kernels::Kernel;
 use crate::network::FieldBuffers;
 use crate::params::Params;
@@ -88,7 +88,7 @@ impl<'a> Recorder<'a> {
         let kernel = Kernel::new("march").with("WEIGHTS", out.is_none()).with("ACC", out.is_some());
         let mut buffers = vec![(1, self.rays), (2, t_vals), (3, &scratch.density)];
         buffers.push(out.map_or((4, &scratch.weights), |out| (5, out)));
-        self.run(kernel, params, &buffers, [pass.rays.div_ceil(32) as u32, 1, 1]);
+        self.run(kernel, params, &buffers, rows(pass.rays));
     }
 
     /// Records a pass forward, and its loss with what the way back starts from.
@@ -172,6 +172,6 @@ impl<'a> Recorder<'a> {
         let kernel = Kernel::new("composite").with("BACK", loss.is_some());
         let kernel =
             ON_RAYS.iter().zip(terms).fold(kernel, |kernel, ((_, part), weight)| kernel.with(part, weight.is_some()));
-        self.run(kernel, params, &buffers, [pass.rays.div_ceil(32) as u32, 1, 1]);
+        self.run(kernel, params, &buffers, rows(pass.rays));
     }
 }

@@ -1,4 +1,4 @@
-// The weights of samples from their density alone. A thread a ray.
+// The weights of samples from their density alone. A group a ray.
 struct March { rays: u32, samples: u32, columns: u32, ray0: u32 }
 @group(0) @binding(0) var<uniform> p: March;
 @group(0) @binding(1) var<storage, read> rays: array<f32>;
@@ -11,18 +11,24 @@ struct March { rays: u32, samples: u32, columns: u32, ray0: u32 }
 @group(0) @binding(5) var<storage, read_write> out: array<f32>;
 //#end
 const LAST_INTERVAL: f32 = 1e10;
+fn optical_depth(ray: u32, k: u32, norm: f32) -> f32 {
+    let at = ray * p.columns + k;
+    var gap = LAST_INTERVAL;
+    if (k + 1u < p.columns) { gap = t_vals[at + 1u] - t_vals[at]; }
+    return density[ray * p.samples + k] * (gap * norm);
+}
 @compute @workgroup_size(32)
-fn main(@builtin(global_invocation_id) id: vec3<u32>) {
-    let ray = id.x;
+fn main(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index) thread: u32) {
+    let ray = group.x + group.y * 65535u;
     if (ray >= p.rays) { return; }
     let norm = rays[RAY * (p.ray0 + ray) + NORM];
-    var passed = 0.0;                                                  // optical depth
+    let run = run_of(thread, p.samples);
+    var own = 0.0;
+    for (var k = run.x; k < run.y; k++) { own += optical_depth(ray, k, norm); }
+    var passed = around(thread, vec4<f32>(own)).before.x;
     var acc = 0.0;
-    for (var k = 0u; k < p.samples; k++) {
-        let at = ray * p.columns + k;
-        var gap = LAST_INTERVAL;
-        if (k + 1u < p.columns) { gap = t_vals[at + 1u] - t_vals[at]; }
-        let optical = density[ray * p.samples + k] * (gap * norm);
+    for (var k = run.x; k < run.y; k++) {
+        let optical = optical_depth(ray, k, norm);
         let weight = exp(-passed) * (1.0 - exp(-optical));
         acc += weight;
         //#if WEIGHTS
@@ -31,6 +37,7 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>) {
         passed += optical;
     }
     //#if ACC
-    out[OUT * (p.ray0 + ray) + 6u] = acc;
+    acc = total(thread, vec4<f32>(acc)).x;
+    if (thread == 0u) { out[OUT * (p.ray0 + ray) + 6u] = acc; }
     //#end
 }

@@ -5,7 +5,7 @@ use super::*;
 #[test]
 fn compositing() {
     let gpu = gpu();
-    let (n, samples) = (40, 9);
+    let (n, samples) = (40, 45);
     let (near_end, far_end) = (2.0, 6.0);
     let positive = |values: Vec<f32>| values.into_iter().map(f32::abs).collect::<Vec<f32>>();
     let values = positive(numbers(4 * n * samples, 1.0, 9));
@@ -41,7 +41,7 @@ fn compositing() {
         (7, &d_values),
         (8, &d_t),
     ];
-    run(&gpu, Kernel::new("composite").with("BACK", true), params, &buffers, [n.div_ceil(32) as u32, 1, 1]);
+    run(&gpu, Kernel::new("composite").with("BACK", true), params, &buffers, crate::device::rows(n));
     let part =
         |from: usize, count: usize| values.chunks(4).flat_map(|v| v[from..from + count].to_vec()).collect::<Vec<f32>>();
     let (rgb, density, t) =
@@ -168,7 +168,7 @@ fn positions_and_points() {
 #[test]
 fn marches() {
     let gpu = gpu();
-    let (all, ray0, rays, samples) = (70, 4, 50, 9);
+    let (all, ray0, rays, samples) = (70, 4, 50, 70);
     for columns in [samples, samples + 1] {
         let (packed, t_vals) = (random_rays(all, 110), growing(rays, columns, 111));
         let density: Vec<f32> = numbers(rays * samples, 1.0, 112).iter().map(|x| x.abs()).collect();
@@ -177,7 +177,7 @@ fn marches() {
         let params = params! { rays, samples, columns, ray0 };
         let buffers = [(1, &rays_buffer), (2, &t_buffer), (3, &density_buffer), (4, &weights), (5, &out)];
         let kernel = Kernel::new("march").with("WEIGHTS", true).with("ACC", true);
-        run(&gpu, kernel, params, &buffers, [rays.div_ceil(32) as u32, 1, 1]);
+        run(&gpu, kernel, params, &buffers, crate::device::rows(rays));
         let norms: Vec<f32> = packed.chunks(RAY).skip(ray0).take(rays).map(|ray| ray[18]).collect();
         let rgb = Tensor::zeros((rays, samples, 3), DType::F64, &Device::Cpu).unwrap();
         let (density, t_vals) = (wide(&density, &[rays, samples]), wide(&t_vals, &[rays, columns]));
@@ -193,7 +193,7 @@ fn marches() {
 #[test]
 fn distortion() {
     let gpu = gpu();
-    let (rays, samples, weight, (near_end, far_end)) = (20, 8, 0.9, (2.0, 7.0));
+    let (rays, samples, weight, (near_end, far_end)) = (20, 75, 0.9, (2.0, 50.0));
     for columns in [samples, samples + 1] {
         let (packed, t_vals) = (random_rays(rays, 120), growing(rays, columns, 121));
         let values: Vec<f32> = numbers(4 * rays * samples, 1.0, 122).iter().map(|x| x.abs()).collect();
@@ -206,7 +206,7 @@ fn distortion() {
         let to = [&rays_buffer, &t_buffer, &values_buffer, &weights, &out, &before, &d_values, &d_t];
         let buffers: Vec<(u32, &Buffer)> = (1..).zip(to).collect();
         let kernel = Kernel::new("composite").with("BACK", true).with("DISTORTION", true);
-        run(&gpu, kernel, params, &buffers, [rays.div_ceil(32) as u32, 1, 1]);
+        run(&gpu, kernel, params, &buffers, crate::device::rows(rays));
 
         let density: Vec<f32> = values.chunks(4).map(|value| value[3]).collect();
         let density = var(&density, &[rays, samples]);
