@@ -102,7 +102,12 @@ impl Kernel {
         for (name, value) in &self.constants {
             text = text.replace(&format!("{{{name}}}"), &value.to_string());
         }
-        chosen(&text, &self.flags)
+        let text = chosen(&text, &self.flags);
+        #[cfg(test)]
+        if self.has(tests::EMULATED) {
+            return tests::without_matrix_units(&text);
+        }
+        text
     }
 
     fn has(&self, flag: &str) -> bool {

@@ -27,6 +27,8 @@ mod rays;
 mod sets;
 mod updates;
 
+pub(super) use products::{EMULATED, without_matrix_units};
+
 fn gpu() -> Gpu {
     Gpu::open(0).expect("a device; install mesa-vulkan-drivers and libvulkan1")
 }

@@ -113,6 +113,98 @@ fn tiles_of_f32_are_translated() {
     }
 }
 
+/// The flag of products by matrix units whose matrices are arrays in f32, so that any device runs them.
+pub(in crate::kernels) const EMULATED: &str = "EMULATED";
+
+/// Returns the text of a product by matrix units with a matrix of a sum as 8 numbers of each of 32 threads, and operands where they
+/// are in shared memory: the first number's place, and the steps to the next row and column.
+pub(in crate::kernels) fn without_matrix_units(text: &str) -> String {
+    let functions = "
+        var<private> lane_of_matrix: u32;
+        fn multiply_add(a: vec3<u32>, b: vec3<u32>, c: array<f32, 8>) -> array<f32, 8> {
+            var sums = c;
+            let row = lane_of_matrix / 2u;
+            // Mesa unrolls what it knows the end of, for half a minute.
+            for (var i = 0u; i < min(8u, 8u * p.m); i++) {
+                let column = lane_of_matrix % 2u * 8u + i;
+                for (var k = 0u; k < min(16u, 16u * p.m); k++) {
+                    sums[i] += left[a.x + row * a.y + k * a.z] * right[b.x + k * b.y + column * b.z];
+                }
+            }
+            return sums;
+        }
+        fn store_lines(matrix: array<f32, 8>, at: u32, stride: u32) {
+            var values = matrix;
+            for (var i = 0u; i < 8u; i++) {
+                stage[at + lane_of_matrix / 2u * stride + lane_of_matrix % 2u * 8u + i] = values[i];
+            }
+        }";
+    let line = |line: &str| -> Option<String> {
+        let (before, call) = line.split_once("coopLoad").or_else(|| line.split_once("coopStoreT("))?;
+        let (matrix, place) = call.split_once('&')?;
+        let (at, stride) = place.split_once('[')?.1.rsplit_once("], ")?;
+        let stride = stride.trim_end_matches(");");
+        Some(match (line.contains("coopStore"), matrix.starts_with('T')) {
+            (true, _) => format!("{before}store_lines({matrix}{at}, {stride});"),
+            (_, true) => format!("{before}vec3<u32>({at}, {stride}, 1u);"),
+            (_, false) => format!("{before}vec3<u32>({at}, 1u, {stride});"),
+        })
+    };
+    let kept = text.lines().filter(|text| !text.starts_with("enable "));
+    let text: Vec<String> = kept.map(|text| line(text).unwrap_or_else(|| text.to_string())).collect();
+    let text =
+        text.join("\n").replace("coop_mat16x16<f32, C>", "array<f32, 8>").replace("coopMultiplyAdd", "multiply_add");
+    let lane = "let lane = thread % 32u;";
+    let text = text.replace("f16", "f32").replace(lane, &format!("{lane} lane_of_matrix = lane;"));
+    [&text, functions].concat()
+}
+
+/// The same numbers as in small tiles, but for their order in sums. The rounding to f16 alone is not tried.
+#[test]
+fn matrix_units_have_the_places_of_tiles() {
+    let gpu = gpu();
+    let (m, k, every) = (200, 40, 5);
+    for n in [64, 132] {
+        let parameters = (k + 8 + 1) * n;
+        let [a1, w, d, made] = [(m * k, 190), (parameters, 191), (m * n, 192), (m * k, 193)]
+            .map(|(count, seed)| gpu.storage(&numbers(count, 1.0, seed)));
+        let (a2, delta) = (gpu.storage(&numbers(m / every * 8, 1.0, 194)), gpu.storage(&numbers(m * n, 1.0, 195)));
+        let sizes = || params! { m, ldw: n }.rest_is_zero();
+        let inputs = || sizes().and(params! { n, k1: k, k2: 8usize, lda1: k, lda2: 8usize, every2: every, ldc: n });
+        let forward = inputs().and(params! { relu: true, ldx: n });
+        let back = sizes().and(params! { n: k, k1: n, lda1: n, every2: 1usize, w_from: 4 * n, ldc: k, ldx: k });
+        let weights = inputs().and(params! { part_rows: 112usize, parameters });
+        for (name, flags, params, buffers, columns, rows, parts, count) in [
+            ("product", &["SECOND", "DELTA"][..], forward, vec![&a1, &a2, &w], n, m, 1, m * n),
+            ("product_back", &["MASK", "OPEN"], back, vec![&d, &d, &w], k, m, 1, m * k),
+            ("weights", &["SECOND"], weights, vec![&a1, &a2, &d], n, k + 8, 2, 2 * parameters),
+        ] {
+            let [small, emulated] = [Tiles::Small, Tiles::Matrices].map(|tiles| {
+                let (tile, is_matrix) = (Tile::of(columns, tiles), tiles == Tiles::Matrices);
+                let (c, open) = (gpu.numbers(count), gpu.numbers(count));
+                let kernel = tile.kernel(name).with("F16", is_matrix).with(EMULATED, is_matrix);
+                let kernel = flags.iter().fold(kernel, |kernel, flag| kernel.with(flag, true));
+                let mut bound: Vec<(u32, &Buffer)> = (1..).zip(buffers.iter().copied()).chain([(4, &c)]).collect();
+                match name {
+                    "product" => bound.extend([(5, &delta), (6, &open)]),
+                    "product_back" => {
+                        bound.remove(1);
+                        bound.extend([(5, &made), (6, &open)]);
+                    }
+                    _ => {}
+                }
+                run(&gpu, kernel, params.clone(), &bound, tile.groups(rows, columns, parts));
+                [&c, &open].map(|buffer| gpu.read_f32(buffer, count).unwrap())
+            });
+            let wide = |values: &[f32]| values.iter().map(|x| f64::from(*x)).collect::<Vec<f64>>();
+            near(&format!("{name} by matrix units"), &emulated[0], &wide(&small[0]), 1e-6);
+            if name != "weights" {
+                near(&format!("{name} by matrix units, open"), &emulated[1], &wide(&small[1]), 1e-6);
+            }
+        }
+    }
+}
+
 /// A text of each kind as the templates write it, to be read. `AUGNERF_UPDATE_DOCS=1` writes the files anew.
 #[test]
 fn written_texts_are_those_of_the_files() {
