@@ -37,6 +37,8 @@ texts! {
     "resample": "resample";
     "add": "common", "add";
     "copy": "common", "copy";
+    "zero": "common", "zero";
+    "live": "live";
     "points": "common", "rays", "points";
     "frequency": "common", "waves", "frequency";
     "frequency_back": "common", "waves_back", "frequency_back";

@@ -26,7 +26,7 @@ var<workgroup> {{ tile.name }}: array<f16, {{ tile.numbers }}>;
 var<workgroup> stage: array<f32, 2560>;
 @compute @workgroup_size(256)
 fn main(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index) thread: u32) {
-    let row0 = group.y * {{ product.rows }}u; let col0 = group.x * {{ product.columns }}u; let part = group.z;
+    let row0 = group.y * {{ product.rows }}u; let col0 = group.x * {{ product.columns }}u; let part = group.z; let depth = depth_of(row0, part);
     let subgroup = thread / 32u; let lane = thread % 32u;
     let r0 = (subgroup / 2u) * 32u; let c0 = (subgroup % 2u) * {{ product.columns / 2 }}u;
     {%- for i in 0..2 %}{% for j in 0..across %}
@@ -37,7 +37,7 @@ fn main(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index
     var {{ tile.fetched }}{{ slot }} = vec4<f32>(0.0);
     {%- endfor %}{% endfor %}
     {%- call fetch("0u") %}{% endcall %}
-    for (var k0 = 0u; k0 < {{ product.depth }}; k0 += 32u) {
+    for (var k0 = 0u; k0 < depth; k0 += 32u) {
         {%- for tile in tiles %}{% for slot in 0..tile.slots() %}
         { {% call place(tile, slot) %}{% endcall %} let h = halves({{ tile.fetched }}{{ slot }}); let at = line * {{ tile.line }}u + place;
           {{ tile.name }}[at] = h.x; {{ tile.name }}[at + 1u] = h.y; {{ tile.name }}[at + 2u] = h.z; {{ tile.name }}[at + 3u] = h.w; }
@@ -46,7 +46,7 @@ fn main(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index
         sums += d{{ slot }};
         {%- endfor %}{% endfor %}{% endif %}
         workgroupBarrier();
-        if (k0 + 32u < {{ product.depth }}) {
+        if (k0 + 32u < depth) {
             {%- call fetch("k0 + 32u") %}{% endcall %}
         }
         {%- for k in (0..32).step_by(16) %}

@@ -43,7 +43,7 @@ var<workgroup> {{ tile.name }}: array<vec4<f32>, {{ tile.numbers }}>;
 @compute @workgroup_size({{ threads }})
 fn main(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index) thread: u32) {
     let across = {{ product.columns / side }}u; let ty = thread / across; let tx = thread % across;
-    let row0 = group.y * {{ product.rows }}u; let col0 = group.x * {{ product.columns }}u; let part = group.z;
+    let row0 = group.y * {{ product.rows }}u; let col0 = group.x * {{ product.columns }}u; let part = group.z; let depth = depth_of(row0, part);
     {%- for i in 0..side %}{% for q in 0..fours %}
     var s{{ i }}_{{ q }} = vec4<f32>(0.0);
     {%- endfor %}{% endfor %}
@@ -54,10 +54,10 @@ fn main(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index
     var {{ tile.fetched }}{{ slot }}_{{ j }} = vec4<f32>(0.0);
     {%- endfor %}{% endfor %}{% endfor %}
     {%- call fetch("0u") %}{% endcall %}
-    for (var k0 = 0u; k0 < {{ product.depth }}; k0 += 16u) {
+    for (var k0 = 0u; k0 < depth; k0 += 16u) {
         {%- call keep() %}{% endcall %}
         workgroupBarrier();
-        if (k0 + 16u < {{ product.depth }}) {
+        if (k0 + 16u < depth) {
             {%- call fetch("k0 + 16u") %}{% endcall %}
         }
         for (var k = 0u; k < 16u; k++) {

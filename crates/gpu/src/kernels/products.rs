@@ -24,7 +24,6 @@ struct Product {
     columns: usize,
     name: &'static str,
     has_jets: bool,
-    depth: &'static str,
 }
 
 /// A text in f32.
@@ -83,7 +82,6 @@ impl Product {
             columns: kernel.constant("COLUMNS"),
             name: kernel.name,
             has_jets: kernel.has("JETS"),
-            depth: if kernel.name == "weights" { "p.part_rows" } else { "(p.k1 + p.k2)" },
         }
     }
 

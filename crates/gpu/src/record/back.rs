@@ -4,17 +4,19 @@ use augnerf_nerf::perturb::PaperSite;
 use augnerf_nerf::settings::OutputPlace;
 use wgpu::Buffer;
 
+use crate::device;
 use crate::device::groups;
 use crate::kernels::Kernel;
 use crate::network::FieldBuffers;
 
 use super::products::{Matrix, Rows, Through};
+use super::scratch::LIVE_GROUP;
 use super::{GradientAt, PassAt, Recorder, Wanted};
 
 impl<'a> Recorder<'a> {
     /// Records the way back of the pass that was just recorded forward.
     pub(crate) fn back(&mut self, pass: &PassAt<'a>, wanted: Wanted) {
-        let rows = Rows::Samples(pass.points());
+        let rows = Rows::Live(pass.points());
         let of_tables = wanted.weights && self.shape.grid.is_some();
         let of_encoding = of_tables || wanted.points();
         self.activate_back(pass);
@@ -22,6 +24,7 @@ impl<'a> Recorder<'a> {
         if !(below || wanted.view) {
             return;
         }
+        self.list_live(pass, wanted, of_encoding);
         self.colour_back(pass, wanted, below);
         if below {
             let injection = pass.deltas.feature.map(|(_, layer)| layer);
@@ -61,9 +64,34 @@ impl<'a> Recorder<'a> {
         self.run(kernel, params, &buffers, groups(pass.points()));
     }
 
+    /// Lists the samples with a gradient, and makes 0 what all samples have of the way back: the others are not written.
+    fn list_live(&mut self, pass: &PassAt<'a>, wanted: Wanted, of_encoding: bool) {
+        let (shape, scratch, points) = (self.shape, self.scratch, pass.points());
+        let buffers = [(1, &scratch.d_raw), (2, &scratch.d_head), (3, &scratch.live_counts), (4, &scratch.live)];
+        for (lists, buffers) in [(false, &buffers[..3]), (true, &buffers[..])] {
+            let params = params! { points, columns: shape.width + 4 };
+            self.run(
+                Kernel::new("live").with("LIST", lists),
+                params,
+                buffers,
+                device::rows(points.div_ceil(LIVE_GROUP)),
+            );
+        }
+        for (is_wanted, buffer, columns) in [
+            (of_encoding, &scratch.d_encoded, shape.channels),
+            (wanted.feature, &scratch.d_feature, shape.width),
+            (wanted.view, &scratch.d_view, shape.view_channels),
+        ] {
+            if is_wanted {
+                let numbers = points * columns;
+                self.run(Kernel::new("zero"), params! { numbers }, &[(1, buffer)], groups(numbers));
+            }
+        }
+    }
+
     /// From the raw colour to the head, and to the encoding of view directions.
     fn colour_back(&mut self, pass: &PassAt<'a>, wanted: Wanted, below: bool) {
-        let (shape, scratch, rows) = (self.shape, self.scratch, Rows::Samples(pass.points()));
+        let (shape, scratch, rows) = (self.shape, self.scratch, Rows::Live(pass.points()));
         let mut d = Matrix::new(&scratch.d_raw, 4);
         let mut layer = shape.rgb;
         let mut next = 0;

@@ -21,6 +21,8 @@ const PART: usize = 512;
 pub(crate) enum Rows {
     /// A row a sample.
     Samples(usize),
+    /// The same on the way back, which leaves out those without a gradient.
+    Live(usize),
     /// Four rows a point: its value, and its derivatives along x, y and z. Layers are linear in derivatives, without
     /// biases, and the value's ReLU is that of its derivatives.
     Jets(usize),
@@ -33,7 +35,7 @@ impl Rows {
     /// Returns the number of rows.
     pub(super) fn count(self) -> usize {
         match self {
-            Rows::Samples(samples) => samples,
+            Rows::Samples(samples) | Rows::Live(samples) => samples,
             Rows::Jets(points) => 4 * points,
             Rows::JetsWithLaplacians(points) => 8 * points,
         }
@@ -42,12 +44,18 @@ impl Rows {
     /// Returns the number of samples or points.
     pub(super) fn points(self) -> usize {
         match self {
-            Rows::Samples(points) | Rows::Jets(points) | Rows::JetsWithLaplacians(points) => points,
+            Rows::Samples(points) | Rows::Live(points) | Rows::Jets(points) | Rows::JetsWithLaplacians(points) => {
+                points
+            }
         }
     }
 
     pub(super) fn are_jets(self) -> bool {
-        !matches!(self, Rows::Samples(_))
+        matches!(self, Rows::Jets(_) | Rows::JetsWithLaplacians(_))
+    }
+
+    fn are_live(self) -> bool {
+        matches!(self, Rows::Live(_))
     }
 
     /// Switches on what a kernel does with such rows.
@@ -112,7 +120,8 @@ impl<'a> Recorder<'a> {
     fn tiled(&self, name: &'static str, columns: usize, rows: Rows) -> (Tile, Kernel) {
         let tiles = if rows.are_jets() { self.jet_tiles } else { self.tiles };
         let tile = Tile::of(columns, tiles);
-        (tile, tile.kernel(name).with("F16", tile.in_f16).with("JETS", rows.are_jets()))
+        let kernel = tile.kernel(name).with("F16", tile.in_f16).with("JETS", rows.are_jets());
+        (tile, kernel.with("LIVE", rows.are_live()))
     }
 
     fn product_params(rows: Rows, n: usize, a: Matrix, second: Option<Matrix>) -> Params {
@@ -188,6 +197,7 @@ impl<'a> Recorder<'a> {
         let mut buffers = vec![(1, d.buffer), (3, &field.weights.values), (4, c.0)];
         buffers.extend(mask.map(|mask| (5, mask)));
         buffers.extend(open.map(|open| (6, open)));
+        buffers.extend(rows.are_live().then_some((7, &self.scratch.live)));
         self.product(kernel, params, &buffers, tile.groups(rows.count(), n, 1), [rows.count(), d.columns, n]);
     }
 
@@ -214,9 +224,10 @@ impl<'a> Recorder<'a> {
         let (parameters, to) = (self.shape.weights(), layer.offset + columns.start);
         let params = Recorder::product_params(rows, n, a, second);
         let params = params.and(params! { ldw: d.stride, w_from: columns.start, ldc: layer.outputs });
-        let params = params.and(params! { part_rows, parameters, to });
+        let params = params.and(params! { part_rows, parts, parameters, to });
         let mut buffers = vec![(1, a.buffer), (3, d.buffer), (4, &self.scratch.parts)];
         buffers.extend(second.map(|second| (2, second.buffer)));
+        buffers.extend(rows.are_live().then_some((7, &self.scratch.live)));
         self.product(kernel, params, &buffers, tile.groups(layer.inputs, n, parts), [layer.inputs, rows.count(), n]);
     }
 

@@ -7,6 +7,9 @@ use crate::network::Shape;
 
 use super::products::{most_parts, parts_of};
 
+/// Samples of which a group lists those with a gradient.
+pub(super) const LIVE_GROUP: usize = 256;
+
 /// Buffers of the samples of a chunk of rays, used by one pass after another.
 pub(crate) struct Scratch {
     pub(super) points: Buffer,
@@ -28,6 +31,9 @@ pub(crate) struct Scratch {
     pub(super) d_values: Buffer,
     pub(super) d_raw: Buffer,
     pub(super) d_head: Buffer,
+    /// The samples with a gradient: how many, and which.
+    pub(super) live: Buffer,
+    pub(super) live_counts: Buffer,
     pub(super) d_hidden: [Buffer; 2],
     pub(super) d_encoded: Buffer,
     pub(super) d_feature: Buffer,
@@ -55,7 +61,7 @@ impl Scratch {
             + 2 * (shape.width + 4)
             + shape.view.len() * shape.view_width
             + shape.view_channels
-            + 40;
+            + 42;
         4 * numbers
     }
 
@@ -86,6 +92,8 @@ impl Scratch {
             d_values: back(4 * n),
             d_raw: back(4 * n),
             d_head: back(n * (shape.width + 4)),
+            live: back(n + 1),
+            live_counts: back(n.div_ceil(LIVE_GROUP)),
             d_hidden: [back(hidden), back(hidden)],
             d_encoded: back(n * shape.channels),
             d_feature: back(n * shape.width),

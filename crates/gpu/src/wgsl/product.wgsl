@@ -9,6 +9,7 @@ struct Product {
     relu: u32,
     ldx: u32,
     part_rows: u32,             // rows of a part of a gradient
+    parts: u32,                 // number of such parts
     parameters: u32,            // numbers of a part
     to: u32,                    // the layer's first number in it
 }
@@ -19,6 +20,15 @@ struct Product {
 //#end
 @group(0) @binding(3) var<storage, read> w: array<vec4<f32>>;
 @group(0) @binding(4) var<storage, read_write> c: array<vec4<f32>>;
+
+//#if LIVE
+@group(0) @binding(7) var<storage, read> live: array<u32>;             // how many rows count, and which
+fn rows() -> u32 { return live[0]; }
+fn row_at(i: u32) -> u32 { return live[1u + i]; }
+//#else
+fn rows() -> u32 { return p.m; }
+fn row_at(i: u32) -> u32 { return i; }
+//#end
 
 // Four numbers of a row of A.
 fn a_four(row: u32, k: u32) -> vec4<f32> {

@@ -2,6 +2,7 @@
 @group(0) @binding(5) var<storage, read> x: array<vec4<f32>>;
 @group(0) @binding(6) var<storage, read_write> y: array<vec4<f32>>;
 //#end
+fn depth_of(row0: u32, part: u32) -> u32 { return p.k1 + p.k2; }
 // Along the depth.
 fn left_line(row: u32, k: u32, part: u32) -> vec4<f32> {
     if (row < p.m) { return a_four(row, k); }

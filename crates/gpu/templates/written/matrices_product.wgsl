@@ -11,6 +11,7 @@ struct Product {
     relu: u32,
     ldx: u32,
     part_rows: u32,             // rows of a part of a gradient
+    parts: u32,                 // number of such parts
     parameters: u32,            // numbers of a part
     to: u32,                    // the layer's first number in it
 }
@@ -19,11 +20,15 @@ struct Product {
 @group(0) @binding(3) var<storage, read> w: array<vec4<f32>>;
 @group(0) @binding(4) var<storage, read_write> c: array<vec4<f32>>;
 
+fn rows() -> u32 { return p.m; }
+fn row_at(i: u32) -> u32 { return i; }
+
 // Four numbers of a row of A.
 fn a_four(row: u32, k: u32) -> vec4<f32> {
     if (k < p.k1) { return a1[(row * p.lda1 + k) / 4u]; }
     return vec4<f32>(0.0);
 }
+fn depth_of(row0: u32, part: u32) -> u32 { return p.k1 + p.k2; }
 // Along the depth.
 fn left_line(row: u32, k: u32, part: u32) -> vec4<f32> {
     if (row < p.m) { return a_four(row, k); }
@@ -53,7 +58,7 @@ var<workgroup> right: array<f16, 2304>;
 var<workgroup> stage: array<f32, 2560>;
 @compute @workgroup_size(256)
 fn main(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index) thread: u32) {
-    let row0 = group.y * 128u; let col0 = group.x * 64u; let part = group.z;
+    let row0 = group.y * 128u; let col0 = group.x * 64u; let part = group.z; let depth = depth_of(row0, part);
     let subgroup = thread / 32u; let lane = thread % 32u;
     let r0 = (subgroup / 2u) * 32u; let c0 = (subgroup % 2u) * 32u;
     var s0_0 = coop_mat16x16<f32, C>();
@@ -73,7 +78,7 @@ fn main(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index
     { let line = (thread + 768u) / 8u; let place = 4u * ((thread + 768u) % 8u); a3 = left_line(row0 + line, 0u + place, part); }
     { let line = (thread + 0u) / 16u; let place = 4u * ((thread + 0u) % 16u); d0 = right_line(col0 + place, 0u + line, part); }
     { let line = (thread + 256u) / 16u; let place = 4u * ((thread + 256u) % 16u); d1 = right_line(col0 + place, 0u + line, part); }
-    for (var k0 = 0u; k0 < (p.k1 + p.k2); k0 += 32u) {
+    for (var k0 = 0u; k0 < depth; k0 += 32u) {
         { let line = (thread + 0u) / 8u; let place = 4u * ((thread + 0u) % 8u); let h = halves(a0); let at = line * 40u + place;
           left[at] = h.x; left[at + 1u] = h.y; left[at + 2u] = h.z; left[at + 3u] = h.w; }
         { let line = (thread + 256u) / 8u; let place = 4u * ((thread + 256u) % 8u); let h = halves(a1); let at = line * 40u + place;
@@ -87,7 +92,7 @@ fn main(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index
         { let line = (thread + 256u) / 16u; let place = 4u * ((thread + 256u) % 16u); let h = halves(d1); let at = line * 72u + place;
           right[at] = h.x; right[at + 1u] = h.y; right[at + 2u] = h.z; right[at + 3u] = h.w; }
         workgroupBarrier();
-        if (k0 + 32u < (p.k1 + p.k2)) {
+        if (k0 + 32u < depth) {
     { let line = (thread + 0u) / 8u; let place = 4u * ((thread + 0u) % 8u); a0 = left_line(row0 + line, k0 + 32u + place, part); }
     { let line = (thread + 256u) / 8u; let place = 4u * ((thread + 256u) % 8u); a1 = left_line(row0 + line, k0 + 32u + place, part); }
     { let line = (thread + 512u) / 8u; let place = 4u * ((thread + 512u) % 8u); a2 = left_line(row0 + line, k0 + 32u + place, part); }

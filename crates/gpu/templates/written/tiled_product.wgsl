@@ -9,6 +9,7 @@ struct Product {
     relu: u32,
     ldx: u32,
     part_rows: u32,             // rows of a part of a gradient
+    parts: u32,                 // number of such parts
     parameters: u32,            // numbers of a part
     to: u32,                    // the layer's first number in it
 }
@@ -17,11 +18,15 @@ struct Product {
 @group(0) @binding(3) var<storage, read> w: array<vec4<f32>>;
 @group(0) @binding(4) var<storage, read_write> c: array<vec4<f32>>;
 
+fn rows() -> u32 { return p.m; }
+fn row_at(i: u32) -> u32 { return i; }
+
 // Four numbers of a row of A.
 fn a_four(row: u32, k: u32) -> vec4<f32> {
     if (k < p.k1) { return a1[(row * p.lda1 + k) / 4u]; }
     return vec4<f32>(0.0);
 }
+fn depth_of(row0: u32, part: u32) -> u32 { return p.k1 + p.k2; }
 // Along the depth.
 fn left_line(row: u32, k: u32, part: u32) -> vec4<f32> {
     if (row < p.m) { return a_four(row, k); }
@@ -45,7 +50,7 @@ var<workgroup> right: array<vec4<f32>, 272>;
 @compute @workgroup_size(256)
 fn main(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index) thread: u32) {
     let across = 16u; let ty = thread / across; let tx = thread % across;
-    let row0 = group.y * 64u; let col0 = group.x * 64u; let part = group.z;
+    let row0 = group.y * 64u; let col0 = group.x * 64u; let part = group.z; let depth = depth_of(row0, part);
     var s0_0 = vec4<f32>(0.0);
     var s1_0 = vec4<f32>(0.0);
     var s2_0 = vec4<f32>(0.0);
@@ -70,7 +75,7 @@ fn main(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index
     
     d0_0 = right_line(col0 + 4u * at + 0u, 0u + k, part);
 }
-    for (var k0 = 0u; k0 < (p.k1 + p.k2); k0 += 16u) {
+    for (var k0 = 0u; k0 < depth; k0 += 16u) {
 {
     if ((thread + 0u) < 64u) {
     let k = 4u * ((thread + 0u) % 4u); let at = (thread + 0u) / 4u;
@@ -87,7 +92,7 @@ fn main(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index
     right[k * 17u + at] = d0_0;
 }
         workgroupBarrier();
-        if (k0 + 16u < (p.k1 + p.k2)) {
+        if (k0 + 16u < depth) {
 {
     if ((thread + 0u) < 64u) {
     let k = 4u * ((thread + 0u) % 4u); let at = (thread + 0u) / 4u;

@@ -27,7 +27,7 @@ fn products() {
         near(&format!("product, {n} columns"), &gpu.read_f32(&c, m * n).unwrap(), &flat(&expected), 1e-6);
         let tile = Tile::of(k, Tiles::Small);
         let (c, size) = (of(m * k), tile.groups(m, k, 1));
-        let rest = params! { m, n: k, k1: n, k2: 0usize, lda1: n, lda2: 1usize, every2: 1usize, ldw: n, w_from: 0usize, ldc: k, c_from: 0usize, relu: 0usize, ldx: k, part_rows: 0usize, parameters: 0usize, to: 0usize };
+        let rest = params! { m, n: k, k1: n, lda1: n, every2: 1usize, ldw: n, ldc: k, ldx: k }.rest_is_zero();
         run(&gpu, tile.kernel("product_back"), rest, &[(1, &d_buffer), (3, &w_buffer), (4, &c)], size);
         let expected = d.matmul(&weights.t().unwrap()).unwrap();
         near(&format!("product_back, {n} columns"), &gpu.read_f32(&c, m * k).unwrap(), &flat(&expected), 1e-6);
@@ -88,7 +88,8 @@ fn products_by_matrix_units_compile() {
             let kernel = Tile::of(columns, Tiles::Matrices).kernel(name).with("F16", true);
             assert!(compile(&kernel) > 1000);
             let of_two = kernel.with("SECOND", true).with("DELTA", name == "product").with("MASK", name != "product");
-            assert!(compile(&of_two.with("OPEN", true).with("ADD", true)) > 1000);
+            let is_back = name != "product";
+            assert!(compile(&of_two.with("OPEN", is_back).with("ADD", is_back).with("LIVE", is_back)) > 1000);
         }
     }
 }
@@ -97,18 +98,19 @@ fn products_by_matrix_units_compile() {
 fn tiles_of_f32_are_translated() {
     for (name, flags) in [
         ("product", &["SECOND", "DELTA", "JETS"][..]),
-        ("product_back", &["MASK", "ADD", "OPEN", "JETS"]),
-        ("weights", &["SECOND", "JETS"]),
+        ("product_back", &["MASK", "ADD", "OPEN", "LIVE", "JETS"]),
+        ("weights", &["SECOND", "LIVE", "JETS"]),
     ] {
         for (columns, tiles) in [4, 16, 32, 64].map(|n| (n, Tiles::Small)).into_iter().chain([(256, Tiles::Large)]) {
             let kernel = Tile::of(columns, tiles).kernel(name);
             assert!(compile(&kernel) > 1000);
-            // Deltas are of samples, not of jets.
+            // Deltas and lists are of samples, not of jets.
             let of = |left_out: &str| {
                 let on = flags.iter().filter(|flag| **flag != left_out);
                 on.fold(kernel.clone(), |kernel, flag| kernel.with(flag, true))
             };
-            assert!(compile(&of("JETS")) > 1000 && compile(&of("DELTA")) > 1000);
+            assert!(compile(&of("JETS")) > 1000 && compile(&of("LIVE")) > 1000 || name == "product");
+            assert!(compile(&of("DELTA")) > 1000 || name != "product");
         }
     }
 }
@@ -173,11 +175,15 @@ fn matrix_units_have_the_places_of_tiles() {
         let inputs = || sizes().and(params! { n, k1: k, k2: 8usize, lda1: k, lda2: 8usize, every2: every, ldc: n });
         let forward = inputs().and(params! { relu: true, ldx: n });
         let back = sizes().and(params! { n: k, k1: n, lda1: n, every2: 1usize, w_from: 4 * n, ldc: k, ldx: k });
-        let weights = inputs().and(params! { part_rows: 112usize, parameters });
+        let weights = inputs().and(params! { part_rows: 112usize, parts: 2usize, parameters });
+        // Two of three rows have a gradient.
+        let rows: Vec<u32> = (0..m as u32).filter(|row| row % 3 != 1).collect();
+        let live = gpu.numbers(m + 1);
+        gpu.write(&live, bytemuck::cast_slice(&[&[rows.len() as u32], &rows[..]].concat()));
         for (name, flags, params, buffers, columns, rows, parts, count) in [
             ("product", &["SECOND", "DELTA"][..], forward, vec![&a1, &a2, &w], n, m, 1, m * n),
-            ("product_back", &["MASK", "OPEN"], back, vec![&d, &d, &w], k, m, 1, m * k),
-            ("weights", &["SECOND"], weights, vec![&a1, &a2, &d], n, k + 8, 2, 2 * parameters),
+            ("product_back", &["MASK", "OPEN", "LIVE"], back, vec![&d, &d, &w], k, m, 1, m * k),
+            ("weights", &["SECOND", "LIVE"], weights, vec![&a1, &a2, &d], n, k + 8, 2, 2 * parameters),
         ] {
             let [small, emulated] = [Tiles::Small, Tiles::Matrices].map(|tiles| {
                 let (tile, is_matrix) = (Tile::of(columns, tiles), tiles == Tiles::Matrices);
@@ -189,9 +195,9 @@ fn matrix_units_have_the_places_of_tiles() {
                     "product" => bound.extend([(5, &delta), (6, &open)]),
                     "product_back" => {
                         bound.remove(1);
-                        bound.extend([(5, &made), (6, &open)]);
+                        bound.extend([(5, &made), (6, &open), (7, &live)]);
                     }
-                    _ => {}
+                    _ => bound.push((7, &live)),
                 }
                 run(&gpu, kernel, params.clone(), &bound, tile.groups(rows, columns, parts));
                 [&c, &open].map(|buffer| gpu.read_f32(buffer, count).unwrap())
@@ -306,6 +312,59 @@ fn products_in_parts() {
     }
 }
 
+/// What rows without a gradient are left out of: the same as products of gradients that are 0 there.
+#[test]
+fn products_of_rows_with_a_gradient() {
+    let gpu = gpu();
+    let (m, k, n, parts) = (300, 24, 64, 3);
+    let (points, columns) = (m, 12);
+    let is_live = |row: usize| row % 7 < 2 || row > 270;
+    // Raw colours and densities: some rows have one alone that counts, and one of them is not a number.
+    let (mut d_raw, mut d_head) = (vec![0f32; 4 * m], vec![0f32; columns * m]);
+    for row in (0..m).filter(|row| is_live(*row)) {
+        match row % 4 {
+            3 => d_head[columns * row + columns - 4] = 0.5,
+            channel => d_raw[4 * row + channel] = if row == 280 { f32::NAN } else { -1e-30 },
+        }
+    }
+    let groups_of = crate::device::rows(m.div_ceil(256));
+    let (live, counts) = (gpu.numbers(m + 1), gpu.numbers(2));
+    let (d_raw, d_head) = (gpu.storage(&d_raw), gpu.storage(&d_head));
+    let buffers = [(1, &d_raw), (2, &d_head), (3, &counts), (4, &live)];
+    run(&gpu, Kernel::new("live"), params! { points, columns }, &buffers[..3], groups_of);
+    run(&gpu, Kernel::new("live").with("LIST", true), params! { points, columns }, &buffers, groups_of);
+    let expected: Vec<u32> = (0..m as u32).filter(|row| is_live(*row as usize)).collect();
+    let found: Vec<u32> = bytemuck::pod_collect_to_vec(&gpu.read(&[&live]).unwrap()[0]);
+    assert_eq!((found[0] as usize, &found[1..=expected.len()]), (expected.len(), &expected[..]));
+
+    let (a, w, mut d) = (numbers(m * k, 1.0, 196), numbers((k + 1) * n, 1.0, 197), numbers(m * n, 1.0, 198));
+    let written = gpu.storage(&d);
+    (0..m).filter(|row| !is_live(*row)).for_each(|row| d[n * row..][..n].fill(0.0));
+    let [a_buffer, w_buffer] = [&a, &w].map(|values| gpu.storage(values));
+    let sizes = || params! { m, ldw: n, every2: 1usize }.rest_is_zero();
+    let c = gpu.numbers(m * k);
+    run(&gpu, Kernel::new("zero"), params! { numbers: m * k }, &[(1, &c)], groups(m * k));
+    let tile = Tile::of(k, Tiles::Small);
+    let params = sizes().and(params! { n: k, k1: n, lda1: n, ldc: k, ldx: k });
+    let buffers = [(1, &written), (3, &w_buffer), (4, &c), (7, &live)];
+    run(&gpu, tile.kernel("product_back").with("LIVE", true), params, &buffers, tile.groups(m, k, 1));
+    let (a, d) = (wide(&a, &[m, k]), wide(&d, &[m, n]));
+    let weights = wide(&w, &[k + 1, n]).narrow(0, 0, k).unwrap();
+    let expected = flat(&d.matmul(&weights.t().unwrap()).unwrap());
+    near("product_back, live", &gpu.read_f32(&c, m * k).unwrap(), &expected, 1e-6);
+
+    let (tile, parameters) = (Tile::of(n, Tiles::Small), (k + 1) * n);
+    let (of_parts, sum) = (gpu.numbers(parts * parameters), gpu.numbers(parameters));
+    let params = sizes().and(params! { n, k1: k, lda1: k, ldc: n, part_rows: 112usize, parts, parameters });
+    let buffers = [(1, &a_buffer), (3, &written), (4, &of_parts), (7, &live)];
+    run(&gpu, tile.kernel("weights").with("LIVE", true), params, &buffers, tile.groups(k, n, parts));
+    let reduce = params! { numbers: parameters, parts, of_part: parameters };
+    run(&gpu, Kernel::new("reduce"), reduce, &[(1, &of_parts), (2, &sum)], groups(parameters));
+    let of_weights = a.t().unwrap().matmul(&d).unwrap();
+    let expected = flat(&Tensor::cat(&[&of_weights, &d.sum_keepdim(0).unwrap()], 0).unwrap());
+    near("weights, live", &gpu.read_f32(&sum, parameters).unwrap(), &expected, 1e-6);
+}
+
 /// Four rows a point: its value, and three derivatives, which have no bias and the value's ReLU.
 #[test]
 fn products_of_jets() {
@@ -340,7 +399,7 @@ fn products_of_jets() {
         let (next, back) = (numbers(n * n, 1.0, 183), gpu.numbers(m * n));
         let next_buffer = gpu.storage(&next);
         let kernel = tile.kernel("product_back").with("JETS", true).with("MASK", true);
-        let rest = params! { m, n, k1: n, k2: 0usize, lda1: n, lda2: 1usize, every2: 1usize, ldw: n, w_from: 0usize, ldc: n, c_from: 0usize, relu: 0usize, ldx: n, part_rows: 0usize, parameters: 0usize, to: 0usize };
+        let rest = params! { m, n, k1: n, lda1: n, every2: 1usize, ldw: n, ldc: n, ldx: n }.rest_is_zero();
         run(&gpu, kernel, rest, &[(1, &d_buffer), (3, &next_buffer), (4, &back), (5, &c)], size);
         let plain = flat(&d.matmul(&wide(&next, &[n, n]).t().unwrap()).unwrap());
         let masked = |i: usize| if value(i / n, i % n) > 0.0 { plain[i] } else { 0.0 };
