@@ -148,7 +148,7 @@ trainings() {
   done
   # FreeNeRF's settings and its field, from few views.
   try 60 3-fern-freenerf ./augnerf train --data fern --preset fast --device gpu --out "$out/fern-freenerf" $small \
-    --set data.train_views="3 even" --set regularizer.kind=occlusion --set field.frequency_steps=900
+    --set data.train_views="3 even" --set regularizer.kind=occlusion --set field.frequency_steps=$opening
   try 30 3-builtin-mesh ./augnerf mesh "$out/builtin-nerf" --device gpu --resolution $resolution $surface --picture "$out/builtin-mesh.png"
   try 30 3-builtin-measure ./augnerf eval --smoothness "$out/builtin-nerf" --device gpu
   [[ -x augnerf-cuda ]] && try 30 3-builtin-cuda ./augnerf-cuda train --device cuda --out "$out/builtin-cuda" --set train.steps=50 \
@@ -172,10 +172,10 @@ paper() {
 }
 
 # Sizes of the day, and of its rehearsal.
-rays=1024 steps=20 network_steps=${NETWORK_STEPS:-1000} resolution=256 log_every=200 slower=1 small="" small_paper="" surface=""
+rays=1024 steps=20 network_steps=${NETWORK_STEPS:-1000} resolution=256 log_every=200 slower=1 opening=900 small="" small_paper="" surface=""
 
 rehearse() {
-  rays=8 steps=1 network_steps=2 resolution=24 log_every=1 slower=4 surface="--threshold 0.3"
+  rays=8 steps=1 network_steps=2 resolution=24 log_every=1 slower=4 opening=10 surface="--threshold 0.3"
   small="--set train.rays=32 --set train.steps=20 --set train.decay_steps=20 --set data.width=32"
   small_paper="--set train.rays=4 --set data.width=32 --set field.width=32"
   WITHOUT_PEERS="nerf aug-nerf" MOST_SECONDS=${MOST_SECONDS:-900} run "$1"
