@@ -123,6 +123,16 @@ fn devices_are_listed_and_timed() {
     let timed = place.printed("bench --device gpu --rays 64 --coarse 8 --fine 8 --width 32 --steps 1");
     let timed: Value = serde_json::from_str(&timed).unwrap();
     assert!(timed["device"] == "gpu" && timed["seconds_per_step"].as_f64().unwrap() > 0.0, "{timed}");
+    // The processor's products have no rows of padding or without a gradient.
+    let on_cpu = place.printed("bench --rays 64 --coarse 8 --fine 8 --width 32 --steps 1");
+    let on_cpu: Value = serde_json::from_str(&on_cpu).unwrap();
+    let multiply_adds = |timed: &Value| timed["multiply_adds_per_step"].as_f64().unwrap();
+    let ratio = multiply_adds(&timed) / multiply_adds(&on_cpu);
+    assert!((1.0..1.5).contains(&ratio), "{timed} {on_cpu}");
+    assert!(
+        timed["dispatches_per_step"].as_u64().unwrap() > 50 && timed["product_bytes_per_step"].as_u64() > Some(1 << 20)
+    );
+    assert!(timed["gemm_peak_gflops"].is_null() && on_cpu["dispatches_per_step"].is_null(), "{timed} {on_cpu}");
 }
 
 #[test]

@@ -22,6 +22,7 @@ LATER += ["core", "precision", "instructions", "train_views"]
 LATER += [f"{kind}_{metric}" for kind in ("train", "gap") for metric in ("ssim", "lpips_alex", "lpips_vgg", "lpips_squeeze")]
 LATER += ["train_psnr", "gap", "depth_mae_common", "depth_rmse_common", "depth_left_out_common"]
 LATER += ["published_lpips", "published_average"]
+LATER += ["dispatches_per_step", "product_bytes_per_step"]
 LATER += ["view_depth", "view_width", "adam", "hash_grid", "inactive_by", "table_bytes_per_step"]
 # Columns whose meaning changed with a later column: skipped if only one side has the later one.
 REDEFINED = {"inactive_levels": "step_over_radius"}
@@ -66,6 +67,7 @@ class Normaliser:
 
     def __init__(self, revisions, workplaces):
         names = b"|".join(re.escape(revision.encode()) for revision in revisions)
+        # In a CSV file an h keeps spreadsheets from reading a revision as a number.
         self.revision = re.compile(rb"\bh?(" + names + rb")(-dirty)?\b")
         self.workplace = re.compile(b"|".join(re.escape(str(place).encode()) for place in workplaces))
 

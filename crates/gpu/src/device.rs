@@ -3,7 +3,7 @@
 use std::collections::HashMap;
 use std::ffi::OsString;
 use std::fmt;
-use std::sync::{Arc, Mutex, OnceLock, PoisonError, mpsc};
+use std::sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError, mpsc};
 use std::time::Duration;
 
 use augnerf_base::{Error, Result};
@@ -361,10 +361,7 @@ impl Gpu {
     /// Returns the words of a kernel's parameters at a binding.
     pub(crate) fn words(&self, kernel: &Kernel, binding: u32, params: &Params) -> Vec<u32> {
         let (_, layouts) = self.compiled(kernel);
-        let layout = layouts.get(&binding);
-        layout
-            .unwrap_or_else(|| panic!("kernel {} has no parameters at {binding}", kernel.name))
-            .words(kernel.name, params)
+        layouts[&binding].words(kernel.name, params)
     }
 
     /// Records a dispatch of so many groups with its parameters at binding 0, and these buffers at theirs.
@@ -375,8 +372,8 @@ impl Gpu {
         buffers: &[(u32, &Buffer)],
         size: [u32; 3],
     ) -> Dispatch {
-        let (pipeline, _) = self.compiled(kernel);
-        let uniform = self.uniform(&self.words(kernel, 0, params));
+        let (pipeline, layouts) = self.compiled(kernel);
+        let uniform = self.uniform(&layouts[&0].words(kernel.name, params));
         let bound = std::iter::once((0, &uniform)).chain(buffers.iter().copied());
         let entries: Vec<BindGroupEntry> =
             bound.map(|(binding, buffer)| BindGroupEntry { binding, resource: buffer.as_entire_binding() }).collect();
@@ -392,15 +389,14 @@ impl Gpu {
 
     /// Submits dispatches in their order, in several submissions if they are many: drivers end one that takes seconds.
     pub(crate) fn submit<'a>(&self, work: impl IntoIterator<Item = &'a Dispatch>) {
-        let (mut work, mut done) =
-            (work.into_iter().peekable(), self.0.work.lock().unwrap_or_else(PoisonError::into_inner));
-        while work.peek().is_some() {
+        let (mut dispatches, mut done) = (work.into_iter().peekable(), Work::default());
+        while dispatches.peek().is_some() {
             let mut encoder = self.encoder();
             {
                 let mut pass = encoder.begin_compute_pass(&ComputePassDescriptor::default());
                 let mut groups = 0;
                 while groups < AT_ONCE
-                    && let Some(Dispatch { pipeline, group, size: [x, y, z], work }) = work.next()
+                    && let Some(Dispatch { pipeline, group, size: [x, y, z], work }) = dispatches.next()
                 {
                     done.add(*work);
                     pass.set_pipeline(pipeline);
@@ -411,11 +407,12 @@ impl Gpu {
             }
             self.0.queue.submit([encoder.finish()]);
         }
+        self.counted().add(done);
     }
 
     /// Returns what was submitted so far.
-    pub(crate) fn counted(&self) -> Work {
-        *self.0.work.lock().unwrap_or_else(PoisonError::into_inner)
+    pub(crate) fn counted(&self) -> MutexGuard<'_, Work> {
+        self.0.work.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
     /// Copies complete buffers, one after another, into another one, after the work that was submitted.

@@ -40,7 +40,7 @@ impl Accelerator for Gpu {
     }
 
     fn work(&self) -> Work {
-        self.counted()
+        *self.counted()
     }
 
     fn synchronize(&self) -> Result<()> {

@@ -126,10 +126,12 @@ impl Layout {
     /// Returns the words of a kernel's parameters.
     ///
     /// # Panics
-    /// A value is none of the struct's, or is missing, or has another type.
+    /// A value is none of the struct's, or comes twice, or has another type, or is missing where no [rest is 0](Params::rest_is_zero).
     pub(crate) fn words(&self, kernel: &str, params: &Params) -> Vec<u32> {
         let mut words = vec![0; self.words];
-        for (name, value) in &params.values {
+        for (i, (name, value)) in params.values.iter().enumerate() {
+            let is_new = params.values[..i].iter().all(|(known, _)| known != name);
+            assert!(is_new, "parameter {name} of kernel {kernel} comes twice");
             let found = self.members.iter().find(|member| member.name == *name);
             let Member { first, count, is_float, .. } =
                 found.unwrap_or_else(|| panic!("kernel {kernel} has no parameter {name}"));
@@ -191,6 +193,12 @@ mod tests {
     #[should_panic(expected = "parameter near of kernel some has another type")]
     fn other_types_are_refused() {
         words(params! { near: 7usize }.rest_is_zero());
+    }
+
+    #[test]
+    #[should_panic(expected = "parameter near of kernel some comes twice")]
+    fn values_come_once() {
+        words(params! { near: 1.0 }.and(params! { near: 2.0 }));
     }
 
     #[test]

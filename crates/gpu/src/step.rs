@@ -15,6 +15,7 @@ use crate::device::{Dispatch, Gpu, groups, rows};
 use crate::kernels::Kernel;
 use crate::limits::{check_on, rays_of_chunk};
 use crate::network::{FieldBuffers, Learned, Shape};
+use crate::params::{Layout, layouts};
 use crate::rays::{bins, of_batch};
 use crate::record::{FIXED_SCALE, Integrand, Recorder, SpaceAt};
 use crate::sets::PassSets;
@@ -56,6 +57,8 @@ pub struct Steps {
     roles: Vec<&'static str>,
     sets: [Option<PassSets>; 2],
     buffers: StepBuffers,
+    /// The struct of what changes from step to step.
+    now: Layout,
     /// The work of a step, and that of a step with diagnostics.
     plain: Vec<Dispatch>,
     logged: Option<Vec<Dispatch>>,
@@ -122,6 +125,7 @@ impl Steps {
             roles: fields.by_role().map(|(role, _)| role).collect(),
             sets,
             buffers,
+            now: layouts(&Kernel::new("adam_weights").text()).remove(&1).expect("it reads them"),
             plain: Vec::new(),
             logged: None,
             update: Vec::new(),
@@ -196,10 +200,10 @@ impl Steps {
         let train = &self.config.train;
         let [correction1, correction2] = [BETA1, train.adam_beta2].map(|beta| 1.0 - beta.powf(updates as f64));
         let halves = |value: u64| [value as u32, (value >> 32) as u32].map(|half| half as usize);
-        let (rate, adam) = (learning_rate / correction1, Kernel::new("adam_weights"));
+        let rate = learning_rate / correction1;
         let now = params! { seed: halves(self.config.seed), step: halves(step), rate, correction2, learning_rate };
         let rays = of_batch(&self.batches.batch(step), has_tangents(&self.config));
-        self.gpu.write(&self.buffers.now, bytemuck::cast_slice(&self.gpu.words(&adam, 1, &now)));
+        self.gpu.write(&self.buffers.now, bytemuck::cast_slice(&self.now.words("adam_weights", &now)));
         self.gpu.write(&self.buffers.rays, bytemuck::cast_slice(&rays));
         if let Some(space) = &self.buffers.space {
             space.send(&self.gpu, &self.config, step)?;

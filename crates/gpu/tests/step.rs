@@ -190,6 +190,7 @@ steps! {
         "regularizer.weight=[0.1,0.1]";
     aug_mip_nerf: "method=aug-mip-nerf", "perturb.attack=calibrated";
     aug_mip_nerf_paper: "method=aug-mip-nerf", "perturb.attack=paper", "perturb.geometry=paper";
+    aug_with_relu: "method=aug-nerf", "perturb.attack=calibrated", "field.density_activation=relu";
     aug_with_tv: "method=aug-nerf", "perturb.attack=calibrated", "regularizer.kind=tv", "regularizer.weight=0.1";
     aug: "method=aug-nerf", "perturb.attack=calibrated";
     aug_paper: "method=aug-nerf", "perturb.attack=paper";

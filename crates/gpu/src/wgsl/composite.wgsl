@@ -18,7 +18,8 @@ struct Composite {
 @group(0) @binding(5) var<storage, read_write> out: array<f32>;
 //#if BACK
 @group(0) @binding(6) var<storage, read_write> before: array<f32>;     // [points] transmittance
-@group(0) @binding(7) var<storage, read_write> d_values: array<f32>;   // [points, 4]
+// [points, 4]; between two loops, density's place has the gradient of the weight
+@group(0) @binding(7) var<storage, read_write> d_values: array<f32>;
 @group(0) @binding(8) var<storage, read_write> d_t: array<f32>;        // [rays, columns]
 //#end
 const LAST_INTERVAL: f32 = 1e10;
@@ -197,13 +198,10 @@ fn main(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index
         if (j > run.x) { d_t[at + 1u] += d_gap; } else { last_d_gap = d_gap; }
         d_t[at] = -d_gap;
     }
-    // The last position of a run is the first of the next one, or the ray's last.
-    storageBarrier();
-    if (run.x < run.y) {
-        let at = ray * p.columns + run.y;
-        if (run.y < p.samples) { d_t[at] += last_d_gap; } else if (p.columns > p.samples) { d_t[at] = last_d_gap; }
-    }
-    let terms = total(thread, vec4<f32>(spread, occluded, sparsity, 0.0));
+    let terms = total(thread, vec4<f32>(spread, occluded, sparsity, last_d_gap));
+    // The position behind a run is the next one's first, or the ray's last.
+    if (thread > 0u && run.x < run.y) { d_t[ray * p.columns + run.x] += of_threads[thread - 1u].w; }
+    if (p.columns > p.samples && run.x < run.y && run.y == p.samples) { d_t[ray * p.columns + run.y] = last_d_gap; }
     if (thread == 0u) {
         //#if DISTORTION
         out[OUT * all + 7u] = terms.x;

@@ -29,6 +29,7 @@ fn row_at(i: u32) -> u32 { return live[1u + i]; }
 fn rows() -> u32 { return p.m; }
 fn row_at(i: u32) -> u32 { return i; }
 //#end
+var<private> row_count: u32;
 
 // Four numbers of a row of A.
 fn a_four(row: u32, k: u32) -> vec4<f32> {

@@ -4,11 +4,14 @@
 //#if OPEN
 @group(0) @binding(6) var<storage, read_write> y: array<vec4<f32>>;
 //#end
-// Tiles without a row that counts have none.
-fn depth_of(row0: u32, part: u32) -> u32 { return select(0u, p.k1, row0 < rows()); }
+// Tiles without a row that counts have none. Also keeps the number of rows for what fetches.
+fn depth_of(row0: u32, part: u32) -> u32 {
+    row_count = rows();
+    return select(0u, p.k1, row0 < rows());
+}
 // Along the depth.
 fn left_line(i: u32, k: u32, part: u32) -> vec4<f32> {
-    if (i < rows()) { return a_four(row_at(i), k); }
+    if (i < row_count) { return a_four(row_at(i), k); }
     return vec4<f32>(0.0);
 }
 // Along the depth: a row of W is a column of its transpose.
@@ -17,7 +20,7 @@ fn right_line(col: u32, k: u32, part: u32) -> vec4<f32> {
     return vec4<f32>(0.0);
 }
 fn store_four(i: u32, col: u32, four: vec4<f32>, part: u32) {
-    if (i >= rows() || col >= p.n) { return; }
+    if (i >= row_count || col >= p.n) { return; }
     let row = row_at(i);
     let at = (p.c_from + row * p.ldc + col) / 4u;
     var value = four;

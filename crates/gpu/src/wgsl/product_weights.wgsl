@@ -1,20 +1,24 @@
 // Rows of A and D are the depth here: `k` of a part. Both along their columns.
 var<private> part_rows: u32;
+// Also keeps it, with the number of rows, for what fetches.
 fn depth_of(row0: u32, part: u32) -> u32 {
-    part_rows = p.part_rows;
     //#if LIVE
-    part_rows = ((rows() + p.parts - 1u) / p.parts + 15u) / 16u * 16u;
+    let depth = ((rows() + p.parts - 1u) / p.parts + 15u) / 16u * 16u;
+    //#else
+    let depth = p.part_rows;
     //#end
-    return part_rows;
+    part_rows = depth;
+    row_count = rows();
+    return depth;
 }
 fn left_line(col: u32, k: u32, part: u32) -> vec4<f32> {
     let i = part * part_rows + k;
-    if (i < rows() && k < part_rows) { return a_four(row_at(i), col); }
+    if (i < row_count && k < part_rows) { return a_four(row_at(i), col); }
     return vec4<f32>(0.0);
 }
 fn right_line(col: u32, k: u32, part: u32) -> vec4<f32> {
     let i = part * part_rows + k;
-    if (i < rows() && k < part_rows && col < p.n) { return w[(p.w_from + row_at(i) * p.ldw + col) / 4u]; }
+    if (i < row_count && k < part_rows && col < p.n) { return w[(p.w_from + row_at(i) * p.ldw + col) / 4u]; }
     return vec4<f32>(0.0);
 }
 fn store_four(row: u32, col: u32, four: vec4<f32>, part: u32) {

@@ -20,6 +20,7 @@ struct Product {
 
 fn rows() -> u32 { return p.m; }
 fn row_at(i: u32) -> u32 { return i; }
+var<private> row_count: u32;
 
 // Four numbers of a row of A.
 fn a_four(row: u32, k: u32) -> vec4<f32> {
