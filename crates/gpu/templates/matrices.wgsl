@@ -2,12 +2,12 @@
     the columns. -#}
 {%- macro place(tile, slot) %}
     {%- let index = format!("(thread + {}u)", slot * tile.threads) -%}
-    let line = {{ index }} / {{ tile.fours }}u; let place = 4u * ({{ index }} % {{ tile.fours }}u);
+    let line = {{ index }} / {{ tile.fours }}u; let four = {{ index }} % {{ tile.fours }}u;
 {%- endmacro -%}
 {%- macro fetch(depth) %}
 {%- for tile in tiles %}{% for slot in 0..tile.slots() %}
     { {% call place(tile, slot) %}{% endcall %} {{ tile.fetched }}{{ slot }} = {{ tile.name }}_line(
-    {%- if tile.along_depth %}{{ tile.first }} + line, {{ depth }} + place{% else %}{{ tile.first }} + place, {{ depth }} + line{% endif %}, part); }
+    {%- if tile.along_depth %}{{ tile.first }} + line, {{ depth }} + 4u * four{% else %}{{ tile.first }} + 4u * four, {{ depth }} + line{% endif %}, part); }
 {%- endfor %}{% endfor %}
 {%- endmacro -%}
 enable f16;
@@ -20,7 +20,7 @@ fn halves(four: vec4<f32>) -> vec4<f16> {
     return vec4<f16>(select(four, within, abs(four) > vec4<f32>(65504.0)));
 }
 {%- for tile in tiles %}
-var<workgroup> {{ tile.name }}: array<f16, {{ tile.numbers }}>;
+var<workgroup> {{ tile.name }}: array<vec4<f16>, {{ tile.numbers }}>;
 {%- endfor %}
 {#- A matrix of each subgroup, or the threads' sums of D. #}
 var<workgroup> stage: array<f32, 2560>;
@@ -39,8 +39,7 @@ fn main(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index
     {%- call fetch("0u") %}{% endcall %}
     for (var k0 = 0u; k0 < depth; k0 += 32u) {
         {%- for tile in tiles %}{% for slot in 0..tile.slots() %}
-        { {% call place(tile, slot) %}{% endcall %} let h = halves({{ tile.fetched }}{{ slot }}); let at = line * {{ tile.line }}u + place;
-          {{ tile.name }}[at] = h.x; {{ tile.name }}[at + 1u] = h.y; {{ tile.name }}[at + 2u] = h.z; {{ tile.name }}[at + 3u] = h.w; }
+        { {% call place(tile, slot) %}{% endcall %} {{ tile.name }}[line * {{ tile.line }}u + four] = halves({{ tile.fetched }}{{ slot }}); }
         {%- endfor %}{% endfor %}
         {%- if product.name == "weights" %}{% for tile in tiles[1..] %}{% for slot in 0..tile.slots() %}
         sums += d{{ slot }};

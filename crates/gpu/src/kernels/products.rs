@@ -64,7 +64,7 @@ struct Tile {
     threads: usize,
     /// Pieces: fours, or in f32 along the depth squares, which are transposed.
     pieces: usize,
-    /// Numbers of a line in shared memory (in f32: fours), and of all lines.
+    /// Fours of a line in shared memory, and of all lines.
     line: usize,
     numbers: usize,
 }
@@ -114,7 +114,7 @@ impl Product {
         let tiles = self.tiles(|size, along_depth| {
             let length = if along_depth { DEPTH } else { size };
             // The gap keeps lines in different banks.
-            let (pieces, line) = (size * DEPTH / 4, length + 8);
+            let (pieces, line) = (size * DEPTH / 4, length / 4 + 2);
             let numbers = size * DEPTH / length * line;
             Tile { along_depth, fours: length / 4, threads: 256, pieces, line, numbers, ..Tile::default() }
         });
@@ -143,8 +143,8 @@ impl Tile {
         // Row-major is `coopLoadT`: rows of the left one, and the depth of the right one, are lines.
         let function = if self.along_depth == (role == "A") { "coopLoadT" } else { "coopLoad" };
         let place = match self.along_depth {
-            true => format!("({at}) * {line}u + {depth}u"),
-            false => format!("{depth}u * {line}u + {at}"),
+            true => format!("({at}) * {line}u + {}u", depth / 4),
+            false => format!("{depth}u * {line}u + ({at}) / 4u"),
         };
         format!("{function}<coop_mat16x16<f16, {role}>>(&{name}[{place}], {line}u)")
     }

@@ -54,8 +54,8 @@ fn halves(four: vec4<f32>) -> vec4<f16> {
     let within = clamp(four, vec4<f32>(-65504.0), vec4<f32>(65504.0));
     return vec4<f16>(select(four, within, abs(four) > vec4<f32>(65504.0)));
 }
-var<workgroup> left: array<f16, 5120>;
-var<workgroup> right: array<f16, 2304>;
+var<workgroup> left: array<vec4<f16>, 1280>;
+var<workgroup> right: array<vec4<f16>, 576>;
 var<workgroup> stage: array<f32, 2560>;
 @compute @workgroup_size(256)
 fn main(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index) thread: u32) {
@@ -73,48 +73,42 @@ fn main(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index
     var a3 = vec4<f32>(0.0);
     var d0 = vec4<f32>(0.0);
     var d1 = vec4<f32>(0.0);
-    { let line = (thread + 0u) / 8u; let place = 4u * ((thread + 0u) % 8u); a0 = left_line(row0 + line, 0u + place, part); }
-    { let line = (thread + 256u) / 8u; let place = 4u * ((thread + 256u) % 8u); a1 = left_line(row0 + line, 0u + place, part); }
-    { let line = (thread + 512u) / 8u; let place = 4u * ((thread + 512u) % 8u); a2 = left_line(row0 + line, 0u + place, part); }
-    { let line = (thread + 768u) / 8u; let place = 4u * ((thread + 768u) % 8u); a3 = left_line(row0 + line, 0u + place, part); }
-    { let line = (thread + 0u) / 16u; let place = 4u * ((thread + 0u) % 16u); d0 = right_line(col0 + place, 0u + line, part); }
-    { let line = (thread + 256u) / 16u; let place = 4u * ((thread + 256u) % 16u); d1 = right_line(col0 + place, 0u + line, part); }
+    { let line = (thread + 0u) / 8u; let four = (thread + 0u) % 8u; a0 = left_line(row0 + line, 0u + 4u * four, part); }
+    { let line = (thread + 256u) / 8u; let four = (thread + 256u) % 8u; a1 = left_line(row0 + line, 0u + 4u * four, part); }
+    { let line = (thread + 512u) / 8u; let four = (thread + 512u) % 8u; a2 = left_line(row0 + line, 0u + 4u * four, part); }
+    { let line = (thread + 768u) / 8u; let four = (thread + 768u) % 8u; a3 = left_line(row0 + line, 0u + 4u * four, part); }
+    { let line = (thread + 0u) / 16u; let four = (thread + 0u) % 16u; d0 = right_line(col0 + 4u * four, 0u + line, part); }
+    { let line = (thread + 256u) / 16u; let four = (thread + 256u) % 16u; d1 = right_line(col0 + 4u * four, 0u + line, part); }
     for (var k0 = 0u; k0 < depth; k0 += 32u) {
-        { let line = (thread + 0u) / 8u; let place = 4u * ((thread + 0u) % 8u); let h = halves(a0); let at = line * 40u + place;
-          left[at] = h.x; left[at + 1u] = h.y; left[at + 2u] = h.z; left[at + 3u] = h.w; }
-        { let line = (thread + 256u) / 8u; let place = 4u * ((thread + 256u) % 8u); let h = halves(a1); let at = line * 40u + place;
-          left[at] = h.x; left[at + 1u] = h.y; left[at + 2u] = h.z; left[at + 3u] = h.w; }
-        { let line = (thread + 512u) / 8u; let place = 4u * ((thread + 512u) % 8u); let h = halves(a2); let at = line * 40u + place;
-          left[at] = h.x; left[at + 1u] = h.y; left[at + 2u] = h.z; left[at + 3u] = h.w; }
-        { let line = (thread + 768u) / 8u; let place = 4u * ((thread + 768u) % 8u); let h = halves(a3); let at = line * 40u + place;
-          left[at] = h.x; left[at + 1u] = h.y; left[at + 2u] = h.z; left[at + 3u] = h.w; }
-        { let line = (thread + 0u) / 16u; let place = 4u * ((thread + 0u) % 16u); let h = halves(d0); let at = line * 72u + place;
-          right[at] = h.x; right[at + 1u] = h.y; right[at + 2u] = h.z; right[at + 3u] = h.w; }
-        { let line = (thread + 256u) / 16u; let place = 4u * ((thread + 256u) % 16u); let h = halves(d1); let at = line * 72u + place;
-          right[at] = h.x; right[at + 1u] = h.y; right[at + 2u] = h.z; right[at + 3u] = h.w; }
+        { let line = (thread + 0u) / 8u; let four = (thread + 0u) % 8u; left[line * 10u + four] = halves(a0); }
+        { let line = (thread + 256u) / 8u; let four = (thread + 256u) % 8u; left[line * 10u + four] = halves(a1); }
+        { let line = (thread + 512u) / 8u; let four = (thread + 512u) % 8u; left[line * 10u + four] = halves(a2); }
+        { let line = (thread + 768u) / 8u; let four = (thread + 768u) % 8u; left[line * 10u + four] = halves(a3); }
+        { let line = (thread + 0u) / 16u; let four = (thread + 0u) % 16u; right[line * 18u + four] = halves(d0); }
+        { let line = (thread + 256u) / 16u; let four = (thread + 256u) % 16u; right[line * 18u + four] = halves(d1); }
         workgroupBarrier();
         if (k0 + 32u < depth) {
-    { let line = (thread + 0u) / 8u; let place = 4u * ((thread + 0u) % 8u); a0 = left_line(row0 + line, k0 + 32u + place, part); }
-    { let line = (thread + 256u) / 8u; let place = 4u * ((thread + 256u) % 8u); a1 = left_line(row0 + line, k0 + 32u + place, part); }
-    { let line = (thread + 512u) / 8u; let place = 4u * ((thread + 512u) % 8u); a2 = left_line(row0 + line, k0 + 32u + place, part); }
-    { let line = (thread + 768u) / 8u; let place = 4u * ((thread + 768u) % 8u); a3 = left_line(row0 + line, k0 + 32u + place, part); }
-    { let line = (thread + 0u) / 16u; let place = 4u * ((thread + 0u) % 16u); d0 = right_line(col0 + place, k0 + 32u + line, part); }
-    { let line = (thread + 256u) / 16u; let place = 4u * ((thread + 256u) % 16u); d1 = right_line(col0 + place, k0 + 32u + line, part); }
+    { let line = (thread + 0u) / 8u; let four = (thread + 0u) % 8u; a0 = left_line(row0 + line, k0 + 32u + 4u * four, part); }
+    { let line = (thread + 256u) / 8u; let four = (thread + 256u) % 8u; a1 = left_line(row0 + line, k0 + 32u + 4u * four, part); }
+    { let line = (thread + 512u) / 8u; let four = (thread + 512u) % 8u; a2 = left_line(row0 + line, k0 + 32u + 4u * four, part); }
+    { let line = (thread + 768u) / 8u; let four = (thread + 768u) % 8u; a3 = left_line(row0 + line, k0 + 32u + 4u * four, part); }
+    { let line = (thread + 0u) / 16u; let four = (thread + 0u) % 16u; d0 = right_line(col0 + 4u * four, k0 + 32u + line, part); }
+    { let line = (thread + 256u) / 16u; let four = (thread + 256u) % 16u; d1 = right_line(col0 + 4u * four, k0 + 32u + line, part); }
         }
-        let l0_0 = coopLoadT<coop_mat16x16<f16, A>>(&left[(r0 + 0u) * 40u + 0u], 40u);
-        let l0_1 = coopLoadT<coop_mat16x16<f16, A>>(&left[(r0 + 16u) * 40u + 0u], 40u);
-        let r0_0 = coopLoadT<coop_mat16x16<f16, B>>(&right[0u * 72u + c0 + 0u], 72u);
+        let l0_0 = coopLoadT<coop_mat16x16<f16, A>>(&left[(r0 + 0u) * 10u + 0u], 10u);
+        let l0_1 = coopLoadT<coop_mat16x16<f16, A>>(&left[(r0 + 16u) * 10u + 0u], 10u);
+        let r0_0 = coopLoadT<coop_mat16x16<f16, B>>(&right[0u * 18u + (c0 + 0u) / 4u], 18u);
         s0_0 = coopMultiplyAdd(l0_0, r0_0, s0_0);
         s1_0 = coopMultiplyAdd(l0_1, r0_0, s1_0);
-        let r0_1 = coopLoadT<coop_mat16x16<f16, B>>(&right[0u * 72u + c0 + 16u], 72u);
+        let r0_1 = coopLoadT<coop_mat16x16<f16, B>>(&right[0u * 18u + (c0 + 16u) / 4u], 18u);
         s0_1 = coopMultiplyAdd(l0_0, r0_1, s0_1);
         s1_1 = coopMultiplyAdd(l0_1, r0_1, s1_1);
-        let l16_0 = coopLoadT<coop_mat16x16<f16, A>>(&left[(r0 + 0u) * 40u + 16u], 40u);
-        let l16_1 = coopLoadT<coop_mat16x16<f16, A>>(&left[(r0 + 16u) * 40u + 16u], 40u);
-        let r16_0 = coopLoadT<coop_mat16x16<f16, B>>(&right[16u * 72u + c0 + 0u], 72u);
+        let l16_0 = coopLoadT<coop_mat16x16<f16, A>>(&left[(r0 + 0u) * 10u + 4u], 10u);
+        let l16_1 = coopLoadT<coop_mat16x16<f16, A>>(&left[(r0 + 16u) * 10u + 4u], 10u);
+        let r16_0 = coopLoadT<coop_mat16x16<f16, B>>(&right[16u * 18u + (c0 + 0u) / 4u], 18u);
         s0_0 = coopMultiplyAdd(l16_0, r16_0, s0_0);
         s1_0 = coopMultiplyAdd(l16_1, r16_0, s1_0);
-        let r16_1 = coopLoadT<coop_mat16x16<f16, B>>(&right[16u * 72u + c0 + 16u], 72u);
+        let r16_1 = coopLoadT<coop_mat16x16<f16, B>>(&right[16u * 18u + (c0 + 16u) / 4u], 18u);
         s0_1 = coopMultiplyAdd(l16_0, r16_1, s0_1);
         s1_1 = coopMultiplyAdd(l16_1, r16_1, s1_1);
         workgroupBarrier();

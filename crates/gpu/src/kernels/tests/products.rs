@@ -123,8 +123,12 @@ pub(in crate::kernels) const EMULATED: &str = "EMULATED";
 pub(in crate::kernels) fn without_matrix_units(text: &str) -> String {
     let functions = "
         var<private> lane_of_matrix: u32;
-        fn left_at(i: u32) -> f32 { return unpack2x16float(left[i / 2u])[i % 2u]; }
-        fn right_at(i: u32) -> f32 { return unpack2x16float(right[i / 2u])[i % 2u]; }
+        fn packed_halves(four: vec4<f32>) -> vec2<u32> {
+            let h = halves(four);
+            return vec2<u32>(pack2x16float(h.xy), pack2x16float(h.zw));
+        }
+        fn left_at(i: u32) -> f32 { return unpack2x16float(left[i / 4u][i / 2u % 2u])[i % 2u]; }
+        fn right_at(i: u32) -> f32 { return unpack2x16float(right[i / 4u][i / 2u % 2u])[i % 2u]; }
         fn multiply_add(a: vec3<u32>, b: vec3<u32>, c: array<f32, 8>) -> array<f32, 8> {
             var sums = c;
             let row = lane_of_matrix / 2u;
@@ -150,25 +154,21 @@ pub(in crate::kernels) fn without_matrix_units(text: &str) -> String {
         let stride = stride.trim_end_matches(");");
         Some(match (line.contains("coopStore"), matrix.starts_with('T')) {
             (true, _) => format!("{before}store_lines({matrix}{at}, {stride});"),
-            (_, true) => format!("{before}vec3<u32>({at}, {stride}, 1u);"),
-            (_, false) => format!("{before}vec3<u32>({at}, 1u, {stride});"),
+            // Places and strides of operands are in fours.
+            (_, true) => format!("{before}vec3<u32>(4u * ({at}), 4u * {stride}, 1u);"),
+            (_, false) => format!("{before}vec3<u32>(4u * ({at}), 1u, 4u * {stride});"),
         })
     };
     // Operands stay in f16, two in a word.
-    let packed = |text: &str| {
-        let (name, rest) = text.trim().split_once("[at] = h.x;")?;
-        rest.contains("h.w;")
-            .then(|| format!("{name}[at / 2u] = pack2x16float(h.xy); {name}[at / 2u + 1u] = pack2x16float(h.zw); }}"))
-    };
-    let array = |text: &str| {
-        let (before, count) = text.split_once(": array<f16, ")?;
-        Some(format!("{before}: array<u32, {}>;", count.trim_end_matches(">;").parse::<usize>().ok()? / 2))
-    };
+    let packed = |text: &str| text.contains("] = halves(").then(|| text.replace("halves(", "packed_halves("));
     let kept = text.lines().filter(|text| !text.starts_with("enable "));
-    let changed = |text: &str| line(text).or_else(|| packed(text)).or_else(|| array(text));
+    let changed = |text: &str| line(text).or_else(|| packed(text));
     let text: Vec<String> = kept.map(|text| changed(text).unwrap_or_else(|| text.to_string())).collect();
-    let text =
-        text.join("\n").replace("coop_mat16x16<f32, C>", "array<f32, 8>").replace("coopMultiplyAdd", "multiply_add");
+    let text = text
+        .join("\n")
+        .replace(": array<vec4<f16>", ": array<vec2<u32>")
+        .replace("coop_mat16x16<f32, C>", "array<f32, 8>")
+        .replace("coopMultiplyAdd", "multiply_add");
     let lane = "let lane = thread % 32u;";
     let text = text.replace("f16", "f32").replace(lane, &format!("{lane} lane_of_matrix = lane;"));
     [&text, functions].concat()
