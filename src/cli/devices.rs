@@ -31,7 +31,7 @@ fn line(device: &ListedDevice) -> String {
         line += &format!(", buffers to {:.1} GiB", bytes as f64 / GIB);
     }
     if device.has_f16 {
-        line += ", f16";
+        line += ", matrix units";
     }
     if device.is_software {
         line += ", software: for tests, slower than cpu";

@@ -50,9 +50,9 @@ impl GpuDensity {
         let shape = Shape::of(field.config());
         check_buffers(gpu, field.config(), &shape)?;
         let most = if gpu.adapter().is_software { MOST_POINTS_IN_SOFTWARE } else { MOST_POINTS };
-        let chunk = samples_at_once(gpu, &shape, 0, false).clamp(4, most) / 4 * 4;
+        let chunk = samples_at_once(gpu, &shape, 4, 0, false).clamp(4, most) / 4 * 4;
         let field_buffers = FieldBuffers::of(gpu, &shape, field)?;
-        let scratch = Scratch::new(gpu, &shape, chunk, 1, false);
+        let scratch = Scratch::new(gpu, &shape, chunk, 1, 4, false);
         let (points, rays, at) = (gpu.numbers(3 * chunk), gpu.numbers(RAY * chunk), gpu.numbers(4 * chunk));
         let (t_vals, out, flags) = (gpu.numbers(2 * chunk), gpu.numbers(OUT * chunk), gpu.numbers(1));
         let recorder = || Recorder::new(gpu, &shape, field.config(), &scratch, &rays, &flags);

@@ -257,7 +257,7 @@ impl Gpu {
 
     /// Returns the tiles of wide layers. All tiles of f32 give the same bits.
     pub(crate) fn tiles(&self, precision: Precision) -> Tiles {
-        if precision == Precision::F16 { Tiles::Matrices } else { self.0.tiles }
+        if precision == Precision::F16 && self.0.adapter.has_f16 { Tiles::Matrices } else { self.0.tiles }
     }
 
     pub(crate) fn largest_buffer(&self) -> usize {

@@ -38,6 +38,7 @@ texts! {
     "add": "common", "add";
     "copy": "common", "copy";
     "zero": "common", "zero";
+    "halve": "common", "held", "half", "halve";
     "live": "live";
     "points": "common", "rays", "points";
     "frequency": "common", "waves", "frequency";

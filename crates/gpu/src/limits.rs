@@ -44,22 +44,9 @@ pub fn check(config: &Resolved) -> Result<()> {
 /// Returns the same error, and one for what this device lacks: a precision, large buffers, memory for a chunk of rays.
 pub(crate) fn check_on(gpu: &Gpu, config: &Resolved) -> Result<()> {
     check(config)?;
-    check_precision(gpu, config)?;
     let (shape, (coarse, fine)) = (Shape::of(&config.field), config.samples());
     check_buffers(gpu, &config.field, &shape)?;
     rays_of_chunk(gpu, config, &shape, coarse.max(fine)).map(|_| ())
-}
-
-/// Returns an error for an adapter that lacks a configuration's precision.
-pub(crate) fn check_precision(gpu: &Gpu, config: &Config) -> Result<()> {
-    if config.field.precision != Precision::F16 || gpu.adapter().has_f16 {
-        return Ok(());
-    }
-    Err(Error::Config(format!(
-        "field.precision = \"f16\" needs matrix units of 16 x 16 in f16, for groups of exactly 32 threads, as NVIDIA's cards have; {} \
-         has none of that form; choose \"f32\"",
-        gpu.adapter().name
-    )))
 }
 
 /// Returns an error for fields that the device neither trains nor renders.
@@ -101,10 +88,17 @@ fn refused(what: &str) -> Error {
     Error::Config(format!("device gpu does not compute {what} yet; use --device cpu"))
 }
 
+/// Returns the bytes of a number that a step's layers leave for each other. Derivatives in space need all of f32.
+pub(crate) fn bytes_of_hidden(config: &Resolved) -> usize {
+    if config.field.precision == Precision::F16 && !config.regularizer.has_space_terms() { 2 } else { 4 }
+}
+
 /// Returns the samples whose numbers fit into the device's memory at once: those of [`Scratch`], and `more` bytes beside them.
-pub(crate) fn samples_at_once(gpu: &Gpu, shape: &Shape, more: usize, trains: bool) -> usize {
-    let (bytes, widest) =
-        (Scratch::bytes_per_sample(shape) + more, 4 * (shape.width + 4).max(shape.channels).max(shape.view_width));
+pub(crate) fn samples_at_once(gpu: &Gpu, shape: &Shape, of_hidden: usize, more: usize, trains: bool) -> usize {
+    let (bytes, widest) = (
+        Scratch::bytes_per_sample(shape, of_hidden) + more,
+        4 * (shape.width + 4).max(shape.channels).max(shape.view_width),
+    );
     let parts = if trains { 4 * shape.weights() * most_parts(gpu, shape.weights()) } else { 0 };
     (gpu.budget().saturating_sub(parts) / bytes).min(gpu.largest_buffer() / widest).min(MOST_POINTS)
 }
@@ -137,7 +131,7 @@ pub(crate) fn check_buffers(gpu: &Gpu, config: &FieldConfig, shape: &Shape) -> R
 pub(crate) fn rays_of_chunk(gpu: &Gpu, config: &Resolved, shape: &Shape, samples: usize) -> Result<usize> {
     // Deltas of both passes, random ones, and the numbers that they are drawn from.
     let deltas = 4 * 5 * (shape.width + 8) * usize::from(config.method.is_augmented());
-    let fits = samples_at_once(gpu, shape, deltas, true) / samples;
+    let fits = samples_at_once(gpu, shape, bytes_of_hidden(config), deltas, true) / samples;
     let unit = config.train.chunk.min(config.train.rays).next_multiple_of(2);
     // The draws of features are in one buffer, with a chunk more.
     let drawn = (gpu.largest_buffer() / (4 * (shape.width + 1) * samples)).saturating_sub(unit);

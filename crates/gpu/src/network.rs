@@ -249,6 +249,8 @@ impl Learned {
 #[derive(Clone)]
 pub(crate) struct FieldBuffers {
     pub(crate) weights: Learned,
+    /// The weights in f16, as products read them.
+    pub(crate) halves: Option<Buffer>,
     pub(crate) tables: Option<Learned>,
 }
 
@@ -274,7 +276,7 @@ impl FieldBuffers {
             1 => Some(Learned::new(gpu, &flat(&parameters[0])?, of_tables, 2)),
             _ => None,
         };
-        Ok(FieldBuffers { weights: Learned::new(gpu, &weights, of_weights, 1), tables })
+        Ok(FieldBuffers { weights: Learned::new(gpu, &weights, of_weights, 1), halves: None, tables })
     }
 
     /// Iterates over its weights and its tables.
@@ -285,7 +287,7 @@ impl FieldBuffers {
     /// Returns the same field with weights of its own, which are those that passes read. Gradients and the rest are shared.
     pub(crate) fn with_own_weights(&self, gpu: &Gpu) -> FieldBuffers {
         let weights = Learned { values: gpu.numbers(self.weights.count), ..self.weights.clone() };
-        FieldBuffers { weights, tables: self.tables.clone() }
+        FieldBuffers { weights, ..self.clone() }
     }
 
     /// Copies a field's current parameters, as passes read them, to the device.

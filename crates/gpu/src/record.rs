@@ -154,6 +154,8 @@ pub(crate) struct Recorder<'a> {
     /// Rays are in NDC, where pixels have cylinders in place of cones.
     pub(crate) has_cylinders: bool,
     pub(crate) tiles: Tiles,
+    /// What layers leave for each other, and the weights that products read, are in f16.
+    pub(crate) in_f16: bool,
     /// Tiles of derivatives, which are computed in f32.
     pub(crate) jet_tiles: Tiles,
     /// Factor of all gradients up to Adam, which keeps them in the range of f16.
@@ -183,6 +185,7 @@ impl<'a> Recorder<'a> {
             background: None,
             has_cylinders: false,
             tiles,
+            in_f16: false,
             jet_tiles: tiles,
             loss_scale: 1.0,
             dispatches: Vec::new(),

@@ -96,6 +96,10 @@ impl Steps {
                 Some(_) => field.with_own_weights(gpu),
                 None => field.clone(),
             };
+            let of_passes = |field: &FieldBuffers| FieldBuffers {
+                halves: is_f16(config).then(|| gpu.numbers(shape.weights() / 2)),
+                ..of_passes(field)
+            };
             let opened = learned.iter().map(of_passes).collect();
             Ok((learned, opened, opening))
         })??;
@@ -293,6 +297,7 @@ impl Steps {
             background: self.background,
             has_cylinders: self.has_cylinders,
             tiles: self.gpu.tiles(self.config.field.precision),
+            in_f16: is_f16(&self.config),
             loss_scale: loss_scale(&self.config),
             ..Recorder::new(&self.gpu, &self.shape, &self.config.field, scratch, rays, flags)
         }
@@ -308,6 +313,11 @@ impl Steps {
         let mut recorder = self.recorder();
         let (rays, chunk) = (self.config.train.rays, self.buffers.chunk);
         self.record_opening(&mut recorder, true);
+        for field in &self.opened {
+            let Some(halves) = &field.halves else { continue };
+            let (weights, params) = (&field.weights, params! { numbers: field.weights.count });
+            recorder.run(Kernel::new("halve"), params, &[(1, &weights.values), (2, halves)], groups(weights.count / 4));
+        }
         for ray0 in (0..rays).step_by(chunk) {
             let count = chunk.min(rays - ray0);
             ChunkRecorder { steps: self, ray0, rays: count, log }.record(&mut recorder);
@@ -455,10 +465,11 @@ impl LossWeights {
 
 /// Returns the factor of gradients. In f16 typical ones of a ray's colours are then near 1.
 fn loss_scale(config: &Resolved) -> f64 {
-    match config.field.precision {
-        Precision::F16 => ((64 * 3 * config.train.rays) as f64).log2().round().exp2(),
-        _ => 1.0,
-    }
+    if is_f16(config) { ((64 * 3 * config.train.rays) as f64).log2().round().exp2() } else { 1.0 }
+}
+
+fn is_f16(config: &Resolved) -> bool {
+    config.field.precision == Precision::F16
 }
 
 /// Whether view directions are tilted.

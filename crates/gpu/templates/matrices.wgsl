@@ -13,14 +13,8 @@
 enable f16;
 enable wgpu_cooperative_matrix;
 {{ product.operands }}
-// f16 holds numbers to 65,504.
-fn halves(four: vec4<f32>) -> vec4<f16> {
-    // What is not a number stays.
-    let within = clamp(four, vec4<f32>(-65504.0), vec4<f32>(65504.0));
-    return vec4<f16>(select(four, within, abs(four) > vec4<f32>(65504.0)));
-}
 {%- for tile in tiles %}
-var<workgroup> {{ tile.name }}: array<vec4<f16>, {{ tile.numbers }}>;
+var<workgroup> {{ tile.name }}: array<Half, {{ tile.numbers }}>;
 {%- endfor %}
 {#- A matrix of each subgroup, or the threads' sums of D. #}
 var<workgroup> stage: array<f32, 2560>;
@@ -34,15 +28,15 @@ fn main(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index
     {%- endfor %}{% endfor %}
     var sums = vec4<f32>(0.0);
     {%- for tile in tiles %}{% for slot in 0..tile.slots() %}
-    var {{ tile.fetched }}{{ slot }} = vec4<f32>(0.0);
+    var {{ tile.fetched }}{{ slot }} = Four();
     {%- endfor %}{% endfor %}
     {%- call fetch("0u") %}{% endcall %}
     for (var k0 = 0u; k0 < depth; k0 += 32u) {
         {%- for tile in tiles %}{% for slot in 0..tile.slots() %}
-        { {% call place(tile, slot) %}{% endcall %} {{ tile.name }}[line * {{ tile.line }}u + four] = halves({{ tile.fetched }}{{ slot }}); }
+        { {% call place(tile, slot) %}{% endcall %} {{ tile.name }}[line * {{ tile.line }}u + four] = {{ tile.fetched }}{{ slot }}; }
         {%- endfor %}{% endfor %}
         {%- if product.name == "weights" %}{% for tile in tiles[1..] %}{% for slot in 0..tile.slots() %}
-        sums += d{{ slot }};
+        sums += four_of_Half(d{{ slot }});
         {%- endfor %}{% endfor %}{% endif %}
         workgroupBarrier();
         if (k0 + 32u < depth) {

@@ -51,7 +51,7 @@ fn main(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index
     var b{{ q }} = vec4<f32>(0.0);
     {%- endfor %}
     {%- for tile in tiles %}{% for slot in 0..tile.slots() %}{% for j in 0..tile.each() %}
-    var {{ tile.fetched }}{{ slot }}_{{ j }} = vec4<f32>(0.0);
+    var {{ tile.fetched }}{{ slot }}_{{ j }} = Four();
     {%- endfor %}{% endfor %}{% endfor %}
     {%- call fetch("0u") %}{% endcall %}
     for (var k0 = 0u; k0 < depth; k0 += 16u) {

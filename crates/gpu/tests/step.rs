@@ -27,7 +27,7 @@ struct Allowed {
 
 const F32: Allowed = Allowed { loss: 2e-5, gradients: 2e-3 };
 /// Operands with 11 bits.
-const F16: Allowed = Allowed { loss: 2e-3, gradients: 3e-2 };
+const F16: Allowed = Allowed { loss: 2e-3, gradients: 6e-2 };
 
 /// Compares losses, gradients and diagnostics of one step.
 fn compare(settings: &[&str]) {
@@ -300,16 +300,19 @@ fn with_less_memory_it_takes_parts_or_says_what_is_needed() {
     }
 }
 
-/// By matrix units, where a device has them.
+/// By matrix units where a device has them, and otherwise in f32.
 #[test]
-fn products_in_f16() {
-    if !gpu().adapter().has_f16 {
-        println!("{} has no matrix units", gpu().adapter().name);
-        return;
-    }
-    for width in ["field.width=64", "field.width=160"] {
-        compare_within(&["method=nerf", "field.precision=f16", width], F16);
-        compare_within(&["method=nerf", "field.precision=f16", "field.encoding=hash", width], F16);
+fn steps_in_f16() {
+    for settings in [
+        &["method=nerf", "field.width=64"][..],
+        &["method=nerf", "field.width=160", "field.skips=[1,3]", "field.view_depth=2"],
+        &["method=nerf", "field.width=64", "field.encoding=hash"],
+        &["method=nerf", "field.width=160", "field.encoding=hash", "regularizer.kind=tv", "regularizer.weight=0.1"],
+        &["method=nerf", "field.width=64", "regularizer.kind=laplacian", "regularizer.weight=0.01"],
+        &["method=nerf", "field.width=64", "field.frequency_steps=9"],
+        &["method=aug-nerf", "field.width=64"],
+    ] {
+        compare_within(&[settings, &["field.precision=f16"]].concat(), F16);
     }
 }
 

@@ -43,8 +43,7 @@ pub fn list_devices() -> Vec<ListedDevice> {
 pub(crate) fn check(config: &Resolved, runtime: &Runtime) -> Result<()> {
     match runtime.accelerator() {
         None if config.field.precision == Precision::F16 => Err(Error::Config(
-            "field.precision = \"f16\" needs --device gpu with matrix units; on other devices choose \"f32\" or, with --device \
-             cpu, \"bf16\""
+            "field.precision = \"f16\" needs --device gpu; on other devices choose \"f32\" or, with --device cpu, \"bf16\""
                 .into(),
         )),
         None => Ok(()),

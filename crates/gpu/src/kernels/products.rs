@@ -13,8 +13,24 @@ use super::Kernel;
 pub(super) fn text(kernel: &Kernel) -> String {
     let product = Product::of(kernel);
     let written = if kernel.has("F16") { product.by_matrices().render() } else { product.in_f32(kernel).render() };
-    written.expect("a template of texts and numbers")
+    MATRICES.iter().fold(written.expect("a template of texts and numbers"), |text, (name, flag)| {
+        text.replace(name, if kernel.has(flag) { "Half" } else { "Full" })
+    })
 }
+
+/// Fours in f16 on any device, and on one that computes in it.
+pub(super) const HALF: &str = include_str!("../wgsl/half.wgsl");
+pub(super) const NATIVE_HALF: &str = include_str!("../wgsl/native_half.wgsl");
+
+/// How texts name what their matrices are kept as, and the flags of those that are in f16.
+const MATRICES: [(&str, &str); 6] = [
+    ("{A1}", "A1_IN_F16"),
+    ("{A2}", "A2_IN_F16"),
+    ("{W}", "W_IN_F16"),
+    ("{C}", "C_IN_F16"),
+    ("{X}", "X_IN_F16"),
+    ("{Y}", "Y_IN_F16"),
+];
 
 /// What both kinds of text depend on.
 struct Product {
@@ -76,8 +92,9 @@ impl Product {
             "product_back" => include_str!("../wgsl/product_back.wgsl"),
             _ => include_str!("../wgsl/product_forward.wgsl"),
         };
+        let half = if kernel.has("F16") { NATIVE_HALF } else { HALF };
         Product {
-            operands: [include_str!("../wgsl/product.wgsl"), own].concat(),
+            operands: [include_str!("../wgsl/held.wgsl"), half, include_str!("../wgsl/product.wgsl"), own].concat(),
             rows: kernel.constant("ROWS"),
             columns: kernel.constant("COLUMNS"),
             name: kernel.name,

@@ -96,14 +96,14 @@ impl<'a> Recorder<'a> {
         let mut layer = shape.rgb;
         let mut next = 0;
         for i in (0..=shape.view.len()).rev() {
-            let input = self.view_input(i, pass.samples);
+            let input = self.view_input(i, pass.samples, rows);
             if wanted.weights {
                 self.dense_weights(rows, layer, input, d);
             }
             if i > 0 {
-                let to = &scratch.d_hidden[next];
+                let to = self.hidden(&scratch.d_hidden[next], rows);
                 let c = (to, shape.view_width);
-                let through = Through { mask: Some(&scratch.view[i - 1]), ..Through::default() };
+                let through = Through { mask: Some(self.hidden(&scratch.view[i - 1], rows)), ..Through::default() };
                 self.dense_back(rows, pass.field, layer, 0..shape.view_width, d, c, through);
                 d = Matrix::new(to, shape.view_width);
                 next = 1 - next;
@@ -111,12 +111,12 @@ impl<'a> Recorder<'a> {
             }
         }
         if below {
-            let c = (&scratch.d_head, shape.width + 4);
+            let c = ((&scratch.d_head).into(), shape.width + 4);
             self.dense_back(rows, pass.field, layer, 0..shape.width, d, c, Through::default());
         }
         if wanted.view {
             let inputs = shape.width..shape.width + shape.view_channels;
-            let c = (&scratch.d_view, shape.view_channels);
+            let c = ((&scratch.d_view).into(), shape.view_channels);
             self.dense_back(rows, pass.field, layer, inputs, d, c, Through::default());
             let (octaves, channels) = (shape.view_octaves, shape.view_channels);
             let params = params! { rays: pass.rays, octaves, channels, ray0: pass.ray0, samples: pass.samples };
@@ -143,12 +143,12 @@ impl<'a> Recorder<'a> {
         let mut next = 0;
         let mut adds = false;
         for i in (0..=shape.trunk.len()).rev() {
-            let input = self.trunk_input(i, injection);
+            let input = self.trunk_input(i, injection, rows);
             if wanted.weights {
                 self.dense_weights(rows, layer, input, d);
             }
             if of_encoding && (i == 0 || i < shape.trunk.len() && shape.skips_to(i)) {
-                let c = (&scratch.d_encoded, shape.channels);
+                let c = ((&scratch.d_encoded).into(), shape.channels);
                 let through = Through { adds, ..Through::default() };
                 self.dense_back(rows, field, layer, 0..shape.channels, d, c, through);
                 adds = true;
@@ -157,9 +157,9 @@ impl<'a> Recorder<'a> {
                 break;
             }
             let from = if i < shape.trunk.len() && shape.skips_to(i) { shape.channels } else { 0 };
-            let to = &scratch.d_hidden[next];
+            let to = self.hidden(&scratch.d_hidden[next], rows);
             let open = (wanted.feature && injection == Some(i)).then_some(&scratch.d_feature);
-            let through = Through { mask: Some(&scratch.trunk[i - 1]), adds: false, open };
+            let through = Through { mask: Some(self.hidden(&scratch.trunk[i - 1], rows)), adds: false, open };
             self.dense_back(rows, field, layer, from..from + shape.width, d, (to, shape.width), through);
             if lowest == i {
                 break;

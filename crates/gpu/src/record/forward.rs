@@ -18,14 +18,19 @@ impl<'a> Recorder<'a> {
     }
 
     /// The input of layer `i` of the trunk, from 0, with the layer below as a delta after layer `injection` moved it.
-    pub(super) fn trunk_input(&self, i: usize, injection: Option<usize>) -> (Matrix<'a>, Option<Matrix<'a>>) {
+    pub(super) fn trunk_input(
+        &self,
+        i: usize,
+        injection: Option<usize>,
+        rows: Rows,
+    ) -> (Matrix<'a>, Option<Matrix<'a>>) {
         let (scratch, shape) = (self.scratch, self.shape);
         let encoded = Matrix::new(&scratch.encoded, shape.channels);
         if i == 0 {
             return (encoded, None);
         }
         let below = if injection == Some(i) { &scratch.moved } else { &scratch.trunk[i - 1] };
-        let hidden = Matrix::new(below, shape.width);
+        let hidden = Matrix::new(self.hidden(below, rows), shape.width);
         if i < shape.trunk.len() && shape.skips_to(i) { (encoded, Some(hidden)) } else { (hidden, None) }
     }
 
@@ -34,9 +39,10 @@ impl<'a> Recorder<'a> {
         let (shape, scratch) = (self.shape, self.scratch);
         let injection = feature.map(|(_, layer)| layer);
         for (i, layer) in shape.trunk.iter().enumerate() {
-            let input = self.trunk_input(i, injection);
-            let delta = feature.filter(|(_, at)| *at == i + 1).map(|(delta, _)| (delta, &scratch.moved));
-            let c = Output { buffer: &scratch.trunk[i], stride: shape.width, first: 0 };
+            let input = self.trunk_input(i, injection, rows);
+            let delta = feature.filter(|(_, at)| *at == i + 1);
+            let delta = delta.map(|(delta, _)| (delta, self.hidden(&scratch.moved, rows)));
+            let c = Output { numbers: self.hidden(&scratch.trunk[i], rows), stride: shape.width, first: 0 };
             self.dense(rows, field, *layer, 0..shape.width, input, c, true, delta);
         }
     }
@@ -45,9 +51,9 @@ impl<'a> Recorder<'a> {
     pub(super) fn raw_density(&mut self, rows: Rows, field: &FieldBuffers) {
         let (shape, scratch) = (self.shape, self.scratch);
         self.trunk(rows, field, None);
-        let last = self.trunk_input(shape.trunk.len(), None).0;
+        let last = self.trunk_input(shape.trunk.len(), None, rows).0;
         let columns = shape.width..shape.width + 4;
-        let c = Output { buffer: &scratch.head, stride: shape.width + 4, first: shape.width };
+        let c = Output { numbers: (&scratch.head).into(), stride: shape.width + 4, first: shape.width };
         self.dense(rows, field, shape.head, columns, (last, None), c, false, None);
     }
 
@@ -102,18 +108,18 @@ impl<'a> Recorder<'a> {
         self.run(Kernel::new("view").with("TILT", pass.deltas.view.is_some()), params, &buffers, groups(pass.rays));
         self.trunk(rows, pass.field, pass.deltas.feature);
         let injection = pass.deltas.feature.map(|(_, layer)| layer);
-        let last = self.trunk_input(shape.trunk.len(), injection).0;
+        let last = self.trunk_input(shape.trunk.len(), injection, rows).0;
         for columns in shape.head.products() {
-            let head = Output { buffer: &scratch.head, stride: shape.width + 4, first: columns.start };
+            let head = Output { numbers: (&scratch.head).into(), stride: shape.width + 4, first: columns.start };
             self.dense(rows, pass.field, shape.head, columns, (last, None), head, false, None);
         }
         for (i, layer) in shape.view.iter().enumerate() {
-            let input = self.view_input(i, pass.samples);
-            let c = Output { buffer: &scratch.view[i], stride: shape.view_width, first: 0 };
+            let input = self.view_input(i, pass.samples, rows);
+            let c = Output { numbers: self.hidden(&scratch.view[i], rows), stride: shape.view_width, first: 0 };
             self.dense(rows, pass.field, *layer, 0..shape.view_width, input, c, true, None);
         }
-        let last = (self.view_input(shape.view.len(), pass.samples).0, None);
-        let raw = Output { buffer: &scratch.raw, stride: 4, first: 0 };
+        let last = (self.view_input(shape.view.len(), pass.samples, rows).0, None);
+        let raw = Output { numbers: (&scratch.raw).into(), stride: 4, first: 0 };
         self.dense(rows, pass.field, shape.rgb, 0..4, last, raw, false, None);
         self.activate(pass);
         self.composite(pass, t_vals, loss);
@@ -124,10 +130,10 @@ impl<'a> Recorder<'a> {
     }
 
     /// The input of layer `i` between trunk and colour.
-    pub(super) fn view_input(&self, i: usize, samples: usize) -> (Matrix<'a>, Option<Matrix<'a>>) {
+    pub(super) fn view_input(&self, i: usize, samples: usize, rows: Rows) -> (Matrix<'a>, Option<Matrix<'a>>) {
         let (scratch, shape) = (self.scratch, self.shape);
         if i > 0 {
-            return (Matrix::new(&scratch.view[i - 1], shape.view_width), None);
+            return (Matrix::new(self.hidden(&scratch.view[i - 1], rows), shape.view_width), None);
         }
         let feature = Matrix { columns: shape.width, ..Matrix::new(&scratch.head, shape.width + 4) };
         let view = Matrix { every: samples, ..Matrix::new(&scratch.view_encoded, shape.view_channels) };

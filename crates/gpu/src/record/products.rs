@@ -65,10 +65,29 @@ impl Rows {
     }
 }
 
+/// Numbers in a buffer, in f32 or in f16.
+#[derive(Clone, Copy)]
+pub(super) struct Numbers<'a> {
+    pub(super) buffer: &'a Buffer,
+    in_f16: bool,
+}
+
+impl<'a> From<&'a Buffer> for Numbers<'a> {
+    fn from(buffer: &'a Buffer) -> Numbers<'a> {
+        Numbers { buffer, in_f16: false }
+    }
+}
+
+impl Numbers<'_> {
+    fn bytes(self) -> u64 {
+        if self.in_f16 { 2 } else { 4 }
+    }
+}
+
 /// A matrix in a buffer: numbers between rows, columns that are read.
 #[derive(Clone, Copy)]
 pub(super) struct Matrix<'a> {
-    pub(super) buffer: &'a Buffer,
+    pub(super) numbers: Numbers<'a>,
     pub(super) stride: usize,
     pub(super) columns: usize,
     /// Rows that share one of its rows.
@@ -76,23 +95,31 @@ pub(super) struct Matrix<'a> {
 }
 
 impl<'a> Matrix<'a> {
-    pub(super) fn new(buffer: &'a Buffer, stride: usize) -> Matrix<'a> {
-        Matrix { buffer, stride, columns: stride, every: 1 }
+    pub(super) fn new(numbers: impl Into<Numbers<'a>>, stride: usize) -> Matrix<'a> {
+        Matrix { numbers: numbers.into(), stride, columns: stride, every: 1 }
     }
 }
 
-/// What a product leaves: the buffer, numbers between rows, the first column.
+/// What a product leaves: where, numbers between rows, the first column.
 pub(super) struct Output<'a> {
-    pub(super) buffer: &'a Buffer,
+    pub(super) numbers: Numbers<'a>,
     pub(super) stride: usize,
     pub(super) first: usize,
+}
+
+/// What a product multiplies, A = [A1 | A2] by W, and what it leaves.
+struct Operands<'a> {
+    a: Matrix<'a>,
+    second: Option<Matrix<'a>>,
+    w: Numbers<'a>,
+    c: Numbers<'a>,
 }
 
 /// How the way back goes on from a layer's inputs.
 #[derive(Clone, Copy, Default)]
 pub(super) struct Through<'a> {
     /// The ReLU's outputs that let gradients pass.
-    pub(super) mask: Option<&'a Buffer>,
+    pub(super) mask: Option<Numbers<'a>>,
     /// The product is added to what is there.
     pub(super) adds: bool,
     /// Gets the gradient before the mask.
@@ -124,6 +151,19 @@ impl<'a> Recorder<'a> {
         (tile, kernel.with("LIVE", rows.are_live()))
     }
 
+    /// Returns what a layer leaves for the next in either direction. Derivatives stay in f32.
+    pub(super) fn hidden(&self, buffer: &'a Buffer, rows: Rows) -> Numbers<'a> {
+        Numbers { buffer, in_f16: self.in_f16 && !rows.are_jets() }
+    }
+
+    /// Returns the weights that products read.
+    fn weights_of<'b>(&self, field: &'b FieldBuffers, rows: Rows) -> Numbers<'b> {
+        match &field.halves {
+            Some(halves) if self.in_f16 && !rows.are_jets() => Numbers { buffer: halves, in_f16: true },
+            _ => (&field.weights.values).into(),
+        }
+    }
+
     fn product_params(rows: Rows, n: usize, a: Matrix, second: Option<Matrix>) -> Params {
         let b = second.unwrap_or(Matrix { columns: 0, stride: 1, every: 1, ..a });
         let (m, k1, k2, every2) = (rows.count(), a.columns, b.columns, b.every);
@@ -142,37 +182,46 @@ impl<'a> Recorder<'a> {
         (a, second): (Matrix, Option<Matrix>),
         c: Output,
         relu: bool,
-        delta: Option<(&Buffer, &Buffer)>,
+        delta: Option<(&Buffer, Numbers)>,
     ) {
         let n = columns.len();
         let (tile, kernel) = self.tiled("product", n, rows);
-        let kernel = kernel.with("SECOND", second.is_some()).with("DELTA", delta.is_some());
+        let kernel = kernel.with("DELTA", delta.is_some());
         let params = Recorder::product_params(rows, n, a, second);
         let w_from = layer.offset + columns.start;
         let params = params.and(params! { ldw: layer.outputs, w_from, ldc: c.stride, c_from: c.first, relu, ldx: n });
-        let mut buffers = vec![(1, a.buffer), (3, &field.weights.values), (4, c.buffer)];
-        buffers.extend(second.map(|second| (2, second.buffer)));
-        if let Some((delta, moved)) = delta {
-            buffers.extend([(5, delta), (6, moved)]);
-        }
+        let operands = Operands { a, second, w: self.weights_of(field, rows), c: c.numbers };
+        let delta = delta.map(|(delta, moved)| (delta.into(), moved)).unzip();
         let size = [rows.count(), a.columns + second.map_or(0, |second| second.columns), n];
-        self.product(kernel, params, &buffers, tile.groups(rows.count(), n, 1), size);
+        self.product(kernel, params, operands, delta, None, tile.groups(rows.count(), n, 1), size);
     }
 
     /// Records a product of two matrices, `size` = rows, depth and columns, and counts its work.
+    #[expect(clippy::too_many_arguments, reason = "the operands of a product")]
     fn product(
         &mut self,
         kernel: Kernel,
         params: Params,
-        buffers: &[(u32, &Buffer)],
+        Operands { a, second, w, c }: Operands,
+        (x, y): (Option<Numbers>, Option<Numbers>),
+        live: Option<&Buffer>,
         groups: [u32; 3],
         size: [usize; 3],
     ) {
-        self.run(kernel, params, buffers, groups);
+        let kernel = kernel.with("SECOND", second.is_some());
+        let mut bound = vec![(1, "A1_IN_F16", a.numbers), (3, "W_IN_F16", w), (4, "C_IN_F16", c)];
+        bound.extend(second.map(|second| (2, "A2_IN_F16", second.numbers)));
+        bound.extend(x.map(|x| (5, "X_IN_F16", x)));
+        bound.extend(y.map(|y| (6, "Y_IN_F16", y)));
+        let kernel = bound.iter().fold(kernel, |kernel, (_, flag, numbers)| kernel.with(flag, numbers.in_f16));
+        let mut buffers: Vec<(u32, &Buffer)> = bound.iter().map(|(at, _, numbers)| (*at, numbers.buffer)).collect();
+        buffers.extend(live.map(|live| (7, live)));
+        self.run(kernel, params, &buffers, groups);
         let [rows, depth, columns] = size.map(|size| size as u64);
         let work = &mut self.dispatches.last_mut().expect("just recorded").work;
         work.multiply_adds = rows * depth * columns;
-        work.product_bytes = 4 * (rows * depth + depth * columns + rows * columns);
+        let bytes_of_a = second.map_or(a.numbers.bytes(), |second| a.numbers.bytes().max(second.numbers.bytes()));
+        work.product_bytes = bytes_of_a * rows * depth + w.bytes() * depth * columns + c.bytes() * rows * columns;
     }
 
     /// Records C = D W^T over some of a layer's inputs.
@@ -184,7 +233,7 @@ impl<'a> Recorder<'a> {
         layer: Layer,
         inputs: Range<usize>,
         d: Matrix,
-        c: (&Buffer, usize),
+        c: (Numbers, usize),
         Through { mask, adds, open }: Through,
     ) {
         let n = inputs.len();
@@ -194,11 +243,9 @@ impl<'a> Recorder<'a> {
         let w_from = layer.offset + inputs.start * layer.outputs;
         let params = Recorder::product_params(rows, n, d, None);
         let params = params.and(params! { ldw: layer.outputs, w_from, ldc: c.1, ldx: n });
-        let mut buffers = vec![(1, d.buffer), (3, &field.weights.values), (4, c.0)];
-        buffers.extend(mask.map(|mask| (5, mask)));
-        buffers.extend(open.map(|open| (6, open)));
-        buffers.extend(rows.are_live().then_some((7, &self.scratch.live)));
-        self.product(kernel, params, &buffers, tile.groups(rows.count(), n, 1), [rows.count(), d.columns, n]);
+        let operands = Operands { a: d, second: None, w: self.weights_of(field, rows), c: c.0 };
+        let (live, size) = (self.live(rows), [rows.count(), d.columns, n]);
+        self.product(kernel, params, operands, (mask, open.map(Numbers::from)), live, tile.groups(size[0], n, 1), size);
     }
 
     /// Records the parts of a layer's gradient.
@@ -220,15 +267,18 @@ impl<'a> Recorder<'a> {
         let n = columns.len();
         let (tile, kernel) = self.tiled("weights", n, rows);
         let (part_rows, parts) = parts(rows.count(), self.scratch.most_parts);
-        let kernel = kernel.with("SECOND", second.is_some());
         let (parameters, to) = (self.shape.weights(), layer.offset + columns.start);
         let params = Recorder::product_params(rows, n, a, second);
         let params = params.and(params! { ldw: d.stride, w_from: columns.start, ldc: layer.outputs });
         let params = params.and(params! { part_rows, parts, parameters, to });
-        let mut buffers = vec![(1, a.buffer), (3, d.buffer), (4, &self.scratch.parts)];
-        buffers.extend(second.map(|second| (2, second.buffer)));
-        buffers.extend(rows.are_live().then_some((7, &self.scratch.live)));
-        self.product(kernel, params, &buffers, tile.groups(layer.inputs, n, parts), [layer.inputs, rows.count(), n]);
+        let operands = Operands { a, second, w: d.numbers, c: (&self.scratch.parts).into() };
+        let (live, size) = (self.live(rows), [layer.inputs, rows.count(), n]);
+        self.product(kernel, params, operands, (None, None), live, tile.groups(size[0], n, parts), size);
+    }
+
+    /// Returns the list of rows that count, where others are left out.
+    fn live(&self, rows: Rows) -> Option<&'a Buffer> {
+        rows.are_live().then_some(&self.scratch.live)
     }
 
     /// Records the sum of the parts of a field's gradient, up to this number of weights.

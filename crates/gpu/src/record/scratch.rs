@@ -52,38 +52,41 @@ pub(crate) struct Scratch {
 }
 
 impl Scratch {
-    /// Bytes of a sample.
-    pub(crate) fn bytes_per_sample(shape: &Shape) -> usize {
-        let numbers = 3 * 4
-            + 1
-            + 2 * shape.channels
-            + (shape.trunk.len() + 4) * shape.width
-            + 2 * (shape.width + 4)
-            + shape.view.len() * shape.view_width
-            + shape.view_channels
-            + 42;
-        4 * numbers
+    /// Bytes of a sample. `of_hidden` are those of a number that layers leave for each other.
+    pub(crate) fn bytes_per_sample(shape: &Shape, of_hidden: usize) -> usize {
+        let numbers = 3 * 4 + 1 + 2 * shape.channels + shape.width + 2 * (shape.width + 4) + shape.view_channels + 42;
+        let hidden = (shape.trunk.len() + 3) * shape.width + shape.view.len() * shape.view_width;
+        4 * numbers + of_hidden * hidden
     }
 
     /// Makes the buffers of so many rays, those of the way back if `trains`.
-    pub(crate) fn new(gpu: &Gpu, shape: &Shape, rays: usize, samples: usize, trains: bool) -> Scratch {
+    pub(crate) fn new(
+        gpu: &Gpu,
+        shape: &Shape,
+        rays: usize,
+        samples: usize,
+        of_hidden: usize,
+        trains: bool,
+    ) -> Scratch {
         // Eight rows are a point with its derivatives and its Laplacian.
         let n = (rays * samples).max(8);
         let f = |numbers: usize| gpu.numbers(numbers);
         let back = |numbers: usize| gpu.numbers(if trains { numbers } else { 1 });
         let most_parts = most_parts(gpu, shape.weights());
         let of_variances = if shape.is_integrated { 3 * n } else { 1 };
-        let hidden = n * shape.width.max(shape.view_width);
+        let hidden = |width: usize| f(of_hidden * n * width / 4);
+        let hidden_back = |width: usize| back(of_hidden * n * width / 4);
+        let widest = shape.width.max(shape.view_width);
         Scratch {
             points: f(3 * n),
             variances: f(of_variances),
             unit: f(3 * n),
             inside: f(n),
             encoded: f(n * shape.channels),
-            trunk: shape.trunk.iter().map(|_| f(n * shape.width)).collect(),
-            moved: back(n * shape.width),
+            trunk: shape.trunk.iter().map(|_| hidden(shape.width)).collect(),
+            moved: hidden_back(shape.width),
             head: f(n * (shape.width + 4)),
-            view: shape.view.iter().map(|_| f(n * shape.view_width)).collect(),
+            view: shape.view.iter().map(|_| hidden(shape.view_width)).collect(),
             raw: f(4 * n),
             values: f(4 * n),
             density: f(n),
@@ -94,7 +97,7 @@ impl Scratch {
             d_head: back(n * (shape.width + 4)),
             live: back(n + 1),
             live_counts: back(n.div_ceil(LIVE_GROUP)),
-            d_hidden: [back(hidden), back(hidden)],
+            d_hidden: [hidden_back(widest), hidden_back(widest)],
             d_encoded: back(n * shape.channels),
             d_feature: back(n * shape.width),
             d_view: back(n * shape.view_channels),

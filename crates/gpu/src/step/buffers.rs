@@ -9,6 +9,7 @@ use candle_core::{DType, Device};
 use wgpu::Buffer;
 
 use crate::device::Gpu;
+use crate::limits::bytes_of_hidden;
 use crate::network::Shape;
 use crate::rays::{RAY, bins};
 use crate::record::{OUT, SLOT, Scratch};
@@ -82,7 +83,7 @@ impl StepBuffers {
             flags: f(FLAGS),
             counts: f(COUNTS),
             kept: (0..MOST_REPORTS).map(|_| f(LEFT)).collect(),
-            scratch: Scratch::new(gpu, shape, chunk, samples, true),
+            scratch: Scratch::new(gpu, shape, chunk, samples, bytes_of_hidden(config), true),
             sets: [pair(0), pair(1)],
             space: SpaceBuffers::new(gpu, config, chunk * samples)?,
             chunk,

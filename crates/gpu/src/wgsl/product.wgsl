@@ -14,12 +14,27 @@ struct Product {
     to: u32,                    // the layer's first number in it
 }
 @group(0) @binding(0) var<uniform> p: Product;
-@group(0) @binding(1) var<storage, read> a1: array<vec4<f32>>;
+// Each matrix is kept as Full or as Half.
+alias Full = vec4<f32>;
+fn four_of_Full(kept: Full) -> vec4<f32> { return kept; }
+fn Full_of(four: vec4<f32>) -> Full { return four; }
+@group(0) @binding(1) var<storage, read> a1: array<{A1}>;
 //#if SECOND
-@group(0) @binding(2) var<storage, read> a2: array<vec4<f32>>;
+@group(0) @binding(2) var<storage, read> a2: array<{A2}>;
 //#end
-@group(0) @binding(3) var<storage, read> w: array<vec4<f32>>;
-@group(0) @binding(4) var<storage, read_write> c: array<vec4<f32>>;
+@group(0) @binding(3) var<storage, read> w: array<{W}>;
+@group(0) @binding(4) var<storage, read_write> c: array<{C}>;
+
+// Four numbers of what is multiplied.
+//#if F16
+alias Four = Half;
+fn from_Full(kept: Full) -> Four { return Half_of(kept); }
+fn from_Half(kept: Half) -> Four { return kept; }
+//#else
+alias Four = vec4<f32>;
+fn from_Full(kept: Full) -> Four { return kept; }
+fn from_Half(kept: Half) -> Four { return four_of_Half(kept); }
+//#end
 
 //#if LIVE
 @group(0) @binding(7) var<storage, read> live: array<u32>;             // how many rows count, and which
@@ -32,10 +47,10 @@ fn row_at(i: u32) -> u32 { return i; }
 var<private> row_count: u32;
 
 // Four numbers of a row of A.
-fn a_four(row: u32, k: u32) -> vec4<f32> {
-    if (k < p.k1) { return a1[(row * p.lda1 + k) / 4u]; }
+fn a_four(row: u32, k: u32) -> Four {
+    if (k < p.k1) { return from_{A1}(a1[(row * p.lda1 + k) / 4u]); }
     //#if SECOND
-    if (k < p.k1 + p.k2) { return a2[((row / p.every2) * p.lda2 + (k - p.k1)) / 4u]; }
+    if (k < p.k1 + p.k2) { return from_{A2}(a2[((row / p.every2) * p.lda2 + (k - p.k1)) / 4u]); }
     //#end
-    return vec4<f32>(0.0);
+    return Four();
 }

@@ -1,5 +1,14 @@
 enable f16;
 enable wgpu_cooperative_matrix;
+// f16 holds numbers to 65,504. What is not a number stays.
+fn held_by_f16(four: vec4<f32>) -> vec4<f32> {
+    let most = vec4<f32>(65504.0);
+    return select(four, clamp(four, -most, most), abs(four) > most);
+}
+// Four numbers of a matrix in f16, where a device computes in it.
+alias Half = vec4<f16>;
+fn four_of_Half(kept: Half) -> vec4<f32> { return vec4<f32>(kept); }
+fn Half_of(four: vec4<f32>) -> Half { return vec4<f16>(held_by_f16(four)); }
 // The operands of a product, in fours: all sizes and strides are multiples of 4, and what pads them is 0.
 struct Product {
     m: u32, n: u32,             // rows and columns of C
@@ -16,46 +25,50 @@ struct Product {
     to: u32,                    // the layer's first number in it
 }
 @group(0) @binding(0) var<uniform> p: Product;
-@group(0) @binding(1) var<storage, read> a1: array<vec4<f32>>;
-@group(0) @binding(3) var<storage, read> w: array<vec4<f32>>;
-@group(0) @binding(4) var<storage, read_write> c: array<vec4<f32>>;
+// Each matrix is kept as Full or as Half.
+alias Full = vec4<f32>;
+fn four_of_Full(kept: Full) -> vec4<f32> { return kept; }
+fn Full_of(four: vec4<f32>) -> Full { return four; }
+@group(0) @binding(1) var<storage, read> a1: array<Full>;
+@group(0) @binding(3) var<storage, read> w: array<Full>;
+@group(0) @binding(4) var<storage, read_write> c: array<Full>;
+
+// Four numbers of what is multiplied.
+alias Four = Half;
+fn from_Full(kept: Full) -> Four { return Half_of(kept); }
+fn from_Half(kept: Half) -> Four { return kept; }
 
 fn rows() -> u32 { return p.m; }
 fn row_at(i: u32) -> u32 { return i; }
 var<private> row_count: u32;
 
 // Four numbers of a row of A.
-fn a_four(row: u32, k: u32) -> vec4<f32> {
-    if (k < p.k1) { return a1[(row * p.lda1 + k) / 4u]; }
-    return vec4<f32>(0.0);
+fn a_four(row: u32, k: u32) -> Four {
+    if (k < p.k1) { return from_Full(a1[(row * p.lda1 + k) / 4u]); }
+    return Four();
 }
 fn depth_of(row0: u32, part: u32) -> u32 { return p.k1 + p.k2; }
 // Along the depth.
-fn left_line(row: u32, k: u32, part: u32) -> vec4<f32> {
+fn left_line(row: u32, k: u32, part: u32) -> Four {
     if (row < p.m) { return a_four(row, k); }
-    return vec4<f32>(0.0);
+    return Four();
 }
 // Along the columns.
-fn right_line(col: u32, k: u32, part: u32) -> vec4<f32> {
-    if (k < p.k1 + p.k2 && col < p.n) { return w[(p.w_from + k * p.ldw + col) / 4u]; }
-    return vec4<f32>(0.0);
+fn right_line(col: u32, k: u32, part: u32) -> Four {
+    if (k < p.k1 + p.k2 && col < p.n) { return from_Full(w[(p.w_from + k * p.ldw + col) / 4u]); }
+    return Four();
 }
+fn bias(col: u32) -> vec4<f32> { return four_of_Full(w[(p.w_from + (p.k1 + p.k2) * p.ldw + col) / 4u]); }
 fn store_four(row: u32, col: u32, four: vec4<f32>, part: u32) {
     if (row >= p.m || col >= p.n) { return; }
-    var value = four + w[(p.w_from + (p.k1 + p.k2) * p.ldw + col) / 4u];
+    var value = four + bias(col);
     // What is not a number stays.
     if (p.relu == 1u) { value = select(value, vec4<f32>(0.0), value < vec4<f32>(0.0)); }
-    c[(p.c_from + row * p.ldc + col) / 4u] = value;
+    c[(p.c_from + row * p.ldc + col) / 4u] = Full_of(value);
 }
 
-// f16 holds numbers to 65,504.
-fn halves(four: vec4<f32>) -> vec4<f16> {
-    // What is not a number stays.
-    let within = clamp(four, vec4<f32>(-65504.0), vec4<f32>(65504.0));
-    return vec4<f16>(select(four, within, abs(four) > vec4<f32>(65504.0)));
-}
-var<workgroup> left: array<vec4<f16>, 1280>;
-var<workgroup> right: array<vec4<f16>, 576>;
+var<workgroup> left: array<Half, 1280>;
+var<workgroup> right: array<Half, 576>;
 var<workgroup> stage: array<f32, 2560>;
 @compute @workgroup_size(256)
 fn main(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index) thread: u32) {
@@ -67,12 +80,12 @@ fn main(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index
     var s1_0 = coop_mat16x16<f32, C>();
     var s1_1 = coop_mat16x16<f32, C>();
     var sums = vec4<f32>(0.0);
-    var a0 = vec4<f32>(0.0);
-    var a1 = vec4<f32>(0.0);
-    var a2 = vec4<f32>(0.0);
-    var a3 = vec4<f32>(0.0);
-    var d0 = vec4<f32>(0.0);
-    var d1 = vec4<f32>(0.0);
+    var a0 = Four();
+    var a1 = Four();
+    var a2 = Four();
+    var a3 = Four();
+    var d0 = Four();
+    var d1 = Four();
     { let line = (thread + 0u) / 8u; let four = (thread + 0u) % 8u; a0 = left_line(row0 + line, 0u + 4u * four, part); }
     { let line = (thread + 256u) / 8u; let four = (thread + 256u) % 8u; a1 = left_line(row0 + line, 0u + 4u * four, part); }
     { let line = (thread + 512u) / 8u; let four = (thread + 512u) % 8u; a2 = left_line(row0 + line, 0u + 4u * four, part); }
@@ -80,12 +93,12 @@ fn main(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index
     { let line = (thread + 0u) / 16u; let four = (thread + 0u) % 16u; d0 = right_line(col0 + 4u * four, 0u + line, part); }
     { let line = (thread + 256u) / 16u; let four = (thread + 256u) % 16u; d1 = right_line(col0 + 4u * four, 0u + line, part); }
     for (var k0 = 0u; k0 < depth; k0 += 32u) {
-        { let line = (thread + 0u) / 8u; let four = (thread + 0u) % 8u; left[line * 10u + four] = halves(a0); }
-        { let line = (thread + 256u) / 8u; let four = (thread + 256u) % 8u; left[line * 10u + four] = halves(a1); }
-        { let line = (thread + 512u) / 8u; let four = (thread + 512u) % 8u; left[line * 10u + four] = halves(a2); }
-        { let line = (thread + 768u) / 8u; let four = (thread + 768u) % 8u; left[line * 10u + four] = halves(a3); }
-        { let line = (thread + 0u) / 16u; let four = (thread + 0u) % 16u; right[line * 18u + four] = halves(d0); }
-        { let line = (thread + 256u) / 16u; let four = (thread + 256u) % 16u; right[line * 18u + four] = halves(d1); }
+        { let line = (thread + 0u) / 8u; let four = (thread + 0u) % 8u; left[line * 10u + four] = a0; }
+        { let line = (thread + 256u) / 8u; let four = (thread + 256u) % 8u; left[line * 10u + four] = a1; }
+        { let line = (thread + 512u) / 8u; let four = (thread + 512u) % 8u; left[line * 10u + four] = a2; }
+        { let line = (thread + 768u) / 8u; let four = (thread + 768u) % 8u; left[line * 10u + four] = a3; }
+        { let line = (thread + 0u) / 16u; let four = (thread + 0u) % 16u; right[line * 18u + four] = d0; }
+        { let line = (thread + 256u) / 16u; let four = (thread + 256u) % 16u; right[line * 18u + four] = d1; }
         workgroupBarrier();
         if (k0 + 32u < depth) {
     { let line = (thread + 0u) / 8u; let four = (thread + 0u) % 8u; a0 = left_line(row0 + line, k0 + 32u + 4u * four, part); }

@@ -1,3 +1,15 @@
+// f16 holds numbers to 65,504. What is not a number stays.
+fn held_by_f16(four: vec4<f32>) -> vec4<f32> {
+    let most = vec4<f32>(65504.0);
+    return select(four, clamp(four, -most, most), abs(four) > most);
+}
+// Four numbers of a matrix in f16, two in a word.
+alias Half = vec2<u32>;
+fn four_of_Half(kept: Half) -> vec4<f32> { return vec4<f32>(unpack2x16float(kept.x), unpack2x16float(kept.y)); }
+fn Half_of(four: vec4<f32>) -> Half {
+    let held = held_by_f16(four);
+    return vec2<u32>(pack2x16float(held.xy), pack2x16float(held.zw));
+}
 // The operands of a product, in fours: all sizes and strides are multiples of 4, and what pads them is 0.
 struct Product {
     m: u32, n: u32,             // rows and columns of C
@@ -14,36 +26,46 @@ struct Product {
     to: u32,                    // the layer's first number in it
 }
 @group(0) @binding(0) var<uniform> p: Product;
-@group(0) @binding(1) var<storage, read> a1: array<vec4<f32>>;
-@group(0) @binding(3) var<storage, read> w: array<vec4<f32>>;
-@group(0) @binding(4) var<storage, read_write> c: array<vec4<f32>>;
+// Each matrix is kept as Full or as Half.
+alias Full = vec4<f32>;
+fn four_of_Full(kept: Full) -> vec4<f32> { return kept; }
+fn Full_of(four: vec4<f32>) -> Full { return four; }
+@group(0) @binding(1) var<storage, read> a1: array<Full>;
+@group(0) @binding(3) var<storage, read> w: array<Full>;
+@group(0) @binding(4) var<storage, read_write> c: array<Full>;
+
+// Four numbers of what is multiplied.
+alias Four = vec4<f32>;
+fn from_Full(kept: Full) -> Four { return kept; }
+fn from_Half(kept: Half) -> Four { return four_of_Half(kept); }
 
 fn rows() -> u32 { return p.m; }
 fn row_at(i: u32) -> u32 { return i; }
 var<private> row_count: u32;
 
 // Four numbers of a row of A.
-fn a_four(row: u32, k: u32) -> vec4<f32> {
-    if (k < p.k1) { return a1[(row * p.lda1 + k) / 4u]; }
-    return vec4<f32>(0.0);
+fn a_four(row: u32, k: u32) -> Four {
+    if (k < p.k1) { return from_Full(a1[(row * p.lda1 + k) / 4u]); }
+    return Four();
 }
 fn depth_of(row0: u32, part: u32) -> u32 { return p.k1 + p.k2; }
 // Along the depth.
-fn left_line(row: u32, k: u32, part: u32) -> vec4<f32> {
+fn left_line(row: u32, k: u32, part: u32) -> Four {
     if (row < p.m) { return a_four(row, k); }
-    return vec4<f32>(0.0);
+    return Four();
 }
 // Along the columns.
-fn right_line(col: u32, k: u32, part: u32) -> vec4<f32> {
-    if (k < p.k1 + p.k2 && col < p.n) { return w[(p.w_from + k * p.ldw + col) / 4u]; }
-    return vec4<f32>(0.0);
+fn right_line(col: u32, k: u32, part: u32) -> Four {
+    if (k < p.k1 + p.k2 && col < p.n) { return from_Full(w[(p.w_from + k * p.ldw + col) / 4u]); }
+    return Four();
 }
+fn bias(col: u32) -> vec4<f32> { return four_of_Full(w[(p.w_from + (p.k1 + p.k2) * p.ldw + col) / 4u]); }
 fn store_four(row: u32, col: u32, four: vec4<f32>, part: u32) {
     if (row >= p.m || col >= p.n) { return; }
-    var value = four + w[(p.w_from + (p.k1 + p.k2) * p.ldw + col) / 4u];
+    var value = four + bias(col);
     // What is not a number stays.
     if (p.relu == 1u) { value = select(value, vec4<f32>(0.0), value < vec4<f32>(0.0)); }
-    c[(p.c_from + row * p.ldc + col) / 4u] = value;
+    c[(p.c_from + row * p.ldc + col) / 4u] = Full_of(value);
 }
 
 var<workgroup> left: array<vec4<f32>, 272>;
@@ -56,11 +78,11 @@ fn main(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index
     var s1_0 = vec4<f32>(0.0);
     var s2_0 = vec4<f32>(0.0);
     var s3_0 = vec4<f32>(0.0);
-    var a0_0 = vec4<f32>(0.0);
-    var a0_1 = vec4<f32>(0.0);
-    var a0_2 = vec4<f32>(0.0);
-    var a0_3 = vec4<f32>(0.0);
-    var d0_0 = vec4<f32>(0.0);
+    var a0_0 = Four();
+    var a0_1 = Four();
+    var a0_2 = Four();
+    var a0_3 = Four();
+    var d0_0 = Four();
 {
     if ((thread + 0u) < 64u) {
     let k = 4u * ((thread + 0u) % 4u); let at = (thread + 0u) / 4u;

@@ -30,8 +30,8 @@ pub enum Precision {
     F32,
     /// Layers and their gradients in bf16 (8 bits of mantissa); sums and weights in f32.
     Bf16,
-    /// Operands of the layers' products in f16 (11 bits of mantissa); sums, values between layers and weights in f32. For
-    /// `--device gpu` with matrix units.
+    /// Values between layers, their gradients and the weights that products read in f16 (11 bits of mantissa); sums and the
+    /// weights that Adam updates in f32. For `--device gpu`.
     F16,
 }
 
@@ -113,9 +113,9 @@ section! {
         /// Implementation of the networks: `fused` (if there is one for the device) or `plain` (the reference). They
         /// differ by rounding.
         pub core: Core = Core::Fused, numbers().columns(&["core"]);
-        /// Number format of the fused core: `f32`, `bf16` or `f16`. `f16` is for `--device gpu` alone: the operands of wide
-        /// layers' products are f16, their sums f32. `bf16` rounds the values between layers, and the weights
-        /// that multiply them, to bf16. Sums, the encoding with its products, heads and everything else stay f32. The
+        /// Number format of the fused core: `f32`, `bf16` or `f16`. `f16` is for `--device gpu` alone: it rounds the values
+        /// between layers, their gradients, and the weights that multiply them. `bf16` rounds the values between layers, and
+        /// the weights that multiply them, to bf16. Sums, the encoding with its products, heads and everything else stay f32. The
         /// layers' products have the same bits on every CPU; with AVX-512 BF16 they are twice as fast as in `f32`.
         pub precision: Precision = Precision::F32, numbers().columns(&["precision"]);
     }

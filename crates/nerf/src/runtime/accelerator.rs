@@ -24,7 +24,7 @@ pub struct ListedDevice {
     pub is_software: bool,
     /// The largest buffer that a kernel reads, in bytes.
     pub largest_buffer: Option<u64>,
-    /// Whether it trains with `field.precision = "f16"`.
+    /// Whether it has matrix units for `field.precision = "f16"`.
     pub has_f16: bool,
     /// What the kernels need and it lacks.
     pub lacks: Vec<String>,

@@ -2,6 +2,7 @@
 
 use std::collections::BTreeSet;
 
+use super::super::products::{HALF, NATIVE_HALF};
 use naga::valid::{Capabilities, ValidationFlags, Validator};
 
 use super::*;
@@ -87,6 +88,8 @@ fn products_by_matrix_units_compile() {
         for columns in [64, 256] {
             let kernel = Tile::of(columns, Tiles::Matrices).kernel(name).with("F16", true);
             assert!(compile(&kernel) > 1000);
+            let in_f16 = ["A1_IN_F16", "A2_IN_F16", "W_IN_F16", "C_IN_F16", "X_IN_F16", "Y_IN_F16"];
+            let kernel = in_f16.iter().fold(kernel, |kernel, flag| kernel.with(flag, true));
             let of_two = kernel.with("SECOND", true).with("DELTA", name == "product").with("MASK", name != "product");
             let is_back = name != "product";
             assert!(compile(&of_two.with("OPEN", is_back).with("ADD", is_back).with("LIVE", is_back)) > 1000);
@@ -123,10 +126,6 @@ pub(in crate::kernels) const EMULATED: &str = "EMULATED";
 pub(in crate::kernels) fn without_matrix_units(text: &str) -> String {
     let functions = "
         var<private> lane_of_matrix: u32;
-        fn packed_halves(four: vec4<f32>) -> vec2<u32> {
-            let h = halves(four);
-            return vec2<u32>(pack2x16float(h.xy), pack2x16float(h.zw));
-        }
         fn left_at(i: u32) -> f32 { return unpack2x16float(left[i / 4u][i / 2u % 2u])[i % 2u]; }
         fn right_at(i: u32) -> f32 { return unpack2x16float(right[i / 4u][i / 2u % 2u])[i % 2u]; }
         fn multiply_add(a: vec3<u32>, b: vec3<u32>, c: array<f32, 8>) -> array<f32, 8> {
@@ -160,18 +159,96 @@ pub(in crate::kernels) fn without_matrix_units(text: &str) -> String {
         })
     };
     // Operands stay in f16, two in a word.
-    let packed = |text: &str| text.contains("] = halves(").then(|| text.replace("halves(", "packed_halves("));
+    let text = text.replace(NATIVE_HALF, HALF);
     let kept = text.lines().filter(|text| !text.starts_with("enable "));
-    let changed = |text: &str| line(text).or_else(|| packed(text));
-    let text: Vec<String> = kept.map(|text| changed(text).unwrap_or_else(|| text.to_string())).collect();
-    let text = text
-        .join("\n")
-        .replace(": array<vec4<f16>", ": array<vec2<u32>")
-        .replace("coop_mat16x16<f32, C>", "array<f32, 8>")
-        .replace("coopMultiplyAdd", "multiply_add");
+    let text: Vec<String> = kept.map(|text| line(text).unwrap_or_else(|| text.to_string())).collect();
+    let text =
+        text.join("\n").replace("coop_mat16x16<f32, C>", "array<f32, 8>").replace("coopMultiplyAdd", "multiply_add");
     let lane = "let lane = thread % 32u;";
     let text = text.replace("f16", "f32").replace(lane, &format!("{lane} lane_of_matrix = lane;"));
     [&text, functions].concat()
+}
+
+/// Numbers between -1 and 1 of 11 bits, which f16 does not round.
+fn of_11_bits(count: usize, seed: u64) -> Vec<f32> {
+    numbers(count, 1.0, seed).iter().map(|x| (1024.0 * x).round() / 1024.0).collect()
+}
+
+/// Copies numbers to f16.
+fn halved(gpu: &Gpu, from: &Buffer, count: usize) -> Buffer {
+    let to = gpu.numbers(count.div_ceil(2));
+    run(gpu, Kernel::new("halve"), params! { numbers: count }, &[(1, from), (2, &to)], groups(count.div_ceil(4)));
+    to
+}
+
+fn read_f16(gpu: &Gpu, buffer: &Buffer, count: usize) -> Vec<f32> {
+    let words: Vec<half::f16> = bytemuck::cast_slice(&gpu.read(&[buffer]).unwrap()[0])[..count].to_vec();
+    words.into_iter().map(f32::from).collect()
+}
+
+/// What f16 cannot hold is clamped, and what is not a number stays.
+#[test]
+fn numbers_in_f16() {
+    let gpu = gpu();
+    let values = [1.0, -0.333_333_34, 1e6, f32::NEG_INFINITY, f32::NAN, 65_504.0, 3e-8, 0.0];
+    let found = read_f16(&gpu, &halved(&gpu, &gpu.storage(&values), 8), 8);
+    assert!(found[4].is_nan());
+    let expected = [1.0, -0.333_251_95, 65_504.0, -65_504.0, 65_504.0, 5.960_464_5e-8, 0.0];
+    let others: Vec<f32> = found.iter().copied().filter(|x| !x.is_nan()).collect();
+    assert_eq!(others, expected);
+}
+
+/// Matrices in f16 give the numbers of f32 while these have 11 bits, and are rounded where they are left.
+#[test]
+fn products_of_matrices_in_f16() {
+    let gpu = gpu();
+    let (m, n) = (200, 64);
+    let parameters = (n + 1) * n;
+    let [a, w, d, x] = [(m * n, 220), (parameters, 221), (m * n, 222), (m * n, 223)].map(|(count, seed)| {
+        let full = gpu.storage(&of_11_bits(count, seed));
+        let half = halved(&gpu, &full, count);
+        [full, half]
+    });
+    let sizes = || params! { m, n, k1: n, k2: 0usize, lda1: n, every2: 1usize, ldw: n, ldc: n }.rest_is_zero();
+    let part_rows = m.next_multiple_of(16);
+    let all = ["A1_IN_F16", "W_IN_F16", "C_IN_F16", "X_IN_F16", "Y_IN_F16"];
+    for (name, flag, params, from, by, count, rows) in [
+        ("product", "DELTA", sizes().and(params! { relu: true, ldx: n }), &a, &w, m * n, m),
+        ("product_back", "MASK", sizes().and(params! { ldx: n }), &d, &w, m * n, m),
+        ("weights", "", sizes().and(params! { part_rows, parameters }), &a, &d, parameters, n),
+    ] {
+        let of = |tiles: Tiles, in_f16: &[&'static str]| {
+            let (tile, is_matrix) = (Tile::of(n, tiles), tiles == Tiles::Matrices);
+            let (c, y) = (gpu.numbers(count), gpu.numbers(count));
+            let kernel = tile.kernel(name).with("F16", is_matrix).with(EMULATED, is_matrix).with(flag, true);
+            let kernel = in_f16.iter().fold(kernel, |kernel, flag| kernel.with(flag, true));
+            let half = |matrix: &str| usize::from(in_f16.iter().any(|flag| flag.starts_with(matrix)));
+            let mut bound = vec![(1, &from[half("A1")]), (3, &by[half("W")]), (4, &c)];
+            match name {
+                "product" => bound.extend([(5, &x[0]), (6, &y)]),
+                "product_back" => bound.push((5, &x[half("X")])),
+                _ => {}
+            }
+            run(&gpu, kernel, params.clone(), &bound, tile.groups(rows, n, 1));
+            let read = |buffer: &Buffer, matrix: &str| match half(matrix) {
+                1 => read_f16(&gpu, buffer, count),
+                _ => gpu.read_f32(buffer, count).unwrap(),
+            };
+            let left = if name == "product" { [read(&c, "C"), read(&y, "Y")].concat() } else { read(&c, "C") };
+            left.iter().map(|x| f64::from(*x)).collect::<Vec<f64>>()
+        };
+        let narrow = |values: &[f64]| values.iter().map(|x| *x as f32).collect::<Vec<f32>>();
+        let expected = of(Tiles::Small, &[]);
+        // A gradient's parts and a delta are in f32.
+        let left: Vec<&str> = all.into_iter().filter(|flag| name != "weights" || !flag.starts_with('C')).collect();
+        let left: Vec<&str> =
+            left.into_iter().filter(|flag| name == "product_back" || !flag.starts_with('X')).collect();
+        let read: Vec<&str> = left.iter().copied().filter(|flag| !flag.starts_with(['C', 'Y'])).collect();
+        for tiles in [Tiles::Small, Tiles::Matrices] {
+            near(&format!("{name}, read in f16, {tiles:?}"), &narrow(&of(tiles, &read)), &expected, 1e-6);
+            near(&format!("{name}, in f16, {tiles:?}"), &narrow(&of(tiles, &left)), &expected, 4e-4);
+        }
+    }
 }
 
 /// The same numbers as in small tiles, but for their order in sums. All have 11 bits, so that f16 rounds none.
@@ -179,10 +256,7 @@ pub(in crate::kernels) fn without_matrix_units(text: &str) -> String {
 fn matrix_units_have_the_places_of_tiles() {
     let gpu = gpu();
     let (m, every) = (200, 5);
-    let halves = |count: usize, seed: u64| -> Buffer {
-        let rounded: Vec<f32> = numbers(count, 1.0, seed).iter().map(|x| (1024.0 * x).round() / 1024.0).collect();
-        gpu.storage(&rounded)
-    };
+    let halves = |count: usize, seed: u64| -> Buffer { gpu.storage(&of_11_bits(count, seed)) };
     for (k, n) in [(40, 64), (132, 132)] {
         let parameters = (k + 8 + 1) * n;
         let [a1, w, d, made] =
