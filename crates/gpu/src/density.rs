@@ -11,7 +11,7 @@ use crate::device::{Dispatch, Gpu};
 use crate::limits::{check_buffers, check_density, samples_at_once};
 use crate::network::{FieldBuffers, Shape};
 use crate::rays::{RAY, packed};
-use crate::record::{DeltaBuffers, OUT, PassAt, Recorder, Scratch, SpaceAt};
+use crate::record::{DeltaBuffers, Form, OUT, PassAt, Recorder, Scratch, SpaceAt};
 
 /// Points that are queried at once, at most.
 const MOST_POINTS: usize = 1 << 16;
@@ -50,9 +50,9 @@ impl GpuDensity {
         let shape = Shape::of(field.config());
         check_buffers(gpu, field.config(), &shape)?;
         let most = if gpu.adapter().is_software { MOST_POINTS_IN_SOFTWARE } else { MOST_POINTS };
-        let chunk = samples_at_once(gpu, &shape, 4, 0, false).clamp(4, most) / 4 * 4;
+        let chunk = samples_at_once(gpu, &shape, Form::RENDERING, 0).clamp(4, most) / 4 * 4;
         let field_buffers = FieldBuffers::of(gpu, &shape, field)?;
-        let scratch = Scratch::new(gpu, &shape, chunk, 1, 4, false);
+        let scratch = Scratch::new(gpu, &shape, chunk, 1, Form::RENDERING);
         let (points, rays, at) = (gpu.numbers(3 * chunk), gpu.numbers(RAY * chunk), gpu.numbers(4 * chunk));
         let (t_vals, out, flags) = (gpu.numbers(2 * chunk), gpu.numbers(OUT * chunk), gpu.numbers(1));
         let recorder = || Recorder::new(gpu, &shape, field.config(), &scratch, &rays, &flags);

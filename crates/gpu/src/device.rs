@@ -11,10 +11,11 @@ use augnerf_nerf::runtime::{Accelerator, ListedDevice, Work};
 use augnerf_nerf::settings::Precision;
 use pollster::block_on;
 use wgpu::{
-    Backends, BindGroupDescriptor, BindGroupEntry, Buffer, BufferDescriptor, BufferUsages, CommandEncoder,
-    CommandEncoderDescriptor, ComputePassDescriptor, ComputePipeline, ComputePipelineDescriptor, Device,
-    DeviceDescriptor, DeviceType, ErrorFilter, Features, Instance, InstanceDescriptor, Limits, MapMode,
-    PipelineCompilationOptions, PollType, Queue, ShaderModuleDescriptor, ShaderRuntimeChecks, ShaderSource,
+    Backends, BindGroupDescriptor, BindGroupEntry, BindingResource, Buffer, BufferBinding, BufferDescriptor,
+    BufferUsages, CommandEncoder, CommandEncoderDescriptor, ComputePassDescriptor, ComputePipeline,
+    ComputePipelineDescriptor, Device, DeviceDescriptor, DeviceType, ErrorFilter, Features, Instance,
+    InstanceDescriptor, Limits, MapMode, PipelineCompilationOptions, PollType, Queue, ShaderModuleDescriptor,
+    ShaderRuntimeChecks, ShaderSource,
 };
 
 use crate::kernels::{Kernel, Tiles};
@@ -155,6 +156,8 @@ type Compiled = (ComputePipeline, Arc<Layouts>);
 
 /// A dispatch that is recorded once and submitted many times.
 pub(crate) struct Dispatch {
+    #[cfg(test)]
+    pub(crate) name: &'static str,
     pipeline: ComputePipeline,
     group: wgpu::BindGroup,
     size: [u32; 3],
@@ -257,7 +260,17 @@ impl Gpu {
 
     /// Returns the tiles of wide layers. All tiles of f32 give the same bits.
     pub(crate) fn tiles(&self, precision: Precision) -> Tiles {
-        if precision == Precision::F16 && self.0.adapter.has_f16 { Tiles::Matrices } else { self.0.tiles }
+        // Tests of this crate run arrays in place of matrix units.
+        if precision == Precision::F16 && (self.0.adapter.has_f16 || cfg!(test)) {
+            Tiles::Matrices
+        } else {
+            self.0.tiles
+        }
+    }
+
+    /// Returns the bytes that the threads of a group can share.
+    pub(crate) fn shared_bytes(&self) -> usize {
+        self.0.limits.max_compute_workgroup_storage_size as usize
     }
 
     pub(crate) fn largest_buffer(&self) -> usize {
@@ -372,15 +385,38 @@ impl Gpu {
         buffers: &[(u32, &Buffer)],
         size: [u32; 3],
     ) -> Dispatch {
+        let parts: Vec<_> =
+            buffers.iter().map(|(binding, buffer)| (*binding, buffer.as_entire_buffer_binding())).collect();
+        self.dispatch_parts(kernel, params, &parts, size)
+    }
+
+    /// The same with parts of buffers.
+    pub(crate) fn dispatch_parts(
+        &self,
+        kernel: &Kernel,
+        params: &Params,
+        buffers: &[(u32, BufferBinding)],
+        size: [u32; 3],
+    ) -> Dispatch {
+        #[cfg(test)]
+        let kernel = &kernel.clone().emulated(!self.0.adapter.has_f16);
         let (pipeline, layouts) = self.compiled(kernel);
         let uniform = self.uniform(&layouts[&0].words(kernel.name, params));
-        let bound = std::iter::once((0, &uniform)).chain(buffers.iter().copied());
+        let parameters = std::iter::once((0, uniform.as_entire_buffer_binding()));
+        let bound = parameters.chain(buffers.iter().cloned());
         let entries: Vec<BindGroupEntry> =
-            bound.map(|(binding, buffer)| BindGroupEntry { binding, resource: buffer.as_entire_binding() }).collect();
+            bound.map(|(binding, part)| BindGroupEntry { binding, resource: BindingResource::Buffer(part) }).collect();
         let layout = pipeline.get_bind_group_layout(0);
         let descriptor = BindGroupDescriptor { label: Some(kernel.name), layout: &layout, entries: &entries };
         let group = self.0.device.create_bind_group(&descriptor);
-        Dispatch { pipeline, group, size, work: Work { dispatches: 1, ..Work::default() } }
+        Dispatch {
+            #[cfg(test)]
+            name: kernel.name,
+            pipeline,
+            group,
+            size,
+            work: Work { dispatches: 1, ..Work::default() },
+        }
     }
 
     fn encoder(&self) -> CommandEncoder {
@@ -396,7 +432,7 @@ impl Gpu {
                 let mut pass = encoder.begin_compute_pass(&ComputePassDescriptor::default());
                 let mut groups = 0;
                 while groups < AT_ONCE
-                    && let Some(Dispatch { pipeline, group, size: [x, y, z], work }) = dispatches.next()
+                    && let Some(Dispatch { pipeline, group, size: [x, y, z], work, .. }) = dispatches.next()
                 {
                     done.add(*work);
                     pass.set_pipeline(pipeline);

@@ -100,6 +100,7 @@ impl Kernel {
     pub(crate) fn text(&self) -> String {
         let mut text = match self.name {
             "product" | "product_back" | "weights" => products::text(self),
+            "trunk" | "trunk_back" => products::trunk(self),
             name => parts(name).concat(),
         };
         for (name, value) in &self.constants {
@@ -111,6 +112,18 @@ impl Kernel {
             return tests::without_matrix_units(&text);
         }
         text
+    }
+
+    /// Has arrays in place of matrix units.
+    #[cfg(test)]
+    pub(crate) fn emulated(self, is_on: bool) -> Kernel {
+        let is_new = self.has_matrices() && !self.has(tests::EMULATED);
+        self.with(tests::EMULATED, is_on && is_new)
+    }
+
+    #[cfg(test)]
+    fn has_matrices(&self) -> bool {
+        self.has("F16") || self.name.starts_with("trunk")
     }
 
     fn has(&self, flag: &str) -> bool {
@@ -142,6 +155,17 @@ fn chosen(text: &str, flags: &[&str]) -> String {
         }
     }
     kept
+}
+
+/// Returns the rows of a group that computes all layers of a trunk, if the threads of a group can share what is theirs: as many as
+/// its 8 subgroups have registers for, or fewer.
+pub(crate) fn trunk_rows(width: usize, channels: usize, shared_bytes: usize) -> Option<usize> {
+    const STAGE: usize = 4 * 2560;
+    if ![64, 128, 256].contains(&width) || !channels.is_multiple_of(16) || channels > width {
+        return None;
+    }
+    let rows = [4, 2, 1].map(|deep| 4096 * deep / width);
+    rows.into_iter().find(|rows| 8 * rows * (width / 4 + 2) + STAGE <= shared_bytes)
 }
 
 /// The kinds of tiles that an adapter has for wide layers.

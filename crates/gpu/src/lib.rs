@@ -12,6 +12,9 @@ use augnerf_nerf::runtime::{Accelerator, ListedDevice, Work};
 use augnerf_nerf::settings::{Config, Resolved};
 use augnerf_scenes::Scene;
 
+#[cfg(test)]
+extern crate self as augnerf_gpu;
+
 #[macro_use]
 mod params;
 mod density;

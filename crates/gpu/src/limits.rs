@@ -7,7 +7,7 @@ use augnerf_nerf::settings::{
 
 use crate::device::Gpu;
 use crate::network::Shape;
-use crate::record::{ON_RAYS, Scratch, most_parts};
+use crate::record::{Form, ON_RAYS, Scratch, most_parts};
 
 /// Samples that the groups of one dispatch of a product reach.
 const MOST_POINTS: usize = 64 * 65_535;
@@ -88,18 +88,11 @@ fn refused(what: &str) -> Error {
     Error::Config(format!("device gpu does not compute {what} yet; use --device cpu"))
 }
 
-/// Returns the bytes of a number that a step's layers leave for each other. Derivatives in space need all of f32.
-pub(crate) fn bytes_of_hidden(config: &Resolved) -> usize {
-    if config.field.precision == Precision::F16 && !config.regularizer.has_space_terms() { 2 } else { 4 }
-}
-
 /// Returns the samples whose numbers fit into the device's memory at once: those of [`Scratch`], and `more` bytes beside them.
-pub(crate) fn samples_at_once(gpu: &Gpu, shape: &Shape, of_hidden: usize, more: usize, trains: bool) -> usize {
-    let (bytes, widest) = (
-        Scratch::bytes_per_sample(shape, of_hidden) + more,
-        4 * (shape.width + 4).max(shape.channels).max(shape.view_width),
-    );
-    let parts = if trains { 4 * shape.weights() * most_parts(gpu, shape.weights()) } else { 0 };
+pub(crate) fn samples_at_once(gpu: &Gpu, shape: &Shape, form: Form, more: usize) -> usize {
+    let bytes = Scratch::bytes_per_sample(shape, form) + more;
+    let widest = (4 * (shape.width + 4).max(shape.channels).max(shape.view_width)).max(form.bytes_of_trunk(shape));
+    let parts = if form.trains { 4 * shape.weights() * most_parts(gpu, shape.weights()) } else { 0 };
     (gpu.budget().saturating_sub(parts) / bytes).min(gpu.largest_buffer() / widest).min(MOST_POINTS)
 }
 
@@ -131,7 +124,7 @@ pub(crate) fn check_buffers(gpu: &Gpu, config: &FieldConfig, shape: &Shape) -> R
 pub(crate) fn rays_of_chunk(gpu: &Gpu, config: &Resolved, shape: &Shape, samples: usize) -> Result<usize> {
     // Deltas of both passes, random ones, and the numbers that they are drawn from.
     let deltas = 4 * 5 * (shape.width + 8) * usize::from(config.method.is_augmented());
-    let fits = samples_at_once(gpu, shape, bytes_of_hidden(config), deltas, true) / samples;
+    let fits = samples_at_once(gpu, shape, Form::of_steps(gpu, config, shape), deltas) / samples;
     let unit = config.train.chunk.min(config.train.rays).next_multiple_of(2);
     // The draws of features are in one buffer, with a chunk more.
     let drawn = (gpu.largest_buffer() / (4 * (shape.width + 1) * samples)).saturating_sub(unit);

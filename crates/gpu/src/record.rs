@@ -15,11 +15,12 @@ mod forward;
 mod products;
 mod scratch;
 mod space;
+mod trunk;
 
 #[cfg(test)]
 pub(crate) use encoding::{domain_params, grid_params};
 pub(crate) use products::most_parts;
-pub(crate) use scratch::Scratch;
+pub(crate) use scratch::{Form, Scratch};
 pub(crate) use space::{Integrand, SpaceAt};
 
 /// Numbers of a ray in a pass's output; `composite.wgsl` says which, and `sizes.wgsl` how many.
@@ -154,8 +155,7 @@ pub(crate) struct Recorder<'a> {
     /// Rays are in NDC, where pixels have cylinders in place of cones.
     pub(crate) has_cylinders: bool,
     pub(crate) tiles: Tiles,
-    /// What layers leave for each other, and the weights that products read, are in f16.
-    pub(crate) in_f16: bool,
+    pub(crate) form: Form,
     /// Tiles of derivatives, which are computed in f32.
     pub(crate) jet_tiles: Tiles,
     /// Factor of all gradients up to Adam, which keeps them in the range of f16.
@@ -185,7 +185,7 @@ impl<'a> Recorder<'a> {
             background: None,
             has_cylinders: false,
             tiles,
-            in_f16: false,
+            form: Form::RENDERING,
             jet_tiles: tiles,
             loss_scale: 1.0,
             dispatches: Vec::new(),

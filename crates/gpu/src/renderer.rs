@@ -15,7 +15,7 @@ use crate::kernels::Kernel;
 use crate::limits::{check_buffers, check_fields, samples_at_once};
 use crate::network::{FieldBuffers, Shape};
 use crate::rays::{RAY, bins, packed};
-use crate::record::{DeltaBuffers, OUT, PassAt, Recorder, Resampling, Scratch};
+use crate::record::{DeltaBuffers, Form, OUT, PassAt, Recorder, Resampling, Scratch};
 
 /// Rays that are rendered at once, at most.
 const MOST_RAYS: usize = 2048;
@@ -46,7 +46,7 @@ impl GpuRenderer {
         let (coarse, fine) = config.samples();
         let samples = coarse.max(fine);
         let most = if gpu.adapter().is_software { MOST_RAYS_IN_SOFTWARE } else { MOST_RAYS };
-        let fits = samples_at_once(gpu, &shape, 4, 0, false);
+        let fits = samples_at_once(gpu, &shape, Form::RENDERING, 0);
         let chunk = (fits / samples).clamp(1, most);
         gpu.checked("making a renderer", || GpuRenderer::record(gpu, fields, config, scene, &shape, chunk))?
     }
@@ -63,7 +63,7 @@ impl GpuRenderer {
         let fine_field = fields.get("fine").map(|field| FieldBuffers::of(gpu, shape, field)).transpose()?;
         let (encoding, (coarse, fine)) = (config.field.encoding, config.samples());
         let (columns, samples) = (encoding.t_vals(coarse), coarse.max(fine));
-        let scratch = Scratch::new(gpu, shape, chunk, samples, 4, false);
+        let scratch = Scratch::new(gpu, shape, chunk, samples, Form::RENDERING);
         let [rays, out, jitter, flags] = [RAY * chunk, OUT * chunk, chunk * columns, 1].map(|count| gpu.numbers(count));
         let [t_coarse, t_fine] = [(); 2].map(|()| gpu.numbers(chunk * (samples + 1)));
         let rows = gpu.storage(&bins(config.sampling.spacing, scene.bounds(), columns, false));

@@ -27,6 +27,8 @@ use self::results::{COUNTS, DIAGNOSED, Left, SPACE, alone, first_of, no_flags, s
 mod buffers;
 mod chunk;
 mod results;
+#[cfg(test)]
+mod tests;
 
 const BETA1: f64 = 0.9;
 /// A limit that no gradient reaches.
@@ -297,7 +299,7 @@ impl Steps {
             background: self.background,
             has_cylinders: self.has_cylinders,
             tiles: self.gpu.tiles(self.config.field.precision),
-            in_f16: is_f16(&self.config),
+            form: self.buffers.form,
             loss_scale: loss_scale(&self.config),
             ..Recorder::new(&self.gpu, &self.shape, &self.config.field, scratch, rays, flags)
         }

@@ -19,8 +19,12 @@ pub(super) fn text(kernel: &Kernel) -> String {
 }
 
 /// Fours in f16 on any device, and on one that computes in it.
+const HELD: &str = include_str!("../wgsl/held.wgsl");
 pub(super) const HALF: &str = include_str!("../wgsl/half.wgsl");
 pub(super) const NATIVE_HALF: &str = include_str!("../wgsl/native_half.wgsl");
+
+/// Which rows count.
+const LISTED: &str = include_str!("../wgsl/listed.wgsl");
 
 /// How texts name what their matrices are kept as, and the flags of those that are in f16.
 const MATRICES: [(&str, &str); 6] = [
@@ -31,6 +35,32 @@ const MATRICES: [(&str, &str); 6] = [
     ("{X}", "X_IN_F16"),
     ("{Y}", "Y_IN_F16"),
 ];
+
+/// Writes the text of all layers of a trunk: `trunk`, or back from the gradient of what it leaves, `trunk_back`.
+pub(super) fn trunk(kernel: &Kernel) -> String {
+    let (width, rows, is_back) = (kernel.constant("WIDTH"), kernel.constant("ROWS"), kernel.name == "trunk_back");
+    let own =
+        if is_back { include_str!("../wgsl/trunk_back.wgsl") } else { include_str!("../wgsl/trunk_forward.wgsl") };
+    let operands = [HELD, NATIVE_HALF, include_str!("../wgsl/trunk.wgsl"), LISTED, own].concat();
+    // The gap keeps rows in different banks.
+    let (line, deep) = (width / 4 + 2, rows * width / 4096);
+    Trunk { operands, width, rows, line, deep, is_back }.render().expect("a template of texts and numbers")
+}
+
+/// The text of a trunk.
+#[derive(Template)]
+#[template(path = "trunk.wgsl", escape = "none")]
+struct Trunk {
+    operands: String,
+    width: usize,
+    /// Rows of a group.
+    rows: usize,
+    /// Fours of a row in shared memory.
+    line: usize,
+    /// Matrices of a subgroup below each other.
+    deep: usize,
+    is_back: bool,
+}
 
 /// What both kinds of text depend on.
 struct Product {
@@ -94,7 +124,7 @@ impl Product {
         };
         let half = if kernel.has("F16") { NATIVE_HALF } else { HALF };
         Product {
-            operands: [include_str!("../wgsl/held.wgsl"), half, include_str!("../wgsl/product.wgsl"), own].concat(),
+            operands: [HELD, half, include_str!("../wgsl/product.wgsl"), LISTED, own].concat(),
             rows: kernel.constant("ROWS"),
             columns: kernel.constant("COLUMNS"),
             name: kernel.name,

@@ -101,7 +101,7 @@ impl<'a> Recorder<'a> {
                 self.dense_weights(rows, layer, input, d);
             }
             if i > 0 {
-                let to = self.hidden(&scratch.d_hidden[next], rows);
+                let to = self.of_layer(&scratch.d_hidden, next, rows);
                 let c = (to, shape.view_width);
                 let through = Through { mask: Some(self.hidden(&scratch.view[i - 1], rows)), ..Through::default() };
                 self.dense_back(rows, pass.field, layer, 0..shape.view_width, d, c, through);
@@ -140,7 +140,6 @@ impl<'a> Recorder<'a> {
         let lowest = if wanted.weights || of_encoding { 0 } else { injection.unwrap_or(0) };
         let mut d = Matrix::new(&scratch.d_head, shape.width + 4);
         let mut layer = shape.head;
-        let mut next = 0;
         let mut adds = false;
         for i in (0..=shape.trunk.len()).rev() {
             let input = self.trunk_input(i, injection, rows);
@@ -156,16 +155,22 @@ impl<'a> Recorder<'a> {
             if i == 0 {
                 break;
             }
-            let from = if i < shape.trunk.len() && shape.skips_to(i) { shape.channels } else { 0 };
-            let to = self.hidden(&scratch.d_hidden[next], rows);
+            let to = self.of_layer(&scratch.d_trunk, i - 1, rows);
             let open = (wanted.feature && injection == Some(i)).then_some(&scratch.d_feature);
-            let through = Through { mask: Some(self.hidden(&scratch.trunk[i - 1], rows)), adds: false, open };
-            self.dense_back(rows, field, layer, from..from + shape.width, d, (to, shape.width), through);
+            let is_top = i == shape.trunk.len();
+            if is_top || !self.has_trunks(rows) {
+                let from = if !is_top && shape.skips_to(i) { shape.channels } else { 0 };
+                let through = Through { mask: Some(self.of_layer(&scratch.trunk, i - 1, rows)), adds: false, open };
+                self.dense_back(rows, field, layer, from..from + shape.width, d, (to, shape.width), through);
+            }
             if lowest == i {
                 break;
             }
+            if is_top && self.has_trunks(rows) {
+                let open = injection.filter(|layer| wanted.feature && *layer < i);
+                self.all_layers_back(rows, field, lowest.max(1), open);
+            }
             d = Matrix::new(to, shape.width);
-            next = 1 - next;
             layer = shape.trunk[i - 1];
         }
     }

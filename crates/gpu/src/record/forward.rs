@@ -29,20 +29,26 @@ impl<'a> Recorder<'a> {
         if i == 0 {
             return (encoded, None);
         }
-        let below = if injection == Some(i) { &scratch.moved } else { &scratch.trunk[i - 1] };
-        let hidden = Matrix::new(self.hidden(below, rows), shape.width);
+        let below = match injection {
+            Some(layer) if layer == i => self.hidden(&scratch.moved, rows),
+            _ => self.of_layer(&scratch.trunk, i - 1, rows),
+        };
+        let hidden = Matrix::new(below, shape.width);
         if i < shape.trunk.len() && shape.skips_to(i) { (encoded, Some(hidden)) } else { (hidden, None) }
     }
 
     /// Records the trunk, with a delta after a layer.
     pub(super) fn trunk(&mut self, rows: Rows, field: &FieldBuffers, feature: Option<(&Buffer, usize)>) {
+        if self.has_trunks(rows) {
+            return self.all_layers(rows, field, feature);
+        }
         let (shape, scratch) = (self.shape, self.scratch);
         let injection = feature.map(|(_, layer)| layer);
         for (i, layer) in shape.trunk.iter().enumerate() {
             let input = self.trunk_input(i, injection, rows);
             let delta = feature.filter(|(_, at)| *at == i + 1);
             let delta = delta.map(|(delta, _)| (delta, self.hidden(&scratch.moved, rows)));
-            let c = Output { numbers: self.hidden(&scratch.trunk[i], rows), stride: shape.width, first: 0 };
+            let c = Output { numbers: self.of_layer(&scratch.trunk, i, rows), stride: shape.width, first: 0 };
             self.dense(rows, field, *layer, 0..shape.width, input, c, true, delta);
         }
     }

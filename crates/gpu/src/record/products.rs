@@ -1,8 +1,9 @@
 //! Products of the layers, forward and back.
 
+use std::num::NonZeroU64;
 use std::ops::Range;
 
-use wgpu::Buffer;
+use wgpu::{Buffer, BufferBinding};
 
 use crate::device::{Gpu, groups};
 use crate::kernels::{Kernel, Tile};
@@ -10,6 +11,7 @@ use crate::network::{FieldBuffers, Layer};
 use crate::params::Params;
 
 use super::Recorder;
+use super::scratch::Layers;
 
 /// Parts of a gradient of weights, at most.
 const MOST_PARTS: usize = 128;
@@ -65,20 +67,37 @@ impl Rows {
     }
 }
 
-/// Numbers in a buffer, in f32 or in f16.
+/// Numbers in a buffer or in a part of one, in f32 or in f16.
 #[derive(Clone, Copy)]
 pub(super) struct Numbers<'a> {
-    pub(super) buffer: &'a Buffer,
+    buffer: &'a Buffer,
+    /// The first byte, and their number.
+    part: Option<(u64, u64)>,
     in_f16: bool,
 }
 
 impl<'a> From<&'a Buffer> for Numbers<'a> {
     fn from(buffer: &'a Buffer) -> Numbers<'a> {
-        Numbers { buffer, in_f16: false }
+        Numbers { buffer, part: None, in_f16: false }
     }
 }
 
-impl Numbers<'_> {
+impl<'a> Layers {
+    /// Returns what layer `i` leaves. Two buffers are used in turn.
+    fn at(&'a self, i: usize) -> Numbers<'a> {
+        match &self.buffers[..] {
+            [all] => Numbers { part: Some((i as u64 * self.bytes, self.bytes)), ..all.into() },
+            each => (&each[i % each.len()]).into(),
+        }
+    }
+}
+
+impl<'a> Numbers<'a> {
+    fn bound(self) -> BufferBinding<'a> {
+        let (offset, size) = self.part.unzip();
+        BufferBinding { buffer: self.buffer, offset: offset.unwrap_or(0), size: size.and_then(NonZeroU64::new) }
+    }
+
     fn bytes(self) -> u64 {
         if self.in_f16 { 2 } else { 4 }
     }
@@ -151,15 +170,24 @@ impl<'a> Recorder<'a> {
         (tile, kernel.with("LIVE", rows.are_live()))
     }
 
-    /// Returns what a layer leaves for the next in either direction. Derivatives stay in f32.
+    /// Returns what a layer leaves for the next. Derivatives stay in f32.
     pub(super) fn hidden(&self, buffer: &'a Buffer, rows: Rows) -> Numbers<'a> {
-        Numbers { buffer, in_f16: self.in_f16 && !rows.are_jets() }
+        Numbers { in_f16: self.is_f16(rows), ..buffer.into() }
+    }
+
+    /// Returns what a layer of the trunk leaves, or the gradient of that.
+    pub(super) fn of_layer(&self, layers: &'a Layers, i: usize, rows: Rows) -> Numbers<'a> {
+        Numbers { in_f16: self.is_f16(rows), ..layers.at(i) }
+    }
+
+    fn is_f16(&self, rows: Rows) -> bool {
+        self.form.in_f16 && !rows.are_jets()
     }
 
     /// Returns the weights that products read.
     fn weights_of<'b>(&self, field: &'b FieldBuffers, rows: Rows) -> Numbers<'b> {
         match &field.halves {
-            Some(halves) if self.in_f16 && !rows.are_jets() => Numbers { buffer: halves, in_f16: true },
+            Some(halves) if self.is_f16(rows) => Numbers { in_f16: true, ..halves.into() },
             _ => (&field.weights.values).into(),
         }
     }
@@ -214,9 +242,9 @@ impl<'a> Recorder<'a> {
         bound.extend(x.map(|x| (5, "X_IN_F16", x)));
         bound.extend(y.map(|y| (6, "Y_IN_F16", y)));
         let kernel = bound.iter().fold(kernel, |kernel, (_, flag, numbers)| kernel.with(flag, numbers.in_f16));
-        let mut buffers: Vec<(u32, &Buffer)> = bound.iter().map(|(at, _, numbers)| (*at, numbers.buffer)).collect();
-        buffers.extend(live.map(|live| (7, live)));
-        self.run(kernel, params, &buffers, groups);
+        let parts = bound.iter().map(|(at, _, numbers)| (*at, numbers.bound()));
+        let parts: Vec<_> = parts.chain(live.map(|live| (7, live.as_entire_buffer_binding()))).collect();
+        self.dispatches.push(self.gpu.dispatch_parts(&kernel, &params, &parts, groups));
         let [rows, depth, columns] = size.map(|size| size as u64);
         let work = &mut self.dispatches.last_mut().expect("just recorded").work;
         work.multiply_adds = rows * depth * columns;
@@ -277,7 +305,7 @@ impl<'a> Recorder<'a> {
     }
 
     /// Returns the list of rows that count, where others are left out.
-    fn live(&self, rows: Rows) -> Option<&'a Buffer> {
+    pub(super) fn live(&self, rows: Rows) -> Option<&'a Buffer> {
         rows.are_live().then_some(&self.scratch.live)
     }
 

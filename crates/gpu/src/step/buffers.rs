@@ -9,10 +9,9 @@ use candle_core::{DType, Device};
 use wgpu::Buffer;
 
 use crate::device::Gpu;
-use crate::limits::bytes_of_hidden;
 use crate::network::Shape;
 use crate::rays::{RAY, bins};
-use crate::record::{OUT, SLOT, Scratch};
+use crate::record::{Form, OUT, SLOT, Scratch};
 use crate::sets::{PassSets, SetBuffers, numbers_to_draw};
 
 use super::MOST_REPORTS;
@@ -36,6 +35,7 @@ pub(super) struct StepBuffers {
     /// What each of the last steps left: results, flags and counts.
     pub(super) kept: Vec<Buffer>,
     pub(super) scratch: Scratch,
+    pub(super) form: Form,
     pub(super) sets: [Option<SetBuffers>; 2],
     pub(super) space: Option<SpaceBuffers>,
     /// Rays of a chunk.
@@ -62,6 +62,7 @@ impl StepBuffers {
             .flatten()
             .map(|sets| numbers_to_draw(sets, chunk, config.train.chunk.min(config.train.rays)))
             .max();
+        let form = Form::of_steps(gpu, config, shape);
         let f = |count: usize| gpu.numbers(count);
         let t_vals = || f(chunk * (samples + 1));
         let pair = |i: usize| sets[i].as_ref().map(|sets| SetBuffers::new(gpu, sets, chunk));
@@ -83,7 +84,8 @@ impl StepBuffers {
             flags: f(FLAGS),
             counts: f(COUNTS),
             kept: (0..MOST_REPORTS).map(|_| f(LEFT)).collect(),
-            scratch: Scratch::new(gpu, shape, chunk, samples, bytes_of_hidden(config), true),
+            scratch: Scratch::new(gpu, shape, chunk, samples, form),
+            form,
             sets: [pair(0), pair(1)],
             space: SpaceBuffers::new(gpu, config, chunk * samples)?,
             chunk,

@@ -39,15 +39,15 @@ alias Four = vec4<f32>;
 fn from_Full(kept: Full) -> Four { return kept; }
 fn from_Half(kept: Half) -> Four { return four_of_Half(kept); }
 
-fn rows() -> u32 { return p.m; }
-fn row_at(i: u32) -> u32 { return i; }
-var<private> row_count: u32;
 
 // Four numbers of a row of A.
 fn a_four(row: u32, k: u32) -> Four {
     if (k < p.k1) { return from_Full(a1[(row * p.lda1 + k) / 4u]); }
     return Four();
 }
+fn rows() -> u32 { return p.m; }
+fn row_at(i: u32) -> u32 { return i; }
+var<private> row_count: u32;
 fn depth_of(row0: u32, part: u32) -> u32 { return p.k1 + p.k2; }
 // Along the depth.
 fn left_line(row: u32, k: u32, part: u32) -> Four {

@@ -56,7 +56,7 @@ fn compile(kernel: &Kernel) -> usize {
         .unwrap_or_else(|e| panic!("{:?}: {}", kernel, e.emit_to_string(&text)));
     let options = naga::back::msl::Options { fake_missing_bindings: true, lang_version: (2, 4), ..Default::default() };
     naga::back::msl::write_string(&module, &info, &options, &Default::default()).unwrap();
-    if !kernel.has("F16") {
+    if !kernel.has_matrices() {
         let (mut text, options, pipeline) = (String::new(), Default::default(), Default::default());
         naga::back::hlsl::Writer::new(&mut text, &options, &pipeline).write(&module, &info, None).unwrap();
     }
@@ -95,6 +95,24 @@ fn products_by_matrix_units_compile() {
             assert!(compile(&of_two.with("OPEN", is_back).with("ADD", is_back).with("LIVE", is_back)) > 1000);
         }
     }
+}
+
+#[test]
+fn trunks_compile() {
+    for (name, flag) in [("trunk", "DELTA"), ("trunk_back", "OPEN")] {
+        for width in [64, 128, 256] {
+            let rows = trunk_rows(width, 64, 48 << 10).unwrap();
+            assert_eq!(rows * width, 1 << 14);
+            let kernel = Kernel::new(name).set("WIDTH", width).set("ROWS", rows);
+            assert!(
+                compile(&kernel) > 1000 && compile(&kernel.with(flag, true).with("LIVE", name == "trunk_back")) > 1000
+            );
+        }
+    }
+    assert_eq!(trunk_rows(256, 64, 32 << 10), Some(32));
+    assert!(
+        [(96, 64), (64, 80), (64, 40)].iter().all(|(width, channels)| trunk_rows(*width, *channels, 1 << 20).is_none())
+    );
 }
 
 #[test]
@@ -305,9 +323,13 @@ fn matrix_units_have_the_places_of_tiles() {
 /// A text of each kind as the templates write it, to be read. `AUGNERF_UPDATE_DOCS=1` writes the files anew.
 #[test]
 fn written_texts_are_those_of_the_files() {
-    for (tiles, file) in [(Tiles::Small, "tiled"), (Tiles::Matrices, "matrices")] {
-        let kernel = Tile::of(64, tiles).kernel("product").with("F16", tiles == Tiles::Matrices);
-        let file = format!("{}/templates/written/{file}_product.wgsl", env!("CARGO_MANIFEST_DIR"));
+    let product = |tiles: Tiles| Tile::of(64, tiles).kernel("product").with("F16", tiles == Tiles::Matrices);
+    for (kernel, file) in [
+        (product(Tiles::Small), "tiled_product"),
+        (product(Tiles::Matrices), "matrices_product"),
+        (Kernel::new("trunk").set("WIDTH", 64).set("ROWS", 64), "trunk"),
+    ] {
+        let file = format!("{}/templates/written/{file}.wgsl", env!("CARGO_MANIFEST_DIR"));
         if std::env::var_os("AUGNERF_UPDATE_DOCS").is_some() {
             std::fs::write(&file, kernel.text()).unwrap();
         }
