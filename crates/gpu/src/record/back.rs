@@ -168,7 +168,9 @@ impl<'a> Recorder<'a> {
             }
             if is_top && self.has_trunks(rows) {
                 let open = injection.filter(|layer| wanted.feature && *layer < i);
-                self.all_layers_back(rows, field, lowest.max(1), open);
+                // What weights or encodings have a gradient by is kept.
+                let is_kept = |layer: &usize| wanted.weights || of_encoding && (*layer == 0 || shape.skips_to(*layer));
+                self.all_layers_back(rows, field, lowest.max(1), open, &(0..i - 1).filter(is_kept).collect::<Vec<_>>());
             }
             d = Matrix::new(to, shape.width);
             layer = shape.trunk[i - 1];

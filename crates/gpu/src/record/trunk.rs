@@ -19,53 +19,67 @@ impl<'a> Recorder<'a> {
     fn trunk_params(&self, rows: Rows) -> Params {
         let (shape, of_layer) = (self.shape, self.scratch.trunk.bytes as usize / 8);
         let (m, layers, channels, end) = (rows.count(), shape.trunk.len(), shape.channels, shape.head.offset);
-        let skips = (0..layers).filter(|i| shape.skips_to(*i)).fold(0, |skips, i| skips | 1 << i);
-        params! { m, layers, channels, skips, of_layer, end }
+        params! { m, layers, channels, skips: bits((0..layers).filter(|i| shape.skips_to(*i))), of_layer, end }
     }
 
-    /// Records a kernel of all layers from `lowest` on, and counts its work: what it multiplies, and weights, encodings and hidden
-    /// values once.
-    fn run_trunk(&mut self, name: &'static str, rows: Rows, lowest: usize, params: Params, more: Vec<(u32, &Buffer)>) {
-        let (shape, rows_of_group) = (self.shape, self.form.trunk_rows.expect("a device that has it"));
-        let kernel = Kernel::new(name).set("WIDTH", shape.width).set("ROWS", rows_of_group);
-        let kernel = kernel.with("LIVE", more.iter().any(|(binding, _)| *binding == 7));
-        let kernel = kernel.with(if name == "trunk" { "DELTA" } else { "OPEN" }, more.iter().any(|(at, _)| *at == 6));
-        self.run(kernel, params, &more, device::rows(rows.count().div_ceil(rows_of_group)));
-        let (rows, layers) = (rows.count(), shape.trunk.len() - lowest);
-        let inputs = match lowest {
-            0 => shape.trunk.iter().map(|layer| layer.inputs).sum(),
-            // The way back to encodings are products of their own.
-            _ => layers * shape.width,
-        };
+    /// Records a kernel of all layers, and counts its work: the inputs of these layers, and the bytes that a row reads and leaves.
+    fn run_trunk(
+        &mut self,
+        kernel: Kernel,
+        rows: Rows,
+        params: Params,
+        buffers: &[(u32, &Buffer)],
+        (inputs, bytes_of_row): (usize, usize),
+    ) {
+        let (width, rows_of_group) = (self.shape.width, self.form.trunk_rows.expect("a device that has it"));
+        let kernel = kernel.set("WIDTH", width).set("ROWS", rows_of_group);
+        self.run(kernel, params, buffers, device::rows(rows.count().div_ceil(rows_of_group)));
         let work = &mut self.dispatches.last_mut().expect("just recorded").work;
-        work.multiply_adds = (rows * inputs * shape.width) as u64;
-        work.product_bytes =
-            (2 * inputs * shape.width + 2 * rows * layers * shape.width + 4 * rows * shape.channels) as u64;
+        work.multiply_adds = (rows.count() * inputs * width) as u64;
+        work.product_bytes = (2 * inputs * width + rows.count() * bytes_of_row) as u64;
     }
 
     /// Records all layers, with a delta after one.
     pub(super) fn all_layers(&mut self, rows: Rows, field: &FieldBuffers, feature: Option<(&Buffer, usize)>) {
-        let scratch = self.scratch;
+        let (scratch, shape, layers) = (self.scratch, self.shape, self.shape.trunk.len());
         let injection = feature.map_or(0, |(_, layer)| layer);
-        let params = self.trunk_params(rows).and(params! { injection, lowest: 0usize });
+        let params = self.trunk_params(rows).and(params! { injection, lowest: 0usize, kept: 0usize });
         let weights = field.halves.as_ref().expect("weights in f16");
         let mut buffers = vec![(1, &scratch.encoded), (3, weights), (4, &scratch.trunk.buffers[0])];
         buffers.extend(feature.iter().flat_map(|(delta, _)| [(5, *delta), (6, &scratch.moved)]));
-        self.run_trunk("trunk", rows, 0, params, buffers);
+        let inputs: usize = shape.trunk.iter().map(|layer| layer.inputs).sum();
+        let bytes_of_row = 4 * (inputs - (layers - 1) * shape.width) + 2 * layers * shape.width;
+        let kernel = Kernel::new("trunk").with("DELTA", feature.is_some());
+        self.run_trunk(kernel, rows, params, &buffers, (inputs, bytes_of_row));
     }
 
     /// Records the way back through all layers above the lowest one, from 1, from the gradient of what the last one leaves. `open`
-    /// names the layer whose output's gradient is kept before its ReLU.
-    pub(super) fn all_layers_back(&mut self, rows: Rows, field: &FieldBuffers, lowest: usize, open: Option<usize>) {
-        if lowest == self.shape.trunk.len() {
+    /// names the layer whose output's gradient is left before its ReLU. Those of `kept` are left after it.
+    pub(super) fn all_layers_back(
+        &mut self,
+        rows: Rows,
+        field: &FieldBuffers,
+        lowest: usize,
+        open: Option<usize>,
+        kept: &[usize],
+    ) {
+        let (scratch, width) = (self.scratch, self.shape.width);
+        let inputs = (self.shape.trunk.len() - lowest) * width;
+        if inputs == 0 {
             return;
         }
-        let scratch = self.scratch;
-        let params = self.trunk_params(rows).and(params! { injection: open.unwrap_or(0), lowest });
+        let params = self.trunk_params(rows);
+        let params = params.and(params! { injection: open.unwrap_or(0), lowest, kept: bits(kept.iter().copied()) });
         let weights = field.halves.as_ref().expect("weights in f16");
         let mut buffers = vec![(3, weights), (4, &scratch.d_trunk.buffers[0]), (5, &scratch.trunk.buffers[0])];
         buffers.extend(open.is_some().then_some((6, &scratch.d_feature)));
         buffers.extend(self.live(rows).map(|live| (7, live)));
-        self.run_trunk("trunk_back", rows, lowest, params, buffers);
+        let kernel = Kernel::new("trunk_back").with("OPEN", open.is_some()).with("LIVE", self.live(rows).is_some());
+        self.run_trunk(kernel, rows, params, &buffers, (inputs, 2 * (1 + kept.len()) * width));
     }
+}
+
+/// Returns a number with a bit for each of some layers.
+fn bits(layers: impl Iterator<Item = usize>) -> usize {
+    layers.fold(0, |bits, layer| bits | 1 << layer)
 }

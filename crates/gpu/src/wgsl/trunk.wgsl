@@ -5,6 +5,7 @@ struct Trunk {
     injection: u32,             // the layer with a delta, from 1, or 0
     lowest: u32,                // the lowest layer, from 1, whose input's gradient is wanted
     of_layer: u32,              // fours that layers leave, each
+    kept: u32,                  // a bit for each layer whose gradient is kept
     end: u32,                   // weights of all layers
 }
 @group(0) @binding(0) var<uniform> p: Trunk;

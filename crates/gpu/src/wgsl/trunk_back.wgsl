@@ -13,7 +13,7 @@ fn leave(local: u32, i: u32, col: u32, layer: u32, bias_from: u32, four: vec4<f3
         //#end
         let below = (layer - 1u) * p.of_layer + at;
         kept = Half_of(select(four, vec4<f32>(0.0), four_of_Half(x[below]) <= vec4<f32>(0.0)));
-        c[below] = kept;
+        if ((p.kept >> (layer - 1u) & 1u) == 1u) { c[below] = kept; }
     }
     left[local * LINE + col / 4u] = kept;
 }
