@@ -32,7 +32,9 @@ fn main(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index
     var first = p.end;
     fetch(row0, thread);
     workgroupBarrier();
-    for (var layer = p.layers - 1u; layer >= p.lowest; layer--) {
+    {#- A group without a row that counts has no layer. #}
+    let lowest = select(p.layers, p.lowest, row0 < row_count);
+    for (var layer = p.layers - 1u; layer >= lowest; layer--) {
     {%- else %}
     var first = 0u;
     for (var layer = 0u; layer < p.layers; layer++) {
