@@ -663,7 +663,7 @@ fn expand_shipped_sweeps(data: Option<&Path>) {
         assert!(points.len() >= 2 * definition.seeds.len(), "{name}");
         found += 1;
     }
-    assert_eq!(found, 55);
+    assert_eq!(found, 56);
 }
 
 #[test]
