@@ -30,11 +30,12 @@ impl Form {
 
     pub(crate) fn of_steps(gpu: &Gpu, config: &Resolved, shape: &Shape) -> Form {
         let in_f16 = config.field.precision == Precision::F16;
-        let has_derivatives = config.regularizer.has_space_terms();
-        let of_hidden = if in_f16 && !has_derivatives { 2 } else { 4 };
-        // Derivatives pass through the layers one by one, which a buffer of all cannot be bound for.
-        let has_trunks =
-            gpu.tiles(config.field.precision) == Tiles::Matrices && shape.trunk.len() > 1 && !has_derivatives;
+        let has_space_terms = config.regularizer.has_space_terms();
+        let of_hidden = if in_f16 && !has_space_terms { 2 } else { 4 };
+        // Derivatives in space pass through the layers one by one, which a buffer of all cannot be bound for. Skips are bits of a word.
+        let has_trunks = gpu.tiles(config.field.precision) == Tiles::Matrices
+            && (2..=32).contains(&shape.trunk.len())
+            && !has_space_terms;
         let trunk_rows = if has_trunks { trunk_rows(shape.width, shape.channels, gpu.shared_bytes()) } else { None };
         Form { in_f16, of_hidden, trunk_rows, trains: true }
     }

@@ -81,5 +81,8 @@ impl<'a> Recorder<'a> {
 
 /// Returns a number with a bit for each of some layers.
 fn bits(layers: impl Iterator<Item = usize>) -> usize {
-    layers.fold(0, |bits, layer| bits | 1 << layer)
+    layers.fold(0, |bits, layer| {
+        assert!(layer < 32, "a bit of a word");
+        bits | 1 << layer
+    })
 }

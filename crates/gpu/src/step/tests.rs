@@ -40,6 +40,17 @@ fn trunks_of_a_step_have_the_numbers_of_its_layers() {
             ],
             0,
         ),
+        (
+            &[
+                "method=nerf",
+                "field.width=64",
+                "field.position_octaves=2",
+                "field.depth=34",
+                "train.rays=8",
+                "train.chunk=8",
+            ],
+            0,
+        ),
         (&["method=nerf", "field.width=96"], 0),
     ] {
         let single = config(settings);
