@@ -51,6 +51,37 @@ fn trunks_of_a_step_have_the_numbers_of_its_layers() {
             ],
             0,
         ),
+        (&["method=nerf", "field.width=256", "field.position_octaves=2", "field.depth=3", "train.rays=16"], 4),
+        (
+            &[
+                "method=aug-nerf",
+                "field.width=64",
+                "field.position_octaves=2",
+                "perturb.injection_layer=4",
+                "train.rays=16",
+            ],
+            20,
+        ),
+        (
+            &[
+                "method=aug-nerf",
+                "field.width=64",
+                "field.position_octaves=2",
+                "perturb.injection_layer=1",
+                "train.rays=16",
+            ],
+            20,
+        ),
+        (
+            &[
+                "method=aug-nerf",
+                "field.width=64",
+                "field.position_octaves=2",
+                "perturb.levels=[\"feature\"]",
+                "train.rays=16",
+            ],
+            12,
+        ),
         (&["method=nerf", "field.width=96"], 0),
     ] {
         let single = config(settings);

@@ -125,6 +125,8 @@ fn tiles_of_f32_are_translated() {
         for (columns, tiles) in [4, 16, 32, 64].map(|n| (n, Tiles::Small)).into_iter().chain([(256, Tiles::Large)]) {
             let kernel = Tile::of(columns, tiles).kernel(name);
             assert!(compile(&kernel) > 1000);
+            let in_f16 = ["A1_IN_F16", "A2_IN_F16", "W_IN_F16", "C_IN_F16", "X_IN_F16", "Y_IN_F16"];
+            assert!(compile(&in_f16.iter().fold(kernel.clone(), |kernel, flag| kernel.with(flag, true))) > 1000);
             // Deltas and lists are of samples, not of jets.
             let of = |left_out: &str| {
                 let on = flags.iter().filter(|flag| **flag != left_out);
